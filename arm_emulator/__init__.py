@@ -1,0 +1,1 @@
+"""Command line of the arm emulator, and the few words that all its packages share."""

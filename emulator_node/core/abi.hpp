@@ -1,0 +1,58 @@
+// The C face of one scene's machine, called from Python through ctypes (emulator_node/plant.py).
+// Included last in a scene's unit, after its `struct Scene`.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+
+#include "machine.hpp"
+
+using TheMachine = arm::Machine<Scene>;
+using TheLinks = arm::Links<Scene>;
+static constexpr int N = Scene::N;
+#pragma GCC visibility push(default)
+extern "C" {
+TheMachine* arm_new(double dt) { return new TheMachine(dt); }
+void arm_delete(TheMachine* machine) { delete machine; }
+void arm_reset(TheMachine* machine, const double* q, const double* v) { machine->reset(q, v); }
+int arm_advance(TheMachine* machine, const double* voltage, std::int64_t steps) {
+  return machine->advance(voltage, steps);
+}
+double arm_time(const TheMachine* machine) { return machine->time(); }
+double arm_energy(const TheMachine* machine) { return machine->energy(); }
+/* out: i, tm, wm, q, v, T, N values each; a rigid gear's motor follows its link */
+void arm_state(const TheMachine* machine, double* out) {
+  const auto& x = machine->state();
+  double T[N];
+  machine->gear_torques(T);
+  for (int j = 0; j < N; ++j) {
+    const auto& gear = Scene::joint[j].gear;
+    out[j] = x.i[j];
+    out[N + j] = gear.rigid ? x.q[j] / gear.Ng : x.tm[j];
+    out[2 * N + j] = gear.rigid ? x.v[j] / gear.Ng : x.wm[j];
+    out[3 * N + j] = x.q[j];
+    out[4 * N + j] = x.v[j];
+    out[5 * N + j] = T[j];
+  }
+}
+/* The links alone, for `count` rows of N: M(q) a + nle(q, v) = tau. */
+void arm_forward_dynamics(std::int64_t count, const double* q, const double* v, const double* tau,
+                          double* a) {
+  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, tau += N, a += N) {
+    double q_row[N], v_row[N], x[N];
+    std::copy_n(q, N, q_row);
+    std::copy_n(v, N, v_row);
+    TheLinks::Kinematics k;
+    TheLinks::MassMatrix M;
+    TheLinks::kinematics(q_row, k);
+    TheLinks::inverse_dynamics(k, v_row, nullptr, x);
+    TheLinks::mass_matrix(k, M);
+    for (int j = 0; j < N; ++j) x[j] = tau[j] - x[j];
+    arm::Cholesky<N> factors;
+    factors.factor(M.at);
+    factors.solve(x);
+    std::copy_n(x, N, a);
+  }
+}
+}
+#pragma GCC visibility pop

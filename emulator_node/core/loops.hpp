@@ -1,0 +1,38 @@
+// Loops over joints: unrolled at compile time for the usual arm, so that a joint's constants fold.
+#pragma once
+
+#include <type_traits>
+#include <utility>
+
+namespace arm {
+
+// Above this count unrolled code costs more (compile time, instruction cache) than folding saves.
+inline constexpr int kUnrollLimit = 12;
+
+#define ARM_INLINE __attribute__((always_inline)) inline
+
+// body(i) for i = 0 .. N-1; `i` converts to int and, when unrolled, is a compile-time constant.
+template <int N, class Body>
+ARM_INLINE void for_each(Body&& body) {
+  if constexpr (N <= kUnrollLimit) {
+    [&]<int... i>(std::integer_sequence<int, i...>) __attribute__((always_inline)) {
+      (body(std::integral_constant<int, i>{}), ...);
+    }(std::make_integer_sequence<int, N>{});
+  } else {
+    for (int i = 0; i < N; ++i) body(i);
+  }
+}
+
+// body(i) for i = N-1 .. 0.
+template <int N, class Body>
+ARM_INLINE void for_each_reverse(Body&& body) {
+  if constexpr (N <= kUnrollLimit) {
+    [&]<int... i>(std::integer_sequence<int, i...>) __attribute__((always_inline)) {
+      (body(std::integral_constant<int, N - 1 - i>{}), ...);
+    }(std::make_integer_sequence<int, N>{});
+  } else {
+    for (int i = N - 1; i >= 0; --i) body(i);
+  }
+}
+
+}  // namespace arm

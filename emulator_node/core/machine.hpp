@@ -1,0 +1,212 @@
+// The machine: motors, gears and links of one scene, and their way through time.
+#pragma once
+
+#include <bit>
+#include <cstdint>
+
+#include "cholesky.hpp"
+#include "links.hpp"
+#include "motors.hpp"
+
+namespace arm {
+
+template <class S>
+class Machine {
+ public:
+  static constexpr int N = S::N;
+  using Vector = double[N];
+
+  // i [A], motor angle tm [rad] and speed wm [rad/s], link angle q [rad] and speed v [rad/s]
+  // (m and m/s for prismatic joints). A rigid gear has no tm and wm of its own: q / Ng and v / Ng.
+  struct State {
+    Vector i, tm, wm, q, v;
+  };
+
+  explicit Machine(double dt) : h(dt) {
+    for (int j = 0; j < N; ++j)
+      if (S::joint[j].motor.present) motor[j] = motor_step(S::joint[j].motor, S::joint[j].gear, h);
+  }
+
+  // Put the links at (q, v), the motors along with them: no current, gears unloaded.
+  void reset(const double* q, const double* v) {
+    for (int j = 0; j < N; ++j) {
+      const double Ng = S::joint[j].gear.Ng;
+      x.q[j] = q[j];
+      x.v[j] = v[j];
+      x.i[j] = 0.0;
+      x.tm[j] = q[j] / Ng;
+      x.wm[j] = v[j] / Ng;
+      V[j] = 0.0;
+    }
+    steps = 0;
+  }
+
+  // Take `count` steps with the voltages held, clamped to the supply. Returns -1, or the joint that
+  // went out of bounds: then the state is the last one within.
+  int advance(const double* voltage, std::int64_t count) {
+    for (int j = 0; j < N; ++j) V[j] = clamp(voltage[j], S::supply_voltage);
+    while (count > 0) {
+      const int chunk = count < kCheckEvery ? static_cast<int>(count) : kCheckEvery;
+      const State before = x;
+      run(chunk);
+      if (joint_out_of_bounds(x) >= 0) {
+        x = before;
+        return creep_to_the_fault(chunk);
+      }
+      steps += chunk;
+      count -= chunk;
+    }
+    return -1;
+  }
+
+  double time() const { return static_cast<double>(steps) * h; }
+  const State& state() const { return x; }
+
+  // Torque that each gear puts on its link [N m].
+  void gear_torques(Vector& T) const {
+    Vector a;
+    if constexpr (any_rigid()) accelerations(T, a);
+    for (int j = 0; j < N; ++j) {
+      const Motor& motor = S::joint[j].motor;
+      const Gear& gear = S::joint[j].gear;
+      if (!motor.present) {
+        T[j] = 0.0;
+      } else if (gear.rigid) {
+        T[j] = motor.Kt * x.i[j] / gear.Ng - motor.Mm / (gear.Ng * gear.Ng) * a[j];
+      } else {
+        T[j] = gear_torque(gear, x.tm[j], x.wm[j], x.q[j], x.v[j]);
+      }
+    }
+  }
+
+  // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
+  double energy() const {
+    typename Links<S>::Kinematics k;
+    typename Links<S>::MassMatrix M;
+    Links<S>::kinematics(x.q, k);
+    Links<S>::mass_matrix(k, M);
+    double E = Links<S>::potential_energy(k);
+    for (int j = 0; j < N; ++j) {
+      for (int m = 0; m < j; ++m) E += x.v[j] * M.at[j][m] * x.v[m];
+      E += 0.5 * M.at[j][j] * x.v[j] * x.v[j];
+      const Motor& motor = S::joint[j].motor;
+      if (!motor.present) continue;
+      const Gear& gear = S::joint[j].gear;
+      const double wm = gear.rigid ? x.v[j] / gear.Ng : x.wm[j];
+      const double twist = gear.rigid ? 0.0 : gear.Ng * x.tm[j] - x.q[j];
+      E += 0.5 * (motor.Mm * wm * wm + motor.L * x.i[j] * x.i[j] + gear.Kg * twist * twist);
+    }
+    return E;
+  }
+
+ private:
+  static constexpr int kCheckEvery = 16;
+  static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
+
+  // Not inlined: every step, however it is asked for, runs the same instructions and gives the same
+  // bits.
+  __attribute__((noinline)) void run(int count) {
+    for (int s = 0; s < count; ++s) step();
+  }
+
+  // One step of the scene's scheme, from sample k to k + 1.
+  ARM_INLINE void step() {
+    static_assert(S::scheme == Scheme::paper);
+    Vector T, a;
+    step_motors();
+    accelerations(T, a);
+    integrate_links(a);
+  }
+
+  // Backward Euler for the motors, eq. (3), the links held at sample k.
+  ARM_INLINE void step_motors() {
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      const Motor& m = S::joint[j].motor;
+      const Gear& gear = S::joint[j].gear;
+      if (!m.present) return;
+      if (gear.rigid)
+        x.i[j] = step_current(m, motor[j], V[j], x.i[j], x.v[j] / gear.Ng);
+      else
+        step_motor(m, gear, motor[j], h, V[j], x.q[j], x.v[j], x.i[j], x.tm[j], x.wm[j]);
+    });
+  }
+
+  // Accelerations of the links, eq. (4), and the torques T that drive them.
+  ARM_INLINE void accelerations(Vector& T, Vector& a) const {
+    typename Links<S>::Kinematics k;
+    typename Links<S>::MassMatrix M;
+    Vector nle;
+    Links<S>::kinematics(x.q, k);
+    Links<S>::inverse_dynamics(k, x.v, nullptr, nle);
+    Links<S>::mass_matrix(k, M);
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      const Motor& m = S::joint[j].motor;
+      const Gear& gear = S::joint[j].gear;
+      if (!m.present) {
+        T[j] = 0.0;
+      } else if (gear.rigid) {  // the rotor moves with the link
+        T[j] = m.Kt / gear.Ng * x.i[j];
+        M.at[j][j] += m.Mm / (gear.Ng * gear.Ng);
+      } else {
+        T[j] = gear_torque(gear, x.tm[j], x.wm[j], x.q[j], x.v[j]);
+      }
+      a[j] = T[j] - nle[j] - S::joint[j].Dl * x.v[j];
+    });
+    Cholesky<N> factors;
+    factors.factor(M.at);
+    factors.solve(a);
+  }
+
+  // Forward Euler for the links.
+  ARM_INLINE void integrate_links(const Vector& a) {
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      x.q[j] += h * x.v[j];
+      x.v[j] += h * a[j];
+    });
+  }
+
+  // Repeat a chunk one step at a time, up to the last state within bounds.
+  int creep_to_the_fault(int chunk) {
+    for (int s = 0; s < chunk; ++s) {
+      const State before = x;
+      run(1);
+      const int joint = joint_out_of_bounds(x);
+      if (joint >= 0) {
+        x = before;
+        return joint;
+      }
+      ++steps;
+    }
+    __builtin_unreachable();  // the same steps as before end at the same fault
+  }
+
+  // The first joint whose state is not finite, or that turns so far in one step that the result
+  // means nothing; -1 if there is none. Reads bit patterns, since this unit is compiled for finite
+  // arithmetic and may take a comparison with NaN as it likes.
+  int joint_out_of_bounds(const State& s) const {
+    for (int j = 0; j < N; ++j) {
+      const double Ng = S::joint[j].gear.Ng;
+      const double values[] = {s.i[j], s.tm[j], s.wm[j], s.q[j], s.v[j]};
+      for (const double value : values)
+        if ((std::bit_cast<std::uint64_t>(value) >> 52 & 0x7ff) == 0x7ff) return j;
+      if (h * clamp(s.v[j], 1e300) > kLargestTurn || h * clamp(s.v[j], 1e300) < -kLargestTurn ||
+          h * Ng * s.wm[j] > kLargestTurn || h * Ng * s.wm[j] < -kLargestTurn)
+        return j;
+    }
+    return -1;
+  }
+
+  static constexpr bool any_rigid() {
+    for (const Joint& joint : S::joint)
+      if (joint.motor.present && joint.gear.rigid) return true;
+    return false;
+  }
+
+  double h;
+  MotorStep motor[N] = {};
+  State x = {};
+  Vector V = {};
+  std::int64_t steps = 0;
+};
+
+}  // namespace arm

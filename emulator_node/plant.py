@@ -1,0 +1,189 @@
+"""The emulated machine as a plain object: voltages in, states out. Knows nothing of ROS."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from arm_emulator.refusal import Refusal
+from emulator_node.chain import Array
+from emulator_node.compiler import library_of
+from emulator_node.scene import Scene
+
+# What a joint without an encoder reports, since encoder counts are whole numbers.
+IDEAL_COUNTS_PER_TURN = 2**20
+
+
+class Diverged(RuntimeError):
+    """The integration left the finite world; the plant stays at the last state within it.
+
+    Attributes:
+        joint: the joint that left first.
+        t: logical time of the last state within bounds [s].
+    """
+
+    def __init__(self, joint: str, t: float, dt: float, scheme: str) -> None:
+        self.joint = joint
+        self.t = t
+        super().__init__(
+            f"Plant.advance: joint {joint} diverged after t = {t:.6g} s with scheme {scheme} at "
+            f"dt = {dt:g} s; the plant stays at the last state before; "
+            "a smaller integrator.dt would hold"
+        )
+
+
+@dataclass(frozen=True)
+class PlantState:
+    """State of the machine at one logical time. Arrays are (N,), base to tool."""
+
+    t: float  # s
+    current: Array  # A
+    theta_m: Array  # rad, motor angle
+    omega_m: Array  # rad/s, motor speed
+    q: Array  # rad or m, link side
+    v: Array  # rad/s or m/s, link side
+    gear_torque: Array  # N m or N, on the link
+    encoder_counts: NDArray[np.int64]  # at the motor, floor
+
+
+class Plant:
+    """Motors, gears and links of one scene, stepped by the compiled core.
+
+    Args:
+        scene: from `emulator_node.scene.load_scene`.
+
+    Raises:
+        Refusal: the scene's core cannot be compiled.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._core = _declare(library_of(scene))
+        self._N = len(scene.joints)
+        self._machine = self._core.arm_new(scene.integrator.dt)
+        self._voltage = np.zeros(self._N)
+        self._voltage_pointer = _pointer(self._voltage)
+        self._buffer = np.zeros((6, self._N))
+        self._buffer_pointer = _pointer(self._buffer)
+        self._counts_per_rad = np.array(
+            [
+                (joint.encoder.counts_per_turn if joint.encoder else IDEAL_COUNTS_PER_TURN)
+                / (2.0 * math.pi)
+                for joint in scene.joints
+            ]
+        )
+        self.reset()
+
+    def __del__(self) -> None:
+        machine, self._machine = getattr(self, "_machine", None), None
+        if machine:
+            self._core.arm_delete(machine)
+
+    def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
+        """Put the machine at logical time 0, its motors along with the links.
+
+        No current flows, and the gears carry no torque.
+
+        Args:
+            q: link positions (N,) [rad or m], the scene's start if None.
+            v: link speeds (N,) [rad/s or m/s], zero if None.
+
+        Raises:
+            Refusal: wrong shape or not finite; the state is as before.
+        """
+        at = self.scene.start if q is None else self._vector(q, "Plant.reset", "q", "rad or m")
+        speed = (
+            np.zeros(self._N)
+            if v is None
+            else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
+        )
+        self._core.arm_reset(self._machine, _pointer(at), _pointer(speed))
+
+    def advance(self, voltage: ArrayLike, steps: int) -> None:
+        """Take `steps` integration steps with the motor voltages held.
+
+        Args:
+            voltage: (N,) [V], clamped to the supply voltage as the drives do; a joint without a
+                motor takes no notice.
+            steps: number of steps of `scene.integrator.dt`, >= 0.
+
+        Raises:
+            Refusal: wrong shape, not finite, or a negative count; the state is as before.
+            Diverged: the integration failed; the state is the last one within bounds.
+        """
+        self._voltage[:] = self._vector(voltage, "Plant.advance", "voltage", "V")
+        if steps < 0:
+            raise Refusal("Plant.advance", "steps", "be >= 0", steps)
+        joint = self._core.arm_advance(self._machine, self._voltage_pointer, steps)
+        if joint >= 0:
+            integrator = self.scene.integrator
+            raise Diverged(
+                self.scene.joint_names[joint], self.t, integrator.dt, integrator.scheme
+            )
+
+    @property
+    def t(self) -> float:
+        """Logical time [s]."""
+        return float(self._core.arm_time(self._machine))
+
+    @property
+    def energy(self) -> float:
+        """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the first joint."""
+        return float(self._core.arm_energy(self._machine))
+
+    @property
+    def state(self) -> PlantState:
+        """The state now, as a copy."""
+        self._core.arm_state(self._machine, self._buffer_pointer)
+        current, theta_m, omega_m, q, v, gear_torque = self._buffer.copy()
+        counts = np.floor(theta_m * self._counts_per_rad).astype(np.int64)
+        return PlantState(self.t, current, theta_m, omega_m, q, v, gear_torque, counts)
+
+    def link_accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
+        """Return the accelerations of the links alone: M(q) a + nle(q, v) = tau.
+
+        Args:
+            q, v, tau: (K, N) or (N,) positions, speeds and joint torques.
+        """
+        q, v, tau = (np.ascontiguousarray(x, dtype=np.float64) for x in (q, v, tau))
+        a = np.empty_like(q)
+        self._core.arm_forward_dynamics(q.size // self._N, *map(_pointer, (q, v, tau, a)))
+        return a
+
+    def _vector(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
+        try:
+            array = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise Refusal(where, quantity, f"be numbers [{unit}]", values) from None
+        if array.shape != (self._N,):
+            raise Refusal(where, quantity, f"have shape ({self._N},)", array.shape)
+        if not np.isfinite(array).all():
+            raise Refusal(where, quantity, f"be finite [{unit}]", array)
+        return array
+
+
+def _pointer(array: Array) -> Any:
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def _declare(core: ctypes.CDLL) -> ctypes.CDLL:
+    """Tell ctypes the signatures of core/abi.hpp."""
+    pointer, count = ctypes.c_void_p, ctypes.c_int64
+    for name, result, arguments in (
+        ("arm_new", pointer, [ctypes.c_double]),
+        ("arm_delete", None, [pointer]),
+        ("arm_reset", None, [pointer] * 3),
+        ("arm_advance", ctypes.c_int, [pointer, pointer, count]),
+        ("arm_time", ctypes.c_double, [pointer]),
+        ("arm_energy", ctypes.c_double, [pointer]),
+        ("arm_state", None, [pointer, pointer]),
+        ("arm_forward_dynamics", None, [count] + [pointer] * 4),
+    ):
+        function = getattr(core, name)
+        function.restype, function.argtypes = result, arguments
+    return core

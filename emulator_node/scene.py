@@ -1,0 +1,482 @@
+"""A scene: one YAML file and one URDF, checked once and frozen.
+
+What the file does not mention does not exist in the machine. Every refusal says where, which
+quantity, which rule, which value.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from arm_emulator.config_files import find_config
+from arm_emulator.refusal import Refusal
+from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
+
+SCHEMES = ("paper",)
+LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current follows at once."""
+
+    resistance: float  # ohm
+    inductance: float  # H
+    torque_constant: float  # N m/A
+    back_emf_constant: float  # V s/rad
+    rotor_inertia: float  # kg m2, with the gear's primary side
+    current_limit: float | None  # A
+
+
+@dataclass(frozen=True)
+class Gear:
+    """Gear between motor and link, eq. (2). `stiffness` None: rigid."""
+
+    ratio: float = 1.0  # link turns per motor turn (m per rad for a prismatic joint)
+    stiffness: float | None = None  # N m/rad at the link
+    damping: float = 0.0  # N m s/rad at the link
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """Incremental encoder on the motor shaft: floor(theta_m / (2 pi) * counts_per_turn)."""
+
+    counts_per_turn: int
+
+
+@dataclass(frozen=True)
+class Joint:
+    """What the scene file says of one moving joint. A joint without a motor swings freely."""
+
+    name: str
+    start: float  # rad or m
+    motor: Motor | None
+    gear: Gear
+    encoder: Encoder | None
+    viscous_friction: float  # N m s/rad at the link, Dl of eq. (4)
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """Scheme and step [s]."""
+
+    scheme: str
+    dt: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that there is about one machine."""
+
+    name: str
+    where: str  # the file, for refusals
+    urdf: str  # XML text, locked joints fixed
+    tool: str  # link whose frame is the tool
+    gravity: tuple[float, float, float] | None  # m/s2 in the world
+    supply_voltage: float  # V
+    joints: tuple[Joint, ...]  # base to tool
+    chain: Chain  # the same joints' geometry and inertia
+    integrator: Integrator
+    servo_period: float  # s
+    threads: int
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints, base to tool."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def start(self) -> Array:
+        """Joint positions at reset (N,) [rad or m]."""
+        return np.array([joint.start for joint in self.joints])
+
+    @property
+    def steps_per_period(self) -> int:
+        """Integration steps in one servo period."""
+        return round(self.servo_period / self.integrator.dt)
+
+
+def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
+    """Load a scene, checked.
+
+    Args:
+        path: a scene file, or the name of a scene that comes with the emulator.
+        overrides: values to put in place of the file's, by dotted path, such as
+            ``{"integrator.dt": 1e-4, "joints.*.gear.stiffness": None}``; ``*`` is every key there,
+            None takes the key out.
+
+    Raises:
+        Refusal: the file, its URDF or an override breaks a rule.
+    """
+    file = find_config(str(path), ".yaml")
+    data = _read_yaml(file)
+    for dotted, value in (overrides or {}).items():
+        _override(data, dotted, value, file.name)
+    return _build(_Section(data, file.name, ""), file)
+
+
+def _build(root: _Section, file: Path) -> Scene:
+    where = file.name
+    name = root.text("name")
+    urdf_file = _find_urdf(root.text("urdf"), file)
+    urdf = urdf_file.read_text(encoding="utf-8", errors="replace")
+    tool = root.text("tool")
+    gravity = root.vector("gravity", "m/s2", bound=1000.0)
+    payload = root.section("payload")
+    locked_section = root.section("locked")
+    locked = {}
+    if locked_section is not None:
+        locked = {key: locked_section.number(key, "rad or m") for key in locked_section.keys()}
+    chain = read_chain(
+        urdf,
+        urdf_file.name,
+        locked=locked,
+        tool=tool,
+        payload=None if payload is None else _payload(payload),
+    )
+    supply_voltage = root.number("supply_voltage", "V", above=0.0, at_most=1e5)
+    joints = _joints(root, chain, urdf_file.name)
+    integrator_section = root.section("integrator", required=True)
+    integrator = Integrator(
+        scheme=integrator_section.choice("scheme", SCHEMES),
+        dt=integrator_section.number("dt", "s", at_least=1e-9, at_most=1.0),
+    )
+    integrator_section.finish()
+    servo_period = root.number("servo_period", "s", at_least=1e-6, at_most=1.0)
+    _check_periods(servo_period, integrator.dt, where)
+    threads = root.integer("threads", default=1, at_least=1, at_most=1)
+    root.finish()
+    return Scene(
+        name=name,
+        where=where,
+        urdf=lock_joints(urdf, locked),
+        tool=tool,
+        gravity=gravity,
+        supply_voltage=supply_voltage,
+        joints=joints,
+        chain=chain,
+        integrator=integrator,
+        servo_period=servo_period,
+        threads=threads,
+    )
+
+
+def _joints(root: _Section, chain: Chain, urdf_name: str) -> tuple[Joint, ...]:
+    section = root.section("joints", required=True)
+    names = [joint.name for joint in chain.joints]
+    for key in section.keys():
+        if key not in names:
+            raise Refusal(
+                root.where,
+                f"joints.{key}",
+                f"be a moving joint of {urdf_name}",
+                key,
+                ", ".join(names),
+            )
+    joints = []
+    for name in names:
+        one = section.section(name)
+        if one is None:
+            raise Refusal(
+                root.where,
+                f"joints.{name}",
+                f"be given, {urdf_name} moves it",
+                "nothing",
+                "a section, or its position under `locked`",
+            )
+        joints.append(_joint(name, one))
+    return tuple(joints)
+
+
+def _joint(name: str, one: _Section) -> Joint:
+    motor, gear, encoder = one.section("motor"), one.section("gear"), one.section("encoder")
+    friction = one.section("friction")
+    if motor is None:
+        for key, part in (("gear", gear), ("encoder", encoder)):
+            if part is not None:
+                raise one.refusal(key, "belong to a joint with a motor", "no motor section")
+    joint = Joint(
+        name=name,
+        start=one.number("start", "rad or m", default=0.0, at_least=-1e4, at_most=1e4),
+        motor=None if motor is None else _motor(motor),
+        gear=Gear() if gear is None else _gear(gear),
+        encoder=None
+        if encoder is None
+        else Encoder(encoder.integer("counts_per_turn", at_least=1, at_most=LARGEST_COUNT)),
+        viscous_friction=0.0
+        if friction is None
+        else friction.number("viscous", "N m s/rad", default=0.0, at_least=0.0),
+    )
+    for part in (encoder, friction, one):
+        if part is not None:
+            part.finish()
+    return joint
+
+
+def _motor(section: _Section) -> Motor:
+    motor = Motor(
+        resistance=section.number("resistance", "ohm", above=0.0),
+        inductance=section.number("inductance", "H", default=0.0, at_least=0.0),
+        torque_constant=section.number("torque_constant", "N m/A", above=0.0),
+        back_emf_constant=section.number("back_emf_constant", "V s/rad", at_least=0.0),
+        rotor_inertia=section.number("rotor_inertia", "kg m2", above=0.0),
+        current_limit=section.number("current_limit", "A", above=0.0)
+        if "current_limit" in section.keys()
+        else None,
+    )
+    section.finish()
+    return motor
+
+
+def _gear(section: _Section) -> Gear:
+    ratio = section.number("ratio", "link turns per motor turn", above=0.0, at_most=1e3)
+    stiffness = None
+    if "stiffness" in section.keys():
+        stiffness = section.number("stiffness", "N m/rad", above=0.0)
+    elif "damping" in section.keys():
+        raise section.refusal("damping", "come with a stiffness (a rigid gear has none)", "alone")
+    damping = section.number("damping", "N m s/rad", default=0.0, at_least=0.0)
+    section.finish()
+    return Gear(ratio, stiffness, damping)
+
+
+def _payload(section: _Section) -> Body:
+    mass = section.number("mass", "kg", above=0.0)
+    com = section.vector("com", "m", bound=100.0) or (0.0, 0.0, 0.0)
+    entries = section.vector("inertia", "kg m2", size=6, bound=1e6)
+    inertia = np.zeros((3, 3))
+    if entries is not None:
+        xx, yy, zz, xy, xz, yz = entries
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        check_inertia(inertia, "payload.inertia", section.where)
+    section.finish()
+    return Body.from_center(mass, np.array(com), inertia)
+
+
+def _check_periods(servo_period: float, dt: float, where: str) -> None:
+    nanoseconds = servo_period * 1e9
+    if abs(nanoseconds - round(nanoseconds)) > 1e-6 * nanoseconds:
+        raise Refusal(where, "servo_period", "be a whole number of nanoseconds", servo_period)
+    steps = servo_period / dt
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+        fitting = servo_period / max(1, math.ceil(steps - 1e-9))
+        raise Refusal(
+            where,
+            "integrator.dt",
+            f"divide the servo period of {servo_period:g} s",
+            dt,
+            f"{fitting!r} s, for example",
+        )
+    if steps > LARGEST_COUNT:
+        raise Refusal(where, "integrator.dt", f"be >= {servo_period / LARGEST_COUNT:g} s", dt)
+
+
+# Files
+
+
+def example_robot_data() -> Path | None:
+    """Return the folder of robots of the package example-robot-data, None if not installed."""
+    roots = [Path(entry) / "cmeel.prefix" for entry in sys.path if entry]
+    roots += map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
+    for root in roots:
+        folder = root / "share" / "example-robot-data" / "robots"
+        if folder.is_dir():
+            return folder
+    return None
+
+
+def _find_urdf(text: str, scene_file: Path) -> Path:
+    package, colon, rest = text.partition(":")
+    if colon and package == "example-robot-data":
+        folder = example_robot_data()
+        if folder is None:
+            raise Refusal(
+                scene_file.name,
+                "urdf",
+                "be in the package example-robot-data",
+                "no such package",
+                "install it with `make robots` or `pip install example-robot-data`",
+            )
+        file = folder / rest
+    else:
+        file = scene_file.parent / text
+    if not file.is_file():
+        raise Refusal(scene_file.name, "urdf", "be a file", text)
+    return file
+
+
+class _Loader(yaml.CSafeLoader):
+    """YAML 1.2 floats (1e-4 is a number), and no key given twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            if key_node.value in seen and key_node.value != "<<":
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key_node.value!r} is given twice", key_node.start_mark
+                )
+            seen.add(key_node.value)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    __import__("re").compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$"),
+    list("-+0123456789."),
+)
+
+
+def _read_yaml(file: Path) -> dict[str, Any]:
+    try:
+        data = yaml.load(file.read_text(encoding="utf-8"), Loader=_Loader)  # noqa: S506
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise Refusal(file.name, "file", "be well-formed YAML", error) from None
+    if not isinstance(data, dict):
+        raise Refusal(file.name, "file", "be a mapping of keys to values", type(data).__name__)
+    return data
+
+
+def _override(data: dict[str, Any], dotted: str, value: object, where: str) -> None:
+    *path, last = dotted.split(".")
+    places = [data]
+    for step in path:
+        below: list[dict[str, Any]] = []
+        for place in places:
+            for key in list(place) if step == "*" else [step]:
+                # A copy, since YAML anchors make several joints share one mapping.
+                child = place.get(key)
+                if child is None:
+                    child = {}
+                if not isinstance(child, dict):
+                    raise Refusal(where, f"override {dotted}", "lead through sections", child)
+                place[key] = dict(child)
+                below.append(place[key])
+        places = below
+    for place in places:
+        for key in list(place) if last == "*" else [last]:
+            if value is None:
+                place.pop(key, None)
+            else:
+                place[key] = value
+
+
+class _Section:
+    """One mapping of the file, read key by key; `finish` refuses the keys nobody asked for."""
+
+    def __init__(self, data: dict[str, Any], where: str, path: str) -> None:
+        self.where = where
+        self._data = data
+        self._path = path
+        self._read: set[str] = set()
+
+    def keys(self) -> list[str]:
+        return [str(key) for key in self._data]
+
+    def refusal(self, key: str, rule: str, got: object, valid: str | None = None) -> Refusal:
+        return Refusal(self.where, self._name(key), rule, got, valid)
+
+    def section(self, key: str, required: bool = False) -> Any:
+        value = self._take(key)
+        if value is None and key not in self._data and not required:
+            return None
+        if value is None and not required:
+            value = {}
+        if not isinstance(value, dict):
+            rule = "be a section of keys and values"
+            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
+        return _Section(value, self.where, self._name(key))
+
+    def text(self, key: str) -> str:
+        value = self._take(key)
+        if not isinstance(value, str) or not value:
+            raise self.refusal(key, "be a text", "nothing" if value is None else repr(value))
+        return value
+
+    def choice(self, key: str, choices: tuple[str, ...]) -> str:
+        value = self._take(key)
+        if value not in choices:
+            got = "nothing" if value is None else repr(value)
+            raise self.refusal(key, "be one of the known", got, ", ".join(choices))
+        return str(value)
+
+    def number(
+        self,
+        key: str,
+        unit: str,
+        *,
+        default: float | None = None,
+        above: float | None = None,
+        at_least: float | None = None,
+        at_most: float | None = None,
+    ) -> float:
+        rules: list[tuple[str, Callable[[float], bool]]] = []
+        if above is not None:
+            rules.append((f"be > {above:g} {unit}", lambda x: x > above))
+        if at_least is not None:
+            rules.append((f"be >= {at_least:g} {unit}", lambda x: x >= at_least))
+        if at_most is not None:
+            rules.append((f"be <= {at_most:g} {unit}", lambda x: x <= at_most))
+        value = self._take(key)
+        if value is None and default is not None and key not in self._data:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            rule = f"be a number [{unit}]"
+            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
+        for rule, holds in [(f"be finite [{unit}]", math.isfinite), *rules]:
+            if not holds(value):
+                raise self.refusal(key, rule, value)
+        return float(value)
+
+    def integer(
+        self, key: str, *, default: int | None = None, at_least: int, at_most: int
+    ) -> int:
+        value = self._take(key)
+        if value is None and default is not None and key not in self._data:
+            return default
+        rule = f"be a whole number from {at_least} to {at_most}"
+        if isinstance(value, bool) or not isinstance(value, int | float) or value != int(value):
+            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
+        if not at_least <= value <= at_most:
+            raise self.refusal(key, rule, value)
+        return int(value)
+
+    def vector(self, key: str, unit: str, *, bound: float, size: int = 3) -> Any:
+        value = self._take(key)
+        if value is None and key not in self._data:
+            return None
+        rule = f"be {size} numbers of at most {bound:g} [{unit}]"
+        if not isinstance(value, list) or len(value) != size:
+            raise self.refusal(key, rule, repr(value))
+        for entry in value:
+            if isinstance(entry, bool) or not isinstance(entry, int | float):
+                raise self.refusal(key, rule, repr(value))
+            if not abs(entry) <= bound:
+                raise self.refusal(key, rule, value)
+        return tuple(float(entry) for entry in value)
+
+    def finish(self) -> None:
+        for key in self._data:
+            if key not in self._read:
+                raise Refusal(
+                    self.where,
+                    f"key {self._name(str(key))}",
+                    "be known",
+                    repr(key),
+                    ", ".join(sorted(self._read)),
+                )
+
+    def _take(self, key: str) -> Any:
+        self._read.add(key)
+        return self._data.get(key)
+
+    def _name(self, key: str) -> str:
+        return f"{self._path}.{key}" if self._path else key
