@@ -73,9 +73,10 @@ class ChainJoint:
 
 @dataclass(frozen=True)
 class Chain:
-    """The moving joints from base to tip, and the base's turn.
+    """The moving joints from base to tip, and the base's frame.
 
-    `R_BW` (3, 3) turns world vectors (gravity) into the frame from which the first joint is seen.
+    `R_BW` (3, 3) turns world vectors (gravity) into the base's frame, from which the first joint is
+    seen; both have their origin at the URDF's root link.
     """
 
     joints: tuple[ChainJoint, ...]
@@ -222,13 +223,15 @@ def _read_body(link: ET.Element, what: str, where: str) -> Body:
     if mass_element is None or tensor_element is None:
         raise Refusal(where, f"{what}: inertial", "hold <mass> and <inertia>", "only a part")
     mass = _number(mass_element.get("value"), f"{what}: mass", where)
-    if mass <= 0.0:
-        raise Refusal(where, f"{what}: mass", "be > 0 kg", mass)
+    if mass < 0.0:
+        raise Refusal(where, f"{what}: mass", "be >= 0 kg", mass)
     xx, yy, zz, xy, xz, yz = (
         _number(tensor_element.get(key), f"{what}: {key}", where)
         for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if mass == 0.0 and not inertia.any():
+        return Body()  # a mere frame, as published descriptions write it
     check_inertia(inertia, f"{what}: inertia", where)
     frame = _read_origin(inertial.find("origin"), f"{what}: inertial origin", where)
     return Body.from_center(mass, frame.p, frame.R @ inertia @ frame.R.T)
@@ -372,18 +375,18 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
             )
     # E: rotation of each link's core frame in its URDF frame, at gamma = 0.
     E = [_frame_with_z(one.joint.axis) for one in moving]
-    tilts = [E[0]]  # the base's frame is free, so the first joint needs no tilt: R_WB = R_W0 E_0
     gammas: list[float] = []
     for here, one in zip(E, moving[1:], strict=False):
         z_next = _clean(here.T @ one.placement.R @ one.joint.axis)
         gammas.append(_exact_atan2(float(z_next[0]), -float(z_next[1])))
     gammas.append(0.0)
     turned = [_clean(e @ _turn(2, gamma)) for e, gamma in zip(E, gammas, strict=True)]
-    R_WB = moving[0].placement.R @ tilts[0]
+    R_WB = _clean(moving[0].placement.R @ E[0])
     joints = []
     for index, one in enumerate(moving):
         if index == 0:
-            R, p = _turn(2, gammas[0]), np.zeros(3)
+            # The base's turn is free: with z along the first joint, that joint needs no tilt.
+            R, p = _turn(2, gammas[0]), R_WB.T @ one.placement.p
         else:
             before = turned[index - 1]
             R = _clean(before.T @ one.placement.R @ turned[index])
@@ -401,7 +404,7 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
                 body=one.body.seen_from(Frame(turned[index].T)),
             )
         )
-    return Chain(tuple(joints), _clean(R_WB).T)
+    return Chain(tuple(joints), R_WB.T)
 
 
 def _frame_with_z(axis: Array) -> Array:

@@ -85,6 +85,21 @@ def compile_scene(scene: Scene, target: str, folder: Path) -> Path:
     return library
 
 
+def compile_ahead(scene: Scene, target: str, folder: Path | None) -> Path:
+    """Compile for `target` into `folder` (None: the cache), for machines without a compiler.
+
+    Raises:
+        Refusal: an unknown target, no compiler, or it fails.
+    """
+    targets = ("native", *PORTABLE_TARGETS)
+    if target not in targets:
+        raise Refusal("compile", "target", "be known", target, ", ".join(targets))
+    if folder is None:
+        folder = _writable_cache()
+    folder.mkdir(parents=True, exist_ok=True)
+    return compile_scene(scene, target, folder)
+
+
 def find_compiler() -> list[str]:
     """Return the C++ compiler's command: $CXX, or the first of c++, g++, clang++ on the path.
 

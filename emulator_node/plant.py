@@ -54,6 +54,9 @@ class PlantState:
 class Plant:
     """Motors, gears and links of one scene, stepped by the compiled core.
 
+    Attributes:
+        link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
+
     Args:
         scene: from `emulator_node.scene.load_scene`.
 
@@ -70,12 +73,14 @@ class Plant:
         self._voltage_pointer = _pointer(self._voltage)
         self._buffer = np.zeros((6, self._N))
         self._buffer_pointer = _pointer(self._buffer)
-        self._counts_per_rad = np.array(
-            [
-                (joint.encoder.counts_per_turn if joint.encoder else IDEAL_COUNTS_PER_TURN)
-                / (2.0 * math.pi)
-                for joint in scene.joints
-            ]
+        turn = 2.0 * math.pi
+        counts_per_turn = [
+            joint.encoder.counts_per_turn if joint.encoder else IDEAL_COUNTS_PER_TURN
+            for joint in scene.joints
+        ]
+        self._counts_per_rad = np.array(counts_per_turn) / turn
+        self.link_angle_per_count = (
+            np.array([joint.gear.ratio for joint in scene.joints]) / self._counts_per_rad
         )
         self.reset()
 
@@ -133,7 +138,7 @@ class Plant:
 
     @property
     def energy(self) -> float:
-        """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the first joint."""
+        """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
         return float(self._core.arm_energy(self._machine))
 
     @property

@@ -123,7 +123,7 @@ struct Links {
   }
 
   // Kinetic energy is v^T M v / 2; this is the potential energy in the field S::gravity, zero with
-  // every centre of mass at the base's origin.
+  // every centre of mass at the world's origin.
   static double potential_energy(const Kinematics& k) {
     Vec3 carried_h{};
     double m = 0.0;

@@ -1,0 +1,52 @@
+"""Joints are matched by name, never by their place in a message."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.refusal import Refusal
+
+
+class JointOrder:
+    """Brings the arrays of a topic into the receiver's order of joints.
+
+    Args:
+        topic: name for refusals.
+        names: the receiver's joints, in its order.
+    """
+
+    def __init__(self, topic: str, names: Sequence[str]) -> None:
+        self.topic = topic
+        self.names = list(names)
+        self._index = {name: index for index, name in enumerate(self.names)}
+
+    def arrange(
+        self, names: Sequence[str], values: Sequence[float], quantity: str, unit: str
+    ) -> NDArray[np.float64]:
+        """Return `values`, given one per entry of `names`, in the receiver's order (N,).
+
+        Raises:
+            Refusal: other names than the receiver's, another number of values, or one that is not
+                finite.
+        """
+        if len(names) != len(values):
+            rule = f"have one value per joint name ({len(names)})"
+            raise Refusal(self.topic, quantity, rule, f"{len(values)} values")
+        array = np.array(values, dtype=np.float64)
+        if list(names) != self.names:
+            if sorted(names) != sorted(self.names):
+                raise Refusal(
+                    self.topic,
+                    "joint names",
+                    "name every joint once",
+                    ", ".join(names) or "none",
+                    ", ".join(self.names),
+                )
+            given, array = array, np.empty_like(array)
+            array[[self._index[name] for name in names]] = given
+        if not np.isfinite(array).all():
+            raise Refusal(self.topic, quantity, f"be finite [{unit}]", array.tolist())
+        return array

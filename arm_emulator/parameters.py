@@ -1,0 +1,83 @@
+"""Parameters declared once, as frozen dataclasses: for ROS nodes and for runs without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from arm_emulator.refusal import Refusal
+
+Parameters = TypeVar("Parameters")
+
+
+def parameter(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Return a dataclass field with all that a parameter is: default, unit, range, choices."""
+    return dataclasses.field(
+        default=default,
+        metadata={
+            "description": f"{description} [{unit}]" if unit else description,
+            "minimum": minimum,
+            "maximum": maximum,
+            "choices": choices,
+        },
+    )
+
+
+def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters:
+    """Read a node's ROS parameter file into the frozen dataclass `kind`.
+
+    Raises:
+        Refusal: no parameters of that node, an unknown name, or a value that is not taken.
+    """
+    document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    try:
+        given = dict(document[node]["ros__parameters"])
+    except (KeyError, TypeError):
+        rule = f"hold {node}: ros__parameters:"
+        raise Refusal(path.name, "file", rule, "something else") from None
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for name, value in given.items():
+        if name not in fields:
+            known = ", ".join(fields)
+            raise Refusal(path.name, f"parameter {name}", "be known", repr(value), known)
+        given[name] = checked(value, fields[name], path.name)
+    return kind(**given)
+
+
+def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:
+    """Return a parameter's value if its rules hold.
+
+    Raises:
+        Refusal: a value of the wrong type, out of its range, or not among its choices.
+    """
+    what, kind = f"parameter {field.name}", type(field.default)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    low, high = field.metadata["minimum"], field.metadata["maximum"]
+    choices = field.metadata["choices"]
+    if choices and value not in choices:
+        raise Refusal(where, what, "be known", repr(value), ", ".join(choices))
+    fits = type(value) is kind and (kind is not float or math.isfinite(value))
+    if not fits or (low is not None and value < low) or (high is not None and value > high):
+        raise Refusal(where, what, f"be {rule(field)}", repr(value))
+    return value
+
+
+def rule(field: dataclasses.Field[Any]) -> str:
+    """Return in words what a parameter may be."""
+    kind = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+    low, high = field.metadata["minimum"], field.metadata["maximum"]
+    bounds = "" if low is None and high is None else f" from {low} to {high}"
+    return f"{kind[type(field.default)]}{bounds}"

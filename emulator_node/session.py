@@ -1,0 +1,156 @@
+"""One run of the machine under command: ticks, answers, phases. Knows nothing of ROS.
+
+A tick is the start of a servo period. The session publishes nothing and waits for nothing: its
+owner asks `may_advance`, calls `advance`, and tells the world.
+"""
+
+from __future__ import annotations
+
+import enum
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from arm_emulator.joint_order import JointOrder
+from arm_emulator.refusal import Refusal
+from emulator_node.chain import Array
+from emulator_node.plant import Diverged, Plant, PlantState
+from emulator_node.scene import Scene
+
+CLOCKS = ("lockstep", "realtime")
+STARTS = ("free_run", "first_answer", "paused")
+
+
+class Phase(enum.IntEnum):
+    """What the session is doing; the values are those of EmulatorStatus."""
+
+    FREE_RUNNING = 0
+    WAITING = 1
+    RUNNING = 2
+    PAUSED = 3
+    STOPPED = 4
+
+
+class Session:
+    """The machine, driven tick by tick by motor commands.
+
+    Lock-step: tick k is left only with the command that answers tick k. Real time: the newest
+    command is held, and the owner advances by the clock.
+
+    Args:
+        scene: the machine.
+        clock: "lockstep" or "realtime".
+        start: what goes on until the first command: "free_run" runs at zero voltage,
+            "first_answer" stands still at tick 0, "paused" stands still until `paused` is set to
+            False and then runs free.
+    """
+
+    def __init__(self, scene: Scene, clock: str, start: str) -> None:
+        self.scene = scene
+        self.plant = Plant(scene)
+        self.lockstep = clock == "lockstep"
+        self.powered = True
+        self.period_ns = round(scene.servo_period * 1e9)
+        self.step_wall_ns = 0  # spent in the core since reset
+        self._start = start
+        self._order = JointOrder("motor_commands", scene.joint_names)
+        self._zero = np.zeros(len(scene.joint_names))
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew at tick 0, as after construction. Power stays as it is."""
+        self.plant.reset()
+        self.tick = 0
+        self.paused = self._start == "paused"
+        self.fault: Diverged | None = None
+        self.voltage = self._zero  # applied now
+        self.step_wall_ns = 0
+        self._commanded: Array | None = None  # newest accepted command
+        self._answered_tick = -1  # the tick that it answers
+        self._state: PlantState | None = None
+
+    @property
+    def state(self) -> PlantState:
+        """State of the machine at this tick."""
+        if self._state is None:
+            self._state = self.plant.state
+        return self._state
+
+    @property
+    def logical_ns(self) -> int:
+        """Logical time [ns]."""
+        return self.tick * self.period_ns
+
+    @property
+    def answered(self) -> bool:
+        """Whether a command that answers this tick is there."""
+        return self._answered_tick == self.tick
+
+    @property
+    def phase(self) -> Phase:
+        """What the session is doing."""
+        if self.fault is not None:
+            return Phase.STOPPED
+        if self.paused:
+            return Phase.PAUSED
+        if self._commanded is None:
+            return Phase.WAITING if self._start == "first_answer" else Phase.FREE_RUNNING
+        return Phase.WAITING if self.lockstep and not self.answered else Phase.RUNNING
+
+    @property
+    def may_advance(self) -> bool:
+        """Whether the rules of the clock allow to leave this tick now."""
+        return self.phase in (Phase.FREE_RUNNING, Phase.RUNNING)
+
+    def offer(self, tick: int, joint_names: Sequence[str], voltage: Sequence[float]) -> None:
+        """Take a motor command; it changes nothing if it is refused.
+
+        Args:
+            tick: the tick that it answers: this one in lock-step; in real time one that is newer
+                than the last and not of the future. The first command may come late in both: it
+                ends the free run, and the next one answers in time.
+            joint_names: every joint of the scene once, in any order.
+            voltage: one per name [V].
+
+        Raises:
+            Refusal: wrong tick, names, length, or a voltage that is not finite.
+        """
+        if tick > self.tick:
+            raise Refusal("motor_commands", "tick", f"be at most {self.tick}", f"{tick} (future)")
+        newest = self._answered_tick
+        if (self.lockstep and self._commanded is not None and tick < self.tick) or tick < newest:
+            at_least = self.tick if self.lockstep else newest
+            raise Refusal("motor_commands", "tick", f"be at least {at_least}", f"{tick} (stale)")
+        self._commanded = self._order.arrange(joint_names, voltage, "voltage", "V")
+        self._answered_tick = tick
+
+    def advance(self) -> None:
+        """Advance by one servo period under the command, or under 0 V without one or without power.
+
+        After a `fault`, and only then, tick and state stay as they were.
+        """
+        self.voltage = self._zero
+        if self.powered and self._commanded is not None:
+            self.voltage = self._commanded
+        started = time.perf_counter_ns()
+        try:
+            self.plant.advance(self.voltage, self.scene.steps_per_period)
+        except Diverged as fault:
+            self.fault = fault
+            self._state = None
+            return
+        self.step_wall_ns += time.perf_counter_ns() - started
+        self.tick += 1
+        self._state = None
+
+    def step(self) -> str:
+        """Advance a paused session by one tick; return why not, or an empty text."""
+        if self.fault is not None:
+            return f"stopped, reset first: {self.fault}"
+        if not self.paused:
+            return "not paused, pause first"
+        if self.lockstep and self._commanded is not None and not self.answered:
+            return f"no motor command answers tick {self.tick} yet"
+        self.advance()
+        return ""

@@ -1,0 +1,113 @@
+"""The plant as an object: resets, bits, refusals, divergence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import one_link_urdf, write_scene
+
+from arm_emulator.refusal import Refusal
+from emulator_node.plant import Diverged, Plant
+from emulator_node.scene import load_scene
+
+
+@pytest.fixture
+def plant() -> Plant:
+    return Plant(load_scene("three_axis"))
+
+
+def as_bytes(plant: Plant) -> bytes:
+    state = plant.state
+    arrays = (state.current, state.theta_m, state.omega_m, state.q, state.v, state.gear_torque)
+    return b"".join(array.tobytes() for array in arrays)
+
+
+def test_reset_puts_motors_along_with_the_links(plant: Plant) -> None:
+    q, v = np.array([0.1, -0.2, 0.3]), np.array([1.0, 2.0, -3.0])
+    plant.advance([5.0, 5.0, 5.0], 10)
+    plant.reset(q, v)
+    state = plant.state
+    assert state.t == 0.0
+    assert np.array_equal(state.q, q) and np.array_equal(state.v, v)
+    assert np.array_equal(state.current, np.zeros(3))
+    # theta_m = q / Ng and back: two roundings at Kg = 1e4.
+    assert state.gear_torque == pytest.approx(np.zeros(3), abs=1e4 * 1e-15)
+    assert state.omega_m == pytest.approx(v / 0.01, rel=1e-15)
+
+
+def test_same_bits_however_the_steps_are_asked_for(plant: Plant) -> None:
+    voltage = [3.0, -20.0, 7.0]
+    plant.advance(voltage, 1000)
+    at_once = as_bytes(plant)
+    for pieces in ([1] * 1000, [17] * 58 + [14], [999, 1], [0, 500, 500]):
+        plant.reset()
+        for count in pieces:
+            plant.advance(voltage, count)
+        assert as_bytes(plant) == at_once
+        assert plant.t == 1000 * 1e-4
+
+
+def test_two_plants_do_not_share_anything() -> None:
+    scene = load_scene("three_axis")
+    one, other = Plant(scene), Plant(scene)
+    one.advance([10.0, 0.0, 0.0], 100)
+    assert np.array_equal(other.state.q, scene.start)
+
+
+@pytest.mark.parametrize(
+    ("voltage", "words"),
+    [
+        ([1.0, 2.0], r"Plant.advance: voltage must have shape \(3,\), got \(2,\)"),
+        ([1.0, np.nan, 0.0], r"Plant.advance: voltage must be finite \[V\], got .*nan"),
+        ([1.0, np.inf, 0.0], r"voltage must be finite \[V\]"),
+        (["a", "b", "c"], r"voltage must be numbers \[V\]"),
+    ],
+)
+def test_bad_voltages_change_nothing(plant: Plant, voltage: list[float], words: str) -> None:
+    before = as_bytes(plant)
+    with pytest.raises(Refusal, match=words):
+        plant.advance(voltage, 1)
+    with pytest.raises(Refusal, match="steps must be >= 0"):
+        plant.advance([0.0, 0.0, 0.0], -1)
+    assert as_bytes(plant) == before and plant.t == 0.0
+
+
+def test_divergence_is_caught_at_the_last_state_within_bounds() -> None:
+    """Scheme `paper` cannot hold three_axis at 10 ms (design 5)."""
+    overrides = {
+        "integrator.scheme": "paper",
+        "integrator.dt": 1e-2,
+        "servo_period": 1e-2,
+    }
+    plant = Plant(load_scene("three_axis", overrides=overrides))
+    with pytest.raises(Diverged, match=r"joint (waist|shoulder|elbow) diverged after t = .* at dt"):
+        plant.advance([20.0, -20.0, 10.0], 100_000)
+    held = plant.state
+    assert plant.t < 10.0
+    for array in (held.q, held.v, held.current, held.theta_m, held.omega_m):
+        assert np.isfinite(array).all()
+    assert np.abs(held.v).max() * 1e-2 <= np.pi
+    with pytest.raises(Diverged):  # it stays there
+        plant.advance([20.0, -20.0, 10.0], 1)
+    assert plant.t == held.t
+    plant.reset()
+    plant.advance([0.0, 0.0, 0.0], 10)
+
+
+def test_free_pendulum_keeps_its_period(tmp_path: Path) -> None:
+    """Small swing of a joint without a motor: T = 2 pi sqrt(I / (m g c))."""
+    file = write_scene(
+        tmp_path,
+        one_link_urdf(mass=2.0, com=0.3, inertia=0.05),
+        {"joint": {}},
+        gravity=[0.0, 0.0, -9.81],
+    )
+    plant = Plant(load_scene(file, overrides={"integrator.dt": 1e-5}))
+    period = 2 * np.pi * np.sqrt((0.05 + 2.0 * 0.09) / (2.0 * 9.81 * 0.3))
+    plant.reset(q=[np.pi / 2 + 1e-3])  # the centre of mass hangs down at q = pi/2
+    plant.advance([0.0], round(period / 1e-5))
+    # Forward Euler gains amplitude: |1 + i w dt| per step, exp(w^2 dt T / 2) over one period.
+    growth = np.exp((2 * np.pi / period) ** 2 * 1e-5 * period / 2)
+    assert plant.state.q[0] - np.pi / 2 == pytest.approx(1e-3 * growth, rel=1e-4)

@@ -1,0 +1,221 @@
+"""Scene files: what is valid, and how what is not is refused."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from machines import CONFIG, LINK
+
+from arm_emulator.__main__ import main
+from arm_emulator.refusal import Refusal
+from emulator_node.scene import example_robot_data, load_scene
+
+URDF = (CONFIG / "urdf" / "three_axis.urdf").read_text()
+SCENE = (CONFIG / "three_axis.yaml").read_text()
+
+# Overrides of three_axis.yaml, and what is said of them.
+BAD_VALUES: list[tuple[dict[str, Any], str]] = [
+    ({"joints.elbow.gear.stiffness": -3}, "joints.elbow.gear.stiffness must be > 0 N m/rad, got -3"),
+    ({"joints.elbow.gear.stiffness": "stiff"}, "stiffness must be a number [N m/rad], got 'stiff'"),
+    ({"joints.elbow.gear.stiffness": float("nan")}, "stiffness must be finite [N m/rad], got nan"),
+    ({"joints.elbow.gear.stiffness": float("inf")}, "stiffness must be finite [N m/rad], got inf"),
+    ({"joints.elbow.gear.stiffness": None}, "gear.damping must come with a stiffness"),
+    ({"joints.elbow.gear.ratio": 0}, "gear.ratio must be > 0 link turns per motor turn, got 0"),
+    ({"joints.elbow.gear.damping": -1}, "gear.damping must be >= 0 N m s/rad, got -1"),
+    ({"joints.elbow.motor.resistance": 0}, "motor.resistance must be > 0 ohm, got 0"),
+    ({"joints.elbow.motor.resistance": True}, "resistance must be a number [ohm], got True"),
+    ({"joints.elbow.motor.inductance": -1e-3}, "inductance must be >= 0 H, got -0.001"),
+    ({"joints.elbow.motor.rotor_inertia": None}, "rotor_inertia must be a number [kg m2], got nothing"),
+    ({"joints.elbow.motor.speed": 3}, "key joints.elbow.motor.speed must be known, got 'speed'; valid:"),
+    ({"joints.elbow.motor": None}, "joints.elbow.gear must belong to a joint with a motor"),
+    ({"joints.elbow.motor": 3}, "joints.elbow.motor must be a section of keys and values, got 3"),
+    ({"joints.elbow.encoder.counts_per_turn": 0.5}, "counts_per_turn must be a whole number from 1"),
+    ({"joints.elbow.friction.viscous": -0.1}, "friction.viscous must be >= 0 N m s/rad, got -0.1"),
+    ({"joints.elbow.start": 1e9}, "joints.elbow.start must be <= 10000 rad or m, got 1000000000.0"),
+    ({"joints.elbow": None}, "joints.elbow must be given, three_axis.urdf moves it, got nothing"),
+    ({"joints.hand": {}}, "joints.hand must be a moving joint of three_axis.urdf, got hand; valid: waist"),
+    ({"joints": None}, "joints must be a section of keys and values, got nothing"),
+    ({"supply_voltage": 0}, "supply_voltage must be > 0 V, got 0"),
+    ({"supply_voltage": 1e9}, "supply_voltage must be <= 100000 V"),
+    ({"gravity": [0, 0]}, "gravity must be 3 numbers of at most 1000 [m/s2], got [0, 0]"),
+    ({"gravity": [0, 0, float("nan")]}, "gravity must be 3 numbers"),
+    ({"payload.mass": -1}, "payload.mass must be > 0 kg, got -1"),
+    ({"payload": {"mass": 1, "inertia": [1, 1, 0, 0, 0, 0]}}, "payload.inertia must be positive definite"),
+    ({"integrator.scheme": "magic"}, "integrator.scheme must be one of the known, got 'magic'; valid: paper"),
+    ({"integrator.dt": 3e-4}, "integrator.dt must divide the servo period of 0.001 s, got 0.0003; valid: 0.00025 s"),
+    ({"integrator.dt": 2e-3}, "integrator.dt must divide the servo period"),
+    ({"integrator.dt": 0}, "integrator.dt must be >= 1e-09 s, got 0"),
+    ({"servo_period": 1e-3 / 7e5}, "servo_period must be >= 1e-06 s"),
+    ({"servo_period": 1e-3 / 7}, "servo_period must be a whole number of nanoseconds"),
+    ({"threads": 1.5}, "threads must be a whole number from 1 to"),
+    ({"tool": "hand"}, "tool must be a link of the URDF, got hand; valid: base, column"),
+    ({"locked": {"wrist": 0.0}}, "locked.wrist must be a joint of the URDF, got wrist; valid: waist"),
+    ({"locked": {"elbow": "open"}}, "locked.elbow must be a number [rad or m], got 'open'"),
+    ({"urdf": "none.urdf"}, "urdf must be a file, got none.urdf"),
+    ({"name": None}, "name must be a text, got nothing"),
+    ({"colour": "red"}, "key colour must be known, got 'colour'; valid: gravity,"),
+]  # fmt: skip
+
+EXTRA = LINK.format(
+    name="extra", kind="revolute", xyz="0 0 0", rpy="0 0 0", parent="column", axis="0 0 1",
+    com="0 0 0", com_rpy="0 0 0", mass=1, ixx=1, iyy=1, izz=1, ixy=0, ixz=0, iyz=0,
+)  # fmt: skip
+LOOP = '<joint name="loop" type="fixed"><parent link="forearm"/><child link="column"/></joint>'
+
+# Replacements in three_axis.urdf, and what is said of them.
+BAD_URDFS: list[tuple[tuple[str, str], str]] = [
+    (("</robot>", ""), "file must be well-formed XML"),
+    (("<robot ", "<sdf "), "file must be well-formed XML"),
+    (('mass value="6"', 'mass value="-6"'), "link upper_arm: mass must be >= 0 kg, got -6"),
+    (('mass value="6"', 'mass value="six"'), "link upper_arm: mass must be a number, got 'six'"),
+    (('mass value="6"', 'mass value="nan"'), "link upper_arm: mass must be finite, got nan"),
+    (('ixx="0.04875"', 'ixx="0"'), "link upper_arm: inertia must be positive definite"),
+    (('ixx="0.04875" iyy="0.04875"', 'ixx="0.0" iyy="-1"'), "must be positive definite, principal moments"),
+    (('name="elbow" type="continuous"', 'name="elbow" type="floating"'), "joint elbow: type must be one the emulator knows, got floating; valid: revolute"),
+    (('name="elbow" type="continuous">', 'name="elbow" type="continuous"><mimic joint="waist"/>'), "joint elbow must move on its own, got a mimic joint; valid: lock it"),
+    (("</robot>", f"{LOOP}</robot>"), "link column must hang on one joint (closed loops"),
+    (("</robot>", f"{EXTRA}</robot>"), "must follow the chain (the emulator moves serial arms)"),
+    (('<child link="forearm"/>', '<child link="hand"/>'), "joint elbow: child must be a link of the URDF, got 'hand'"),
+    (('<parent link="base"/>', '<parent link="tool"/>'), "link column must hang on the base (it is in a loop)"),
+    (('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>'), "joint waist: axis must have a direction"),
+    (('<axis xyz="0 0 1"/>', '<axis xyz="0 1"/>'), "joint waist: axis xyz must be three numbers, got '0 1'"),
+    (('<link name="forearm">', '<link name="column">'), "link name must be given and unique, got 'column'"),
+    (('joint name="elbow"', 'joint name="waist"'), "joint name must be given and unique, got 'waist'"),
+]  # fmt: skip
+
+
+def exit_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit code and error text of the command line."""
+    before, sys.argv = sys.argv, ["arm_emulator", *arguments]
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main()
+    finally:
+        sys.argv = before
+    return int(ended.value.code or 0), capsys.readouterr().err
+
+
+def copy_scene(folder: Path) -> Path:
+    (folder / "urdf").mkdir()
+    (folder / "urdf" / "three_axis.urdf").write_text(URDF)
+    file = folder / "three_axis.yaml"
+    file.write_text(SCENE)
+    return file
+
+
+@pytest.mark.parametrize(("overrides", "words"), BAD_VALUES, ids=lambda value: str(value)[:40])
+def test_bad_values_are_refused_in_one_line(overrides: dict[str, Any], words: str) -> None:
+    with pytest.raises(Refusal, match=re.escape(words)) as refusal:
+        load_scene("three_axis", overrides=overrides)
+    assert "\n" not in str(refusal.value)
+    assert str(refusal.value).startswith("three_axis.")
+
+
+@pytest.mark.parametrize(("change", "words"), BAD_URDFS, ids=lambda value: str(value)[:40])
+def test_bad_urdfs_are_refused(
+    tmp_path: Path, change: tuple[str, str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In one line, with exit code 2."""
+    file = copy_scene(tmp_path)
+    assert change[0] in URDF
+    (tmp_path / "urdf" / "three_axis.urdf").write_text(URDF.replace(*change, 1))
+    code, said = exit_of(["check-scene", str(file)], capsys)
+    assert code == 2
+    assert said.startswith("three_axis.urdf: ") and words in said
+    assert said.count("\n") == 1
+
+
+def test_massless_links_are_frames_but_cannot_be_moved_alone(tmp_path: Path) -> None:
+    file = copy_scene(tmp_path)
+    start = URDF.index("<inertial>", URDF.index('<link name="forearm">'))
+    end = URDF.index("</inertial>", start) + len("</inertial>")
+    (tmp_path / "urdf" / "three_axis.urdf").write_text(URDF[:start] + URDF[end:])
+    with pytest.raises(Refusal, match="mass moved by joint elbow must be > 0 kg, got 0"):
+        load_scene(file)
+    load_scene(file, overrides={"payload": {"mass": 1.0}, "tool": "forearm"})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a: [", "file must be well-formed YAML"),
+        ("a: 1\na: 2\n", "key 'a' is given twice"),
+        ("- a\n", "file must be a mapping of keys to values, got list"),
+        ("\x00", "file must be well-formed YAML"),
+    ],
+)
+def test_bad_files_are_refused(
+    tmp_path: Path, text: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text(text)
+    code, said = exit_of(["check-scene", str(file)], capsys)
+    assert code == 2 and words in said and said.count("\n") == 1
+
+
+def test_unknown_scene_names_those_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = exit_of(["check-scene", "four_axis"], capsys)
+    assert code == 2 and "file four_axis must exist" in said and "three_axis" in said
+
+
+@pytest.mark.parametrize("name", sorted(file.stem for file in CONFIG.glob("*.yaml")))
+def test_shipped_scenes_are_valid(name: str) -> None:
+    if "example-robot-data" in (CONFIG / f"{name}.yaml").read_text() and not example_robot_data():
+        pytest.skip("needs the package example-robot-data (make robots)")
+    scene = load_scene(name)
+    assert scene.name == name
+
+
+def test_three_axis_is_the_papers_arm() -> None:
+    """The values that issue and paper give, read from the loaded scene."""
+    scene = load_scene("three_axis")
+    assert scene.joint_names == ("waist", "shoulder", "elbow")
+    assert scene.gravity is None and scene.supply_voltage == 48.0 and scene.servo_period == 1e-3
+    assert np.array_equal(scene.start, [0.0, 0.5, 0.8])
+    for joint, geometry, mass in zip(scene.joints, scene.chain.joints, (10, 6, 3), strict=True):
+        assert joint.motor is not None and joint.encoder is not None
+        assert (joint.motor.resistance, joint.motor.inductance) == (1.0, 1e-3)
+        assert (joint.motor.torque_constant, joint.motor.back_emf_constant) == (0.05, 0.05)
+        assert joint.motor.rotor_inertia == 1e-4
+        assert (joint.gear.ratio, joint.gear.stiffness, joint.gear.damping) == (0.01, 1e4, 10.0)
+        assert joint.viscous_friction == 0.5 and joint.encoder.counts_per_turn == 1024
+        # A solid cylinder of radius 0.05 m and length 0.3 m, seen from its end.
+        across = mass * (3 * 0.05**2 + 0.3**2) / 12 + mass * 0.15**2
+        moments = np.linalg.eigvalsh(geometry.body.inertia)
+        assert geometry.body.mass == mass
+        assert moments == pytest.approx([mass * 0.05**2 / 2, across, across], rel=1e-12)
+
+
+def test_what_is_not_mentioned_does_not_exist() -> None:
+    bare = {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
+    scene = load_scene(
+        "three_axis",
+        overrides={**bare, "joints.*.motor.inductance": None, "joints.*.friction": None},
+    )
+    for joint in scene.joints:
+        assert joint.gear.stiffness is None and joint.viscous_friction == 0.0
+        assert joint.motor is not None and joint.motor.inductance == 0.0
+
+
+def test_floats_may_be_written_without_a_dot(tmp_path: Path) -> None:
+    """YAML 1.1 takes 1e-4 for a text; people do not."""
+    file = copy_scene(tmp_path)
+    file.write_text(SCENE.replace("dt: 1.0e-4", "dt: 1e-4"))
+    assert load_scene(file).integrator.dt == 1e-4
+    assert yaml.safe_load("dt: 1e-4") == {"dt": "1e-4"}  # what the test guards against
+
+
+def test_overrides_reach_one_joint_or_all() -> None:
+    scene = load_scene("three_axis", overrides={"joints.elbow.start": 0.1})
+    assert [joint.start for joint in scene.joints] == [0.0, 0.5, 0.1]
+    # The file's joints share one motor by a YAML anchor; an override of one leaves the others.
+    scene = load_scene("three_axis", overrides={"joints.elbow.motor.resistance": 2.0})
+    assert [joint.motor.resistance for joint in scene.joints if joint.motor] == [1.0, 1.0, 2.0]
+    scene = load_scene("three_axis", overrides={"joints.*.motor.resistance": 2.0})
+    assert [joint.motor.resistance for joint in scene.joints if joint.motor] == [2.0, 2.0, 2.0]

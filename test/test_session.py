@@ -1,0 +1,162 @@
+"""Ticks and answers: what a session takes, what it refuses, when it moves on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arm_emulator.refusal import Refusal
+from emulator_node.scene import load_scene
+from emulator_node.session import Phase, Session
+
+NAMES = ["waist", "shoulder", "elbow"]
+ZERO = [0.0, 0.0, 0.0]
+
+
+def session(clock: str = "lockstep", start: str = "free_run") -> Session:
+    return Session(load_scene("three_axis"), clock, start)
+
+
+def test_lockstep_leaves_a_tick_only_with_its_answer() -> None:
+    one = session()
+    assert one.phase is Phase.FREE_RUNNING and one.may_advance
+    one.offer(0, NAMES, [1.0, 2.0, 3.0])
+    assert one.phase is Phase.RUNNING and one.may_advance and one.answered
+    one.advance()
+    assert one.tick == 1 and one.plant.t == 1e-3
+    assert one.phase is Phase.WAITING and not one.may_advance
+    assert np.array_equal(one.voltage, [1.0, 2.0, 3.0])
+
+
+def test_first_answer_may_come_late_and_ends_the_free_run() -> None:
+    one = session()
+    for _ in range(5):
+        one.advance()
+    one.offer(2, NAMES, ZERO)
+    assert one.tick == 5 and one.phase is Phase.WAITING
+    with pytest.raises(Refusal, match=r"tick must be at least 5, got 4 \(stale\)"):
+        one.offer(4, NAMES, ZERO)
+    one.offer(5, NAMES, ZERO)
+    assert one.may_advance
+
+
+def test_free_run_is_at_zero_voltage() -> None:
+    one, reference = session(), session()
+    for _ in range(20):
+        one.advance()
+    reference.plant.advance(ZERO, 200)
+    assert np.array_equal(one.state.q, reference.plant.state.q)
+
+
+def test_start_on_first_answer_and_paused_stand_still() -> None:
+    one = session(start="first_answer")
+    assert one.phase is Phase.WAITING and not one.may_advance
+    one.offer(0, NAMES, ZERO)
+    assert one.may_advance
+    one = session(start="paused")
+    one.offer(0, NAMES, ZERO)
+    assert one.phase is Phase.PAUSED and not one.may_advance
+    one.paused = False
+    assert one.phase is Phase.RUNNING
+
+
+def test_real_time_holds_the_newest_command() -> None:
+    one = session("realtime")
+    one.offer(0, NAMES, [1.0, 1.0, 1.0])
+    for _ in range(3):
+        one.advance()
+    assert one.phase is Phase.RUNNING and one.may_advance
+    one.offer(2, NAMES, [2.0, 2.0, 2.0])
+    with pytest.raises(Refusal, match=r"tick must be at least 2, got 1 \(stale\)"):
+        one.offer(1, NAMES, [9.0, 9.0, 9.0])
+    with pytest.raises(Refusal, match=r"tick must be at most 3, got 4 \(future\)"):
+        one.offer(4, NAMES, [9.0, 9.0, 9.0])
+    one.advance()
+    assert np.array_equal(one.voltage, [2.0, 2.0, 2.0])
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+@pytest.mark.parametrize(
+    ("tick", "names", "voltage", "words"),
+    [
+        (0, ["waist", "shoulder", "hand"], ZERO, "joint names must name every joint once, got waist"),
+        (0, ["waist", "waist", "elbow"], ZERO, "joint names must name every joint once"),
+        (0, [], [], "joint names must name every joint once, got none; valid: waist"),
+        (0, NAMES, [1.0, 2.0], r"voltage must have one value per joint name \(3\), got 2 values"),
+        (0, NAMES, [1.0, float("nan"), 0.0], r"voltage must be finite \[V\]"),
+        (0, NAMES, [1.0, float("-inf"), 0.0], r"voltage must be finite \[V\]"),
+        (1, NAMES, ZERO, r"tick must be at most 0, got 1 \(future\)"),
+        (2**63, NAMES, ZERO, "tick must be at most 0"),
+    ],
+)
+def test_bad_commands_change_nothing(
+    clock: str, tick: int, names: list[str], voltage: list[float], words: str
+) -> None:
+    one = session(clock)
+    with pytest.raises(Refusal, match=f"motor_commands: {words}"):
+        one.offer(tick, names, voltage)
+    assert one.phase is Phase.FREE_RUNNING and not one.answered
+    one.offer(0, NAMES, [4.0, 5.0, 6.0])
+    with pytest.raises(Refusal):
+        one.offer(tick, names, voltage)
+    one.advance()
+    assert np.array_equal(one.voltage, [4.0, 5.0, 6.0])
+
+
+def test_joints_are_matched_by_name() -> None:
+    one, other = session(), session()
+    one.offer(0, NAMES, [1.0, 2.0, 3.0])
+    other.offer(0, ["elbow", "waist", "shoulder"], [3.0, 1.0, 2.0])
+    one.advance()
+    other.advance()
+    assert np.array_equal(one.voltage, other.voltage)
+
+
+def test_without_power_the_motors_are_at_zero_volts() -> None:
+    one = session()
+    one.powered = False
+    one.offer(0, NAMES, [10.0, 10.0, 10.0])
+    one.advance()
+    assert np.array_equal(one.voltage, ZERO)
+    one.powered = True
+    one.offer(1, NAMES, [10.0, 10.0, 10.0])
+    one.advance()
+    assert np.array_equal(one.voltage, [10.0, 10.0, 10.0])
+
+
+def test_step_moves_a_paused_session_by_one_tick() -> None:
+    one = session()
+    assert one.step() == "not paused, pause first"
+    one.paused = True
+    assert one.step() == "" and one.tick == 1  # nobody has answered yet: at 0 V
+    one.offer(1, NAMES, ZERO)
+    assert one.step() == "" and one.tick == 2
+    assert one.step() == "no motor command answers tick 2 yet"
+    assert one.tick == 2
+
+
+def test_reset_begins_anew() -> None:
+    one = session(start="paused")
+    one.paused = False
+    first = one.state.q.copy()
+    one.offer(0, NAMES, [40.0, 40.0, 40.0])
+    one.advance()
+    one.reset()
+    assert one.tick == 0 and one.phase is Phase.PAUSED and not one.answered
+    assert np.array_equal(one.state.q, first) and one.plant.t == 0.0
+
+
+def test_a_diverged_machine_stops_until_reset() -> None:
+    overrides = {"integrator.scheme": "paper", "integrator.dt": 1e-2, "servo_period": 1e-2}
+    one = Session(load_scene("three_axis", overrides=overrides), "realtime", "free_run")
+    one.offer(0, NAMES, [20.0, -20.0, 10.0])
+    for _ in range(10_000):
+        if not one.may_advance:
+            break
+        one.advance()
+    assert one.phase is Phase.STOPPED and one.fault is not None
+    assert np.isfinite(one.state.q).all()
+    one.paused = True
+    assert one.step().startswith("stopped, reset first: Plant.advance: joint ")
+    one.reset()
+    assert one.may_advance
