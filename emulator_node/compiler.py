@@ -171,11 +171,12 @@ def _joint(geometry: ChainJoint, joint: Joint) -> str:
         )
         + "}"
     )
+    friction = (joint.friction.viscous, joint.friction.coulomb, joint.friction.breakaway)
     turn = (geometry.cos_alpha, geometry.sin_alpha, geometry.theta_0)
     return f"""\
     {{arm::JointKind::{geometry.kind}, {", ".join(map(_number, turn))}, {_list(geometry.p)},
      {_body(geometry.body)},
-     {motor_values}, {_gear(joint.gear)}, {_number(joint.viscous_friction)}}}"""
+     {motor_values}, {_gear(joint.gear)}, {", ".join(map(_number, friction))}}}"""
 
 
 def _body(body: Body) -> str:

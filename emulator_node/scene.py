@@ -21,7 +21,7 @@ from arm_emulator.config_files import find_config
 from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 
-SCHEMES = ("paper",)
+SCHEMES = ("rosenbrock", "implicit", "paper")
 LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
 
 
@@ -54,6 +54,15 @@ class Encoder:
 
 
 @dataclass(frozen=True)
+class Friction:
+    """Friction at the link. `breakaway` >= `coulomb`: what a joint at rest withstands."""
+
+    viscous: float = 0.0  # N m s/rad, Dl of eq. (4)
+    coulomb: float = 0.0  # N m while sliding
+    breakaway: float = 0.0  # N m
+
+
+@dataclass(frozen=True)
 class Joint:
     """What the scene file says of one moving joint. A joint without a motor swings freely."""
 
@@ -62,7 +71,7 @@ class Joint:
     motor: Motor | None
     gear: Gear
     encoder: Encoder | None
-    viscous_friction: float  # N m s/rad at the link, Dl of eq. (4)
+    friction: Friction
 
 
 @dataclass(frozen=True)
@@ -147,7 +156,7 @@ def _build(root: _Section, file: Path) -> Scene:
     joints = _joints(root, chain, urdf_file.name)
     integrator_section = root.section("integrator", required=True)
     integrator = Integrator(
-        scheme=integrator_section.choice("scheme", SCHEMES),
+        scheme=integrator_section.choice("scheme", SCHEMES, default=SCHEMES[0]),
         dt=integrator_section.number("dt", "s", at_least=1e-9, at_most=1.0),
     )
     integrator_section.finish()
@@ -212,11 +221,9 @@ def _joint(name: str, one: _Section) -> Joint:
         encoder=None
         if encoder is None
         else Encoder(encoder.integer("counts_per_turn", at_least=1, at_most=LARGEST_COUNT)),
-        viscous_friction=0.0
-        if friction is None
-        else friction.number("viscous", "N m s/rad", default=0.0, at_least=0.0),
+        friction=Friction() if friction is None else _friction(friction),
     )
-    for part in (encoder, friction, one):
+    for part in (encoder, one):
         if part is not None:
             part.finish()
     return joint
@@ -247,6 +254,16 @@ def _gear(section: _Section) -> Gear:
     damping = section.number("damping", "N m s/rad", default=0.0, at_least=0.0)
     section.finish()
     return Gear(ratio, stiffness, damping)
+
+
+def _friction(section: _Section) -> Friction:
+    coulomb = section.number("coulomb", "N m", default=0.0, at_least=0.0)
+    breakaway = section.number("breakaway", "N m", default=coulomb, at_least=coulomb)
+    if breakaway > 0.0 and coulomb == 0.0:
+        raise section.refusal("breakaway", "come with a coulomb friction", breakaway)
+    viscous = section.number("viscous", "N m s/rad", default=0.0, at_least=0.0)
+    section.finish()
+    return Friction(viscous, coulomb, breakaway)
 
 
 def _payload(section: _Section) -> Body:
@@ -401,8 +418,10 @@ class _Section:
             raise self.refusal(key, "be a text", "nothing" if value is None else repr(value))
         return value
 
-    def choice(self, key: str, choices: tuple[str, ...]) -> str:
+    def choice(self, key: str, choices: tuple[str, ...], default: str) -> str:
         value = self._take(key)
+        if key not in self._data:
+            return default
         if value not in choices:
             got = "nothing" if value is None else repr(value)
             raise self.refusal(key, "be one of the known", got, ", ".join(choices))

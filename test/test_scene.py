@@ -47,7 +47,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"gravity": [0, 0, float("nan")]}, "gravity must be 3 numbers"),
     ({"payload.mass": -1}, "payload.mass must be > 0 kg, got -1"),
     ({"payload": {"mass": 1, "inertia": [1, 1, 0, 0, 0, 0]}}, "payload.inertia must be positive definite"),
-    ({"integrator.scheme": "magic"}, "integrator.scheme must be one of the known, got 'magic'; valid: paper"),
+    ({"integrator.scheme": "magic"}, "integrator.scheme must be one of the known, got 'magic'; valid: rosenbrock, implicit, paper"),
     ({"integrator.dt": 3e-4}, "integrator.dt must divide the servo period of 0.001 s, got 0.0003; valid: 0.00025 s"),
     ({"integrator.dt": 2e-3}, "integrator.dt must divide the servo period"),
     ({"integrator.dt": 0}, "integrator.dt must be >= 1e-09 s, got 0"),
@@ -184,7 +184,7 @@ def test_three_axis_is_the_papers_arm() -> None:
         assert (joint.motor.torque_constant, joint.motor.back_emf_constant) == (0.05, 0.05)
         assert joint.motor.rotor_inertia == 1e-4
         assert (joint.gear.ratio, joint.gear.stiffness, joint.gear.damping) == (0.01, 1e4, 10.0)
-        assert joint.viscous_friction == 0.5 and joint.encoder.counts_per_turn == 1024
+        assert joint.friction.viscous == 0.5 and joint.encoder.counts_per_turn == 1024
         # A solid cylinder of radius 0.05 m and length 0.3 m, seen from its end.
         across = mass * (3 * 0.05**2 + 0.3**2) / 12 + mass * 0.15**2
         moments = np.linalg.eigvalsh(geometry.body.inertia)
@@ -199,7 +199,7 @@ def test_what_is_not_mentioned_does_not_exist() -> None:
         overrides={**bare, "joints.*.motor.inductance": None, "joints.*.friction": None},
     )
     for joint in scene.joints:
-        assert joint.gear.stiffness is None and joint.viscous_friction == 0.0
+        assert joint.gear.stiffness is None and joint.friction.viscous == 0.0
         assert joint.motor is not None and joint.motor.inductance == 0.0
 
 

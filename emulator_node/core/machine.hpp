@@ -3,10 +3,10 @@
 
 #include <bit>
 #include <cstdint>
+#include <type_traits>
 
-#include "cholesky.hpp"
-#include "links.hpp"
-#include "motors.hpp"
+#include "linearly_implicit.hpp"
+#include "paper_scheme.hpp"
 
 namespace arm {
 
@@ -15,17 +15,10 @@ class Machine {
  public:
   static constexpr int N = S::N;
   using Vector = double[N];
+  using Stepper =
+      std::conditional_t<S::scheme == Scheme::paper, PaperScheme<S>, LinearlyImplicit<S>>;
 
-  // i [A], motor angle tm [rad] and speed wm [rad/s], link angle q [rad] and speed v [rad/s]
-  // (m and m/s for prismatic joints). A rigid gear has no tm and wm of its own: q / Ng and v / Ng.
-  struct State {
-    Vector i, tm, wm, q, v;
-  };
-
-  explicit Machine(double dt) : h(dt) {
-    for (int j = 0; j < N; ++j)
-      if (S::joint[j].motor.present) motor[j] = motor_step(S::joint[j].motor, S::joint[j].gear, h);
-  }
+  explicit Machine(double dt) : h(dt), stepper(dt) {}
 
   // Put the links at (q, v), the motors along with them: no current, gears unloaded.
   void reset(const double* q, const double* v) {
@@ -47,7 +40,7 @@ class Machine {
     for (int j = 0; j < N; ++j) V[j] = clamp(voltage[j], S::supply_voltage);
     while (count > 0) {
       const int chunk = count < kCheckEvery ? static_cast<int>(count) : kCheckEvery;
-      const State before = x;
+      const State<N> before = x;
       run(chunk);
       if (joint_out_of_bounds(x) >= 0) {
         x = before;
@@ -60,23 +53,26 @@ class Machine {
   }
 
   double time() const { return static_cast<double>(steps) * h; }
-  const State& state() const { return x; }
+  const State<N>& state() const { return x; }
 
-  // Torque that each gear puts on its link [N m].
+  // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when
+  // the motor has accelerated its rotor.
   void gear_torques(Vector& T) const {
-    Vector a;
-    if constexpr (any_rigid()) accelerations(T, a);
-    for (int j = 0; j < N; ++j) {
-      const Motor& motor = S::joint[j].motor;
-      const Gear& gear = S::joint[j].gear;
-      if (!motor.present) {
-        T[j] = 0.0;
-      } else if (gear.rigid) {
-        T[j] = motor.Kt * x.i[j] / gear.Ng - motor.Mm / (gear.Ng * gear.Ng) * a[j];
-      } else {
-        T[j] = gear_torque(gear, x.tm[j], x.wm[j], x.q[j], x.v[j]);
+    Vector a = {};
+    if constexpr (any_rigid()) {
+      typename Links<S>::Kinematics k;
+      typename Links<S>::MassMatrix M;
+      Links<S>::kinematics(x.q, k);
+      Links<S>::inverse_dynamics(k, x.v, nullptr, a);
+      Links<S>::mass_matrix(k, M);
+      for (int j = 0; j < N; ++j) {
+        M.at[j][j] += carried_rotor(S::joint[j]);
+        a[j] = drive_torque(S::joint[j], x, j) - a[j] - S::joint[j].Dl * x.v[j];
       }
+      Friction<S>().solve(M.at, x.v, a);
     }
+    for (int j = 0; j < N; ++j)
+      T[j] = drive_torque(S::joint[j], x, j) - carried_rotor(S::joint[j]) * a[j];
   }
 
   // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
@@ -106,69 +102,13 @@ class Machine {
   // Not inlined: every step, however it is asked for, runs the same instructions and gives the same
   // bits.
   __attribute__((noinline)) void run(int count) {
-    for (int s = 0; s < count; ++s) step();
-  }
-
-  // One step of the scene's scheme, from sample k to k + 1.
-  ARM_INLINE void step() {
-    static_assert(S::scheme == Scheme::paper);
-    Vector T, a;
-    step_motors();
-    accelerations(T, a);
-    integrate_links(a);
-  }
-
-  // Backward Euler for the motors, eq. (3), the links held at sample k.
-  ARM_INLINE void step_motors() {
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      const Motor& m = S::joint[j].motor;
-      const Gear& gear = S::joint[j].gear;
-      if (!m.present) return;
-      if (gear.rigid)
-        x.i[j] = step_current(m, motor[j], V[j], x.i[j], x.v[j] / gear.Ng);
-      else
-        step_motor(m, gear, motor[j], h, V[j], x.q[j], x.v[j], x.i[j], x.tm[j], x.wm[j]);
-    });
-  }
-
-  // Accelerations of the links, eq. (4), and the torques T that drive them.
-  ARM_INLINE void accelerations(Vector& T, Vector& a) const {
-    typename Links<S>::Kinematics k;
-    typename Links<S>::MassMatrix M;
-    Vector nle;
-    Links<S>::kinematics(x.q, k);
-    Links<S>::inverse_dynamics(k, x.v, nullptr, nle);
-    Links<S>::mass_matrix(k, M);
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      const Motor& m = S::joint[j].motor;
-      const Gear& gear = S::joint[j].gear;
-      if (!m.present) {
-        T[j] = 0.0;
-      } else if (gear.rigid) {  // the rotor moves with the link
-        T[j] = m.Kt / gear.Ng * x.i[j];
-        M.at[j][j] += m.Mm / (gear.Ng * gear.Ng);
-      } else {
-        T[j] = gear_torque(gear, x.tm[j], x.wm[j], x.q[j], x.v[j]);
-      }
-      a[j] = T[j] - nle[j] - S::joint[j].Dl * x.v[j];
-    });
-    Cholesky<N> factors;
-    factors.factor(M.at);
-    factors.solve(a);
-  }
-
-  // Forward Euler for the links.
-  ARM_INLINE void integrate_links(const Vector& a) {
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      x.q[j] += h * x.v[j];
-      x.v[j] += h * a[j];
-    });
+    for (int s = 0; s < count; ++s) stepper.step(x, V);
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
   int creep_to_the_fault(int chunk) {
     for (int s = 0; s < chunk; ++s) {
-      const State before = x;
+      const State<N> before = x;
       run(1);
       const int joint = joint_out_of_bounds(x);
       if (joint >= 0) {
@@ -183,7 +123,7 @@ class Machine {
   // The first joint whose state is not finite, or that turns so far in one step that the result
   // means nothing; -1 if there is none. Reads bit patterns, since this unit is compiled for finite
   // arithmetic and may take a comparison with NaN as it likes.
-  int joint_out_of_bounds(const State& s) const {
+  int joint_out_of_bounds(const State<N>& s) const {
     for (int j = 0; j < N; ++j) {
       const double Ng = S::joint[j].gear.Ng;
       const double values[] = {s.i[j], s.tm[j], s.wm[j], s.q[j], s.v[j]};
@@ -203,8 +143,8 @@ class Machine {
   }
 
   double h;
-  MotorStep motor[N] = {};
-  State x = {};
+  Stepper stepper;
+  State<N> x = {};
   Vector V = {};
   std::int64_t steps = 0;
 };

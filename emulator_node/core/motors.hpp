@@ -36,6 +36,20 @@ ARM_INLINE constexpr double clamp(double x, double limit) {
   return x > limit ? limit : x < -limit ? -limit : x;
 }
 
+// Torque on the link of joint j: the gear's, or with a rigid gear the motor's.
+template <class State>
+ARM_INLINE double drive_torque(const Joint& joint, const State& x, int j) {
+  if (!joint.motor.present) return 0.0;
+  if (joint.gear.rigid) return joint.motor.Kt / joint.gear.Ng * x.i[j];
+  return gear_torque(joint.gear, x.tm[j], x.wm[j], x.q[j], x.v[j]);
+}
+
+// Inertia of a rotor that turns with its link, as the link feels it.
+ARM_INLINE constexpr double carried_rotor(const Joint& joint) {
+  const bool carried = joint.motor.present && joint.gear.rigid;
+  return carried ? joint.motor.Mm / (joint.gear.Ng * joint.gear.Ng) : 0.0;
+}
+
 // One backward Euler step of an elastic joint's motor, the link held at (q, v). Sets i, tm, wm.
 ARM_INLINE void step_motor(const Motor& motor, const Gear& gear, const MotorStep& c, double h,
                            double V, double q, double v, double& i, double& tm, double& wm) {

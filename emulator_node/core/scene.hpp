@@ -6,7 +6,7 @@
 
 namespace arm {
 
-enum class Scheme { paper };
+enum class Scheme { paper, implicit, rosenbrock };
 enum class JointKind { revolute, prismatic };
 
 // Armature circuit and rotor, eq. (1) and (2).
@@ -45,7 +45,8 @@ struct Joint {
   Body body;
   Motor motor;
   Gear gear;
-  double Dl;  // N m s/rad, viscous friction at the link, eq. (4)
+  double Dl;      // N m s/rad, viscous friction at the link, eq. (4)
+  double Dc, Ds;  // N m, Coulomb friction at the link while it slides, and before it starts to
 };
 
 }  // namespace arm

@@ -1,0 +1,446 @@
+"""What the Rerun stream writes is what it was offered, and nothing that Rerun does reaches back."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import psutil
+import pytest
+
+from arm_emulator.refusal import Refusal
+from emulator_node.rerun_stream import QUANTITIES, RerunStream
+from emulator_node.sample_queue import SampleQueue
+from emulator_node.tool_position import ToolPosition
+
+NAMES = ("turn", "lift", "swing")
+MS = 1_000_000  # ns
+
+# A base turned against the world, a slide, oblique axes, fixed joints between and at the end.
+URDF = """<robot name="odd_arm">
+  <link name="world"/> <link name="base"/> <link name="a"/> <link name="a_plate"/>
+  <link name="b"/> <link name="c"/> <link name="tool"/>
+  <joint name="base_mount" type="fixed"><parent link="world"/><child link="base"/>
+    <origin xyz="0.1 -0.2 0.3" rpy="0.1 0.2 0.3"/></joint>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="a"/>
+    <origin xyz="0 0 0.3" rpy="0.3 0 0.5"/><axis xyz="0 0.6 0.8"/>
+    <limit lower="-0.1" upper="0.1" effort="1" velocity="1"/></joint>
+  <joint name="plate" type="fixed"><parent link="a"/><child link="a_plate"/>
+    <origin xyz="0.05 0 0" rpy="0 0.4 0"/></joint>
+  <joint name="lift" type="prismatic"><parent link="a_plate"/><child link="b"/>
+    <origin xyz="0 0.1 0.1"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="swing" type="continuous"><parent link="b"/><child link="c"/>
+    <origin xyz="0.2 0 0" rpy="0 0 1"/><axis xyz="1 0 0"/></joint>
+  <joint name="tool_mount" type="fixed"><parent link="c"/><child link="tool"/>
+    <origin xyz="0 0.1 0.3" rpy="0 1 0"/></joint>
+</robot>"""
+
+
+class Oracle:
+    """The same arm by Pinocchio."""
+
+    def __init__(self):
+        self.model = pin.buildModelFromXML(URDF)
+        self.data = self.model.createData()
+        self.tool = self.model.getFrameId("tool")
+
+    def place(self, q):
+        """Move the arm. A continuous joint's configuration is its cosine and sine."""
+        full = np.array([q[0], q[1], np.cos(q[2]), np.sin(q[2])])
+        pin.framesForwardKinematics(self.model, self.data, full)
+
+    def p_WT(self, q):
+        self.place(q)
+        return self.data.oMf[self.tool].translation.copy()
+
+    def in_parent_link(self, joint, q):
+        """The child link's frame in the URDF's parent link, as a homogeneous matrix."""
+        self.place(q)
+        frames = self.model.frames
+        child = {"turn": "a", "lift": "b", "swing": "c"}[joint]
+        parent = {"turn": "base", "lift": "a_plate", "swing": "b"}[joint]
+        assert frames[self.model.getFrameId(child)].name == child
+        oMf = self.data.oMf
+        at = oMf[self.model.getFrameId(parent)].inverse() * oMf[self.model.getFrameId(child)]
+        return at.homogeneous
+
+
+@pytest.fixture
+def oracle():
+    return Oracle()
+
+
+def samples(count, seed=3):
+    """Made-up samples: times every millisecond [ns], rows (count, quantities, N)."""
+    rng = np.random.default_rng(seed)
+    return np.arange(count) * MS, rng.normal(size=(count, len(QUANTITIES), len(NAMES)))
+
+
+def read(file, path, component):
+    """Return times [ns] and values of an entity's component, in the order of time."""
+    from rerun.chunk import RrdReader
+
+    times, values = [], []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a file without its end is told so by a warning
+        stream = RrdReader(file).stream()
+    for chunk in stream.filter(content=path, is_static=False):
+        batch = chunk.to_record_batch()
+        if component in batch.schema.names:
+            times += batch.column("t").cast("int64").to_pylist()
+            values += batch.column(component).to_pylist()
+    order = np.argsort(times, kind="stable")
+    return np.array(times)[order], np.array([values[i][0] for i in order])
+
+
+def signal_of(file, quantity, joint):
+    return read(file, f"/signals/{quantity}/{joint}", "Scalars:scalars")
+
+
+def offer_all(stream, times, rows):
+    for time_ns, row in zip(times, rows, strict=True):
+        stream.offer(int(time_ns), *row)
+
+
+# What is written
+
+
+def test_every_sample_is_read_back_to_the_bit(tmp_path):
+    file = tmp_path / "new" / "a.rrd"
+    stream = RerunStream(URDF, NAMES, file=file)
+    times, rows = samples(5000)
+    times = times * 7 // 3  # whole nanoseconds that no float of seconds holds
+    offer_all(stream, times, rows)
+    assert stream.close()
+    assert stream.dropped == 0
+    assert stream.trouble is None
+    for index, quantity in enumerate(QUANTITIES):
+        for column, name in enumerate(NAMES):
+            at, values = signal_of(file, quantity, name)
+            assert np.array_equal(at, times)
+            assert np.array_equal(values, rows[:, index, column])
+
+
+def test_the_arm_moves_as_pinocchio_says(tmp_path, oracle):
+    file = tmp_path / "a.rrd"
+    stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=50)
+    times, rows = samples(500)
+    offer_all(stream, times, rows)
+    assert stream.close()
+    shown = np.arange(0, 500, 20)  # 50 Hz of 1 kHz
+    frames = read(file, "/transforms", "Transform3D:child_frame")
+    p = read(file, "/transforms", "Transform3D:translation")[1]
+    xyzw = read(file, "/transforms", "Transform3D:quaternion")[1]
+    for joint, link in zip(NAMES, "abc", strict=True):
+        own = frames[1] == link
+        assert np.array_equal(frames[0][own], times[shown])
+        for k, sample in enumerate(shown):
+            T = oracle.in_parent_link(joint, rows[sample, 0])
+            # Rerun keeps transforms in single precision: 6e-8 relative, some roundings.
+            assert p[own][k] == pytest.approx(T[:3, 3], abs=1e-6)
+            assert pin.Quaternion(xyzw[own][k]).matrix() == pytest.approx(T[:3, :3], abs=1e-6)
+    ends = read(file, "/tool/path", "LineStrips3D:strips")
+    assert np.array_equal(ends[0], times[shown][1:])
+    p_WT = np.array([oracle.p_WT(rows[sample, 0]) for sample in shown])
+    assert ends[1][:, 0] == pytest.approx(p_WT[:-1], abs=1e-6)
+    assert ends[1][:, 1] == pytest.approx(p_WT[1:], abs=1e-6)
+
+
+def test_tool_position_equals_pinocchio(tmp_path, oracle):
+    from rerun.urdf import UrdfTree
+
+    path = tmp_path / "a.urdf"
+    path.write_text(URDF)
+    tree = UrdfTree.from_file_path(path)
+    q = np.random.default_rng(5).uniform(-3.0, 3.0, (100, 3))
+    expected = np.array([oracle.p_WT(row) for row in q])
+    # Some ten products of numbers below 2: rounding stays below 1e-14.
+    assert ToolPosition(tree, NAMES, "tool")(q) == pytest.approx(expected, abs=1e-14)
+    assert ToolPosition(tree, NAMES, "world")(q) == pytest.approx(np.zeros((100, 3)), abs=0.0)
+
+
+def test_deviation_is_target_minus_tool_from_the_targets_time(tmp_path, oracle):
+    file = tmp_path / "a.rrd"
+    stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=1000)
+    times, rows = samples(300)
+    first, later = np.array([0.5, 0.25, 1.0]), np.array([-0.5, 0.25, 1.0])
+    offer_all(stream, times[:100], rows[:100])
+    stream.offer_target(200 * MS, later)  # ahead of time
+    stream.offer_target(0, first)  # at once, which is now t = 99 ms
+    offer_all(stream, times[100:], rows[100:])
+    assert stream.close()
+    p_WT = np.array([oracle.p_WT(row[0]) for row in rows])
+    expected = np.vstack((first - p_WT[99:200], later - p_WT[200:]))
+    for axis, name in enumerate("xyz"):
+        at, values = read(file, f"/signals/tool_deviation/{name}", "Scalars:scalars")
+        assert np.array_equal(at, times[99:])
+        assert values == pytest.approx(expected[:, axis], abs=1e-14)  # as for the position
+    at, points = read(file, "/tool/target", "Points3D:positions")
+    assert at.tolist() == [99 * MS, 200 * MS]
+    assert points.tolist() == [first.tolist(), later.tolist()]  # halves are exact
+
+
+def test_the_line_goes_on_at_a_whole_second_after_a_reset(tmp_path):
+    file = tmp_path / "a.rrd"
+    stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=1000)
+    times, rows = samples(1200)
+    offer_all(stream, times, rows)
+    offer_all(stream, times[:300], rows[:300])
+    offer_all(stream, times[:10], rows[:10])
+    assert stream.close()
+    expected = [*times, *(times[:300] + 2000 * MS), *(times[:10] + 3000 * MS)]
+    at, values = signal_of(file, "q", "lift")
+    assert at.tolist() == expected
+    assert np.array_equal(values, np.concatenate((rows, rows[:300], rows[:10]))[:, 0, 1])
+    # The tool did not travel through the reset: no piece of path ends at its first pose.
+    ends, _ = read(file, "/tool/path", "LineStrips3D:strips")
+    assert sorted({*expected} - {*ends.tolist()}) == [0, 2000 * MS, 3000 * MS]
+
+
+def test_of_so_many_samples_one_goes_into_the_signals(tmp_path):
+    file = tmp_path / "a.rrd"
+    stream = RerunStream(URDF, NAMES, file=file, signal_every=7)
+    times, rows = samples(3000)  # more than one batch
+    offer_all(stream, times, rows)
+    assert stream.close()
+    assert np.array_equal(signal_of(file, "v", "turn")[0], times[::7])
+
+
+def test_what_is_not_measured_or_not_finite_leaves_no_trace(tmp_path):
+    file = tmp_path / "a.rrd"
+    stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=1000)
+    times, rows = samples(5)
+    rows[2, 0, 1] = np.nan
+    for time_ns, row in zip(times, rows, strict=True):
+        stream.offer(int(time_ns), *row[:5])
+    assert stream.close()
+    assert len(signal_of(file, "q_measured", "turn")[0]) == 0
+    assert np.array_equal(signal_of(file, "q", "lift")[1], rows[:, 0, 1], equal_nan=True)
+    poses = set(read(file, "/transforms", "Transform3D:translation")[0].tolist())
+    assert poses == {0, 1 * MS, 3 * MS, 4 * MS}  # the viewer has no place for a broken pose
+
+
+def test_layout_names_and_meshes_come_along(tmp_path):
+    from rerun.chunk import RrdReader
+
+    (tmp_path / "some_robot").mkdir()
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "some_robot" / "plate.obj").write_text(triangle)
+    mesh = '<mesh filename="package://some_robot/plate.obj"/>'
+    visual = f'<link name="a"><visual><geometry>{mesh}</geometry></visual></link>'
+    file = tmp_path / "a.rrd"
+    urdf = URDF.replace('<link name="a"/>', visual)
+    assert RerunStream(urdf, NAMES, file=file, package_dirs=[tmp_path]).close()
+    reader = RrdReader(file)
+    assert len(reader.blueprints()) == 1
+    static = list(reader.stream().filter(is_static=True))
+    columns = [
+        (chunk.entity_path, name)
+        for chunk in static
+        for name in chunk.to_record_batch().schema.names
+    ]
+    assert ("/signals/current/swing", "SeriesLines:names") in columns
+    assert ("/odd_arm/visual_geometries/a/visual_0", "Asset3D:blob") in columns
+
+
+# What does not reach back
+
+
+def test_without_a_sink_nothing_is_started():
+    code = f"""
+import sys, threading
+from emulator_node.rerun_stream import RerunStream
+stream = RerunStream("not read", {NAMES})
+stream.offer(0, *[[0.0] * 3] * 5)
+stream.offer_target(0, (0.0, 0.0, 0.0))
+assert stream.close() and stream.dropped == 0 and stream.url is None
+assert threading.active_count() == 1
+assert "rerun" not in sys.modules
+"""
+    run(code)
+
+
+def test_queue_keeps_order_around_its_end_and_counts_what_finds_no_place():
+    queue = SampleQueue(capacity=8, width=2, joints=3)
+    taken = []
+    for k in range(50):
+        queue.put(k, [k, k, k], None)
+        if k % 5 == 4:
+            while len(queue):
+                times, rows = queue.take(3)
+                assert len(times) <= 3
+                assert np.array_equal(rows[:, 0], np.repeat(times[:, None], 3, axis=1))
+                assert np.isnan(rows[:, 1]).all()
+                taken += times.tolist()
+    assert taken == list(range(50))
+    assert queue.dropped == 0
+    for k in range(11):
+        queue.put(k, [k] * 3, None)
+    assert (len(queue), queue.dropped) == (8, 3)
+    assert queue.take(100)[0].tolist() == [0, 1, 2, 3, 4, 5]  # up to the end of the memory
+    assert queue.take(100)[0].tolist() == [6, 7]  # the oldest are kept, the newest dropped
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [(0, [1.0, 2.0]), (0, ["a", "b", "c"]), ("now", [0.0] * 3), (2**80, [0.0] * 3), (0, [0] * 3, 1, 2)],
+)  # fmt: skip
+def test_a_sample_that_is_none_is_dropped_and_leaves_the_queue_whole(sample):
+    queue = SampleQueue(capacity=4, width=2, joints=3)
+    queue.put(*sample)
+    assert (len(queue), queue.dropped) == (0, 1)
+    queue.put(5, [1.0, 2.0, 3.0], None)
+    times, rows = queue.take(4)
+    assert times.tolist() == [5]
+    assert rows[0, 0].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_file_that_does_not_take_data_costs_samples_and_nothing_else(tmp_path):
+    """A pipe nobody reads stands for a disk that hangs."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    code = f"""
+import os, threading, time
+import numpy as np
+from emulator_node.rerun_stream import RerunStream
+pipe = os.open({str(pipe)!r}, os.O_RDONLY | os.O_NONBLOCK)
+stream = RerunStream({URDF!r}, {NAMES}, file={str(pipe)!r}, capacity=3000)
+x = np.random.default_rng(1).random(3)
+deadline = time.monotonic() + 20.0
+k = 0
+while stream.dropped == 0:
+    stream.offer(k * 1000000, x, x, x, x, x, x)
+    k += 1
+    if k % 100 == 0:
+        time.sleep(0.002)
+    assert time.monotonic() < deadline
+start = time.monotonic()
+assert not stream.close(timeout=0.5)
+assert time.monotonic() - start < 2.5  # 0.5 s and two last waits
+assert "Flush timed out" in stream.trouble, stream.trouble
+"""
+    run(code)  # and the process ends
+
+
+def test_a_killed_process_leaves_a_readable_file(tmp_path):
+    file = tmp_path / "a.rrd"
+    code = f"""
+import time
+from emulator_node.rerun_stream import RerunStream
+stream = RerunStream({URDF!r}, {NAMES}, file={str(file)!r})
+x = [0.5] * 3
+k = 0
+while True:
+    stream.offer(k * 1000000, x, x, x, x, x)
+    k += 1
+    time.sleep(0.001)
+"""
+    with started(code) as process:
+        deadline = time.monotonic() + 20.0
+        while not (file.exists() and len(signal_of(file, "voltage", "swing")[0]) > 100):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    at, values = signal_of(file, "voltage", "swing")
+    assert len(at) > 100
+    assert np.array_equal(at, np.arange(len(at)) * MS)
+    assert (values == 0.5).all()
+
+
+def test_a_process_that_forgets_to_close_writes_everything(tmp_path):
+    file = tmp_path / "a.rrd"
+    code = f"""
+from emulator_node.rerun_stream import RerunStream
+stream = RerunStream({URDF!r}, {NAMES}, file={str(file)!r})
+for k in range(500):
+    stream.offer(k * 1000000, *[[float(k)] * 3] * 5)
+"""
+    run(code)
+    assert signal_of(file, "q", "turn")[1].tolist() == list(range(500))
+
+
+def test_the_server_listens_on_this_machine_only_and_frees_its_port():
+    port = free_port()
+    stream = RerunStream(URDF, NAMES, port=port)
+    assert str(port) in stream.url
+    heard = [c.laddr.ip for c in psutil.Process().net_connections("tcp") if c.laddr.port == port]
+    assert heard == ["127.0.0.1"]
+    socket.create_connection(("127.0.0.1", port), timeout=5.0).close()
+    with pytest.raises(Refusal, match=rf"^Rerun: port must be a free TCP port.* got {port} \("):
+        RerunStream(URDF, NAMES, port=port)
+    offer_all(stream, *samples(100))
+    assert stream.close()
+    assert "rerun" not in [thread.name for thread in threading.enumerate()]
+    RerunStream(URDF, NAMES, port=port).close()
+
+
+def test_after_closing_nothing_is_taken(tmp_path):
+    file = tmp_path / "a.rrd"
+    stream = RerunStream(URDF, NAMES, file=file)
+    assert stream.close()
+    before = file.read_bytes()
+    offer_all(stream, *samples(10))
+    assert stream.close()
+    assert file.read_bytes() == before
+    assert stream.dropped == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"port": 0}, r"Rerun: port must be a free TCP port of this machine, .* got 0$"),
+        ({"port": 65536}, r"Rerun: port must be .* got 65536$"),
+        ({"file": "/proc/none/a.rrd"}, r"Rerun: file must be one that can be written, got /proc"),
+        ({"file": "."}, r"Rerun: file must be one that can be written, got \. \("),
+        ({"capacity": 0}, r"Rerun: capacity must be >= 1, got 0"),
+        ({"arm_rate": 0}, r"Rerun: arm_rate must be >= 1, got 0"),
+        ({"signal_every": 0}, r"Rerun: signal_every must be >= 1, got 0"),
+        ({"tool": "hand"}, r"URDF: tool must be a link of it, got hand; valid: a, a_plate, b"),
+        ({"joint_names": ("turn", "plate")}, r"URDF: joint must be .* got plate; valid: turn, l"),
+        ({"urdf_xml": "<robot"}, r"URDF: text must be one that Rerun can draw, got "),
+    ],
+)
+def test_refusals(tmp_path, arguments, words):
+    right = {"urdf_xml": URDF, "joint_names": NAMES, "file": tmp_path / "a.rrd"}
+    threads = threading.active_count()
+    with pytest.raises(Refusal, match=f"^{words}"):
+        RerunStream(**(right | arguments))
+    assert threading.active_count() == threads
+
+
+# Helpers
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextlib.contextmanager
+def started(code):
+    root = Path(__file__).parents[1]
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=root, stderr=subprocess.PIPE
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def run(code):
+    """Run code in a process of its own, which must end well and by itself."""
+    with started(code) as process:
+        _, errors = process.communicate(timeout=40.0)
+        assert process.returncode == 0, errors.decode()

@@ -1,0 +1,493 @@
+"""The servo against motors integrated exactly, and everything that it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+import yaml
+
+from arm_emulator.refusal import Refusal
+from servo_node.servo import JointServo, Servo, ServoConfig, _Axis, load_servo_config
+from servo_node.watchdog import Watchdog, WatchdogState
+
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+PERIOD = 1e-3
+JOINT = JointServo(
+    name="joint",
+    gear_ratio=0.01,
+    counts_per_turn=1024,
+    resistance=1.0,
+    inductance=1e-3,
+    torque_constant=0.05,
+    back_emf_constant=0.05,
+    rotor_inertia=1e-4,
+    current_limit=20.0,
+    velocity_limit=3.0,
+    position_gain=30.0,
+    velocity_gain=150.0,
+    integral_time=0.2,
+    observer_bandwidth=300.0,
+)
+
+
+def servo_of(joint: JointServo = JOINT, supply_voltage: float = 48.0) -> Servo:
+    return Servo(ServoConfig(PERIOD, 0.05, 0.2, 2.0, supply_voltage, (joint,)))
+
+
+class Drivetrain:
+    """Motor, elastic gear and link of one joint; exact for voltages and torques held over a period.
+
+    Written from eq. (1), (2) and (4) of the paper: L di/dt = V - R i - Kb wm and so on, as one
+    linear system whose transition matrix is a matrix exponential.
+    """
+
+    def __init__(
+        self,
+        joint: JointServo,
+        link_inertia: float = 0.4,
+        stiffness: float = 1e4,
+        damping: float = 10.0,
+        viscous: float = 0.5,
+        load: float = 0.0,
+        q: float = 0.0,
+    ) -> None:
+        R, L, Kt = joint.resistance, joint.inductance, joint.torque_constant
+        Kb, Mm, Ng = joint.back_emf_constant, joint.rotor_inertia, joint.gear_ratio
+        Kg, Dg, J = stiffness, damping, link_inertia
+        A = np.zeros((7, 7))  # current, theta_m, omega_m, q, v; held: voltage, load
+        A[0, [0, 2, 5]] = -R / L, -Kb / L, 1 / L
+        A[1, 2] = 1.0
+        A[2, :5] = Kt / Mm, -Ng * Ng * Kg / Mm, -Ng * Ng * Dg / Mm, Ng * Kg / Mm, Ng * Dg / Mm
+        A[3, 4] = 1.0
+        A[4, 1:5] = Ng * Kg / J, Ng * Dg / J, -Kg / J, -(Dg + viscous) / J
+        A[4, 6] = 1 / J
+        self._transition = scipy.linalg.expm(A * PERIOD)
+        self._counts_per_rad = joint.counts_per_turn / (2 * math.pi)
+        self.Ng = Ng
+        self.x = np.array([0.0, q / Ng, 0.0, q, 0.0, 0.0, load])
+
+    @property
+    def counts(self) -> int:
+        return math.floor(self.x[1] * self._counts_per_rad)
+
+    @property
+    def q_motor(self) -> float:
+        return float(self.x[1] * self.Ng)
+
+    def advance(self, voltage: float) -> None:
+        self.x[5] = voltage
+        self.x = self._transition @ self.x
+
+
+def run(
+    servo: Servo,
+    machine: Drivetrain,
+    q_target: float,
+    ticks: int,
+    dead_time: int = 0,
+    **control: Any,
+) -> np.ndarray:
+    """Return per tick: motor angle times Ng, link angle, voltage, current, v_measured."""
+    rows, late = [], [0.0] * dead_time
+    for _ in range(ticks):
+        voltage = servo.update([machine.counts], [machine.x[0]], [q_target], **control)[0]
+        rows.append((machine.q_motor, machine.x[3], voltage, machine.x[0], servo.v_measured[0]))
+        late.append(voltage)
+        machine.advance(late.pop(0))
+    return np.array(rows)
+
+
+def at_rest_within(joint: JointServo, q_motor: np.ndarray, target: float) -> None:
+    """The motor stands in the count of its target; at the edge it may cross by a tenth of one."""
+    cell = math.floor(target / joint.count_angle)
+    in_counts = q_motor / joint.count_angle - cell
+    assert in_counts.min() > -0.1
+    assert in_counts.max() < 1.1
+
+
+# Closed loop
+
+
+@pytest.mark.parametrize("dead_time", [0, 1, 2])
+@pytest.mark.parametrize("link_inertia", [0.025, 0.1, 0.35, 0.83])
+def test_step_settles_for_every_pose_and_dead_time(link_inertia: float, dead_time: int) -> None:
+    """Link inertias of all poses of three_axis; up to two periods from measurement to voltage."""
+    machine = Drivetrain(JOINT, link_inertia)
+    step = 0.02  # rad; 326 counts, and 0.6 rad/s asked for, far from any limit
+    rows = run(servo_of(), machine, step, 2500, dead_time)
+    link = rows[:, 1]
+    assert link.max() < 1.10 * step  # the linear loop overshoots by 6 % at the largest inertia
+    assert np.abs(link[200:] - step).max() < 0.04 * step  # and is within 2 % after 110 ms
+    at_rest_within(JOINT, rows[2000:, 0], step)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rests_in_the_count_of_the_target_under_load_and_wrong_data_sheets(seed: int) -> None:
+    """Integral action does not ask for exact values: +-20 % in each, and a load of +-20 N m."""
+    rng = np.random.default_rng(seed)
+    names = ("resistance", "torque_constant", "rotor_inertia")
+    values = {name: getattr(JOINT, name) * rng.uniform(0.8, 1.2) for name in names}
+    real = dataclasses.replace(JOINT, **values)
+    machine = Drivetrain(real, load=float(rng.uniform(-20, 20)))
+    target = float(rng.uniform(-0.02, 0.02))
+    rows = run(servo_of(), machine, target, 4000)
+    at_rest_within(JOINT, rows[3500:, 0], target)
+
+
+def test_first_update_is_bumpless() -> None:
+    """At rest at the target nothing is asked for; a current that flows keeps flowing."""
+    machine = Drivetrain(JOINT, q=0.7)
+    assert servo_of().update([machine.counts], [0.0], [0.7])[0] == 0.0
+    assert servo_of().update([machine.counts], [3.0], [0.7])[0] == pytest.approx(
+        3.0 * JOINT.resistance, rel=1e-15
+    )
+
+
+def test_feed_forward_of_a_known_load_leaves_no_sag() -> None:
+    """Without it the load moves the motor until the integral has taken it up."""
+    sag = {}
+    for name, control in {"without": {}, "with": {"tau_feedforward": [20.0]}}.items():
+        machine = Drivetrain(JOINT, load=-20.0, q=0.5)
+        sag[name] = np.abs(run(servo_of(), machine, 0.5, 1000, **control)[:, 0] - 0.5).max()
+    # The gear is unloaded at first, so the motor still answers its 2 mrad of wind-up.
+    assert sag["with"] < 1.5e-3
+    assert sag["without"] > 2.0 * sag["with"]
+
+
+def test_feed_forward_of_the_speed_leaves_no_lag() -> None:
+    """A ramp of 0.5 rad/s: position control alone lags by v / Kp once the integral is out."""
+    speed, lag = 0.5, {}
+    for name, v_target in {"without": 0.0, "with": speed}.items():
+        servo, machine = servo_of(), Drivetrain(JOINT)
+        for tick in range(1500):
+            q = speed * PERIOD * tick
+            machine.advance(servo.update([machine.counts], [machine.x[0]], [q], [v_target])[0])
+        lag[name] = speed * PERIOD * 1500 - machine.q_motor
+    assert lag["without"] == pytest.approx(speed / JOINT.position_gain, rel=0.05)
+    assert abs(lag["with"]) < 0.05 * lag["without"]
+
+
+# Limits
+
+
+def test_voltage_current_and_speed_stay_within_their_limits() -> None:
+    machine = Drivetrain(JOINT)
+    rows = run(servo_of(supply_voltage=12.0), machine, 3.0, 2500)
+    voltage, current = rows[:, 2], rows[:, 3]
+    assert np.abs(voltage).max() == 12.0
+    # R, with its share against current errors, lets the current overshoot its limit by a little.
+    assert np.abs(current).max() < 1.1 * JOINT.current_limit
+
+    slow = dataclasses.replace(JOINT, velocity_limit=0.5)
+    rows = run(servo_of(slow), Drivetrain(slow), 3.0, 2500)
+    # Cruising; the loop's integral overshoots its ramp by at most a fifth at the start.
+    assert rows[:, 4].max() < 0.6
+    assert rows[1000:2500, 4].mean() == pytest.approx(0.5, rel=0.01)
+
+
+class WindingUp(_Axis):
+    """The same control with a plain integral, as a servo without anti-windup has it."""
+
+    def control(self, q_target: float, v_target: float, tau: float) -> float:
+        before = self.integral
+        error = q_target / self.ratio - self.theta
+        omega_ref = max(-self.omega_limit, min(self.omega_limit, self.position_gain * error))
+        voltage = super().control(q_target, v_target, tau)
+        self.integral = before + self.reset_rate * self.velocity_gain * (omega_ref - self.omega)
+        return voltage
+
+
+def test_anti_windup_recovers_from_saturation() -> None:
+    """0.2 rad at once with a tenth of the current: saturated for most of the way.
+
+    Position control of 10 1/s slows down by at most 2 rad/s per 0.2 s, which 2 A can do; so a servo
+    whose integral does not wind up need not overshoot at all.
+    """
+    weak = dataclasses.replace(JOINT, current_limit=2.0, position_gain=10.0)
+    step, overshoot = 0.2, {}
+    for kind in (_Axis, WindingUp):
+        servo = servo_of(weak)
+        servo._axes = [kind(weak, PERIOD, 48.0)]
+        rows = run(servo, Drivetrain(weak), step, 3000)
+        overshoot[kind] = rows[:, 0].max() / step - 1.0
+        assert rows[:, 3].max() > 2.0  # it was saturated
+    assert overshoot[_Axis] < JOINT.count_angle / step  # a count
+    assert overshoot[WindingUp] > 0.2
+
+
+# Measuring
+
+
+def test_q_measured_is_the_middle_of_the_count() -> None:
+    servo = servo_of()
+    servo.observe([-3], [0.0])
+    assert servo.q_measured[0] == (-3 + 0.5) * (2 * math.pi / 1024) * 0.01
+
+
+def test_speed_is_unbiased_at_constant_acceleration() -> None:
+    """A tracker of third order has no lag there, whatever torque loads the motor."""
+    fine = dataclasses.replace(JOINT, counts_per_turn=2**40)
+    servo, acceleration = servo_of(fine), 2.0
+    for tick in range(400):
+        t = tick * PERIOD
+        count = 0.5 * acceleration * t * t / fine.count_angle - 0.5
+        servo.observe([round(count)], [1.7])
+    # Poles at exp(-0.3) per period: the start has decayed by exp(-120) after 400 periods.
+    assert servo.v_measured[0] == pytest.approx(acceleration * t, abs=1e-6)
+
+
+def test_speed_is_far_smoother_than_counts_per_period() -> None:
+    """A plain difference errs by up to a whole count per period, 0.06 rad/s at the link."""
+    servo, speed, errors = servo_of(), 0.1234, []
+    for tick in range(2000):
+        servo.observe([math.floor(speed * tick * PERIOD / JOINT.count_angle)], [0.0])
+        errors.append(servo.v_measured[0] - speed)
+    plain = JOINT.count_angle / PERIOD
+    assert np.sqrt(np.mean(np.square(errors[200:]))) < 0.1 * plain
+
+
+def test_observer_starts_where_the_motor_stands_and_knows_nothing_before() -> None:
+    servo = servo_of()
+    assert np.isnan(servo.q_measured).all()
+    with pytest.raises(Refusal, match="control must follow a measurement"):
+        servo.control([0.0])
+    servo.observe([123456], [0.0])
+    assert servo.v_measured[0] == 0.0
+
+
+def test_same_inputs_give_the_same_bits_and_reset_forgets() -> None:
+    servo = servo_of()
+    first = run(servo, Drivetrain(JOINT), 0.01, 300)
+    servo.reset()
+    assert np.array_equal(first, run(servo, Drivetrain(JOINT), 0.01, 300))
+
+
+def test_after_a_cut_control_starts_without_the_old_integral() -> None:
+    servo = servo_of()
+    run(servo, Drivetrain(JOINT, load=-20.0), 0.0, 1000)
+    assert servo._axes[0].integral == pytest.approx(20.0 * 0.01 / 0.05, rel=0.05)
+    servo.release()
+    assert servo._axes[0].integral == 0.0
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (([1, 2], [0.0], [0.0]), "counts must have 1 values"),
+        (([1], 0.0, [0.0]), "current must have 1 values"),
+        (([1], [math.nan], [0.0]), "current must be finite"),
+        (([1], [0.0], [math.inf]), "q_target must be finite"),
+        (([1], [0.0], [0.0], [math.nan]), "v_target must be finite"),
+        (([1], [0.0], [0.0], None, [0.0, 1.0]), "tau_feedforward must have 1 values"),
+    ],
+)
+def test_bad_input_is_refused_and_changes_nothing(arguments: tuple[Any, ...], words: str) -> None:
+    servo, twin = servo_of(), servo_of()
+    for one in (servo, twin):
+        one.update([5], [0.1], [0.01])
+    with pytest.raises(Refusal, match=words):
+        servo.update(*arguments)
+    assert servo.update([6], [0.2], [0.01]) == twin.update([6], [0.2], [0.01])
+
+
+def parameters() -> dict[str, Any]:
+    """The parameters of a servo with one joint."""
+    joint = dataclasses.asdict(JOINT)
+    name = joint.pop("name")
+    return {
+        "period": 1e-3,
+        "motion_period": 0.05,
+        "hold_after": 0.2,
+        "cut_after": 2.0,
+        "supply_voltage": 48.0,
+        "joint_names": [name],
+        "joints": {name: joint},
+    }
+
+
+def test_parameters_may_be_nested_or_dotted_and_bring_ros_parameters() -> None:
+    nested = parameters()
+    dotted = {k: v for k, v in nested.items() if k != "joints"}
+    dotted |= {f"joints.joint.{k}": v for k, v in nested["joints"]["joint"].items()}
+    dotted |= {"use_sim_time": False, "qos_overrides./clock.subscription.depth": 1}
+    expected = ServoConfig(1e-3, 0.05, 0.2, 2.0, 48.0, (JOINT,))
+    assert ServoConfig.from_mapping(nested, "test") == expected
+    assert ServoConfig.from_mapping(dotted, "test") == expected
+
+
+def test_inductance_and_current_limit_may_be_left_out() -> None:
+    mapping = parameters()
+    del mapping["joints"]["joint"]["inductance"], mapping["joints"]["joint"]["current_limit"]
+    (joint,) = ServoConfig.from_mapping(mapping, "test").joints
+    assert joint.inductance == 0.0
+    assert joint.current_limit == math.inf
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("period", 0.0, "period must be a number > 0 s, got 0.0"),
+        ("period", "fast", "period must be a number > 0 s, got 'fast'"),
+        ("period", True, "period must be a number > 0 s, got True"),
+        ("period", math.nan, "period must be a number > 0 s, got nan"),
+        ("period", None, "period must be given"),
+        ("motion_period", -0.05, "motion_period must be a number >= 0 s"),
+        ("motion_period", 0.0505, "motion_period must be a whole multiple of period"),
+        ("hold_after", 0.0, "hold_after must be a number > 0 s"),
+        ("cut_after", 0.2, "cut_after must be > hold_after"),
+        ("supply_voltage", math.inf, "supply_voltage must be a number > 0 V"),
+        ("gravity", 9.81, "gravity must be a known key, got an unknown one; valid: period"),
+        ("joint_names", [], "joint_names must be a list of different joint names"),
+        ("joint_names", ["joint", "joint"], "joint_names must be a list of different joint"),
+        ("joint_names", ["other"], "joints.joint must be a known key"),
+        ("joint_names", ["joint", "more"], "joints.more must be given"),
+        ("joints", 3, "joints must be a mapping"),
+        ("joints.joint", 3, "joints.joint must be a mapping"),
+        ("joints.joint.gear_ratio", 0, "joints.joint.gear_ratio must be a number > 0, got 0"),
+        ("joints.joint.counts_per_turn", 10.5, "counts_per_turn must be a whole number >= 1"),
+        ("joints.joint.counts_per_turn", 0, "counts_per_turn must be a whole number >= 1"),
+        ("joints.joint.resistance", -1.0, "resistance must be a number > 0 ohm"),
+        ("joints.joint.inductance", -1e-3, "inductance must be a number >= 0 H"),
+        ("joints.joint.torque_constant", None, "joints.joint.torque_constant must be given"),
+        ("joints.joint.current_limit", 0.0, "current_limit must be a number > 0 A"),
+        ("joints.joint.stiffness", 1e4, "joints.joint.stiffness must be a known key"),
+        ("joints.joint.observer_bandwidth", 2000.0, "observer_bandwidth must be <= 1/period"),
+        ("joints.joint.position_gain", 2000.0, "position_gain must be <= 1/period"),
+        ("joints.joint.integral_time", 1e-4, "integral_time must be >= period"),
+    ],
+)
+def test_bad_parameters_are_refused(path: str, value: object, words: str) -> None:
+    mapping = parameters()
+    *parents, leaf = path.split(".")
+    table = mapping
+    for parent in parents:
+        table = table[parent]
+    if value is None:
+        del table[leaf]
+    else:
+        table[leaf] = value
+    with pytest.raises(Refusal) as refusal:
+        ServoConfig.from_mapping(mapping, "servo.yaml")
+    assert words in str(refusal.value)
+    assert str(refusal.value).startswith("servo.yaml: ")
+    assert "\n" not in str(refusal.value)
+
+
+def test_parameters_that_are_no_mapping_or_given_twice_are_refused() -> None:
+    with pytest.raises(Refusal, match="the parameters must be a mapping"):
+        ServoConfig.from_mapping([1], "test")  # type: ignore[arg-type]
+    with pytest.raises(Refusal, match=r"period\.x must be given once"):
+        ServoConfig.from_mapping({"period": 1e-3, "period.x": 2.0}, "test")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "the file must be readable"),
+        ("a: [", "the file must be YAML"),
+        ("other: {ros__parameters: {}}", "hold the parameters of the node servo, got other"),
+        ("- 1", "hold the parameters of the node servo"),
+    ],
+)
+def test_bad_parameter_files_are_refused(tmp_path: Path, text: str | None, words: str) -> None:
+    file = tmp_path / "servo.yaml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(Refusal, match=words):
+        load_servo_config(file)
+
+
+def test_parameter_file_may_write_numbers_as_ros_takes_them(tmp_path: Path) -> None:
+    """PyYAML alone reads 1e-3 as a text; ROS reads a number."""
+    file = tmp_path / "servo.yaml"
+    text = yaml.safe_dump({"/**": {"ros__parameters": parameters()}})
+    file.write_text(text.replace("period: 0.001", "period: 1e-3"))
+    assert load_servo_config(file).period == 1e-3
+
+
+# The files that come along
+
+
+@pytest.mark.parametrize("scene", ["three_axis", "ur5", "panda"])
+def test_drives_know_the_motors_of_their_scene(scene: str) -> None:
+    config = load_servo_config(CONFIG / "servo" / f"{scene}.yaml")
+    machine = yaml.safe_load((CONFIG / f"{scene}.yaml").read_text())
+    assert config.joint_names == tuple(machine["joints"])
+    assert config.period == machine["servo_period"]
+    assert config.supply_voltage == machine["supply_voltage"]
+    for joint in config.joints:
+        section = machine["joints"][joint.name]
+        assert joint.gear_ratio == section["gear"]["ratio"]
+        assert joint.counts_per_turn == section["encoder"]["counts_per_turn"]
+        for name, value in section["motor"].items():
+            if name != "current_limit":
+                assert getattr(joint, name) == float(value)
+
+
+# Watchdog
+
+
+def test_watchdog_holds_until_the_first_target_however_long() -> None:
+    dog = Watchdog(0.2, 2.0)
+    for now in (0.0, 1.0, 100.0):
+        dog.state_came(now)
+        assert dog.check(now) is WatchdogState.HOLD
+    assert dog.reason == "no joint target has come yet"
+
+
+@pytest.mark.parametrize("silent", ["joint target", "motor state"])
+def test_watchdog_holds_then_cuts_when_either_falls_silent(silent: str) -> None:
+    dog = Watchdog(0.25, 2.0)
+    dog.state_came(10.0)
+    dog.target_came(10.0)
+    assert dog.check(10.25) is WatchdogState.OK
+    for now in (11.0, 12.0, 12.25):
+        (dog.state_came if silent == "joint target" else dog.target_came)(now)
+        expected = WatchdogState.HOLD if now <= 12.0 else WatchdogState.CUT
+        assert dog.check(now) is expected
+        assert dog.reason.startswith(f"no {silent} for ")
+        assert ("hold_after" in dog.reason) is (expected is WatchdogState.HOLD)
+
+
+def test_watchdog_hold_ends_with_new_input_but_a_cut_only_with_a_reset() -> None:
+    dog = Watchdog(0.2, 2.0)
+
+    def both_came(now: float) -> WatchdogState:
+        dog.target_came(now)
+        dog.state_came(now)
+        return dog.check(now)
+
+    assert both_came(0.0) is WatchdogState.OK
+    assert dog.check(1.0) is WatchdogState.HOLD
+    assert both_came(1.0) is WatchdogState.OK
+    assert dog.check(3.5) is WatchdogState.CUT
+    assert both_came(3.5) is WatchdogState.CUT
+    assert dog.reason.endswith("the power stays off until a reset")
+    dog.reset()
+    assert dog.check(3.6) is WatchdogState.HOLD
+    assert both_came(3.6) is WatchdogState.OK
+
+
+def test_watchdog_takes_a_clock_that_jumps_back() -> None:
+    dog = Watchdog(0.2, 2.0)
+    dog.target_came(50.0)
+    dog.state_came(50.0)
+    assert dog.check(0.0) is WatchdogState.OK
+    assert dog.check(0.3) is WatchdogState.HOLD
+
+
+@pytest.mark.parametrize(
+    ("hold_after", "cut_after"), [(0.0, 1.0), (math.nan, 1.0), (0.2, 0.2), (0.2, math.nan)]
+)
+def test_watchdog_refuses_times_out_of_order(hold_after: float, cut_after: float) -> None:
+    with pytest.raises(Refusal, match="watchdog: "):
+        Watchdog(hold_after, cut_after)
