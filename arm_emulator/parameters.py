@@ -7,9 +7,8 @@ import math
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
-
 from arm_emulator.refusal import Refusal
+from arm_emulator.yaml_file import read_yaml
 
 Parameters = TypeVar("Parameters")
 
@@ -41,7 +40,7 @@ def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters
     Raises:
         Refusal: no parameters of that node, an unknown name, or a value that is not taken.
     """
-    document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    document = read_yaml(path)
     try:
         given = dict(document[node]["ros__parameters"])
     except (KeyError, TypeError):
@@ -69,7 +68,7 @@ def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:
     choices = field.metadata["choices"]
     if choices and value not in choices:
         raise Refusal(where, what, "be known", repr(value), ", ".join(choices))
-    fits = type(value) is kind and (kind is not float or math.isfinite(value))
+    fits = type(value) is kind and not (isinstance(value, float) and not math.isfinite(value))
     if not fits or (low is not None and value < low) or (high is not None and value > high):
         raise Refusal(where, what, f"be {rule(field)}", repr(value))
     return value

@@ -30,7 +30,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Body:
-    """Inertia about a frame's origin: mass [kg], first moment [kg m] (3,), tensor [kg m2] (3, 3)."""
+    """Inertia about an origin: mass [kg], first moment [kg m] (3,), tensor [kg m2] (3, 3)."""
 
     mass: float = 0.0
     moment: Array = field(default_factory=lambda: np.zeros(3))
@@ -117,9 +117,7 @@ def read_chain(
     bodies, joints = _parse(urdf, where)
     for name in locked:
         if name not in {joint.name for joint in joints}:
-            raise Refusal(
-                where, f"locked.{name}", "be a joint of the URDF", name, _names(joints)
-            )
+            raise Refusal(where, f"locked.{name}", "be a joint of the URDF", name, _names(joints))
     for joint in joints:
         if joint.mimic and joint.name not in locked:
             raise Refusal(
@@ -143,7 +141,7 @@ def lock_joints(urdf: str, locked: Mapping[str, float]) -> str:
         return urdf
     robot = ET.fromstring(urdf)
     for element in robot.iter("joint"):
-        name = element.get("name")
+        name = element.get("name") or ""
         if name not in locked:
             continue
         joint = _read_joint(element, "")

@@ -103,9 +103,7 @@ class Plant:
         """
         at = self.scene.start if q is None else self._vector(q, "Plant.reset", "q", "rad or m")
         speed = (
-            np.zeros(self._N)
-            if v is None
-            else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
+            np.zeros(self._N) if v is None else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
         )
         self._core.arm_reset(self._machine, _pointer(at), _pointer(speed))
 
@@ -125,11 +123,39 @@ class Plant:
         if steps < 0:
             raise Refusal("Plant.advance", "steps", "be >= 0", steps)
         joint = self._core.arm_advance(self._machine, self._voltage_pointer, steps)
+        self._check(joint)
+
+    def run(self, voltages: ArrayLike, steps: int) -> Array:
+        """Apply rows of voltages one after the other, without coming back to Python in between.
+
+        Args:
+            voltages: (K, N) [V].
+            steps: integration steps under each row, >= 0.
+
+        Returns:
+            Link positions after each row, (K, N) [rad or m].
+
+        Raises:
+            Refusal: wrong shape, not finite, or a negative count; the state is as before.
+            Diverged: as `advance`.
+        """
+        rows = np.array(voltages, dtype=np.float64, ndmin=2)
+        if rows.ndim != 2 or rows.shape[1] != self._N:
+            raise Refusal("Plant.run", "voltages", f"have shape (K, {self._N})", rows.shape)
+        if not np.isfinite(rows).all():
+            raise Refusal("Plant.run", "voltages", "be finite [V]", rows)
+        if steps < 0:
+            raise Refusal("Plant.run", "steps", "be >= 0", steps)
+        q = np.zeros_like(rows)
+        joint = self._core.arm_run(self._machine, _pointer(rows), len(rows), steps, _pointer(q))
+        self._check(joint)
+        return q
+
+    def _check(self, joint: int) -> None:
         if joint >= 0:
             integrator = self.scene.integrator
-            raise Diverged(
-                self.scene.joint_names[joint], self.t, integrator.dt, integrator.scheme
-            )
+            name = self.scene.joint_names[joint]
+            raise Diverged(name, self.t, integrator.dt, integrator.scheme)
 
     @property
     def t(self) -> float:
@@ -153,7 +179,9 @@ class Plant:
         """Return the accelerations of the links alone: M(q) a + nle(q, v) = tau.
 
         Args:
-            q, v, tau: (K, N) or (N,) positions, speeds and joint torques.
+            q: (K, N) or (N,) positions [rad or m].
+            v: speeds, of the same shape.
+            tau: joint torques [N m or N], of the same shape.
         """
         q, v, tau = (np.ascontiguousarray(x, dtype=np.float64) for x in (q, v, tau))
         a = np.empty_like(q)
@@ -184,6 +212,7 @@ def _declare(core: ctypes.CDLL) -> ctypes.CDLL:
         ("arm_delete", None, [pointer]),
         ("arm_reset", None, [pointer] * 3),
         ("arm_advance", ctypes.c_int, [pointer, pointer, count]),
+        ("arm_run", ctypes.c_int, [pointer, pointer, count, count, pointer]),
         ("arm_time", ctypes.c_double, [pointer]),
         ("arm_energy", ctypes.c_double, [pointer]),
         ("arm_state", None, [pointer, pointer]),

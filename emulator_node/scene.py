@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from arm_emulator.config_files import find_config
 from arm_emulator.refusal import Refusal
+from arm_emulator.yaml_file import read_yaml
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 
 SCHEMES = ("rosenbrock", "implicit", "paper")
@@ -127,7 +127,7 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
         Refusal: the file, its URDF or an override breaks a rule.
     """
     file = find_config(str(path), ".yaml")
-    data = _read_yaml(file)
+    data = read_yaml(file)
     for dotted, value in (overrides or {}).items():
         _override(data, dotted, value, file.name)
     return _build(_Section(data, file.name, ""), file)
@@ -331,37 +331,6 @@ def _find_urdf(text: str, scene_file: Path) -> Path:
     return file
 
 
-class _Loader(yaml.CSafeLoader):
-    """YAML 1.2 floats (1e-4 is a number), and no key given twice."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
-        for key_node, _ in node.value:
-            if key_node.value in seen and key_node.value != "<<":
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key_node.value!r} is given twice", key_node.start_mark
-                )
-            seen.add(key_node.value)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    __import__("re").compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$"),
-    list("-+0123456789."),
-)
-
-
-def _read_yaml(file: Path) -> dict[str, Any]:
-    try:
-        data = yaml.load(file.read_text(encoding="utf-8"), Loader=_Loader)  # noqa: S506
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise Refusal(file.name, "file", "be well-formed YAML", error) from None
-    if not isinstance(data, dict):
-        raise Refusal(file.name, "file", "be a mapping of keys to values", type(data).__name__)
-    return data
-
-
 def _override(data: dict[str, Any], dotted: str, value: object, where: str) -> None:
     *path, last = dotted.split(".")
     places = [data]
@@ -455,9 +424,7 @@ class _Section:
                 raise self.refusal(key, rule, value)
         return float(value)
 
-    def integer(
-        self, key: str, *, default: int | None = None, at_least: int, at_most: int
-    ) -> int:
+    def integer(self, key: str, *, default: int | None = None, at_least: int, at_most: int) -> int:
         value = self._take(key)
         if value is None and default is not None and key not in self._data:
             return default

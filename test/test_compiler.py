@@ -88,7 +88,7 @@ def test_two_processes_at_once_share_one_compilation(cache: Path) -> None:
 
 
 def test_a_read_only_cache_falls_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The user's cache cannot be made: libraries go to a folder of ours among the temporary ones."""
+    """The user's cache cannot be made: libraries go to a folder of ours in /tmp."""
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     blocked = tmp_path / "a_file"
     blocked.touch()

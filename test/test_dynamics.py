@@ -35,7 +35,11 @@ def worst_error(scene: Scene, seed: int) -> float:
 
 @pytest.mark.parametrize(
     "name",
-    ["three_axis", pytest.param("ur5", marks=needs_robots), pytest.param("panda", marks=needs_robots)],
+    [
+        "three_axis",
+        pytest.param("ur5", marks=needs_robots),
+        pytest.param("panda", marks=needs_robots),
+    ],
 )
 def test_shipped_scenes_equal_aba(name: str) -> None:
     assert worst_error(load_scene(name), seed=1) < TOLERANCE
@@ -70,7 +74,7 @@ def test_payload_is_a_body_at_the_tool(tmp_path: Path) -> None:
 
 @needs_robots
 def test_locked_joints_hold_their_position() -> None:
-    """The Panda's fingers, locked 30 mm apart: Pinocchio locks the same joints in the same place."""
+    """The Panda's fingers, locked 30 mm apart: Pinocchio locks them there too."""
     locked = {"panda_finger_joint1": 0.03, "panda_finger_joint2": 0.03}
     scene = load_scene("panda", overrides={"locked": locked})
     unlocked = (example_robot_data() / "panda_description/urdf/panda.urdf").read_text()

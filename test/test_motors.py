@@ -67,7 +67,9 @@ def linear_machine(gear: bool, inductance: bool) -> tuple[np.ndarray, np.ndarray
         b = np.array([1 / L, 0, 0, 0, 0])
     else:  # x = i, q, v, the rotor carried by the link
         inertia = M + Mm / Ng**2
-        A = np.array([[-R / L, 0, -K / (L * Ng)], [0, 0, 1], [K / (Ng * inertia), 0, -Dl / inertia]])
+        A = np.array(
+            [[-R / L, 0, -K / (L * Ng)], [0, 0, 1], [K / (Ng * inertia), 0, -Dl / inertia]]
+        )
         b = np.array([1 / L, 0, 0])
     if inductance:
         return A, b

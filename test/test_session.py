@@ -79,7 +79,12 @@ def test_real_time_holds_the_newest_command() -> None:
 @pytest.mark.parametrize(
     ("tick", "names", "voltage", "words"),
     [
-        (0, ["waist", "shoulder", "hand"], ZERO, "joint names must name every joint once, got waist"),
+        (
+            0,
+            ["waist", "shoulder", "hand"],
+            ZERO,
+            "joint names must name every joint once, got waist",
+        ),
         (0, ["waist", "waist", "elbow"], ZERO, "joint names must name every joint once"),
         (0, [], [], "joint names must name every joint once, got none; valid: waist"),
         (0, NAMES, [1.0, 2.0], r"voltage must have one value per joint name \(3\), got 2 values"),

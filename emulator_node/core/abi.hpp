@@ -18,9 +18,19 @@ void arm_reset(TheMachine* machine, const double* q, const double* v) { machine-
 int arm_advance(TheMachine* machine, const double* voltage, std::int64_t steps) {
   return machine->advance(voltage, steps);
 }
+// `rows` rows of N voltages, `steps` steps each; q after each row goes to `q`.
+int arm_run(TheMachine* machine, const double* voltage, std::int64_t rows, std::int64_t steps,
+            double* q) {
+  for (std::int64_t row = 0; row < rows; ++row, voltage += N, q += N) {
+    const int joint = machine->advance(voltage, steps);
+    if (joint >= 0) return joint;
+    std::copy_n(machine->state().q, N, q);
+  }
+  return -1;
+}
 double arm_time(const TheMachine* machine) { return machine->time(); }
 double arm_energy(const TheMachine* machine) { return machine->energy(); }
-/* out: i, tm, wm, q, v, T, N values each; a rigid gear's motor follows its link */
+// out: i, tm, wm, q, v, T, N values each; a rigid gear's motor follows its link
 void arm_state(const TheMachine* machine, double* out) {
   const auto& x = machine->state();
   double T[N];
@@ -35,7 +45,7 @@ void arm_state(const TheMachine* machine, double* out) {
     out[5 * N + j] = T[j];
   }
 }
-/* The links alone, for `count` rows of N: M(q) a + nle(q, v) = tau. */
+// The links alone, for `count` rows of N: M(q) a + nle(q, v) = tau.
 void arm_forward_dynamics(std::int64_t count, const double* q, const double* v, const double* tau,
                           double* a) {
   for (std::int64_t row = 0; row < count; ++row, q += N, v += N, tau += N, a += N) {

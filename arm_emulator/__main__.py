@@ -1,0 +1,116 @@
+"""The command line: `python -m arm_emulator COMMAND`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from arm_emulator.refusal import Refusal
+
+
+def main() -> None:
+    """Run one command; exit code 2 and one line for input that is not taken."""
+    arguments = _parser().parse_args()
+    try:
+        sys.exit(arguments.run(arguments))
+    except Refusal as refusal:
+        print(refusal, file=sys.stderr)
+        sys.exit(2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="arm_emulator", description="An industrial arm, emulated."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    up = commands.add_parser("up", help="start the three nodes, end all when one ends")
+    _scene(up)
+    _clock(up)
+    up.add_argument(
+        "--start",
+        choices=("free_run", "first_answer", "paused"),
+        default="first_answer",
+        help="what the machine does until the servo answers (default: %(default)s)",
+    )
+    up.add_argument("--rerun-port", type=int, default=0, help="where a Rerun viewer may connect")
+    up.add_argument("--rerun-file", default="", help="Rerun recording to write")
+    up.set_defaults(run=_up)
+
+    demo = commands.add_parser("demo", help="the paper's experiment, with pictures")
+    _scene(demo)
+    _clock(demo)
+    demo.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
+    demo.set_defaults(run=_demo)
+
+    compile_ = commands.add_parser("compile", help="compile a scene ahead of its first use")
+    _scene(compile_)
+    compile_.add_argument(
+        "--target",
+        default="native",
+        help="native (this machine's processor, the default), or a level such as x86-64-v3 "
+        "for machines without a compiler",
+    )
+    compile_.add_argument("--into", type=Path, help="folder for the library (default: the cache)")
+    compile_.set_defaults(run=_compile)
+
+    check = commands.add_parser("check-scene", help="say whether scene files are valid")
+    check.add_argument("scenes", nargs="+", metavar="SCENE")
+    check.set_defaults(run=_check_scene)
+    return parser
+
+
+def _scene(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", nargs="?", default="three_axis", help="scene file or name")
+
+
+def _clock(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--clock",
+        choices=("lockstep", "realtime"),
+        default="lockstep",
+        help="logical time, the same bits every time, or the wall clock (default: %(default)s)",
+    )
+
+
+# Each command imports what it needs when it runs, so that the others start at once.
+
+
+def _up(arguments: argparse.Namespace) -> int:
+    from arm_emulator.up import up
+
+    return up(
+        arguments.scene,
+        arguments.clock,
+        arguments.start,
+        arguments.rerun_port,
+        arguments.rerun_file,
+    )
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    from arm_emulator.demo import demo
+
+    return demo(arguments.scene, arguments.clock, arguments.out)
+
+
+def _compile(arguments: argparse.Namespace) -> int:
+    from emulator_node.compiler import compile_ahead
+    from emulator_node.scene import load_scene
+
+    print(compile_ahead(load_scene(arguments.scene), arguments.target, arguments.into))
+    return 0
+
+
+def _check_scene(arguments: argparse.Namespace) -> int:
+    from emulator_node.scene import load_scene
+
+    for name in arguments.scenes:
+        scene = load_scene(name)
+        print(f"{scene.where}: valid, {len(scene.joints)} joints: {', '.join(scene.joint_names)}")
+    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""The three nodes as three processes that live and end together."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from arm_emulator.config_files import find_config
+
+STOP_PATIENCE = 5.0  # s, wall: for a node to end by itself
+_PR_SET_PDEATHSIG = 1
+
+
+@dataclass
+class _NodeProcess:
+    name: str
+    process: subprocess.Popen[bytes]
+
+
+class Bringup:
+    """Starts emulator, servo and motion controller; use it in a `with` block.
+
+    Args:
+        scene: a scene file, or the name of a scene that comes along. Gains are taken from the
+            files of the same name under config/servo and config/motion.
+        clock: "lockstep" or "realtime".
+        start: see the emulator's parameter.
+        emulator: more parameters of the emulator, by name.
+        log: folder for one log file per node; None: their words go to this process's terminal.
+        only: names of the nodes to start, for who brings his own.
+
+    Raises:
+        Refusal: a configuration file is missing.
+    """
+
+    def __init__(
+        self,
+        scene: str,
+        *,
+        clock: str = "lockstep",
+        start: str = "first_answer",
+        emulator: Mapping[str, object] | None = None,
+        log: Path | None = None,
+        only: tuple[str, ...] = ("emulator", "servo", "motion_controller"),
+    ) -> None:
+        file = find_config(scene, ".yaml").resolve()
+        self._log = log
+        self._running: list[_NodeProcess] = []
+        self._commands: dict[str, list[str]] = {}
+        emulator_parameters = {"scene": file, "clock": clock, "start": start, **(emulator or {})}
+        every: dict[str, tuple[str, str | None, dict[str, object]]] = {
+            "emulator": ("emulator_node.node", None, emulator_parameters),
+            "servo": ("servo_node.node", "servo", {"clock": clock}),
+            "motion_controller": ("motion_controller_node.node", "motion", {}),
+        }
+        for name in only:
+            module, kind, parameters = every[name]
+            command = [sys.executable, "-m", module, "--ros-args"]
+            if kind is not None:
+                gains = find_config(file.stem, ".yaml", kind)
+                command += ["--params-file", str(gains.resolve())]
+            for key, value in parameters.items():
+                command += ["-p", f"{key}:={value}"]
+            self._commands[name] = command
+
+    def __enter__(self) -> Bringup:
+        try:
+            for name in self._commands:
+                self.start(name)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def start(self, name: str) -> None:
+        """Start one node (again)."""
+        log: IO[bytes] | None = None
+        if self._log is not None:
+            self._log.mkdir(parents=True, exist_ok=True)
+            log = (self._log / f"{name}.log").open("wb")
+        process = subprocess.Popen(
+            self._commands[name],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT if log is not None else None,
+            preexec_fn=_end_with_parent,
+        )
+        if log is not None:
+            log.close()
+        self._running.append(_NodeProcess(name, process))
+
+    def process(self, name: str) -> subprocess.Popen[bytes]:
+        """Return the process of a running node."""
+        return next(one.process for one in reversed(self._running) if one.name == name)
+
+    def ended(self) -> tuple[str, int] | None:
+        """Return name and exit code of a node that has ended, None while all run."""
+        for one in self._running:
+            code = one.process.poll()
+            if code is not None:
+                return one.name, code
+        return None
+
+    def stop(self) -> dict[str, int]:
+        """End every node as Ctrl-C does, harder if it does not listen; return the exit codes."""
+        for patience, how in (
+            (STOP_PATIENCE, signal.SIGINT),
+            (STOP_PATIENCE, signal.SIGTERM),
+            (STOP_PATIENCE, signal.SIGKILL),
+        ):
+            alive = [one for one in self._running if one.process.poll() is None]
+            for one in alive:
+                one.process.send_signal(how)
+            deadline = time.monotonic() + patience
+            for one in alive:
+                try:
+                    one.process.wait(max(0.0, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    break
+        return {one.name: one.process.returncode for one in self._running}
+
+
+def _end_with_parent() -> None:
+    """In the child: take no signals from the terminal (the parent passes them on), and end when
+    the parent is killed.
+    """
+    os.setpgrp()
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)

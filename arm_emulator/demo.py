@@ -1,0 +1,283 @@
+"""`arm_emulator demo`: the paper's experiment with three real processes.
+
+The motion controller, the servo and the emulated machine bring the tool some millimetres aside;
+the deviation per instruction is the paper's Fig. 4.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+
+from arm_emulator.bringup import Bringup
+from arm_emulator.config_files import find_config
+from arm_emulator.fig4 import draw_fig4
+from arm_emulator.node_shell import (
+    COMMAND_QOS,
+    NANOSECONDS,
+    STATE_SUB_QOS,
+    nanoseconds_of,
+    stamp,
+)
+from arm_emulator.refusal import Refusal
+from arm_emulator.yaml_file import read_yaml
+from arm_emulator_msgs.msg import EmulatorStatus
+from emulator_node.scene import Scene, load_scene
+from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.motion_config import load_motion_config
+from motion_controller_node.pose import Pose
+from motion_controller_node.predicted_residual import PredictedResidual, predicted_residual
+from servo_node.servo_config import load_servo_config
+
+Array = NDArray[np.float64]
+
+PATIENCE = 30.0  # s, wall: for anything that the nodes should do within a second or two
+
+
+@dataclass(frozen=True)
+class DemoPlan:
+    """What the demo does with a scene; from config/demo."""
+
+    displacement: Array  # m (3,), of the tool in the world
+    settle_ns: int  # logical time before the target holds, a multiple of the motion period
+    instructions: int
+
+    @classmethod
+    def load(cls, scene: str, period_ns: int) -> DemoPlan:
+        """Read config/demo/<scene>.yaml."""
+        data = read_yaml(find_config(scene, ".yaml", "demo"))
+        periods = round(float(data["settle"]) * NANOSECONDS / period_ns)
+        return cls(np.array(data["displacement"]), periods * period_ns, int(data["instructions"]))
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What came of it."""
+
+    deviations: Array  # m (K + 1, 3): target minus tool before instruction 0 .. K
+    rotations: Array  # rad (K + 1,): angle between tool and target
+    predicted: PredictedResidual
+    real_time_factor: float
+
+
+def demo(scene_name: str, clock: str, out: Path) -> int:
+    """Run the experiment, leave its pictures in `out`, and say how it went."""
+    console = Console()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # A domain of its own, so that a network that runs already is left alone.
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    out.mkdir(parents=True, exist_ok=True)
+    scene = load_scene(scene_name)
+    title = f"{scene.name}, {clock}, ROS_DOMAIN_ID {os.environ['ROS_DOMAIN_ID']}"
+    console.print(f"[bold]arm_emulator demo[/bold]: {title}")
+    rclpy.init()
+    try:
+        with Bringup(
+            scene_name,
+            clock=clock,
+            start="paused",
+            emulator={"rerun_file": (out / "demo.rrd").resolve()},
+            log=out / "log",
+        ) as network:
+            result = _run(scene, network, console)
+            codes = network.stop()
+    finally:
+        rclpy.try_shutdown()
+    unclean = {name: code for name, code in codes.items() if code != 0}
+    if unclean:
+        console.print(f"[red]not ended cleanly: {unclean}, see {out / 'log'}")
+    _tell(scene, clock, result, out, console)
+    return 1 if unclean else 0
+
+
+def _run(scene: Scene, network: Bringup, console: Console) -> DemoResult:
+    motion = load_motion_config(find_config(scene.name, ".yaml", "motion"))
+    servo = load_servo_config(find_config(scene.name, ".yaml", "servo"))
+    controller = JacobianController(scene.urdf, scene.joint_names, **motion.controller_arguments())
+    period_ns = round(motion.period * NANOSECONDS)
+    plan = DemoPlan.load(scene.name, period_ns)
+    R_WT, p_WT = controller.forward(scene.start)
+    target = Pose(p_WT + plan.displacement, R_WT)
+    observer = _Observer(controller, target, period_ns, plan)
+    try:
+        with console.status("waiting for the three nodes to meet"):
+            observer.wait(lambda: observer.answered, network, "the nodes to meet")
+            observer.send_target(target, plan.settle_ns)
+            observer.wait(lambda: observer.target_taken, network, "the target to be taken")
+            observer.go()
+        started = time.monotonic()
+        with Progress(
+            TextColumn("instruction {task.completed:>3}"),
+            BarColumn(),
+            TextColumn("{task.fields[deviation]}"),
+            TimeElapsedColumn(),
+            console=console,
+        ) as progress:
+            bar = progress.add_task("", total=plan.instructions, deviation="")
+
+            def watched() -> bool:
+                if observer.q:
+                    deviation = np.linalg.norm(observer.deviation(-1)) * 1e3
+                    shown = f"deviation {deviation:9.4f} mm"
+                    progress.update(bar, completed=len(observer.q) - 1, deviation=shown)
+                return len(observer.q) > plan.instructions
+
+            observer.wait(watched, network, "the instructions", patience=60.0 * PATIENCE)
+        wall = time.monotonic() - started
+    finally:
+        observer.destroy_node()
+    logical = (plan.settle_ns + plan.instructions * period_ns) / NANOSECONDS
+    order = [servo.joint_names.index(name) for name in scene.joint_names]
+    count_angle = np.array([servo.joints[index].count_angle for index in order])
+    stiffness = np.array([joint.gear.stiffness or np.inf for joint in scene.joints])
+    predicted = predicted_residual(
+        controller, observer.q[-1], count_angle, observer.gear_torque / stiffness
+    )
+    return DemoResult(
+        deviations=np.array([observer.deviation(k) for k in range(len(observer.q))]),
+        rotations=np.array([observer.rotation(k) for k in range(len(observer.q))]),
+        predicted=predicted,
+        real_time_factor=logical / wall,
+    )
+
+
+class _Observer(Node):
+    """Sends the target and watches the true arm, at every instruction."""
+
+    def __init__(
+        self, controller: JacobianController, target: Pose, period_ns: int, plan: DemoPlan
+    ) -> None:
+        super().__init__("demo")
+        self.q: list[Array] = []  # true joint angles at each instruction
+        self.gear_torque = np.zeros(len(controller.joint_names))
+        self.answered = False
+        self.target_taken = False
+        self._controller, self._target = controller, target
+        self._period_ns, self._start_ns = period_ns, plan.settle_ns
+        self._targets = self.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
+        self._pause = self.create_client(SetBool, "emulator/pause")
+        self.create_subscription(EmulatorStatus, "emulator/status", self._on_status, STATE_SUB_QOS)
+        self.create_subscription(
+            JointState, "emulator/joint_states", self._on_truth, rclpy.qos.QoSProfile(depth=100)
+        )
+        self.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+
+    def wait(
+        self,
+        condition: Callable[[], bool],
+        network: Bringup,
+        what: str,
+        patience: float = PATIENCE,
+    ) -> None:
+        """Spin until the condition holds; refuse when a node ends or patience does."""
+        deadline = time.monotonic() + patience
+        while not condition():
+            rclpy.spin_once(self, timeout_sec=0.1)
+            ended = network.ended()
+            if ended is not None:
+                name, code = ended
+                raise Refusal("demo", f"node {name}", "run", f"exit code {code}", "see out/log")
+            if time.monotonic() > deadline:
+                raise Refusal("demo", what, f"take less than {patience:g} s", "more", "see out/log")
+
+    def send_target(self, target: Pose, from_ns: int) -> None:
+        message = PoseStamped()
+        message.header.stamp = stamp(from_ns)
+        pose = message.pose
+        pose.position.x, pose.position.y, pose.position.z = map(float, target.p_WT)
+        o = pose.orientation
+        o.x, o.y, o.z, o.w = map(float, target.quaternion())
+        self._targets.publish(message)
+
+    def go(self) -> None:
+        self._pause.call_async(SetBool.Request(data=False))
+
+    def deviation(self, k: int) -> Array:
+        """Target minus tool before instruction k, (3,) [m]."""
+        return self._target.p_WT - self._controller.forward(self.q[k])[1]
+
+    def rotation(self, k: int) -> float:
+        """Angle between the tool and its target before instruction k [rad]."""
+        R = self._controller.forward(self.q[k])[0].T @ self._target.R_WT
+        # Of the skew part, since the arc cosine of the trace is coarse near 0.
+        skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+        return float(np.arctan2(np.linalg.norm(skew), np.trace(R) - 1.0))
+
+    def _on_status(self, status: EmulatorStatus) -> None:
+        self.answered = self.answered or status.answered
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == "motion_controller":
+                taken = {pair.key: pair.value for pair in status.values}.get("tool targets", "0")
+                self.target_taken = self.target_taken or taken != "0"
+
+    def _on_truth(self, truth: JointState) -> None:
+        now = nanoseconds_of(truth.header.stamp)
+        expected = self._start_ns + len(self.q) * self._period_ns
+        if now == expected:
+            self.q.append(np.array(truth.position))
+            self.gear_torque = np.array(truth.effort)
+        elif now > expected and self.q:
+            raise Refusal("demo", "emulator/joint_states", "come without a gap", f"t = {now} ns")
+
+
+def _tell(scene: Scene, clock: str, result: DemoResult, out: Path, console: Console) -> None:
+    deviations, predicted = result.deviations, result.predicted
+    residual = deviations[-1]
+    draw_fig4(
+        deviations,
+        predicted.total[:3],
+        out / "fig4.png",
+        title=f"{scene.name}: deviation of the tool from its target",
+    )
+    start = float(np.linalg.norm(deviations[0]))
+    distance = np.linalg.norm(deviations, axis=1)
+    below = np.flatnonzero(distance < 0.01 * start)
+    inside = bool(np.all(np.abs(residual - predicted.wind_up[:3]) <= predicted.encoder[:3]))
+    summary = {
+        "scene": scene.name,
+        "clock": clock,
+        "start_mm": start * 1e3,
+        "residual_mm": (residual * 1e3).tolist(),
+        "predicted_encoder_mm": (predicted.encoder[:3] * 1e3).tolist(),
+        "predicted_wind_up_mm": (predicted.wind_up[:3] * 1e3).tolist(),
+        "residual_within_prediction": inside,
+        "rotation_mrad": float(result.rotations[-1] * 1e3),
+        "instructions_to_1_percent": int(below[0]) if len(below) else None,
+        "real_time_factor": result.real_time_factor,
+        "deviations_m": deviations.tolist(),
+    }
+    (out / "demo.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
+
+    def row(values: Array) -> str:
+        return "  ".join(
+            f"{axis} {value * 1e3:+9.4f}" for axis, value in zip("xyz", values, strict=False)
+        )
+
+    console.print(f"residual (mm)             {row(residual)}")
+    console.print(f"predicted, encoders (mm)  {row(predicted.encoder[:3])}   (+-)")
+    console.print(f"predicted, wind-up (mm)   {row(predicted.wind_up[:3])}   (torque / Kg)")
+    verdict = "within" if inside else "[red]outside[/red]"
+    console.print(f"the residual is {verdict} the prediction")
+    if len(predicted.total) > 3:
+        console.print(f"orientation off by        {result.rotations[-1] * 1e3:.4f} mrad")
+    if len(below):
+        console.print(f"below 1 % of {start * 1e3:.1f} mm    after {below[0]} instructions")
+    console.print(f"real-time factor          {result.real_time_factor:.2f}")
+    console.print(f"look at  {out / 'fig4.png'}  and  rerun {out / 'demo.rrd'}")

@@ -1,0 +1,199 @@
+"""What the three nodes share as ROS nodes: QoS, parameters, diagnostics, and `main`."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterValueException, ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from arm_emulator.parameters import Parameters, checked, rule
+from arm_emulator.refusal import Refusal
+
+# Commands: nothing is lost, and the newest wins. States: a reliable publisher serves reliable and
+# best-effort subscribers alike. Descriptions: late-comers get the last one.
+COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+STATE_PUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+STATE_SUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+DESCRIPTION_QOS = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+NANOSECONDS = 1_000_000_000
+
+
+def stamp(nanoseconds: int) -> Time:
+    """Return a message's time stamp for a logical time [ns]."""
+    return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
+
+
+def nanoseconds_of(stamp: Time) -> int:
+    """Return the logical time [ns] of a message's time stamp."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+class Closable(Protocol):
+    """A node that lets go of what it holds when its process ends."""
+
+    def close(self) -> None: ...
+
+
+def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
+    """Declare every field of the frozen dataclass `kind` on the node and return what was set.
+
+    Raises:
+        Refusal: a value of the wrong type or out of its range.
+    """
+    values = {}
+    where = f"node {node.get_name()}"
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        choices = field.metadata["choices"]
+        descriptor = ParameterDescriptor(
+            description=field.metadata["description"],
+            additional_constraints=f"one of {', '.join(choices)}" if choices else "",
+            read_only=True,
+            # The check below says no in our words, and takes 1 for 1.0.
+            dynamic_typing=True,
+        )
+        _set_range(descriptor, field)
+        try:
+            if node.has_parameter(field.name):  # of a node that declares what it was given
+                value = node.get_parameter(field.name).value
+                node.set_descriptor(field.name, descriptor)
+            else:
+                value = node.declare_parameter(field.name, field.default, descriptor).value
+        except InvalidParameterValueException as error:
+            what = f"parameter {field.name}"
+            raise Refusal(where, what, f"be {rule(field)}", error) from None
+        values[field.name] = checked(value, field, where)
+    return kind(**values)
+
+
+def _set_range(descriptor: ParameterDescriptor, field: dataclasses.Field[Any]) -> None:
+    low, high = field.metadata["minimum"], field.metadata["maximum"]
+    if low is None and high is None:
+        return
+    if isinstance(field.default, float):
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=-1e300 if low is None else float(low),
+                to_value=1e300 if high is None else float(high),
+            )
+        ]
+    else:
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-(2**62) if low is None else int(low),
+                to_value=2**62 if high is None else int(high),
+                step=1,
+            )
+        ]
+
+
+class Diagnostics:
+    """The node's health in words, on `diagnostics`: at 1 Hz, and at once when it changes.
+
+    Refused input is counted by kind, and the newest refusal is told in full.
+    """
+
+    def __init__(self, node: Node, hardware_id: str) -> None:
+        self._name = node.get_name()
+        self._hardware_id = hardware_id
+        self._clock = node.get_clock()
+        self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._refused: Counter[str] = Counter()
+        self._newest_refusal = ""
+        self._level, self._message = DiagnosticStatus.OK, "starting"
+        self.values: dict[str, object] = {}
+        node.create_timer(1.0, self.publish)
+
+    @property
+    def refused(self) -> int:
+        """How many inputs were refused so far."""
+        return self._refused.total()
+
+    def refuse(self, topic: str, reason: Refusal) -> None:
+        """Count an input that was not taken."""
+        first = self._refused[topic] == 0
+        self._refused[topic] += 1
+        self._newest_refusal = str(reason)
+        if first:
+            self.publish()
+
+    def ok(self, message: str) -> None:
+        """Say that all is well, and what is going on."""
+        self._say(DiagnosticStatus.OK, message)
+
+    def warn(self, message: str) -> None:
+        """Say what hinders the node, though it goes on."""
+        self._say(DiagnosticStatus.WARN, message)
+
+    def error(self, message: str) -> None:
+        """Say what stopped the node's work."""
+        self._say(DiagnosticStatus.ERROR, message)
+
+    def publish(self) -> None:
+        """Publish now."""
+        level = self._level
+        if level == DiagnosticStatus.OK and self._refused:
+            level = DiagnosticStatus.WARN
+        values = {f"refused {topic}": count for topic, count in self._refused.items()}
+        if self._newest_refusal:
+            values["newest refusal"] = self._newest_refusal  # type: ignore[assignment]
+        status = DiagnosticStatus(
+            level=level,
+            name=self._name,
+            message=self._message,
+            hardware_id=self._hardware_id,
+            values=[
+                KeyValue(key=key, value=str(value))
+                for key, value in {**values, **self.values}.items()
+            ],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._clock.now().to_msg()
+        self._publisher.publish(array)
+
+    def _say(self, level: bytes, message: str) -> None:
+        if (level, message) != (self._level, self._message):
+            self._level, self._message = level, message
+            self.publish()
+
+
+def run_node(create: Callable[[], Closable]) -> None:
+    """Run one node until it is told to stop; exit code 2 and one line if its set-up is refused."""
+    rclpy.init()
+    node: Any = None
+    try:
+        node = create()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (Refusal, ParameterException) as refusal:
+        print(refusal, file=sys.stderr)
+        sys.exit(2)
+    except RuntimeError:
+        # rclpy's handles fail in many words when a signal shuts it down under a running callback.
+        if rclpy.ok():
+            raise
+    finally:
+        # A second Ctrl-C, from the terminal beside the launcher's, must not break off the ending.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if node is not None:
+            node.close()
+        rclpy.try_shutdown()

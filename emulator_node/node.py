@@ -1,0 +1,303 @@
+"""ROS node `emulator`: wires a `Session` to topics, services and a clock."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import rclpy.clock
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from arm_emulator.node_shell import (
+    COMMAND_QOS,
+    DESCRIPTION_QOS,
+    NANOSECONDS,
+    STATE_PUB_QOS,
+    Diagnostics,
+    declare_parameters,
+    nanoseconds_of,
+    run_node,
+    stamp,
+)
+from arm_emulator.parameters import parameter
+from arm_emulator.refusal import Refusal
+from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from emulator_node.rerun_stream import RerunStream
+from emulator_node.scene import example_robot_data, load_scene
+from emulator_node.session import CLOCKS, STARTS, Phase, Session
+
+STATUS_PERIOD = 0.5  # s, wall
+REPEAT_AFTER = (
+    0.2  # s, wall: a state that nobody answers is said again, for partners that come late
+)
+LOST_TIME = 0.1  # s: when a real-time clock is later than this, it lets the lost time go
+
+
+@dataclass(frozen=True)
+class EmulatorParameters:
+    """Parameters of the node, read once."""
+
+    scene: str = parameter("three_axis", "scene file, or name of a scene that comes along")
+    clock: str = parameter("lockstep", "who owns time", choices=CLOCKS)
+    start: str = parameter(
+        "free_run", "what the machine does until the first motor command", choices=STARTS
+    )
+    timeout: float = parameter(
+        2.0, "wall time without an answer that is reported", unit="s", minimum=0.1, maximum=3600.0
+    )
+    report_period: float = parameter(
+        0.01,
+        "logical time between messages on emulator/joint_states and clock, 0 for every tick",
+        unit="s",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    rerun_file: str = parameter("", "Rerun recording to write, none if empty")
+    rerun_port: int = parameter(
+        0, "local port where a Rerun viewer may connect, 0 for none", minimum=0, maximum=65535
+    )
+
+
+class EmulatorNode(Node):
+    """The machine as a ROS node."""
+
+    def __init__(self) -> None:
+        super().__init__("emulator")
+        self._config = declare_parameters(self, EmulatorParameters)
+        scene = load_scene(self._config.scene)
+        self._session = Session(scene, self._config.clock, self._config.start)
+        robots = example_robot_data()
+        self._stream = RerunStream(
+            scene.urdf,
+            scene.joint_names,
+            tool=scene.tool,
+            package_dirs=[robots.parents[1]] if robots else [],
+            file=self._config.rerun_file or None,
+            port=self._config.rerun_port or None,
+        )
+        self._report_ticks = max(1, round(self._config.report_period / scene.servo_period))
+        self._steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
+        self._diagnostics = Diagnostics(self, scene.name)
+
+        names = list(scene.joint_names)
+        self._motor_state = MotorState(joint_names=names)
+        self._truth = JointState(name=names)
+        self._motor_states = self.create_publisher(MotorState, "motor_states", STATE_PUB_QOS)
+        self._truths = self.create_publisher(JointState, "emulator/joint_states", STATE_PUB_QOS)
+        self._clocks = self.create_publisher(Clock, "clock", STATE_PUB_QOS)
+        self._statuses = self.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
+        self._descriptions = self.create_publisher(String, "robot_description", DESCRIPTION_QOS)
+        self._descriptions.publish(String(data=scene.urdf))
+
+        self.create_subscription(MotorCommand, "motor_commands", self._on_command, COMMAND_QOS)
+        self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_QOS)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+        self.create_service(Trigger, "~/step", self._on_step)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/power", self._on_power)
+
+        self._told_at = time.monotonic()  # when this tick's state was first told
+        self._repeated_at = self._told_at
+        self._due_ns = time.monotonic_ns()
+        self._overruns = 0
+        self._worst_lateness_ns = 0
+        self._status_mark = (time.monotonic_ns(), 0, 0)
+        self._pacer: Timer | None = self._create_timer(scene.servo_period, self._on_period)
+        self._create_timer(REPEAT_AFTER, self._on_repeat)
+        self._create_timer(STATUS_PERIOD, self._on_status)
+        self._tell()
+        self.get_logger().info(
+            f"scene {scene.name}: {len(names)} joints, {scene.integrator.scheme} at "
+            f"{scene.integrator.dt:g} s, servo period {scene.servo_period:g} s, "
+            f"clock {self._config.clock}"
+        )
+
+    def close(self) -> None:
+        """Finish the Rerun recording."""
+        self._stream.close()
+
+    def _create_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        return self.create_timer(period, callback, clock=self._steady)
+
+    # Time
+
+    def _on_command(self, command: MotorCommand) -> None:
+        try:
+            self._session.offer(command.tick, command.joint_names, command.voltage)
+        except Refusal as reason:
+            self._diagnostics.refuse("motor_commands", reason)
+            return
+        if self._session.lockstep and self._session.may_advance:
+            self._advance()
+
+    def _on_period(self) -> None:
+        """Pace real time, and the free run of lock-step."""
+        session = self._session
+        now = time.monotonic_ns()
+        paced = session.may_advance and (
+            not session.lockstep or session.phase is Phase.FREE_RUNNING
+        )
+        if not paced:
+            self._due_ns = now + session.period_ns
+            return
+        lateness = now - self._due_ns
+        if lateness > session.period_ns:
+            self._overruns += 1
+        self._worst_lateness_ns = max(self._worst_lateness_ns, lateness)
+        if lateness > LOST_TIME * NANOSECONDS:
+            self._due_ns = now
+        while self._due_ns <= now and session.may_advance:
+            self._due_ns += session.period_ns
+            self._advance()
+
+    def _advance(self) -> None:
+        session = self._session
+        session.advance()
+        if session.fault is not None:
+            self._diagnostics.error(str(session.fault))
+            self.get_logger().error(str(session.fault))
+            return
+        self._tell()
+
+    # Telling
+
+    def _tell(self) -> None:
+        """Tell the world this tick's state."""
+        self._told_at = self._repeated_at = time.monotonic()
+        session, state = self._session, self._session.state
+        self._say_motor_state()
+        if session.tick % self._report_ticks == 0:
+            truth = self._truth
+            truth.header.stamp = stamp(session.logical_ns)
+            truth.position = array("d", state.q.tobytes())
+            truth.velocity = array("d", state.v.tobytes())
+            truth.effort = array("d", state.gear_torque.tobytes())
+            self._truths.publish(truth)
+            self._clocks.publish(Clock(clock=truth.header.stamp))
+        self._stream.offer(
+            session.logical_ns,
+            state.q,
+            state.v,
+            state.gear_torque,
+            state.current,
+            session.voltage,
+            (state.encoder_counts + 0.5) * session.plant.link_angle_per_count,
+        )
+
+    def _say_motor_state(self) -> None:
+        session, message = self._session, self._motor_state
+        message.header.stamp = stamp(session.logical_ns)
+        message.tick = session.tick
+        message.powered = session.powered
+        message.encoder_counts = array("q", session.state.encoder_counts.tobytes())
+        message.current = array("d", session.state.current.tobytes())
+        self._motor_states.publish(message)
+
+    def _on_repeat(self) -> None:
+        """Say an unanswered state again; report a partner that stays silent."""
+        session = self._session
+        if session.phase not in (Phase.WAITING, Phase.PAUSED):
+            if session.phase is Phase.RUNNING:
+                self._diagnostics.ok("running")
+            return
+        now = time.monotonic()
+        if now - self._repeated_at >= REPEAT_AFTER and not session.answered:
+            self._repeated_at = now
+            self._say_motor_state()
+        waited = now - self._told_at
+        if session.phase is Phase.WAITING and waited > self._config.timeout:
+            # In whole seconds, so that the words change, and are published, once a second.
+            self._diagnostics.warn(
+                f"waiting for the motor command that answers tick {session.tick}, "
+                f"for {waited:.0f} s"
+            )
+
+    def _on_tool_target(self, target: PoseStamped) -> None:
+        """Show the target beside the arm; the machine itself knows nothing of it."""
+        p = target.pose.position
+        self._stream.offer_target(nanoseconds_of(target.header.stamp), (p.x, p.y, p.z))
+
+    def _on_status(self) -> None:
+        session = self._session
+        now = time.monotonic_ns()
+        since, ticks, core_ns = self._status_mark
+        new_ticks = max(0, session.tick - ticks)
+        steps = new_ticks * session.scene.steps_per_period
+        self._status_mark = (now, session.tick, session.step_wall_ns)
+        waiting = session.phase is Phase.WAITING
+        status = EmulatorStatus(
+            tick=session.tick,
+            phase=int(session.phase),
+            answered=session.answered,
+            powered=session.powered,
+            logical_time=session.logical_ns / NANOSECONDS,
+            real_time_factor=new_ticks * session.period_ns / (now - since),
+            step_time=max(0, session.step_wall_ns - core_ns) / steps if steps else 0.0,
+            overruns=self._overruns,
+            worst_lateness=self._worst_lateness_ns / NANOSECONDS,
+            energy=session.plant.energy,
+            commands_refused=self._diagnostics.refused,
+            samples_dropped=self._stream.dropped,
+            waiting_time=time.monotonic() - self._told_at if waiting else 0.0,
+        )
+        status.header.stamp = stamp(session.logical_ns)
+        self._statuses.publish(status)
+        if session.phase is Phase.FREE_RUNNING:
+            self._diagnostics.warn("no motor command yet, running free at 0 V")
+        elif session.phase is Phase.PAUSED:
+            self._diagnostics.ok(f"paused at tick {session.tick}")
+
+    # Services
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._session.paused = request.data
+        response.success = True
+        response.message = (
+            f"{'paused' if request.data else 'going on'} at tick {self._session.tick}"
+        )
+        if not request.data and self._session.lockstep and self._session.answered:
+            self._advance()
+        return response
+
+    def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.message = self._session.step()
+        response.success = not response.message
+        if response.success:
+            self._tell()
+            response.message = f"at tick {self._session.tick}"
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._session.reset()
+        self._status_mark = (time.monotonic_ns(), 0, 0)
+        self._overruns = 0
+        self._worst_lateness_ns = 0
+        self._diagnostics.ok("reset")
+        self._tell()
+        response.success, response.message = True, "at tick 0"
+        return response
+
+    def _on_power(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._session.powered = request.data
+        response.success = True
+        response.message = (
+            "power on" if request.data else "power off: motors at 0 V, windings shorted"
+        )
+        return response
+
+
+def main() -> None:
+    """Entry point of `ros2 run arm_emulator emulator_node`."""
+    run_node(EmulatorNode)
+
+
+if __name__ == "__main__":
+    main()

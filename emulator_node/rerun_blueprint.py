@@ -1,0 +1,120 @@
+"""What the Rerun viewer shows of a recording, and where."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+TIMELINE = "t"
+TRANSFORMS = "transforms"
+TOOL_PATH = "tool/path"
+TOOL_TARGET = "tool/target"
+DEVIATION = "signals/tool_deviation"
+
+# Seconds of tool path that stay visible behind the tool.
+PATH_SECONDS = 10.0
+
+# One colour per joint, the same in every plot; more joints start over.
+COLOURS = (
+    (86, 156, 214),
+    (240, 140, 50),
+    (110, 190, 100),
+    (214, 90, 90),
+    (170, 130, 210),
+    (80, 195, 195),
+    (220, 190, 80),
+    (220, 130, 180),
+)
+
+
+# From where the eye looks: 3/4 view, a little from above.
+EYE = np.array([0.72, -0.58, 0.38])
+
+
+def blueprint(
+    robot: str, root: str, links: NDArray[np.float64], tool: NDArray[np.float64] | None
+) -> rrb.Blueprint:
+    """Lay out the arm at the left and its signals over time at the right.
+
+    Args:
+        robot: the URDF's name, under which its geometry stands.
+        root: the URDF's root link, the frame of the 3D views.
+        links: origins of all links at the start (L, 3) [m]; the eye is set so that they are seen.
+        tool: origin of the tool at the start (3,) [m]; then its path, its target and the deviation
+            between them are shown too.
+    """
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    behind = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-PATH_SECONDS),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    here = rrb.SpatialInformation(target_frame=root, axes=rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    low, high = links.min(axis=0), links.max(axis=0)
+    middle = (low + high) / 2.0
+    # The eye's opening is about 55 degrees; the factor leaves room for the links' thickness and for
+    # the arm to move.
+    distance = 1.5 * max(float(np.linalg.norm(high - low)), 0.1)
+    solid = [
+        shape.from_fields(fill_mode=rr.components.FillMode.Solid)
+        for shape in (rr.Cylinders3D, rr.Boxes3D, rr.Ellipsoids3D, rr.Capsules3D)
+    ]
+    arm = rrb.Spatial3DView(
+        name="Arm",
+        origin="/",
+        contents=["+ /**", f"- /{robot}/collision_geometries/**", "- /signals/**"],
+        spatial_information=here,
+        eye_controls=rrb.EyeControls3D(position=middle + distance * EYE, look_target=middle),
+        defaults=solid,
+        overrides={TOOL_PATH: behind},
+    )
+
+    def plot(name: str, path: str, *, legend: bool = True) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(
+            name=name,
+            origin=f"/{path}",
+            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+        )
+
+    left: rrb.Container | rrb.View = arm
+    if tool is not None:
+        level = rr.components.Plane3D((0.0, 0.0, 1.0), float(tool[2]))
+        close = rrb.Spatial3DView(
+            name="Tool, grid 10 mm",
+            origin="/tool",
+            contents=["+ /tool/**"],
+            spatial_information=here,
+            eye_controls=rrb.EyeControls3D(position=tool + 0.05 * EYE, look_target=tool),
+            line_grid=rrb.LineGrid3D(spacing=0.01, plane=level),
+            overrides={TOOL_PATH: behind},
+        )
+        deviation = plot("Target minus tool [m]", DEVIATION)
+        left = rrb.Vertical(arm, rrb.Horizontal(close, deviation), row_shares=[2, 1])
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            left,
+            rrb.Vertical(
+                rrb.Tabs(
+                    plot("Joint angle [rad]", "signals/q"),
+                    plot("Measured by encoders [rad]", "signals/q_measured"),
+                    plot("Joint speed [rad/s]", "signals/v"),
+                ),
+                plot("Motor current [A]", "signals/current", legend=False),
+                plot("Motor voltage [V]", "signals/voltage", legend=False),
+                plot("Gear torque [N m]", "signals/gear_torque", legend=False),
+            ),
+            column_shares=[5, 4],
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        auto_views=False,
+    )

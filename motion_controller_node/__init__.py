@@ -1,0 +1,1 @@
+"""The motion controller: tool targets in, joint targets out."""

@@ -1,0 +1,45 @@
+"""What the motion controller is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from arm_emulator.parameters import load_parameters, parameter
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """Parameters of the motion controller, read once."""
+
+    tool: str = parameter("tool", "link of the robot description that is the tool")
+    period: float = parameter(
+        0.05, "logical time between joint targets", unit="s", minimum=1e-4, maximum=10.0
+    )
+    weight: float = parameter(0.5, "w of eq. (6)", minimum=1e-6, maximum=1.0)
+    task: str = parameter(
+        "auto",
+        "what the target rules; auto: position below 6 joints, else pose",
+        choices=("auto", "position", "pose"),
+    )
+    step_limit: float = parameter(
+        0.2, "largest joint step per instruction", unit="rad", minimum=1e-6, maximum=100.0
+    )
+    singular_below: float = parameter(
+        0.02, "singular values of the Jacobian below this are damped", minimum=1e-9, maximum=1.0
+    )
+
+    def controller_arguments(self) -> dict[str, Any]:
+        """Return what `JacobianController` is built with, beside the robot and its joints."""
+        names = ("tool", "weight", "task", "step_limit", "singular_below")
+        return {name: getattr(self, name) for name in names}
+
+
+def load_motion_config(path: Path) -> MotionConfig:
+    """Read a ROS parameter file of the node `motion_controller`.
+
+    Raises:
+        Refusal: a value that is not taken.
+    """
+    return load_parameters(path, "motion_controller", MotionConfig)

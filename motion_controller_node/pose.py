@@ -1,0 +1,84 @@
+"""Where a tool is, or shall be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.refusal import Refusal
+
+FloatArray = npt.NDArray[np.float64]
+
+# A quaternion this far from length 1 is rounding of its sender; farther, it is a mistake.
+_UNIT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Pose of the tool frame T in the world frame W."""
+
+    p_WT: FloatArray
+    """Position (3,) [m]."""
+    R_WT: FloatArray
+    """Rotation matrix (3, 3)."""
+
+    @classmethod
+    def from_quaternion(
+        cls, position: npt.ArrayLike, quaternion: npt.ArrayLike, where: str = "tool_target"
+    ) -> Pose:
+        """Take a pose as messages give it.
+
+        Args:
+            position: (3,) [m].
+            quaternion: x, y, z, w (the order of geometry_msgs).
+            where: name of the source, for refusals.
+
+        Raises:
+            Refusal: not finite, a wrong length, or a quaternion whose length is not 1.
+        """
+        p = _vector(position, 3, where, "position")
+        q = _vector(quaternion, 4, where, "orientation")
+        length = float(np.linalg.norm(q))
+        if abs(length - 1.0) > _UNIT_TOLERANCE:
+            raise Refusal(
+                where, "orientation", f"be a quaternion of length 1 +- {_UNIT_TOLERANCE}", length
+            )
+        x, y, z, w = q / length
+        return cls(
+            p,
+            np.array(
+                [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+                ]
+            ),
+        )
+
+    def quaternion(self) -> FloatArray:
+        """Return the orientation as x, y, z, w with w >= 0, (4,)."""
+        # The column of 4 q q' with the largest diagonal entry (Shepperd 1978): never near 0 / 0.
+        R = self.R_WT
+        xx, yy, zz = R[0, 0], R[1, 1], R[2, 2]
+        outer = np.array(
+            [
+                [1 + xx - yy - zz, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[2, 1] - R[1, 2]],
+                [R[0, 1] + R[1, 0], 1 - xx + yy - zz, R[1, 2] + R[2, 1], R[0, 2] - R[2, 0]],
+                [R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1 - xx - yy + zz, R[1, 0] - R[0, 1]],
+                [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1 + xx + yy + zz],
+            ]
+        )
+        q: FloatArray = outer[:, int(np.argmax(np.diag(outer)))]
+        q = q / np.linalg.norm(q)
+        return -q if q[3] < 0.0 else q
+
+
+def _vector(values: npt.ArrayLike, size: int, where: str, quantity: str) -> FloatArray:
+    vector = np.array(values, dtype=np.float64)
+    if vector.shape != (size,):
+        raise Refusal(where, quantity, f"have {size} values", values)
+    if not np.isfinite(vector).all():
+        raise Refusal(where, quantity, "be finite", values)
+    return vector

@@ -1,0 +1,272 @@
+"""ROS node `servo`: joint targets and motor states in, motor commands and joint states out."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from dataclasses import dataclass
+
+import numpy as np
+import rclpy.clock
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from arm_emulator.joint_order import JointOrder
+from arm_emulator.node_shell import (
+    COMMAND_QOS,
+    NANOSECONDS,
+    STATE_PUB_QOS,
+    STATE_SUB_QOS,
+    Diagnostics,
+    declare_parameters,
+    nanoseconds_of,
+    run_node,
+    stamp,
+)
+from arm_emulator.parameters import parameter
+from arm_emulator.refusal import Refusal
+from arm_emulator_msgs.msg import MotorCommand, MotorState
+from servo_node.servo import FloatArray, Servo, ServoConfig
+from servo_node.servo_config import ROS_PARAMETERS
+from servo_node.watchdog import Watchdog, WatchdogState
+
+SILENCE_CHECK = 0.1  # s, wall
+
+
+@dataclass(frozen=True)
+class ServoNodeParameters:
+    """The node's own parameters; the servo's are those of `ServoConfig`."""
+
+    clock: str = parameter(
+        "lockstep",
+        "lockstep: wait for the joint targets of each motion period; realtime: take the newest",
+        choices=("lockstep", "realtime"),
+    )
+    joint_states_period: float = parameter(
+        0.01, "logical time between joint_states", unit="s", minimum=1e-6, maximum=10.0
+    )
+
+
+@dataclass(frozen=True)
+class _Measurement:
+    """A motor state in the servo's order of joints."""
+
+    tick: int
+    time_ns: int
+    counts: FloatArray
+    current: FloatArray
+    powered: bool
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Joint targets in the servo's order of joints."""
+
+    time_ns: int
+    q: FloatArray
+    v: FloatArray | None
+    tau: FloatArray | None
+
+
+class ServoNode(Node):
+    """The servo as a ROS node.
+
+    In lock-step each motor state is answered once, and at the start of a motion period only after
+    the joint targets that answer this period's joint states have come.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("servo", automatically_declare_parameters_from_overrides=True)
+        own = declare_parameters(self, ServoNodeParameters)
+        not_the_servos = (*ROS_PARAMETERS, *vars(own))
+        given = {
+            name: p.value
+            for name, p in self._parameters.items()
+            if name.split(".")[0] not in not_the_servos
+        }
+        self._config = ServoConfig.from_mapping(given, "parameters of node servo")
+        for name in given:
+            self.set_descriptor(name, ParameterDescriptor(read_only=True, dynamic_typing=True))
+        self._lockstep = own.clock == "lockstep"
+        self._joint_states_ticks = max(1, round(own.joint_states_period / self._config.period))
+        self._motion_ticks = round(self._config.motion_period / self._config.period)
+        names = self._config.joint_names
+        self._states_order = JointOrder("motor_states", names)
+        self._targets_order = JointOrder("joint_targets", names)
+        self._servo = Servo(self._config)
+        self._watchdog = Watchdog(self._config.hold_after, self._config.cut_after)
+        self._diagnostics = Diagnostics(self, "servo drives")
+        self._heard_at = time.monotonic()
+        self._start_over()
+
+        self._command = MotorCommand(joint_names=names)
+        self._joint_state = JointState(name=names)
+        self._commands = self.create_publisher(MotorCommand, "motor_commands", COMMAND_QOS)
+        self._joint_states = self.create_publisher(JointState, "joint_states", STATE_PUB_QOS)
+        self.create_subscription(MotorState, "motor_states", self._on_state, STATE_SUB_QOS)
+        self.create_subscription(JointState, "joint_targets", self._on_target, COMMAND_QOS)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
+        self.create_timer(SILENCE_CHECK, self._on_silence_check, clock=steady)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def _start_over(self) -> None:
+        self._servo.reset()
+        self._watchdog.reset()
+        self._newest: _Measurement | None = None
+        self._waiting = False  # for the joint targets of this motion period
+        self._cycle_ns = 0  # when this motion period began
+        self._silent = False  # no motor states, and the power is cut
+        self._target: _Target | None = None
+        self._hold: FloatArray | None = None
+
+    # Topics
+
+    def _on_state(self, message: MotorState) -> None:
+        self._heard_at = time.monotonic()
+        names = message.joint_names
+        try:
+            now = _Measurement(
+                int(message.tick),
+                nanoseconds_of(message.header.stamp),
+                self._states_order.arrange(names, message.encoder_counts, "encoder_counts", ""),
+                self._states_order.arrange(names, message.current, "current", "A"),
+                bool(message.powered),
+            )
+        except Refusal as reason:
+            self._diagnostics.refuse("motor_states", reason)
+            return
+        if self._newest is not None and now.tick == self._newest.tick:
+            self._say_again()
+            return
+        if self._newest is not None and now.tick < self._newest.tick:
+            self._diagnostics.ok("the emulator was reset")
+            self._start_over()
+        self._newest = now
+        self._silent = False
+        self._watchdog.state_came(now.time_ns / NANOSECONDS)
+        begins = self._lockstep and self._motion_ticks > 0 and now.tick % self._motion_ticks == 0
+        if begins:
+            self._waiting, self._cycle_ns = True, now.time_ns
+        self._servo.observe(now.counts, now.current)
+        if now.tick % self._joint_states_ticks == 0 or begins:
+            self._say_joint_states(now)
+        if not self._waiting:
+            self._answer(now)
+
+    def _on_target(self, message: JointState) -> None:
+        try:
+            target = self._read_target(message)
+        except Refusal as reason:
+            self._diagnostics.refuse("joint_targets", reason)
+            return
+        if self._lockstep and self._motion_ticks and not self._waiting:
+            return  # this motion period's targets, said again
+        self._target = target
+        newest = self._newest
+        if newest is not None:
+            self._watchdog.target_came(newest.time_ns / NANOSECONDS)
+        if self._waiting and newest is not None:
+            self._waiting = False
+            self._answer(newest)
+
+    def _read_target(self, message: JointState) -> _Target:
+        arrange, names = self._targets_order.arrange, message.name
+        target = _Target(
+            nanoseconds_of(message.header.stamp),
+            arrange(names, message.position, "position", "rad"),
+            arrange(names, message.velocity, "velocity", "rad/s") if message.velocity else None,
+            arrange(names, message.effort, "effort", "N m") if message.effort else None,
+        )
+        if self._lockstep and self._motion_ticks and target.time_ns != self._cycle_ns:
+            raise Refusal(
+                "joint_targets",
+                "header.stamp",
+                f"be that of the joint states it answers, {self._cycle_ns / NANOSECONDS:g} s",
+                f"{target.time_ns / NANOSECONDS:g} s",
+            )
+        return target
+
+    # The law
+
+    def _answer(self, now: _Measurement) -> None:
+        """Compute and say the voltages for the servo period that begins with `now`."""
+        voltage = self._voltage(now)
+        command = self._command
+        command.header.stamp = stamp(now.time_ns)
+        command.tick = now.tick
+        command.voltage = array("d", voltage.tobytes())
+        self._commands.publish(command)
+
+    def _voltage(self, now: _Measurement) -> FloatArray:
+        state = self._watchdog.check(now.time_ns / NANOSECONDS)
+        target = self._target
+        if state is WatchdogState.CUT or not now.powered:
+            self._diagnostics.error(
+                self._watchdog.reason if now.powered else "the drives' power is off"
+            )
+            self._hold = None
+            self._servo.release()
+            return np.zeros(len(now.counts))
+        if state is WatchdogState.HOLD or target is None:
+            self._diagnostics.warn(f"holding: {self._watchdog.reason}")
+            if self._hold is None:
+                self._hold = self._servo.q_measured
+            return self._servo.control(self._hold)
+        self._diagnostics.ok("following")
+        self._hold = None
+        return self._servo.control(target.q, target.v, target.tau)
+
+    # Telling
+
+    def _say_joint_states(self, now: _Measurement) -> None:
+        message = self._joint_state
+        message.header.stamp = stamp(now.time_ns)
+        message.position = array("d", self._servo.q_measured.tobytes())
+        message.velocity = array("d", self._servo.v_measured.tobytes())
+        self._joint_states.publish(message)
+
+    def _say_again(self) -> None:
+        """The emulator asks again: a partner came late, or lost a message."""
+        if self._newest is None:
+            return
+        if self._waiting:
+            self._say_joint_states(self._newest)
+            self._diagnostics.warn(
+                "waiting for the joint targets that answer "
+                f"t = {self._newest.time_ns / NANOSECONDS:g} s"
+            )
+        else:
+            self._commands.publish(self._command)
+
+    def _on_silence_check(self) -> None:
+        """Cut the power when a running machine falls silent.
+
+        In lock-step silence means that logical time stands still, and with it the arm.
+        """
+        silence = time.monotonic() - self._heard_at
+        if self._newest is None or silence < self._config.cut_after:
+            return
+        self._diagnostics.warn(f"no motor state for {silence:.0f} s")
+        if not self._lockstep and not self._silent:
+            self._silent = True
+            self._command.voltage = array("d", bytes(8 * len(self._config.joint_names)))
+            self._commands.publish(self._command)
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._start_over()
+        response.success, response.message = True, "servo and watchdog start over"
+        return response
+
+
+def main() -> None:
+    """Entry point of `ros2 run arm_emulator servo_node`."""
+    run_node(ServoNode)
+
+
+if __name__ == "__main__":
+    main()

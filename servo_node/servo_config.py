@@ -1,0 +1,272 @@
+"""What the servo knows of its joints: data-sheet values and gains, validated in one place."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from arm_emulator.refusal import Refusal
+
+# Parameters that every ROS 2 node has of itself; they are no business of the servo.
+ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """Which values a number may take, and how to say so."""
+
+    words: str
+    low: float
+    open: bool = True
+    integer: bool = False
+
+    def refuses(self, value: float) -> bool:
+        return value <= self.low if self.open else value < self.low
+
+
+def _positive(unit: str) -> dict[str, _Rule]:
+    return {"rule": _Rule(f"be a number > 0 {unit}".rstrip(), 0.0)}
+
+
+def _not_negative(unit: str) -> dict[str, _Rule]:
+    return {"rule": _Rule(f"be a number >= 0 {unit}".rstrip(), 0.0, open=False)}
+
+
+@dataclass(frozen=True)
+class JointServo:
+    """One joint as its drive sees it: motor, gear and encoder from the data sheets, and the gains.
+
+    Link-side quantities (``velocity_limit``, ``velocity_gain``) are those a joint has behind its
+    gear; ``gear_ratio`` is link turns per motor turn.
+    """
+
+    name: str
+    gear_ratio: float = field(metadata=_positive(""))
+    """Link turns per motor turn."""
+    counts_per_turn: int = field(
+        metadata={"rule": _Rule("be a whole number >= 1", 1.0, open=False, integer=True)}
+    )
+    """Encoder counts per motor turn."""
+    resistance: float = field(metadata=_positive("ohm"))
+    """Of the winding [ohm]."""
+    torque_constant: float = field(metadata=_positive("N m/A"))
+    """Motor torque per current [N m/A]."""
+    back_emf_constant: float = field(metadata=_not_negative("V s/rad"))
+    """Voltage per motor speed [V s/rad]."""
+    rotor_inertia: float = field(metadata=_positive("kg m2"))
+    """Of the rotor and the primary side of the gear [kg m2]."""
+    velocity_limit: float = field(metadata=_positive("rad/s"))
+    """Largest link speed that the position loop may ask for [rad/s]."""
+    position_gain: float = field(metadata=_positive("1/s"))
+    """Speed asked for per position error [1/s]."""
+    velocity_gain: float = field(metadata=_positive("N m s/rad"))
+    """Link torque asked for per link speed error [N m s/rad]."""
+    integral_time: float = field(metadata=_positive("s"))
+    """Reset time of the velocity loop's integral action [s]."""
+    observer_bandwidth: float = field(metadata=_positive("rad/s"))
+    """Where the three poles of the speed observer lie [rad/s]."""
+    inductance: float = field(default=0.0, metadata=_not_negative("H"))
+    """Of the winding [H]; 0: the current follows the voltage at once."""
+    current_limit: float = field(default=math.inf, metadata=_positive("A"))
+    """Largest current that the drive may ask for [A]; left out: only the voltage limits."""
+
+    @property
+    def count_angle(self) -> float:
+        """Link angle of one encoder count [rad]."""
+        return 2.0 * math.pi / self.counts_per_turn * self.gear_ratio
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """All that the servo is told: periods, supply and its joints in the order of its arrays."""
+
+    period: float
+    """Servo period [s]."""
+    motion_period: float
+    """Period of the joint targets in lock-step [s]; 0: targets come when they come."""
+    hold_after: float
+    """Silence after which the watchdog holds the joints where they are [s]."""
+    cut_after: float
+    """Silence after which the watchdog cuts the power [s]."""
+    supply_voltage: float
+    """Largest voltage at a motor, of either sign [V]."""
+    joints: tuple[JointServo, ...]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in the order of all arrays."""
+        return tuple(joint.name for joint in self.joints)
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> ServoConfig:
+        """Validate the parameters of a servo.
+
+        Args:
+            mapping: ``period``, ``motion_period``, ``hold_after``, ``cut_after``,
+                ``supply_voltage``, ``joint_names`` and, for each name, ``joints.<name>.<field of
+                JointServo>``. Nested mappings and ROS's dotted names are both taken.
+            where: name of their source, for refusals.
+
+        Raises:
+            Refusal: an unknown, missing or impossible value.
+        """
+        tree = _nested(mapping, where)
+        for name in ROS_PARAMETERS:
+            tree.pop(name, None)
+        names = _joint_names(tree.pop("joint_names", None), where)
+        tables = tree.pop("joints", None)
+        _check_keys(tables, names, where, "joints")
+        _check_keys(tree, _SCALARS, where, "")
+        scalars = {name: _number(tree[name], rule, where, name) for name, rule in _SCALARS.items()}
+        _check_periods(scalars, where)
+        joints = tuple(_joint(name, tables[name], where) for name in names)
+        for joint in joints:
+            _check_rates(joint, scalars["period"], where)
+        return cls(**scalars, joints=joints)
+
+
+_SCALARS = {
+    "period": _positive("s")["rule"],
+    "motion_period": _not_negative("s")["rule"],
+    "hold_after": _positive("s")["rule"],
+    "cut_after": _positive("s")["rule"],
+    "supply_voltage": _positive("V")["rule"],
+}
+_FIELDS = {f.name: f for f in fields(JointServo) if f.name != "name"}
+
+
+class _Loader(yaml.SafeLoader):
+    """Takes 1e-3 for a number as ROS does; YAML 1.1, PyYAML's dialect, wants 1.0e-3."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
+
+
+def load_servo_config(path: str | Path) -> ServoConfig:
+    """Read a ROS parameter file whose node is ``servo`` or ``/**``.
+
+    Raises:
+        Refusal: no such file, not a parameter file, or a value that is not taken.
+    """
+    path = Path(path)
+    where = path.name
+    try:
+        document = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except OSError as error:
+        raise Refusal(where, "the file", "be readable", error.strerror or error) from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise Refusal(where, "the file", "be YAML", error) from error
+    for node in ("servo", "/servo", "/**"):
+        section = document.get(node) if isinstance(document, Mapping) else None
+        if isinstance(section, Mapping) and isinstance(section.get("ros__parameters"), Mapping):
+            return ServoConfig.from_mapping(section["ros__parameters"], where)
+    keys = ", ".join(map(str, document)) if isinstance(document, Mapping) else type(document)
+    raise Refusal(
+        where, "the file", "hold the parameters of the node servo", keys, "servo: ros__parameters:"
+    )
+
+
+def _nested(mapping: object, where: str) -> dict[str, Any]:
+    """Return `mapping` with every dotted key unfolded into nested mappings."""
+    if not isinstance(mapping, Mapping):
+        raise Refusal(where, "the parameters", "be a mapping", mapping)
+    tree: dict[str, Any] = {}
+    for key, value in mapping.items():
+        *parents, leaf = str(key).split(".")
+        branch = tree
+        for parent in parents:
+            branch = branch.setdefault(parent, {})
+            if not isinstance(branch, dict):
+                raise Refusal(where, str(key), "be given once", value)
+        value = _nested(value, where) if isinstance(value, Mapping) else value
+        if isinstance(value, dict) and isinstance(branch.get(leaf), dict):
+            value = {**branch[leaf], **value}
+        branch[leaf] = value
+    return tree
+
+
+def _joint_names(value: object, where: str) -> tuple[str, ...]:
+    if (
+        not isinstance(value, list | tuple)
+        or not value
+        or not all(isinstance(name, str) and name for name in value)
+        or len(set(value)) != len(value)
+    ):
+        raise Refusal(where, "joint_names", "be a list of different joint names", value)
+    return tuple(value)
+
+
+def _check_keys(table: object, allowed: Any, where: str, path: str) -> None:
+    """Refuse a table that is none, lacks one of `allowed` or has anything else."""
+    if not isinstance(table, Mapping):
+        raise Refusal(where, path, "be a mapping", table)
+    prefix = f"{path}." if path else ""
+    valid = ", ".join(allowed)
+    for key in table:
+        if key not in allowed:
+            raise Refusal(where, f"{prefix}{key}", "be a known key", "an unknown one", valid)
+    for key in allowed:
+        if key not in table:
+            raise Refusal(where, f"{prefix}{key}", "be given", "nothing")
+
+
+def _number(value: object, rule: _Rule, where: str, path: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise Refusal(where, path, rule.words, repr(value))
+    whole = not rule.integer or float(value).is_integer()
+    if not math.isfinite(value) or rule.refuses(value) or not whole:
+        raise Refusal(where, path, rule.words, value)
+    return int(value) if rule.integer else float(value)
+
+
+def _joint(name: str, table: Any, where: str) -> JointServo:
+    path = f"joints.{name}"
+    optional = {
+        key: f.default
+        for key, f in _FIELDS.items()
+        if f.default is not MISSING and (not isinstance(table, Mapping) or key not in table)
+    }
+    if isinstance(table, Mapping):
+        table = {**optional, **table}
+    _check_keys(table, _FIELDS, where, path)
+    values: dict[str, Any] = {
+        key: value
+        if key in optional
+        else _number(value, _FIELDS[key].metadata["rule"], where, f"{path}.{key}")
+        for key, value in table.items()
+    }
+    return JointServo(name=name, **values)
+
+
+def _check_periods(scalars: Mapping[str, float], where: str) -> None:
+    period, motion_period = scalars["period"], scalars["motion_period"]
+    cycles = motion_period / period
+    if abs(cycles - round(cycles)) > 1e-9 * max(1.0, cycles):
+        raise Refusal(
+            where, "motion_period", f"be a whole multiple of period = {period} s", motion_period
+        )
+    if scalars["cut_after"] <= scalars["hold_after"]:
+        rule = f"be > hold_after = {scalars['hold_after']} s"
+        raise Refusal(where, "cut_after", rule, scalars["cut_after"])
+
+
+def _check_rates(joint: JointServo, period: float, where: str) -> None:
+    """Refuse what a law that is computed once per period cannot do."""
+    path = f"joints.{joint.name}"
+    fastest = 1.0 / period
+    for key in ("observer_bandwidth", "position_gain"):
+        if (value := getattr(joint, key)) > fastest:
+            raise Refusal(where, f"{path}.{key}", f"be <= 1/period = {fastest:g} 1/s", value)
+    if joint.integral_time < period:
+        rule = f"be >= period = {period} s"
+        raise Refusal(where, f"{path}.integral_time", rule, joint.integral_time)

@@ -1,0 +1,46 @@
+"""Install the ROS package arm_emulator: four Python packages, the scenes and the launch files."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "arm_emulator"
+PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
+
+
+def share(folder: str) -> list[tuple[str, list[str]]]:
+    """List every file below `folder` with the place below share/ where it is installed."""
+    files: dict[str, list[str]] = {}
+    for path in sorted(Path(folder).rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            files.setdefault(f"share/{NAME}/{path.parent.as_posix()}", []).append(path.as_posix())
+    return list(files.items())
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="An emulated arm robot, its servo and its motion controller as ROS 2 nodes.",
+    license="Apache-2.0",
+    maintainer="arm_emulator developers",
+    maintainer_email="arm_emulator@example.org",
+    packages=find_packages(include=[name + tail for name in PACKAGES for tail in ("", ".*")]),
+    package_data={"emulator_node": ["core/*.hpp"], "": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *share("config"),
+        *share("launch"),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},  # colcon test then knows the runner
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "arm_emulator = arm_emulator.__main__:main",
+            "emulator_node = emulator_node.node:main",
+            "motion_controller_node = motion_controller_node.node:main",
+            "servo_node = servo_node.node:main",
+        ],
+    },
+)
