@@ -29,7 +29,7 @@ CACHE_VARIABLE = "ARM_EMULATOR_CACHE"
 # Finiteness is checked on bit patterns (core/machine.hpp).
 FLAGS = (
     "-std=c++20 -O3 -shared -fPIC -fvisibility=hidden -fno-math-errno -fno-trapping-math "
-    "-fno-signed-zeros -fassociative-math -ffinite-math-only -freciprocal-math"
+    "-pthread -fno-signed-zeros -fassociative-math -ffinite-math-only -freciprocal-math"
 ).split()
 
 # Targets that `arm_emulator compile` can build for, best first; "native" is this machine's.
@@ -139,6 +139,8 @@ def scene_unit(scene: Scene) -> str:
 struct Scene {{
   static constexpr int N = {len(scene.joints)};
   static constexpr arm::Scheme scheme = arm::Scheme::{scene.integrator.scheme};
+  static constexpr int threads = {scene.threads};
+  static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
   static constexpr double supply_voltage = {_number(scene.supply_voltage)};
   static constexpr arm::Vec3 gravity = {_list(gravity)};
   static constexpr arm::Joint joint[N] = {{

@@ -263,7 +263,8 @@ class EmulatorNode(Node):
         response.message = (
             f"{'paused' if request.data else 'going on'} at tick {self._session.tick}"
         )
-        if not request.data and self._session.lockstep and self._session.answered:
+        session = self._session
+        if session.lockstep and session.answered and session.may_advance:
             self._advance()
         return response
 
@@ -273,6 +274,8 @@ class EmulatorNode(Node):
         if response.success:
             self._tell()
             response.message = f"at tick {self._session.tick}"
+        elif self._session.fault is not None:
+            self._diagnostics.error(str(self._session.fault))
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -68,7 +68,7 @@ class Plant:
         self.scene = scene
         self._core = _declare(library_of(scene))
         self._N = len(scene.joints)
-        self._machine = self._core.arm_new(scene.integrator.dt)
+        self._machine = self._core.arm_new(scene.integrator.dt, scene.cores[1])
         self._voltage = np.zeros(self._N)
         self._voltage_pointer = _pointer(self._voltage)
         self._buffer = np.zeros((6, self._N))
@@ -139,7 +139,7 @@ class Plant:
             Refusal: wrong shape, not finite, or a negative count; the state is as before.
             Diverged: as `advance`.
         """
-        rows = np.array(voltages, dtype=np.float64, ndmin=2)
+        rows = np.array(voltages, dtype=np.float64, ndmin=2, order="C")
         if rows.ndim != 2 or rows.shape[1] != self._N:
             raise Refusal("Plant.run", "voltages", f"have shape (K, {self._N})", rows.shape)
         if not np.isfinite(rows).all():
@@ -208,7 +208,7 @@ def _declare(core: ctypes.CDLL) -> ctypes.CDLL:
     """Tell ctypes the signatures of core/abi.hpp."""
     pointer, count = ctypes.c_void_p, ctypes.c_int64
     for name, result, arguments in (
-        ("arm_new", pointer, [ctypes.c_double]),
+        ("arm_new", pointer, [ctypes.c_double, ctypes.c_int]),
         ("arm_delete", None, [pointer]),
         ("arm_reset", None, [pointer] * 3),
         ("arm_advance", ctypes.c_int, [pointer, pointer, count]),

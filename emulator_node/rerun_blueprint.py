@@ -92,7 +92,7 @@ def blueprint(
             origin="/tool",
             contents=["+ /tool/**"],
             spatial_information=here,
-            eye_controls=rrb.EyeControls3D(position=tool + 0.05 * EYE, look_target=tool),
+            eye_controls=rrb.EyeControls3D(position=tool + 0.08 * EYE, look_target=tool),
             line_grid=rrb.LineGrid3D(spacing=0.01, plane=level),
             overrides={TOOL_PATH: behind},
         )

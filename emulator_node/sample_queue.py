@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
 
 
 class SampleQueue:
     """Samples of `width` quantities for `joints` joints, from one writer to one reader.
 
-    `put` never blocks, never raises and copies into memory that is there already. When the reader
-    has fallen behind by `capacity` samples, new ones are dropped and counted in `dropped`. No lock
-    is needed: only the writer moves `_written`, only the reader moves `_read`, each of them after
-    it is done with the memory.
+    `put` never blocks, never raises and only copies the arrays. To make rows of them, and to find
+    those that are none, is the reader's part. When the reader has fallen behind by `capacity`
+    samples, new ones are dropped.
 
     Attributes:
         dropped: samples that found no place, or were none.
@@ -20,41 +25,43 @@ class SampleQueue:
     """
 
     def __init__(self, capacity: int, width: int, joints: int) -> None:
-        self.capacity = capacity
         self.dropped = 0
         self.newest = 0
-        self._times = np.zeros(capacity, np.int64)
-        self._rows = np.zeros((capacity, width, joints))
-        self._written = 0
-        self._read = 0
+        self._capacity = capacity
+        self._shape = (width, joints)
+        # Appending and popping are safe between threads.
+        self._samples: deque[tuple[int, list[Array]]] = deque()
 
-    def put(self, time: int, *quantities: ArrayLike | None) -> None:
-        """Append one sample: its time [ns] and, per quantity, (joints,) values; None is NaN."""
-        written = self._written
-        if written - self._read >= self.capacity:
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def put(self, time: int, quantities: Sequence[Array]) -> None:
+        """Append one sample: its time [ns] and, per quantity, (joints,) values."""
+        if len(self._samples) >= self._capacity:
             self.dropped += 1
             return
-        slot = written % self.capacity
-        row = self._rows[slot]
         try:
-            self._times[slot] = time
-            for index, values in enumerate(quantities):
-                row[index] = np.nan if values is None else values
-        except (TypeError, ValueError, IndexError, OverflowError):
+            self._samples.append((time, [values.copy() for values in quantities]))
+        except Exception:  # numbers without `copy`, or no quantities at all
             self.dropped += 1
             return
         self.newest = time
-        self._written = written + 1
 
-    def __len__(self) -> int:
-        return self._written - self._read
-
-    def take(self, limit: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def take(self, limit: int) -> tuple[Times, Array]:
         """Remove and return up to `limit` oldest samples: times (K,) [ns], rows (K, width, N)."""
-        first = self._read % self.capacity
-        # A piece ends where the memory ends: the next call goes on from its start.
-        count = min(len(self), limit, self.capacity - first)
-        times = self._times[first : first + count].copy()
-        rows = self._rows[first : first + count].copy()
-        self._read += count
-        return times, rows
+        count = min(len(self._samples), limit)
+        return self._stack([self._samples.popleft() for _ in range(count)])
+
+    def _stack(self, samples: list[tuple[int, list[Array]]]) -> tuple[Times, Array]:
+        try:
+            times = np.array([time for time, _ in samples], np.int64)
+            rows = np.array([quantities for _, quantities in samples], np.float64)
+            if times.ndim == 1 and rows.shape == (len(samples), *self._shape):
+                return times, rows
+        except (TypeError, ValueError, OverflowError):
+            pass
+        if len(samples) > 1:  # leave out those that are at fault
+            parts = [self._stack([sample]) for sample in samples]
+            return np.concatenate([t for t, _ in parts]), np.concatenate([r for _, r in parts])
+        self.dropped += len(samples)
+        return np.empty(0, np.int64), np.empty((0, *self._shape))

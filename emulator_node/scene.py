@@ -22,6 +22,7 @@ from arm_emulator.yaml_file import read_yaml
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 
 SCHEMES = ("rosenbrock", "implicit", "paper")
+EXCHANGES = ("predict", "lag")
 LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
 
 
@@ -80,6 +81,7 @@ class Integrator:
 
     scheme: str
     dt: float
+    exchange: str  # between two threads, see core/two_threads.hpp
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ class Scene:
     integrator: Integrator
     servo_period: float  # s
     threads: int
+    cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -158,11 +161,16 @@ def _build(root: _Section, file: Path) -> Scene:
     integrator = Integrator(
         scheme=integrator_section.choice("scheme", SCHEMES, default=SCHEMES[0]),
         dt=integrator_section.number("dt", "s", at_least=1e-9, at_most=1.0),
+        exchange=integrator_section.choice("exchange", EXCHANGES, default=EXCHANGES[0]),
     )
     integrator_section.finish()
     servo_period = root.number("servo_period", "s", at_least=1e-6, at_most=1.0)
     _check_periods(servo_period, integrator.dt, where)
-    threads = root.integer("threads", default=1, at_least=1, at_most=1)
+    threads = root.integer("threads", default=1, at_least=1, at_most=2)
+    if threads == 2 and integrator.scheme == "rosenbrock":
+        rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
+        raise root.refusal("threads", rule, 2, "2 with scheme paper or implicit")
+    cores = _cores(root)
     root.finish()
     return Scene(
         name=name,
@@ -176,7 +184,19 @@ def _build(root: _Section, file: Path) -> Scene:
         integrator=integrator,
         servo_period=servo_period,
         threads=threads,
+        cores=cores,
     )
+
+
+def _cores(root: _Section) -> tuple[int, int]:
+    cores = root.vector("cores", "core number", bound=1023.0, size=2)
+    if cores is None:
+        return -1, -1
+    available = os.sched_getaffinity(0)
+    if not set(cores) <= available:
+        valid = ", ".join(map(str, sorted(available)))
+        raise root.refusal("cores", "be cores of this machine", list(cores), valid)
+    return int(cores[0]), int(cores[1])
 
 
 def _joints(root: _Section, chain: Chain, urdf_name: str) -> tuple[Joint, ...]:

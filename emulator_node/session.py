@@ -153,4 +153,4 @@ class Session:
         if self.lockstep and self._commanded is not None and not self.answered:
             return f"no motor command answers tick {self.tick} yet"
         self.advance()
-        return ""
+        return "" if self.fault is None else f"stopped: {self.fault}"

@@ -12,7 +12,7 @@ using TheLinks = arm::Links<Scene>;
 static constexpr int N = Scene::N;
 #pragma GCC visibility push(default)
 extern "C" {
-TheMachine* arm_new(double dt) { return new TheMachine(dt); }
+TheMachine* arm_new(double dt, int core) { return new TheMachine(dt, core); }
 void arm_delete(TheMachine* machine) { delete machine; }
 void arm_reset(TheMachine* machine, const double* q, const double* v) { machine->reset(q, v); }
 int arm_advance(TheMachine* machine, const double* voltage, std::int64_t steps) {

@@ -73,8 +73,15 @@ class LinearlyImplicit {
 
   // From sample k to k + 1 with the voltages V.
   ARM_INLINE void step(State<N>& x, const double (&V)[N]) {
+    typename Links<S>::Dynamics links;
+    Links<S>::dynamics(x.q, x.v, links);
+    step(x, V, links);
+  }
+
+  // The same with the links' part at sample k from elsewhere; it is used up.
+  ARM_INLINE void step(State<N>& x, const double (&V)[N], typename Links<S>::Dynamics& links) {
     Rates k1, k2;
-    first_stage(x, V, k1);
+    first_stage(x, V, links, k1);
     if constexpr (two_stages) {
       State<N> y = x;
       advance(y, k1, h);
@@ -92,18 +99,14 @@ class LinearlyImplicit {
   using Rates = State<N>;
   using Rows = State<N>;  // right-hand sides: L r_i, r_tm, Mm r_wm, r_q, and the torque r_v
 
-  ARM_INLINE void first_stage(State<N>& x, const double (&V)[N], Rates& k) {
-    typename Links<S>::Kinematics kinematics;
-    typename Links<S>::MassMatrix W;
-    double nle[N];
+  ARM_INLINE void first_stage(State<N>& x, const double (&V)[N], typename Links<S>::Dynamics& links,
+                              Rates& k) {
+    auto& W = links.M;
     Rows r;
-    Links<S>::kinematics(x.q, kinematics);
-    Links<S>::inverse_dynamics(kinematics, x.v, nullptr, nle);
-    Links<S>::mass_matrix(kinematics, W);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       follow_voltage(x, V, j);
       choose_elimination(x, V, j);
-      right_hand_side(x, V, nle, j, r);
+      right_hand_side(x, V, links.nle, j, r);
       W.at[j][j] += carried_rotor(S::joint[j]) + s * (S::joint[j].Dl + motor[j].b);
       M_k1[j] = k.v[j] = r.v[j] + s * link_side(r, j);
     });

@@ -61,6 +61,12 @@ struct Links {
     double at[N][N];  // the lower triangle, row >= column, is set
   };
 
+  // All that the equation of motion takes from the links at one (q, v).
+  struct Dynamics {
+    double nle[N];
+    MassMatrix M;
+  };
+
   static ARM_INLINE constexpr bool revolute(int i) {
     return S::joint[i].kind == JointKind::revolute;
   }
@@ -120,6 +126,13 @@ struct Links {
       });
       if (j > 0) carried = sum(S::joint[j > 0 ? j - 1 : 0].body, k.link[j], carried);
     });
+  }
+
+  static ARM_INLINE void dynamics(const double (&q)[N], const double (&v)[N], Dynamics& links) {
+    Kinematics k;
+    kinematics(q, k);
+    inverse_dynamics(k, v, nullptr, links.nle);
+    mass_matrix(k, links.M);
   }
 
   // Kinetic energy is v^T M v / 2; this is the potential energy in the field S::gravity, zero with

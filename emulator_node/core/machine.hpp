@@ -7,6 +7,7 @@
 
 #include "linearly_implicit.hpp"
 #include "paper_scheme.hpp"
+#include "two_threads.hpp"
 
 namespace arm {
 
@@ -18,7 +19,11 @@ class Machine {
   using Stepper =
       std::conditional_t<S::scheme == Scheme::paper, PaperScheme<S>, LinearlyImplicit<S>>;
 
-  explicit Machine(double dt) : h(dt), stepper(dt) {}
+  using Threads =
+      std::conditional_t<S::threads == 2, TwoThreads<S, Stepper>, OneThread<S, Stepper>>;
+
+  // `core`: of the second thread, if there is one; -1: any.
+  Machine(double dt, int core) : h(dt), threads(dt, core) {}
 
   // Put the links at (q, v), the motors along with them: no current, gears unloaded.
   void reset(const double* q, const double* v) {
@@ -31,6 +36,7 @@ class Machine {
       x.wm[j] = v[j] / Ng;
       V[j] = 0.0;
     }
+    threads.reset(x);
     steps = 0;
   }
 
@@ -38,17 +44,20 @@ class Machine {
   // went out of bounds: then the state is the last one within.
   int advance(const double* voltage, std::int64_t count) {
     for (int j = 0; j < N; ++j) V[j] = clamp(voltage[j], S::supply_voltage);
+    threads.begin(count);
     while (count > 0) {
       const int chunk = count < kCheckEvery ? static_cast<int>(count) : kCheckEvery;
       const State<N> before = x;
+      const auto memory = threads.memory();
       run(chunk);
       if (joint_out_of_bounds(x) >= 0) {
-        x = before;
+        go_back(before, memory);
         return creep_to_the_fault(chunk);
       }
       steps += chunk;
       count -= chunk;
     }
+    threads.end();
     return -1;
   }
 
@@ -60,16 +69,13 @@ class Machine {
   void gear_torques(Vector& T) const {
     Vector a = {};
     if constexpr (any_rigid()) {
-      typename Links<S>::Kinematics k;
-      typename Links<S>::MassMatrix M;
-      Links<S>::kinematics(x.q, k);
-      Links<S>::inverse_dynamics(k, x.v, nullptr, a);
-      Links<S>::mass_matrix(k, M);
+      typename Links<S>::Dynamics links;
+      Links<S>::dynamics(x.q, x.v, links);
       for (int j = 0; j < N; ++j) {
-        M.at[j][j] += carried_rotor(S::joint[j]);
-        a[j] = drive_torque(S::joint[j], x, j) - a[j] - S::joint[j].Dl * x.v[j];
+        links.M.at[j][j] += carried_rotor(S::joint[j]);
+        a[j] = drive_torque(S::joint[j], x, j) - links.nle[j] - S::joint[j].Dl * x.v[j];
       }
-      Friction<S>().solve(M.at, x.v, a);
+      Friction<S>().solve(links.M.at, x.v, a);
     }
     for (int j = 0; j < N; ++j)
       T[j] = drive_torque(S::joint[j], x, j) - carried_rotor(S::joint[j]) * a[j];
@@ -102,19 +108,28 @@ class Machine {
   // Not inlined: every step, however it is asked for, runs the same instructions and gives the same
   // bits.
   __attribute__((noinline)) void run(int count) {
-    for (int s = 0; s < count; ++s) stepper.step(x, V);
+    threads.run(x, V, count);
+  }
+
+  void go_back(const State<N>& before, const typename Threads::Memory& memory) {
+    threads.end();
+    threads.restore(memory);
+    x = before;
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
   int creep_to_the_fault(int chunk) {
     for (int s = 0; s < chunk; ++s) {
       const State<N> before = x;
+      const auto memory = threads.memory();
+      threads.begin(1);
       run(1);
       const int joint = joint_out_of_bounds(x);
       if (joint >= 0) {
-        x = before;
+        go_back(before, memory);
         return joint;
       }
+      threads.end();
       ++steps;
     }
     __builtin_unreachable();  // the same steps as before end at the same fault
@@ -143,7 +158,7 @@ class Machine {
   }
 
   double h;
-  Stepper stepper;
+  Threads threads;
   State<N> x = {};
   Vector V = {};
   std::int64_t steps = 0;

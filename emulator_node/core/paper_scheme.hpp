@@ -19,11 +19,18 @@ class PaperScheme {
       if (S::joint[j].motor.present) motor[j] = motor_step(S::joint[j].motor, S::joint[j].gear, h);
   }
 
-  // From sample k to k + 1 with the voltages V.
+  // From sample k to k + 1 with the voltages V, the links' part taken at sample k.
   ARM_INLINE void step(State<N>& x, const double (&V)[N]) {
+    typename Links<S>::Dynamics links;
+    Links<S>::dynamics(x.q, x.v, links);
+    step(x, V, links);
+  }
+
+  // The same with the links' part from elsewhere; it is used up.
+  ARM_INLINE void step(State<N>& x, const double (&V)[N], typename Links<S>::Dynamics& links) {
     double a[N];
     motors(x, V);
-    accelerations(x, a);
+    accelerations(x, links, a);
     integrate(x, a);
   }
 
@@ -42,18 +49,13 @@ class PaperScheme {
   }
 
   // Eq. (4) with the motors at sample k + 1.
-  ARM_INLINE void accelerations(const State<N>& x, double (&a)[N]) {
-    typename Links<S>::Kinematics k;
-    typename Links<S>::MassMatrix M;
-    double nle[N];
-    Links<S>::kinematics(x.q, k);
-    Links<S>::inverse_dynamics(k, x.v, nullptr, nle);
-    Links<S>::mass_matrix(k, M);
+  ARM_INLINE void accelerations(const State<N>& x, typename Links<S>::Dynamics& links,
+                                double (&a)[N]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      M.at[j][j] += carried_rotor(S::joint[j]);
-      a[j] = drive_torque(S::joint[j], x, j) - nle[j] - S::joint[j].Dl * x.v[j];
+      links.M.at[j][j] += carried_rotor(S::joint[j]);
+      a[j] = drive_torque(S::joint[j], x, j) - links.nle[j] - S::joint[j].Dl * x.v[j];
     });
-    friction.solve(M.at, x.v, a);
+    friction.solve(links.M.at, x.v, a);
   }
 
   ARM_INLINE void integrate(State<N>& x, const double (&a)[N]) const {

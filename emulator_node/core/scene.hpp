@@ -7,6 +7,8 @@
 namespace arm {
 
 enum class Scheme { paper, implicit, rosenbrock };
+// What two threads exchange: see two_threads.hpp.
+enum class Exchange { lag, predict };
 enum class JointKind { revolute, prismatic };
 
 // Armature circuit and rotor, eq. (1) and (2).

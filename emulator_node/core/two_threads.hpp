@@ -1,0 +1,197 @@
+// The paper's two threads (Fig. 6): while the motor thread takes step k, the Newton-Euler thread
+// works out the links' part at the angles of sample k, for step k + 1.
+//
+//   motor thread            step k - 1      | step k            | step k + 1
+//                           uses links(k-2) | uses links(k-1)   | uses links(k)
+//   Newton-Euler thread     links(k-1)      | links(k)          | links(k+1)
+//
+// So every step takes M and nle from one sample ago. With Exchange::lag they are those of that
+// sample, as in the paper: an error of first order in the step. With Exchange::predict they are those
+// of the state to which that sample's speeds and accelerations lead: the error is of second order.
+//
+// The threads are kept in step by two counters. Which results are exchanged depends on the number of
+// the step alone, never on who was faster, so the motion is the same to the last bit on every run.
+// Within a burst both threads spin; between bursts the Newton-Euler thread sleeps.
+#pragma once
+
+#include <pthread.h>
+#include <sched.h>
+
+#include <atomic>
+#include <cstdint>
+#include <thread>
+
+#include "links.hpp"
+#include "state.hpp"
+
+namespace arm {
+
+// Spin politely: after a while let others run, who may be what is waited for if there is one core.
+class Spin {
+ public:
+  void operator()() {
+    if (++count % 256 == 0)
+      std::this_thread::yield();
+#ifdef __x86_64__
+    else
+      __builtin_ia32_pause();
+#endif
+  }
+
+ private:
+  int count = 0;
+};
+
+template <class S, class Stepper>
+class TwoThreads {
+ public:
+  static constexpr int N = S::N;
+  using Dynamics = typename Links<S>::Dynamics;
+
+  // `core`: of the Newton-Euler thread; -1: wherever the system puts it.
+  TwoThreads(double step, int core) : h(step), stepper(step), newton_euler([this] { work(); }) {
+    if (core >= 0) {
+      cpu_set_t cores;
+      CPU_ZERO(&cores);
+      CPU_SET(static_cast<unsigned>(core), &cores);
+      pthread_setaffinity_np(newton_euler.native_handle(), sizeof cores, &cores);
+    }
+  }
+
+  ~TwoThreads() {
+    stopping.store(true);
+    wake();
+  }
+
+  // What a step takes from the past, beside the state: speeds and links' part of one sample ago.
+  struct Memory {
+    double v[N];
+    double q_links[N], v_links[N];  // where that links' part was taken
+  };
+
+  // Begin at a state with no past.
+  void reset(const State<N>& x) {
+    for (int j = 0; j < N; ++j) {
+      past.v[j] = past.v_links[j] = x.v[j];
+      past.q_links[j] = x.q[j];
+    }
+    restore(past);
+  }
+
+  const Memory& memory() const { return past; }
+
+  // Go back to a memory. The links' part is worked out anew, by the same instructions.
+  void restore(const Memory& memory) {
+    past = memory;
+    evaluate(past.q_links, past.v_links, links[(asked.load() + 1) & 1]);
+  }
+
+  // A burst of `count` steps is coming, in one or several calls of `run`.
+  void begin(std::int64_t count) {
+    target.store(asked.load() + count);
+    wake();
+  }
+
+  // The burst is over, or broken off. The Newton-Euler thread goes to sleep.
+  void end() {
+    target.store(asked.load());
+    wait_for(asked.load());
+  }
+
+  void run(State<N>& x, const double (&V)[N], int count) {
+    for (int s = 0; s < count; ++s) {
+      const std::int64_t k = asked.load(std::memory_order_relaxed);
+      Sample& sample = samples[k & 1];
+      for (int j = 0; j < N; ++j) {
+        const double change = x.v[j] - past.v[j];
+        const double ahead = S::exchange == Exchange::predict ? 1.0 : 0.0;
+        sample.v[j] = past.v_links[j] = x.v[j] + ahead * change;
+        sample.q[j] = past.q_links[j] = x.q[j] + ahead * h * (x.v[j] + end_of_step * change);
+        past.v[j] = x.v[j];
+      }
+      asked.store(k + 1, std::memory_order_release);
+      wait_for(k);
+      stepper.step(x, V, links[(k + 1) & 1]);
+    }
+  }
+
+ private:
+  // The paper's links move on with the speed at a step's beginning, implicit ones with that at its
+  // end.
+  static constexpr double end_of_step = S::scheme == Scheme::paper ? 0.0 : 1.0;
+
+  struct alignas(64) Sample {
+    double q[N], v[N];
+  };
+
+  // Not inlined: the same bits whichever thread works.
+  __attribute__((noinline)) static void evaluate(const double (&q)[N], const double (&v)[N],
+                                                 Dynamics& result) {
+    Links<S>::dynamics(q, v, result);
+  }
+
+  // The Newton-Euler thread.
+  void work() {
+    std::int64_t k = 0;
+    for (;;) {
+      const std::uint32_t seen = alarm.load();
+      while (k < target.load(std::memory_order_relaxed)) {
+        Spin spin;
+        while (asked.load(std::memory_order_acquire) == k &&
+               k < target.load(std::memory_order_relaxed))
+          spin();
+        if (asked.load(std::memory_order_acquire) == k) break;
+        evaluate(samples[k & 1].q, samples[k & 1].v, links[k & 1]);
+        done.store(++k, std::memory_order_release);
+      }
+      if (stopping.load()) return;
+      alarm.wait(seen);
+    }
+  }
+
+  // Until the links' parts of the first `k` samples are there.
+  void wait_for(std::int64_t k) const {
+    Spin spin;
+    while (done.load(std::memory_order_acquire) < k) spin();
+  }
+
+  void wake() {
+    alarm.fetch_add(1);
+    alarm.notify_one();
+  }
+
+  double h;
+  Memory past = {};
+  Sample samples[2] = {};
+  alignas(64) Dynamics links[2] = {};
+  // Each counter on a cache line of its own: who writes it does not disturb who reads the other.
+  alignas(64) std::atomic<std::int64_t> asked = 0;   // samples handed to the Newton-Euler thread
+  alignas(64) std::atomic<std::int64_t> done = 0;    // links' parts that are ready
+  alignas(64) std::atomic<std::int64_t> target = 0;  // samples that the burst will have handed over
+  std::atomic<std::uint32_t> alarm = 0;              // changes to wake the sleeper
+  std::atomic<bool> stopping = false;
+  alignas(64) Stepper stepper;
+  std::jthread newton_euler;  // last: it uses all of the above
+};
+
+// One thread: the sequential reference, with the same face.
+template <class S, class Stepper>
+class OneThread {
+ public:
+  struct Memory {};
+
+  OneThread(double step, int) : stepper(step) {}
+  void reset(const State<S::N>&) {}
+  Memory memory() const { return {}; }
+  void restore(Memory) {}
+  void begin(std::int64_t) {}
+  void end() {}
+  ARM_INLINE void run(State<S::N>& x, const double (&V)[S::N], int count) {
+    for (int s = 0; s < count; ++s) stepper.step(x, V);
+  }
+
+ private:
+  Stepper stepper;
+};
+
+}  // namespace arm
