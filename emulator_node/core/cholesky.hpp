@@ -7,32 +7,44 @@ namespace arm {
 
 template <int N>
 struct Cholesky {
-  double L[N][N];  // below the diagonal
+  double L[N][N];  // L[j][k] is row k, column j of the factor, k > j
   double inverse_D[N];
 
-  // Factor the matrix whose lower triangle is in `M`.
-  ARM_INLINE void factor(const double (&M)[N][N]) {
+  // Factor the matrix whose upper triangle is in `M`, which is used up.
+  ARM_INLINE void factor(double (&M)[N][N]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      double LD[N];
-      double d = M[j][j];
-      for (int k = 0; k < j; ++k) {
-        LD[k] = M[j][k];
-        for (int m = 0; m < k; ++m) LD[k] -= LD[m] * L[k][m];
-        L[j][k] = LD[k] * inverse_D[k];
-        d -= LD[k] * L[j][k];
-      }
-      inverse_D[j] = 1.0 / d;
+      inverse_D[j] = 1.0 / M[j][j];
+      for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
+        L[j][k] = M[j][k] * inverse_D[j];
+        for_each_from<N>(
+            k, [&](auto i) __attribute__((always_inline)) { M[k][i] -= L[j][k] * M[j][i]; });
+      });
     });
   }
 
   ARM_INLINE void solve(double (&x)[N]) const {
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      for (int k = 0; k < j; ++k) x[j] -= L[j][k] * x[k];
+    for_each<N, kUnroll>([&](auto j) __attribute__((always_inline)) {
+      for_each_from<N>(next(j),
+                       [&](auto k) __attribute__((always_inline)) { x[k] -= L[j][k] * x[j]; });
     });
-    for_each_reverse<N>([&](auto j) __attribute__((always_inline)) {
-      x[j] *= inverse_D[j];
-      for (int k = j + 1; k < N; ++k) x[j] -= L[k][j] * x[k];
+    for_each_reverse<N, kUnroll>([&](auto j) __attribute__((always_inline)) {
+      double sum = x[j] * inverse_D[j];
+      for_each_from<N>(next(j),
+                       [&](auto k) __attribute__((always_inline)) { sum -= L[j][k] * x[k]; });
+      x[j] = sum;
     });
+  }
+
+ private:
+  // Short dependent loops: unrolling pays up to larger sizes than elsewhere.
+  static constexpr int kUnroll = 24;
+
+  template <class Index>
+  static ARM_INLINE constexpr auto next(Index j) {
+    if constexpr (std::is_same_v<Index, int>)
+      return j + 1;
+    else
+      return std::integral_constant<int, Index::value + 1>{};
   }
 };
 

@@ -71,7 +71,7 @@ class Friction {
   void factor_unlocked(const double (&W)[N][N]) {
     double free[N][N];
     for (int j = 0; j < N; ++j)
-      for (int k = 0; k <= j; ++k)
+      for (int k = j; k < N; ++k)
         free[j][k] = !locked[j] && !locked[k] ? W[j][k] : j == k ? 1.0 : 0.0;
     factors.factor(free);
   }
@@ -83,7 +83,7 @@ class Friction {
     for (int j = 0; j < N; ++j) {
       if (!locked[j]) continue;
       double torque = rhs[j];  // that the lock holds
-      for (int k = 0; k < N; ++k) torque -= (k <= j ? W[j][k] : W[k][j]) * x[k];
+      for (int k = 0; k < N; ++k) torque -= (k >= j ? W[j][k] : W[k][j]) * x[k];
       const double size = torque < 0.0 ? -torque : torque;
       if (size - S::joint[j].Ds > excess) {
         worst = j;

@@ -58,7 +58,7 @@ struct Links {
   };
 
   struct MassMatrix {
-    double at[N][N];  // the lower triangle, row >= column, is set
+    double at[N][N];  // the upper triangle, row <= column, is set
   };
 
   // All that the equation of motion takes from the links at one (q, v).
@@ -112,19 +112,27 @@ struct Links {
   }
 
   // Mass matrix: the inertia of all that joint j carries, moved with unit acceleration of joint j,
-  // seen by every joint i <= j.
+  // seen by every joint i <= j. The wrenches of all those j go down the chain side by side.
   static ARM_INLINE void mass_matrix(const Kinematics& k, MassMatrix& M) {
+    double fx[N], fy[N], fz[N], nx[N], ny[N], nz[N];
     Body carried = S::joint[N - 1].body;
-    for_each_reverse<N>([&](auto j) __attribute__((always_inline)) {
-      Wrench w = revolute(j) ? Wrench{{-carried.h.y, carried.h.x, 0.0},
-                                      {carried.I.xz, carried.I.yz, carried.I.zz}}
-                             : Wrench{{0.0, 0.0, carried.m}, {carried.h.y, -carried.h.x, 0.0}};
-      M.at[j][j] = revolute(j) ? w.n.z : w.f.z;
-      up_the_chain(j, [&](auto i) __attribute__((always_inline)) {
-        w = sum({}, k.link[i + 1], w);
-        M.at[j][i] = revolute(i) ? w.n.z : w.f.z;
+    for_each_reverse<N>([&](auto i) __attribute__((always_inline)) {
+      const bool turns = revolute(i);
+      fx[i] = turns ? -carried.h.y : 0.0;
+      fy[i] = turns ? carried.h.x : 0.0;
+      fz[i] = turns ? 0.0 : carried.m;
+      nx[i] = turns ? carried.I.xz : carried.h.y;
+      ny[i] = turns ? carried.I.yz : -carried.h.x;
+      nz[i] = turns ? carried.I.zz : 0.0;
+      for_each_from<N>(
+          i, [&](auto j) __attribute__((always_inline)) { M.at[i][j] = turns ? nz[j] : fz[j]; });
+      if (i == 0) return;
+      for_each_from<N>(i, [&](auto j) __attribute__((always_inline)) {
+        const Wrench w = sum({}, k.link[i], {{fx[j], fy[j], fz[j]}, {nx[j], ny[j], nz[j]}});
+        fx[j] = w.f.x, fy[j] = w.f.y, fz[j] = w.f.z;
+        nx[j] = w.n.x, ny[j] = w.n.y, nz[j] = w.n.z;
       });
-      if (j > 0) carried = sum(S::joint[j > 0 ? j - 1 : 0].body, k.link[j], carried);
+      carried = sum(S::joint[i > 0 ? i - 1 : 0].body, k.link[i], carried);
     });
   }
 
@@ -148,15 +156,6 @@ struct Links {
   }
 
  private:
-  template <class Index, class Visit>
-  static ARM_INLINE void up_the_chain(Index j, Visit&& visit) {
-    if constexpr (std::is_same_v<Index, int>) {
-      for (int i = j - 1; i >= 0; --i) visit(i);
-    } else {
-      for_each_reverse<Index::value>(visit);
-    }
-  }
-
   static ARM_INLINE Wrench sum(Wrench parent, const Placement& link, Wrench child) {
     const Vec3 f = link.to_parent(child.f);
     return {parent.f + f, parent.n + link.to_parent(child.n) + cross(link.p, f)};

@@ -12,9 +12,9 @@ inline constexpr int kUnrollLimit = 12;
 #define ARM_INLINE __attribute__((always_inline)) inline
 
 // body(i) for i = 0 .. N-1; `i` converts to int and, when unrolled, is a compile-time constant.
-template <int N, class Body>
+template <int N, int limit = kUnrollLimit, class Body>
 ARM_INLINE void for_each(Body&& body) {
-  if constexpr (N <= kUnrollLimit) {
+  if constexpr (N <= limit) {
     [&]<int... i>(std::integer_sequence<int, i...>) __attribute__((always_inline)) {
       (body(std::integral_constant<int, i>{}), ...);
     }(std::make_integer_sequence<int, N>{});
@@ -24,14 +24,26 @@ ARM_INLINE void for_each(Body&& body) {
 }
 
 // body(i) for i = N-1 .. 0.
-template <int N, class Body>
+template <int N, int limit = kUnrollLimit, class Body>
 ARM_INLINE void for_each_reverse(Body&& body) {
-  if constexpr (N <= kUnrollLimit) {
+  if constexpr (N <= limit) {
     [&]<int... i>(std::integer_sequence<int, i...>) __attribute__((always_inline)) {
       (body(std::integral_constant<int, N - 1 - i>{}), ...);
     }(std::make_integer_sequence<int, N>{});
   } else {
     for (int i = N - 1; i >= 0; --i) body(i);
+  }
+}
+
+// body(j) for j = first .. N-1, with the constants of `first` kept.
+template <int N, class Index, class Body>
+ARM_INLINE void for_each_from(Index first, Body&& body) {
+  if constexpr (std::is_same_v<Index, int>) {
+    for (int j = first; j < N; ++j) body(j);
+  } else {
+    for_each<N - Index::value, N>([&](auto j) __attribute__((always_inline)) {
+      body(std::integral_constant<int, Index::value + decltype(j)::value>{});
+    });
   }
 }
 

@@ -89,7 +89,7 @@ class Machine {
     Links<S>::mass_matrix(k, M);
     double E = Links<S>::potential_energy(k);
     for (int j = 0; j < N; ++j) {
-      for (int m = 0; m < j; ++m) E += x.v[j] * M.at[j][m] * x.v[m];
+      for (int m = j + 1; m < N; ++m) E += x.v[j] * M.at[j][m] * x.v[m];
       E += 0.5 * M.at[j][j] * x.v[j] * x.v[j];
       const Motor& motor = S::joint[j].motor;
       if (!motor.present) continue;
@@ -107,9 +107,7 @@ class Machine {
 
   // Not inlined: every step, however it is asked for, runs the same instructions and gives the same
   // bits.
-  __attribute__((noinline)) void run(int count) {
-    threads.run(x, V, count);
-  }
+  __attribute__((noinline)) void run(int count) { threads.run(x, V, count); }
 
   void go_back(const State<N>& before, const typename Threads::Memory& memory) {
     threads.end();

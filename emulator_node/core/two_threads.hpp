@@ -6,12 +6,13 @@
 //   Newton-Euler thread     links(k-1)      | links(k)          | links(k+1)
 //
 // So every step takes M and nle from one sample ago. With Exchange::lag they are those of that
-// sample, as in the paper: an error of first order in the step. With Exchange::predict they are those
-// of the state to which that sample's speeds and accelerations lead: the error is of second order.
+// sample, as in the paper: an error of first order in the step. With Exchange::predict they are
+// those of the state to which that sample's speeds and accelerations lead: the error is of second
+// order.
 //
-// The threads are kept in step by two counters. Which results are exchanged depends on the number of
-// the step alone, never on who was faster, so the motion is the same to the last bit on every run.
-// Within a burst both threads spin; between bursts the Newton-Euler thread sleeps.
+// The threads are kept in step by two counters. Which results are exchanged depends on the number
+// of the step alone, never on who was faster, so the motion is the same to the last bit on every
+// run. Within a burst both threads spin; between bursts the Newton-Euler thread sleeps.
 #pragma once
 
 #include <pthread.h>
@@ -30,8 +31,7 @@ namespace arm {
 class Spin {
  public:
   void operator()() {
-    if (++count % 256 == 0)
-      std::this_thread::yield();
+    if (++count % 256 == 0) std::this_thread::yield();
 #ifdef __x86_64__
     else
       __builtin_ia32_pause();
@@ -83,7 +83,9 @@ class TwoThreads {
   // Go back to a memory. The links' part is worked out anew, by the same instructions.
   void restore(const Memory& memory) {
     past = memory;
-    evaluate(past.q_links, past.v_links, links[(asked.load() + 1) & 1]);
+    Dynamics links;
+    evaluate(past.q_links, past.v_links, links);
+    parcels[(asked.load() + 1) & 1].pack(links);
   }
 
   // A burst of `count` steps is coming, in one or several calls of `run`.
@@ -99,6 +101,7 @@ class TwoThreads {
   }
 
   void run(State<N>& x, const double (&V)[N], int count) {
+    Dynamics links;
     for (int s = 0; s < count; ++s) {
       const std::int64_t k = asked.load(std::memory_order_relaxed);
       Sample& sample = samples[k & 1];
@@ -111,7 +114,9 @@ class TwoThreads {
       }
       asked.store(k + 1, std::memory_order_release);
       wait_for(k);
-      stepper.step(x, V, links[(k + 1) & 1]);
+      parcels[(k + 1) & 1].fetch();
+      parcels[(k + 1) & 1].unpack(links);
+      stepper.step(x, V, links);
     }
   }
 
@@ -124,6 +129,37 @@ class TwoThreads {
     double q[N], v[N];
   };
 
+  // The links' part on its way between the cores: as few cache lines as it takes, written in one
+  // go.
+  struct alignas(64) Parcel {
+    double nle[N], M[N * (N + 1) / 2];
+
+    // Ask for the cache lines, all at once, before they are written or read one by one.
+    ARM_INLINE void take_hold() {
+      for (std::size_t line = 0; line < sizeof(Parcel); line += 64)
+        __builtin_prefetch(reinterpret_cast<char*>(this) + line, 1);
+    }
+    ARM_INLINE void fetch() const {
+      for (std::size_t line = 0; line < sizeof(Parcel); line += 64)
+        __builtin_prefetch(reinterpret_cast<const char*>(this) + line, 0);
+    }
+
+    ARM_INLINE void pack(const Dynamics& links) {
+      double* next = M;
+      for (int j = 0; j < N; ++j) {
+        nle[j] = links.nle[j];
+        for (int i = j; i < N; ++i) *next++ = links.M.at[j][i];
+      }
+    }
+    ARM_INLINE void unpack(Dynamics& links) const {
+      const double* next = M;
+      for (int j = 0; j < N; ++j) {
+        links.nle[j] = nle[j];
+        for (int i = j; i < N; ++i) links.M.at[j][i] = *next++;
+      }
+    }
+  };
+
   // Not inlined: the same bits whichever thread works.
   __attribute__((noinline)) static void evaluate(const double (&q)[N], const double (&v)[N],
                                                  Dynamics& result) {
@@ -132,6 +168,7 @@ class TwoThreads {
 
   // The Newton-Euler thread.
   void work() {
+    Dynamics mine;  // worked on here, where no cache line travels between the cores
     std::int64_t k = 0;
     for (;;) {
       const std::uint32_t seen = alarm.load();
@@ -141,7 +178,9 @@ class TwoThreads {
                k < target.load(std::memory_order_relaxed))
           spin();
         if (asked.load(std::memory_order_acquire) == k) break;
-        evaluate(samples[k & 1].q, samples[k & 1].v, links[k & 1]);
+        parcels[k & 1].take_hold();
+        evaluate(samples[k & 1].q, samples[k & 1].v, mine);
+        parcels[k & 1].pack(mine);
         done.store(++k, std::memory_order_release);
       }
       if (stopping.load()) return;
@@ -163,7 +202,7 @@ class TwoThreads {
   double h;
   Memory past = {};
   Sample samples[2] = {};
-  alignas(64) Dynamics links[2] = {};
+  Parcel parcels[2] = {};
   // Each counter on a cache line of its own: who writes it does not disturb who reads the other.
   alignas(64) std::atomic<std::int64_t> asked = 0;   // samples handed to the Newton-Euler thread
   alignas(64) std::atomic<std::int64_t> done = 0;    // links' parts that are ready
