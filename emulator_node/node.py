@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import rclpy
 import rclpy.clock
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
@@ -30,6 +32,8 @@ from arm_emulator.node_shell import (
 from arm_emulator.parameters import parameter
 from arm_emulator.refusal import Refusal
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from emulator_node.plant import Diverged
+from emulator_node.real_time import RealTimeSession
 from emulator_node.rerun_stream import RerunStream
 from emulator_node.scene import example_robot_data, load_scene
 from emulator_node.session import CLOCKS, STARTS, Phase, Session
@@ -38,7 +42,6 @@ STATUS_PERIOD = 0.5  # s, wall
 REPEAT_AFTER = (
     0.2  # s, wall: a state that nobody answers is said again, for partners that come late
 )
-LOST_TIME = 0.1  # s: when a real-time clock is later than this, it lets the lost time go
 
 
 @dataclass(frozen=True)
@@ -73,11 +76,19 @@ class EmulatorNode(Node):
         super().__init__("emulator")
         self._config = declare_parameters(self, EmulatorParameters)
         scene = load_scene(self._config.scene)
-        self._session = Session(scene, self._config.clock, self._config.start)
+        self._session = (
+            RealTimeSession(scene, self._config.start)
+            if self._config.clock == "realtime"
+            else Session(scene, self._config.clock, self._config.start)
+        )
+        # Between the executor, which serves topics and services, and the thread that tells the
+        # ticks of a real-time session.
+        self._lock = threading.RLock()
         robots = example_robot_data()
         self._stream = RerunStream(
             scene.urdf,
             scene.joint_names,
+            q_start=scene.start,
             tool=scene.tool,
             package_dirs=[robots.parents[1]] if robots else [],
             file=self._config.rerun_file or None,
@@ -106,11 +117,8 @@ class EmulatorNode(Node):
 
         self._told_at = time.monotonic()  # when this tick's state was first told
         self._repeated_at = self._told_at
-        self._due_ns = time.monotonic_ns()
-        self._overruns = 0
-        self._worst_lateness_ns = 0
+        self._reported: Diverged | None = None  # the fault that was told last
         self._status_mark = (time.monotonic_ns(), 0, 0)
-        self._pacer: Timer | None = self._create_timer(scene.servo_period, self._on_period)
         self._create_timer(REPEAT_AFTER, self._on_repeat)
         self._create_timer(STATUS_PERIOD, self._on_status)
         self._tell()
@@ -119,9 +127,22 @@ class EmulatorNode(Node):
             f"{scene.integrator.dt:g} s, servo period {scene.servo_period:g} s, "
             f"clock {self._config.clock}"
         )
+        self._closing = False
+        self._teller: threading.Thread | None = None
+        if isinstance(self._session, RealTimeSession):
+            self._teller = threading.Thread(
+                target=self._tell_ticks, args=(self._session,), name="teller"
+            )
+            self._teller.start()
+        else:
+            self._create_timer(scene.servo_period, self._on_free_run)
 
     def close(self) -> None:
-        """Finish the Rerun recording."""
+        """Stop the machine and finish the Rerun recording."""
+        self._closing = True
+        if self._teller is not None:
+            self._teller.join()
+        self._session.close()
         self._stream.close()
 
     def _create_timer(self, period: float, callback: Callable[[], None]) -> Timer:
@@ -130,42 +151,49 @@ class EmulatorNode(Node):
     # Time
 
     def _on_command(self, command: MotorCommand) -> None:
-        try:
-            self._session.offer(command.tick, command.joint_names, command.voltage)
-        except Refusal as reason:
-            self._diagnostics.refuse("motor_commands", reason)
-            return
-        if self._session.lockstep and self._session.may_advance:
-            self._advance()
+        with self._lock:
+            try:
+                self._session.offer(command.tick, command.joint_names, command.voltage)
+            except Refusal as reason:
+                self._diagnostics.refuse("motor_commands", reason)
+                return
+            if self._session.lockstep and self._session.may_advance:
+                self._advance()
 
-    def _on_period(self) -> None:
-        """Pace real time, and the free run of lock-step."""
-        session = self._session
-        now = time.monotonic_ns()
-        paced = session.may_advance and (
-            not session.lockstep or session.phase is Phase.FREE_RUNNING
-        )
-        if not paced:
-            self._due_ns = now + session.period_ns
-            return
-        lateness = now - self._due_ns
-        if lateness > session.period_ns:
-            self._overruns += 1
-        self._worst_lateness_ns = max(self._worst_lateness_ns, lateness)
-        if lateness > LOST_TIME * NANOSECONDS:
-            self._due_ns = now
-        while self._due_ns <= now and session.may_advance:
-            self._due_ns += session.period_ns
-            self._advance()
+    def _on_free_run(self) -> None:
+        """Pace the free run of lock-step."""
+        with self._lock:
+            if self._session.phase is Phase.FREE_RUNNING:
+                self._advance()
+
+    def _tell_ticks(self, session: RealTimeSession) -> None:
+        """Tell the ticks of real time as they come, in a thread of its own."""
+        while not self._closing and rclpy.ok():
+            if session.wait(timeout=0.1):
+                try:
+                    self._catch_up(session)
+                except RuntimeError:  # of rclpy, when a signal has ended it in between
+                    if rclpy.ok():
+                        raise
+
+    def _catch_up(self, session: RealTimeSession) -> None:
+        with self._lock:
+            while session.take():
+                self._tell()
+            self._report_fault()
 
     def _advance(self) -> None:
-        session = self._session
-        session.advance()
-        if session.fault is not None:
-            self._diagnostics.error(str(session.fault))
-            self.get_logger().error(str(session.fault))
-            return
-        self._tell()
+        self._session.advance()
+        if self._session.fault is None:
+            self._tell()
+        self._report_fault()
+
+    def _report_fault(self) -> None:
+        fault = self._session.fault
+        if fault is not None and fault is not self._reported:
+            self._reported = fault
+            self._diagnostics.error(str(fault))
+            self.get_logger().error(str(fault))
 
     # Telling
 
@@ -203,6 +231,10 @@ class EmulatorNode(Node):
 
     def _on_repeat(self) -> None:
         """Say an unanswered state again; report a partner that stays silent."""
+        with self._lock:
+            self._repeat()
+
+    def _repeat(self) -> None:
         session = self._session
         if session.phase not in (Phase.WAITING, Phase.PAUSED):
             if session.phase is Phase.RUNNING:
@@ -226,6 +258,10 @@ class EmulatorNode(Node):
         self._stream.offer_target(nanoseconds_of(target.header.stamp), (p.x, p.y, p.z))
 
     def _on_status(self) -> None:
+        with self._lock:
+            self._say_status()
+
+    def _say_status(self) -> None:
         session = self._session
         now = time.monotonic_ns()
         since, ticks, core_ns = self._status_mark
@@ -241,14 +277,21 @@ class EmulatorNode(Node):
             logical_time=session.logical_ns / NANOSECONDS,
             real_time_factor=new_ticks * session.period_ns / (now - since),
             step_time=max(0, session.step_wall_ns - core_ns) / steps if steps else 0.0,
-            overruns=self._overruns,
-            worst_lateness=self._worst_lateness_ns / NANOSECONDS,
-            energy=session.plant.energy,
+            energy=session.energy,
             commands_refused=self._diagnostics.refused,
             samples_dropped=self._stream.dropped,
             waiting_time=time.monotonic() - self._told_at if waiting else 0.0,
         )
         status.header.stamp = stamp(session.logical_ns)
+        if isinstance(session, RealTimeSession):
+            figures = session.figures
+            status.overruns = figures.lost_periods
+            status.old_commands = figures.old_commands
+            status.worst_lateness = figures.worst_lateness / NANOSECONDS
+            status.median_lateness = figures.median_lateness / NANOSECONDS
+            status.p99_lateness = figures.p99_lateness / NANOSECONDS
+            status.real_time_priority = bool(figures.fifo)
+            status.memory_locked = bool(figures.locked)
         self._statuses.publish(status)
         if session.phase is Phase.FREE_RUNNING:
             self._diagnostics.warn("no motor command yet, running free at 0 V")
@@ -279,17 +322,17 @@ class EmulatorNode(Node):
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._session.reset()
-        self._status_mark = (time.monotonic_ns(), 0, 0)
-        self._overruns = 0
-        self._worst_lateness_ns = 0
-        self._diagnostics.ok("reset")
-        self._tell()
-        response.success, response.message = True, "at tick 0"
-        return response
+        with self._lock:
+            self._session.reset()
+            self._status_mark = (time.monotonic_ns(), 0, 0)
+            self._diagnostics.ok("reset")
+            self._tell()
+            response.success, response.message = True, "at tick 0"
+            return response
 
     def _on_power(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._session.powered = request.data
+        with self._lock:
+            self._session.powered = request.data
         response.success = True
         response.message = (
             "power on" if request.data else "power off: motors at 0 V, windings shorted"

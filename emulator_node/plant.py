@@ -55,6 +55,8 @@ class Plant:
     """Motors, gears and links of one scene, stepped by the compiled core.
 
     Attributes:
+        core: the scene's compiled core, through ctypes (core/abi.hpp).
+        machine: the core's handle of this machine.
         link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
 
     Args:
@@ -66,9 +68,9 @@ class Plant:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._core = _declare(library_of(scene))
+        self.core = _declare(library_of(scene))
         self._N = len(scene.joints)
-        self._machine = self._core.arm_new(scene.integrator.dt, scene.cores[1])
+        self.machine = self.core.arm_new(scene.integrator.dt, scene.cores[1])
         self._voltage = np.zeros(self._N)
         self._voltage_pointer = _pointer(self._voltage)
         self._buffer = np.zeros((6, self._N))
@@ -85,9 +87,9 @@ class Plant:
         self.reset()
 
     def __del__(self) -> None:
-        machine, self._machine = getattr(self, "_machine", None), None
+        machine, self.machine = getattr(self, "machine", None), None
         if machine:
-            self._core.arm_delete(machine)
+            self.core.arm_delete(machine)
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Put the machine at logical time 0, its motors along with the links.
@@ -105,7 +107,7 @@ class Plant:
         speed = (
             np.zeros(self._N) if v is None else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
         )
-        self._core.arm_reset(self._machine, _pointer(at), _pointer(speed))
+        self.core.arm_reset(self.machine, _pointer(at), _pointer(speed))
 
     def advance(self, voltage: ArrayLike, steps: int) -> None:
         """Take `steps` integration steps with the motor voltages held.
@@ -122,7 +124,7 @@ class Plant:
         self._voltage[:] = self._vector(voltage, "Plant.advance", "voltage", "V")
         if steps < 0:
             raise Refusal("Plant.advance", "steps", "be >= 0", steps)
-        joint = self._core.arm_advance(self._machine, self._voltage_pointer, steps)
+        joint = self.core.arm_advance(self.machine, self._voltage_pointer, steps)
         self._check(joint)
 
     def run(self, voltages: ArrayLike, steps: int) -> Array:
@@ -147,7 +149,7 @@ class Plant:
         if steps < 0:
             raise Refusal("Plant.run", "steps", "be >= 0", steps)
         q = np.zeros_like(rows)
-        joint = self._core.arm_run(self._machine, _pointer(rows), len(rows), steps, _pointer(q))
+        joint = self.core.arm_run(self.machine, _pointer(rows), len(rows), steps, _pointer(q))
         self._check(joint)
         return q
 
@@ -160,20 +162,24 @@ class Plant:
     @property
     def t(self) -> float:
         """Logical time [s]."""
-        return float(self._core.arm_time(self._machine))
+        return float(self.core.arm_time(self.machine))
 
     @property
     def energy(self) -> float:
         """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
-        return float(self._core.arm_energy(self._machine))
+        return float(self.core.arm_energy(self.machine))
 
     @property
     def state(self) -> PlantState:
         """The state now, as a copy."""
-        self._core.arm_state(self._machine, self._buffer_pointer)
+        self.core.arm_state(self.machine, self._buffer_pointer)
         current, theta_m, omega_m, q, v, gear_torque = self._buffer.copy()
-        counts = np.floor(theta_m * self._counts_per_rad).astype(np.int64)
+        counts = self.encoder_counts(theta_m)
         return PlantState(self.t, current, theta_m, omega_m, q, v, gear_torque, counts)
+
+    def encoder_counts(self, theta_m: Array) -> NDArray[np.int64]:
+        """Return what the encoders show at the motor angles (N,) [rad]."""
+        return np.floor(theta_m * self._counts_per_rad).astype(np.int64)
 
     def link_accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
         """Return the accelerations of the links alone: M(q) a + nle(q, v) = tau.
@@ -185,7 +191,7 @@ class Plant:
         """
         q, v, tau = (np.ascontiguousarray(x, dtype=np.float64) for x in (q, v, tau))
         a = np.empty_like(q)
-        self._core.arm_forward_dynamics(q.size // self._N, *map(_pointer, (q, v, tau, a)))
+        self.core.arm_forward_dynamics(q.size // self._N, *map(_pointer, (q, v, tau, a)))
         return a
 
     def _vector(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
@@ -216,6 +222,16 @@ def _declare(core: ctypes.CDLL) -> ctypes.CDLL:
         ("arm_time", ctypes.c_double, [pointer]),
         ("arm_energy", ctypes.c_double, [pointer]),
         ("arm_state", None, [pointer, pointer]),
+        ("arm_real_time_new", pointer, [pointer, count, count, ctypes.c_int]),
+        ("arm_real_time_delete", None, [pointer]),
+        ("arm_real_time_start", None, [pointer, count]),
+        ("arm_real_time_stop", None, [pointer]),
+        ("arm_real_time_command", None, [pointer, count, pointer]),
+        ("arm_real_time_power", None, [pointer, ctypes.c_int]),
+        ("arm_real_time_take", ctypes.c_int, [pointer, pointer]),
+        ("arm_real_time_descriptor", ctypes.c_int, [pointer]),
+        ("arm_real_time_status", None, [pointer, pointer]),
+        ("arm_real_time_clear_figures", None, [pointer]),
         ("arm_forward_dynamics", None, [count] + [pointer] * 4),
     ):
         function = getattr(core, name)

@@ -78,6 +78,11 @@ class Session:
         return self._state
 
     @property
+    def energy(self) -> float:
+        """Energy of the machine at this tick [J]."""
+        return self.plant.energy
+
+    @property
     def logical_ns(self) -> int:
         """Logical time [ns]."""
         return self.tick * self.period_ns
@@ -143,6 +148,9 @@ class Session:
         self.step_wall_ns += time.perf_counter_ns() - started
         self.tick += 1
         self._state = None
+
+    def close(self) -> None:
+        """Let go of whatever drives the session."""
 
     def step(self) -> str:
         """Advance a paused session by one tick; return why not, or an empty text."""

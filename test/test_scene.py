@@ -54,7 +54,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"servo_period": 1e-3 / 7e5}, "servo_period must be >= 1e-06 s"),
     ({"servo_period": 1e-3 / 7}, "servo_period must be a whole number of nanoseconds"),
     ({"threads": 1.5}, "threads must be a whole number from 1 to"),
-    ({"threads": 2}, "threads must be 1 with scheme rosenbrock, whose second stage waits for its first, got 2"),
+    ({"threads": 2, "integrator.scheme": "rosenbrock"}, "threads must be 1 with scheme rosenbrock, whose second stage waits for its first, got 2"),
     ({"cores": [0, 1000]}, "cores must be cores of this machine, got [0.0, 1000.0]; valid: 0"),
     ({"tool": "hand"}, "tool must be a link of the URDF, got hand; valid: base, column"),
     ({"locked": {"wrist": 0.0}}, "locked.wrist must be a joint of the URDF, got wrist; valid: waist"),

@@ -5,9 +5,10 @@
 #include <algorithm>
 #include <cstdint>
 
-#include "machine.hpp"
+#include "real_time.hpp"
 
 using TheMachine = arm::Machine<Scene>;
+using TheRealTime = arm::RealTime<Scene>;
 using TheLinks = arm::Links<Scene>;
 static constexpr int N = Scene::N;
 #pragma GCC visibility push(default)
@@ -30,21 +31,40 @@ int arm_run(TheMachine* machine, const double* voltage, std::int64_t rows, std::
 }
 double arm_time(const TheMachine* machine) { return machine->time(); }
 double arm_energy(const TheMachine* machine) { return machine->energy(); }
-// out: i, tm, wm, q, v, T, N values each; a rigid gear's motor follows its link
+// out: i, tm, wm, q, v, T, N values each
 void arm_state(const TheMachine* machine, double* out) {
   const auto& x = machine->state();
   double T[N];
   machine->gear_torques(T);
   for (int j = 0; j < N; ++j) {
-    const auto& gear = Scene::joint[j].gear;
     out[j] = x.i[j];
-    out[N + j] = gear.rigid ? x.q[j] / gear.Ng : x.tm[j];
-    out[2 * N + j] = gear.rigid ? x.v[j] / gear.Ng : x.wm[j];
+    out[N + j] = machine->motor_angle(j);
+    out[2 * N + j] = machine->motor_speed(j);
     out[3 * N + j] = x.q[j];
     out[4 * N + j] = x.v[j];
     out[5 * N + j] = T[j];
   }
 }
+
+// Real time. The machine must outlive it.
+TheRealTime* arm_real_time_new(TheMachine* machine, std::int64_t period, std::int64_t steps,
+                               int core) {
+  return new TheRealTime(*machine, period, steps, core);
+}
+void arm_real_time_delete(TheRealTime* loop) { delete loop; }
+void arm_real_time_start(TheRealTime* loop, std::int64_t tick) { loop->start(tick); }
+void arm_real_time_stop(TheRealTime* loop) { loop->stop(); }
+void arm_real_time_command(TheRealTime* loop, std::int64_t answered, const double* voltage) {
+  loop->command(answered, voltage);
+}
+void arm_real_time_power(TheRealTime* loop, int on) { loop->power(on != 0); }
+int arm_real_time_take(TheRealTime* loop, arm::Snapshot<N>* out) { return loop->take(*out); }
+int arm_real_time_descriptor(const TheRealTime* loop) { return loop->descriptor(); }
+void arm_real_time_status(const TheRealTime* loop, TheRealTime::Status* out) {
+  *out = loop->status();
+}
+void arm_real_time_clear_figures(TheRealTime* loop) { loop->clear_figures(); }
+
 // The links alone, for `count` rows of N: M(q) a + nle(q, v) = tau.
 void arm_forward_dynamics(std::int64_t count, const double* q, const double* v, const double* tau,
                           double* a) {

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "energy.hpp"
 #include "linearly_implicit.hpp"
 #include "paper_scheme.hpp"
 #include "two_threads.hpp"
@@ -37,12 +38,15 @@ class Machine {
       V[j] = 0.0;
     }
     threads.reset(x);
+    balance.reset(x);
+    fault = -1;
     steps = 0;
   }
 
   // Take `count` steps with the voltages held, clamped to the supply. Returns -1, or the joint that
-  // went out of bounds: then the state is the last one within.
+  // went out of bounds: then the state is the last one within, until reset.
   int advance(const double* voltage, std::int64_t count) {
+    if (fault >= 0) return fault;
     for (int j = 0; j < N; ++j) V[j] = clamp(voltage[j], S::supply_voltage);
     threads.begin(count);
     while (count > 0) {
@@ -52,7 +56,12 @@ class Machine {
       run(chunk);
       if (joint_out_of_bounds(x) >= 0) {
         go_back(before, memory);
-        return creep_to_the_fault(chunk);
+        return fault = creep_to_the_fault(chunk);
+      }
+      fault = balance.after(x, V, h, chunk);
+      if (fault >= 0) {
+        go_back(before, memory);
+        return fault;
       }
       steps += chunk;
       count -= chunk;
@@ -63,6 +72,16 @@ class Machine {
 
   double time() const { return static_cast<double>(steps) * h; }
   const State<N>& state() const { return x; }
+
+  // A rigid gear's motor follows its link.
+  double motor_angle(int j) const {
+    const Gear& gear = S::joint[j].gear;
+    return gear.rigid ? x.q[j] / gear.Ng : x.tm[j];
+  }
+  double motor_speed(int j) const {
+    const Gear& gear = S::joint[j].gear;
+    return gear.rigid ? x.v[j] / gear.Ng : x.wm[j];
+  }
 
   // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when
   // the motor has accelerated its rotor.
@@ -82,24 +101,7 @@ class Machine {
   }
 
   // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
-  double energy() const {
-    typename Links<S>::Kinematics k;
-    typename Links<S>::MassMatrix M;
-    Links<S>::kinematics(x.q, k);
-    Links<S>::mass_matrix(k, M);
-    double E = Links<S>::potential_energy(k);
-    for (int j = 0; j < N; ++j) {
-      for (int m = j + 1; m < N; ++m) E += x.v[j] * M.at[j][m] * x.v[m];
-      E += 0.5 * M.at[j][j] * x.v[j] * x.v[j];
-      const Motor& motor = S::joint[j].motor;
-      if (!motor.present) continue;
-      const Gear& gear = S::joint[j].gear;
-      const double wm = gear.rigid ? x.v[j] / gear.Ng : x.wm[j];
-      const double twist = gear.rigid ? 0.0 : gear.Ng * x.tm[j] - x.q[j];
-      E += 0.5 * (motor.Mm * wm * wm + motor.L * x.i[j] * x.i[j] + gear.Kg * twist * twist);
-    }
-    return E;
-  }
+  double energy() const { return energy_of<S>(x).total(); }
 
  private:
   static constexpr int kCheckEvery = 16;
@@ -159,6 +161,8 @@ class Machine {
   Threads threads;
   State<N> x = {};
   Vector V = {};
+  EnergyBalance<S> balance;
+  int fault = -1;  // the joint that went out of bounds
   std::int64_t steps = 0;
 };
 

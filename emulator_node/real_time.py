@@ -1,0 +1,239 @@
+"""A session in real time: the core's own thread owns the clock (core/real_time.hpp)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from emulator_node.chain import Array
+from emulator_node.plant import Diverged, Plant, PlantState
+from emulator_node.scene import Scene
+from emulator_node.session import Session
+
+
+@dataclass(frozen=True)
+class RealTimeFigures:
+    """How punctual the loop is, since it was reset; times in ns."""
+
+    tick: int
+    lost_periods: int  # deadlines missed by whole periods, which logical time has lost
+    old_commands: int  # periods under a command that answers a state more than two periods old
+    worst_lateness: int
+    median_lateness: int
+    p99_lateness: int
+    unread: int  # snapshots that nobody fetched in time
+    fifo: int  # 1: the thread runs under SCHED_FIFO
+    locked: int  # 1: memory is locked
+
+
+class RealTimeLoop:
+    """The core's real-time thread, through its C interface.
+
+    Args:
+        plant: the machine. While the loop runs nobody else may touch it.
+        period_ns: servo period [ns].
+        steps: integration steps in a period.
+        core: processor core for the thread, -1 for any.
+    """
+
+    def __init__(self, plant: Plant, period_ns: int, steps: int, core: int) -> None:
+        self._plant = plant  # must outlive the loop
+        self._core = plant.core
+        self._loop = self._core.arm_real_time_new(plant.machine, period_ns, steps, core)
+        self._bell = self._core.arm_real_time_descriptor(self._loop)
+        names = ("current", "theta_m", "omega_m", "q", "v", "gear_torque", "voltage")
+        N = (len(plant.scene.joints),)
+        counters = ("tick", "answered", "lateness", "spent", "fault")
+        self._snapshot = np.zeros(
+            1,
+            dtype=[(name, "i8") for name in counters]
+            + [("energy", "f8")]
+            + [(name, "f8", N) for name in names],
+        )
+        self._snapshot_pointer = self._snapshot.ctypes.data_as(ctypes.c_void_p)
+
+    def __del__(self) -> None:
+        loop, self._loop = getattr(self, "_loop", None), None
+        if loop:
+            self._core.arm_real_time_delete(loop)
+
+    def start(self, tick: int) -> None:
+        """Run from `tick` on, until `stop` or a fault."""
+        self._core.arm_real_time_start(self._loop, tick)
+
+    def stop(self) -> None:
+        """Stop within a period. Snapshots not taken yet stay."""
+        self._core.arm_real_time_stop(self._loop)
+
+    def command(self, answered: int, voltage: Array) -> None:
+        """Set the voltages (N,) [V] for the periods to come; -1 answers no tick."""
+        self._core.arm_real_time_command(
+            self._loop, answered, voltage.ctypes.data_as(ctypes.c_void_p)
+        )
+
+    def power(self, on: bool) -> None:
+        """Switch the drives on or off."""
+        self._core.arm_real_time_power(self._loop, on)
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for a snapshot, at most `timeout` [s], without Python's lock."""
+        if not select.select([self._bell], [], [], timeout)[0]:
+            return False
+        os.read(self._bell, 8)
+        return True
+
+    def take(self) -> Any:
+        """Return the oldest snapshot not taken yet, None if there is none."""
+        if not self._core.arm_real_time_take(self._loop, self._snapshot_pointer):
+            return None
+        return self._snapshot[0].copy()
+
+    def figures(self) -> RealTimeFigures:
+        """Return the loop's figures."""
+        values = np.zeros(len(fields(RealTimeFigures)), dtype=np.int64)
+        self._core.arm_real_time_status(self._loop, values.ctypes.data_as(ctypes.c_void_p))
+        return RealTimeFigures(*values.tolist())
+
+    def clear_figures(self) -> None:
+        """Count from now on."""
+        self._core.arm_real_time_clear_figures(self._loop)
+
+
+class RealTimeSession(Session):
+    """A session whose ticks come from the real-time loop: `wait`, then `take` until it is False.
+
+    The loop runs exactly while the phase allows to advance.
+    """
+
+    def __init__(self, scene: Scene, start: str) -> None:
+        self._loop: RealTimeLoop | None = None
+        self._running = False
+        super().__init__(scene, "realtime", start)
+        self._loop = RealTimeLoop(
+            self.plant, self.period_ns, scene.steps_per_period, scene.cores[0]
+        )
+        self._energy = self.plant.energy
+        self._follow_phase()
+
+    def reset(self) -> None:
+        """Begin anew at tick 0."""
+        loop, self._loop = self._loop, None  # so that nothing starts half-way
+        if loop is None:  # within the base's constructor
+            super().reset()
+            return
+        if self._running:
+            loop.stop()
+            self._running = False
+        while loop.take() is not None:
+            pass
+        super().reset()
+        self._loop = loop
+        self._energy = self.plant.energy
+        self._loop.command(-1, self._zero)
+        self._loop.clear_figures()
+        self._follow_phase()
+
+    def close(self) -> None:
+        """Stop the loop for good."""
+        self._halt()
+
+    @property
+    def figures(self) -> RealTimeFigures:
+        """How punctual the loop is."""
+        assert self._loop is not None
+        return self._loop.figures()
+
+    @property
+    def energy(self) -> float:
+        """Energy of the machine at this tick [J]."""
+        return self._energy
+
+    @property
+    def paused(self) -> bool:
+        """Whether logical time stands still on request."""
+        return self._paused
+
+    @paused.setter
+    def paused(self, value: bool) -> None:
+        self._paused = value
+        self._follow_phase()
+
+    @property
+    def powered(self) -> bool:
+        """Whether the drives have power."""
+        return self._powered
+
+    @powered.setter
+    def powered(self, value: bool) -> None:
+        self._powered = value
+        if self._loop is not None:
+            self._loop.power(value)
+
+    def offer(self, tick: int, joint_names: Any, voltage: Any) -> None:
+        """Take a motor command, see `Session.offer`."""
+        super().offer(tick, joint_names, voltage)
+        assert self._loop is not None and self._commanded is not None
+        self._loop.command(tick, self._commanded)
+        self._follow_phase()
+
+    def wait(self, timeout: float) -> bool:
+        """Wait at most `timeout` [s] for a tick."""
+        assert self._loop is not None
+        return self._loop.wait(timeout)
+
+    def take(self) -> bool:
+        """Go on to the next tick that the loop has reached; False if there is none."""
+        assert self._loop is not None
+        s = self._loop.take()
+        if s is None:
+            return False
+        self.voltage = s["voltage"]
+        self._energy = float(s["energy"])
+        self.step_wall_ns += int(s["spent"])
+        if s["fault"] >= 0:
+            integrator = self.scene.integrator
+            name = self.scene.joint_names[int(s["fault"])]
+            t = int(s["tick"]) * self.scene.servo_period
+            self.fault = Diverged(name, t, integrator.dt, integrator.scheme)
+            self._running = False
+        self.tick = int(s["tick"])
+        self._state = PlantState(
+            self.tick * self.scene.servo_period,
+            s["current"],
+            s["theta_m"],
+            s["omega_m"],
+            s["q"],
+            s["v"],
+            s["gear_torque"],
+            self.plant.encoder_counts(s["theta_m"]),
+        )
+        return True
+
+    def step(self) -> str:
+        """Advance a paused session by one tick, see `Session.step`."""
+        said = super().step()
+        if not said:
+            self._energy = self.plant.energy
+        return said
+
+    def _halt(self) -> None:
+        if self._running and self._loop is not None:
+            self._loop.stop()
+        self._running = False
+
+    def _follow_phase(self) -> None:
+        if self._loop is None:
+            return
+        if self.may_advance and not self._running:
+            while self.take():  # ticks that were reached before the loop was halted
+                pass
+            self._running = True
+            self._loop.start(self.tick)
+        elif not self.may_advance:
+            self._halt()
+
