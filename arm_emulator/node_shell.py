@@ -14,10 +14,11 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterValueException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.parameters import Parameters, checked, rule
 from arm_emulator.refusal import Refusal
 
@@ -179,9 +180,7 @@ def run_node(create: Callable[[], Closable]) -> None:
     node: Any = None
     try:
         node = create()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        executor.spin()
+        LeanExecutor(node).spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (Refusal, ParameterException) as refusal:
