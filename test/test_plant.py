@@ -10,12 +10,13 @@ from machines import one_link_urdf, write_scene
 
 from arm_emulator.refusal import Refusal
 from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import load_scene
+from emulator_node.scene import SCHEMES, load_scene
 
 
-@pytest.fixture
-def plant() -> Plant:
-    return Plant(load_scene("three_axis"))
+@pytest.fixture(params=SCHEMES)
+def plant(request: pytest.FixtureRequest) -> Plant:
+    overrides = {"integrator.scheme": request.param, "integrator.dt": 1e-4}
+    return Plant(load_scene("three_axis", overrides=overrides))
 
 
 def as_bytes(plant: Plant) -> bytes:

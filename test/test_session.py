@@ -44,7 +44,7 @@ def test_free_run_is_at_zero_voltage() -> None:
     one, reference = session(), session()
     for _ in range(20):
         one.advance()
-    reference.plant.advance(ZERO, 200)
+    reference.plant.advance(ZERO, 20 * reference.scene.steps_per_period)
     assert np.array_equal(one.state.q, reference.plant.state.q)
 
 

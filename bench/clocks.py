@@ -1,0 +1,187 @@
+"""How punctual real time is, and how fast logical time runs, with all three nodes as processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bench.measure import progress
+
+TITLE = "Two clocks"
+
+SECONDS = 60.0  # of real time
+OFFLINE_SECONDS = 10.0
+LOCKSTEP_TICKS = 20_000
+
+
+def run(quick: bool) -> dict[str, Any]:
+    """Measure both clocks, and the offline run."""
+    seconds = 10.0 if quick else SECONDS
+    figures: dict[str, Any] = {"real_time": {}, "lockstep": {}, "offline": {}}
+    with progress("two clocks", 6) as done:
+        figures["real_time"]["three_axis"] = _in_own_process("real_time", "three_axis", seconds)
+        done("real time")
+        with busy_core():
+            figures["real_time"]["three_axis, one core busy"] = _in_own_process(
+                "real_time", "three_axis", seconds
+            )
+        done("real time under load")
+        for scene in ("three_axis", "ur5"):
+            figures["lockstep"][scene] = _in_own_process("lockstep", scene, 0.0)
+            done(f"lock-step, {scene}")
+            figures["offline"][scene] = _offline(scene)
+            done(f"offline, {scene}")
+    return figures
+
+
+@contextmanager
+def busy_core() -> Iterator[None]:
+    """Keep one core busy with something else."""
+    load = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        yield
+    finally:
+        load.kill()
+        load.wait()
+
+
+def _in_own_process(what: str, scene: str, seconds: float) -> dict[str, Any]:
+    """Measure in a process of its own, on a ROS domain of its own."""
+    environment = {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    command = [sys.executable, "-m", "bench.clocks", what, scene, str(seconds)]
+    done = subprocess.run(
+        command,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).resolve().parents[1],
+    )
+    figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return figures
+
+
+def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
+    """Run the three nodes and return what the emulator's status says at the end."""
+    import rclpy
+
+    from arm_emulator.bringup import Bringup
+    from arm_emulator.node_shell import STATE_SUB_QOS
+    from arm_emulator_msgs.msg import EmulatorStatus
+
+    clock = "realtime" if what == "real_time" else "lockstep"
+    rclpy.init()
+    node = rclpy.create_node("bench")
+    seen: list[tuple[float, EmulatorStatus]] = []
+    node.create_subscription(
+        EmulatorStatus,
+        "emulator/status",
+        lambda status: seen.append((time.monotonic(), status)),
+        STATE_SUB_QOS,
+    )
+
+    def moving() -> list[tuple[float, EmulatorStatus]]:
+        return [pair for pair in seen if pair[1].tick > 0]
+
+    with Bringup(scene, clock=clock, start="first_answer", log=Path("out/bench/log")) as network:
+        while True:
+            rclpy.spin_once(node, timeout_sec=0.1)
+            if network.ended() is not None:
+                raise RuntimeError(f"a node ended: {network.ended()}")
+            ran = moving()
+            if not ran:
+                continue
+            # What happens while processes start and meet is not what is measured.
+            if clock == "realtime" and ran[-1][0] - ran[0][0] >= seconds:
+                break
+            if clock == "lockstep" and ran[-1][1].tick >= LOCKSTEP_TICKS:
+                break
+    (first_wall, first), (last_wall, last) = moving()[0], moving()[-1]
+    node.destroy_node()
+    rclpy.try_shutdown()
+    ticks = last.tick - first.tick
+    return {
+        "seconds": last_wall - first_wall,
+        "ticks": ticks,
+        "real_time_factor": (last.logical_time - first.logical_time) / (last_wall - first_wall),
+        "lost_periods": last.overruns,
+        "old_commands_share": (last.old_commands - first.old_commands) / ticks,
+        "lateness_p50": last.median_lateness,
+        "lateness_p99": last.p99_lateness,
+        "lateness_max": last.worst_lateness,
+        "real_time_priority": last.real_time_priority,
+        "memory_locked": last.memory_locked,
+        "refused": last.commands_refused,
+    }
+
+
+def _offline(scene: str) -> float:
+    """Return the real-time factor of the offline run."""
+    from arm_emulator.offline import load_offline_run
+
+    one = load_offline_run(scene)
+    one.advance(100)
+    ticks = round(OFFLINE_SECONDS / one.session.scene.servo_period)
+    started = time.perf_counter()
+    one.advance(ticks)
+    return OFFLINE_SECONDS / (time.perf_counter() - started)
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section in Markdown."""
+    lines = [
+        "Emulator, servo and motion controller as three processes, servo period 1 ms.",
+        "",
+        "Real time. Lateness is that of the wake-up of the core's own thread at the end of each "
+        "servo period; a lost period is a deadline missed by a whole period, which logical time "
+        "does not make up for; an old command answers a state more than two periods old.",
+        "",
+        "| scene | wall [s] | real-time factor | lost periods | old commands | lateness p50 / p99 / "
+        "max [us] | SCHED_FIFO | memory locked |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, row in figures["real_time"].items():
+        late = " / ".join(f"{row[f'lateness_{k}'] * 1e6:.0f}" for k in ("p50", "p99", "max"))
+        lines.append(
+            f"| {name} | {row['seconds']:.1f} | {row['real_time_factor']:.5f} "
+            f"| {row['lost_periods']} of {row['ticks']} | {row['old_commands_share']:.3%} | {late} "
+            f"| {_yes(row['real_time_priority'])} | {_yes(row['memory_locked'])} |"
+        )
+    lines += [
+        "",
+        "Logical time: the same in lock-step, and offline (`arm_emulator run`: the same objects "
+        "and bits in one process, without a network).",
+        "",
+        "| scene | lock-step, real-time factor | us per tick | offline, real-time factor |",
+        "|---|---|---|---|",
+    ]
+    for scene, row in figures["lockstep"].items():
+        factor = row["real_time_factor"]
+        lines.append(
+            f"| {scene} | {factor:.2f} | {1e3 / factor:.0f} | {figures['offline'][scene]:.1f} |"
+        )
+    lines += [
+        "",
+        "In lock-step nearly all of a tick is two messages through the middleware and Python's "
+        "share of making and reading them; the core's ten steps are below one per cent of it.",
+    ]
+    return "\n".join(lines)
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(sys.argv[1], sys.argv[2], float(sys.argv[3]))))

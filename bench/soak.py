@@ -1,0 +1,52 @@
+"""Ten minutes of real time with a busy core beside it: `python -m bench.soak [--minutes 10]`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+import time
+
+from rich.console import Console
+from rich.progress import Progress
+
+from bench.clocks import busy_core, measure
+
+
+def main() -> None:
+    """Run the three nodes, then say how punctual they were; exit code 1 if they were not."""
+    parser = argparse.ArgumentParser(prog="bench.soak", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--scene", default="three_axis")
+    arguments = parser.parse_args()
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    seconds = 60.0 * arguments.minutes
+    console = Console()
+    with busy_core(), Progress(console=console) as progress:
+        bar = progress.add_task("real time, one core busy", total=seconds)
+        over = threading.Event()
+        clock = threading.Thread(
+            target=lambda: [
+                progress.update(bar, completed=time.monotonic() - started)
+                for _ in iter(lambda: over.wait(1.0), True)
+            ]
+        )
+        started = time.monotonic()
+        clock.start()
+        try:
+            figures = measure("real_time", arguments.scene, seconds)
+        finally:
+            over.set()
+            clock.join()
+    for name, value in figures.items():
+        console.print(f"{name:<20} {value}")
+    factor, old = figures["real_time_factor"], figures["old_commands_share"]
+    punctual = abs(factor - 1.0) < 1e-3 and old < 0.01
+    console.print("punctual" if punctual else "[red]not punctual: 0.1 % and 1 % are the limits")
+    sys.exit(not punctual)
+
+
+if __name__ == "__main__":
+    main()
