@@ -44,6 +44,20 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
     demo.set_defaults(run=_demo)
 
+    run = commands.add_parser("run", help="the same without a network, as fast as it goes")
+    _scene(run)
+    run.add_argument(
+        "--seconds", type=float, default=10.0, help="logical time (default: %(default)s)"
+    )
+    run.add_argument(
+        "--displacement",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="where to bring the tool, from where it starts (m, in the world; default: nowhere)",
+    )
+    run.set_defaults(run=_run)
+
     compile_ = commands.add_parser("compile", help="compile a scene ahead of its first use")
     _scene(compile_)
     compile_.add_argument(
@@ -54,6 +68,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     compile_.add_argument("--into", type=Path, help="folder for the library (default: the cache)")
     compile_.set_defaults(run=_compile)
+
+    bench = commands.add_parser("bench", help="measure speed and accuracy (a source tree only)")
+    bench.add_argument("--quick", action="store_true", help="fewer cases, to try it out")
+    bench.add_argument("--only", action="append", default=[], metavar="SECTION",
+                       help="measure this section (may be given several times)")  # fmt: skip
+    bench.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for the report")
+    bench.add_argument("--publish", type=Path, help="folder to copy the report to, docs/report")
+    bench.set_defaults(run=_bench)
 
     check = commands.add_parser("check-scene", help="say whether scene files are valid")
     check.add_argument("scenes", nargs="+", metavar="SCENE")
@@ -95,12 +117,29 @@ def _demo(arguments: argparse.Namespace) -> int:
     return demo(arguments.scene, arguments.clock, arguments.out)
 
 
+def _run(arguments: argparse.Namespace) -> int:
+    from arm_emulator.offline import run
+
+    return run(arguments.scene, arguments.seconds, arguments.displacement)
+
+
 def _compile(arguments: argparse.Namespace) -> int:
     from emulator_node.compiler import compile_ahead
     from emulator_node.scene import load_scene
 
     print(compile_ahead(load_scene(arguments.scene), arguments.target, arguments.into))
     return 0
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    tree = Path(__file__).resolve().parents[1]
+    if not (tree / "bench" / "report.py").is_file():
+        raise Refusal("bench", "the folder bench/", "be there", "an installed package only",
+                      "`make bench` in a source tree")  # fmt: skip
+    sys.path.insert(0, str(tree))
+    from bench.report import bench
+
+    return bench(arguments.quick, arguments.only, arguments.out, arguments.publish)
 
 
 def _check_scene(arguments: argparse.Namespace) -> int:

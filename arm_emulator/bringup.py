@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import signal
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from arm_emulator.config_files import find_config
 
 STOP_PATIENCE = 5.0  # s, wall: for a node to end by itself
 _PR_SET_PDEATHSIG = 1
+_prctl = ctypes.CDLL(None).prctl  # found here, since a forked child should do little
 
 
 @dataclass
@@ -100,7 +100,8 @@ class Bringup:
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT if log is not None else None,
-            preexec_fn=_end_with_parent,
+            process_group=0,  # takes no signals from the terminal: `stop` passes them on
+            preexec_fn=_end_with_parent,  # noqa: PLW1509 - one system call, no lock
         )
         if log is not None:
             log.close()
@@ -138,8 +139,5 @@ class Bringup:
 
 
 def _end_with_parent() -> None:
-    """In the child: take no signals from the terminal (the parent passes them on), and end when
-    the parent is killed.
-    """
-    os.setpgrp()
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+    """In the child: end when the parent is killed."""
+    _prctl(_PR_SET_PDEATHSIG, signal.SIGINT)

@@ -117,8 +117,9 @@ def _run(scene: Scene, network: Bringup, console: Console) -> DemoResult:
     try:
         with console.status("waiting for the three nodes to meet"):
             observer.wait(lambda: observer.answered, network, "the nodes to meet")
-            observer.send_target(target, plan.settle_ns)
+            observer.send_target(plan.settle_ns)
             observer.wait(lambda: observer.target_taken, network, "the target to be taken")
+            observer.wait(observer.can_go, network, "the emulator's service to be there")
             observer.go()
         started = time.monotonic()
         with Progress(
@@ -195,14 +196,24 @@ class _Observer(Node):
             if time.monotonic() > deadline:
                 raise Refusal("demo", what, f"take less than {patience:g} s", "more", "see out/log")
 
-    def send_target(self, target: Pose, from_ns: int) -> None:
+    def send_target(self, from_ns: int) -> None:
+        """Send the target, again until it is taken: a node not yet discovered does not get it."""
         message = PoseStamped()
         message.header.stamp = stamp(from_ns)
         pose = message.pose
-        pose.position.x, pose.position.y, pose.position.z = map(float, target.p_WT)
+        pose.position.x, pose.position.y, pose.position.z = map(float, self._target.p_WT)
         o = pose.orientation
-        o.x, o.y, o.z, o.w = map(float, target.quaternion())
-        self._targets.publish(message)
+        o.x, o.y, o.z, o.w = map(float, self._target.quaternion())
+
+        def send() -> None:
+            if not self.target_taken:
+                self._targets.publish(message)
+
+        send()
+        self.create_timer(0.2, send)
+
+    def can_go(self) -> bool:
+        return self._pause.service_is_ready()
 
     def go(self) -> None:
         self._pause.call_async(SetBool.Request(data=False))

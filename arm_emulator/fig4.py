@@ -90,7 +90,7 @@ def _draw_magnitude(axes: Axes, d: NDArray[np.float64], limit: NDArray[np.float6
             axes.axhline(most, color=colour, linestyle="--", linewidth=1.0)
     axes.set_ylabel("|target − tool| [mm]")
     axes.set_xlabel("number of instructions    (dashed: predicted residual)")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     axes.margins(x=0.02)
 
 

@@ -1,8 +1,8 @@
 """An executor for one node with little to do per message.
 
-rclpy's SingleThreadedExecutor collects all entities of a node anew, and makes a coroutine and a task,
-for every message: on the order of 0.3 ms of Python each time, more than a servo period can spare in
-lock-step. This one collects them now and then, and calls plain callbacks.
+rclpy's SingleThreadedExecutor collects all entities of a node anew, and makes a coroutine and a
+task, for every message: on the order of 0.3 ms of Python each time, more than a servo period can
+spare in lock-step. This one collects them now and then, and calls plain callbacks.
 """
 
 from __future__ import annotations
@@ -54,9 +54,10 @@ class LeanExecutor:
         )
         for _, one in (*subscriptions, *timers, *services):
             held.enter_context(one.handle)
-        held.enter_context(self._context.handle)
+        context: Any = self._context.handle
+        held.enter_context(context)
         waiting: Any = rclpy_implementation.WaitSet(
-            len(subscriptions), 0, len(timers), 0, len(services), 0, self._context.handle
+            len(subscriptions), 0, len(timers), 0, len(services), 0, context
         )
         while (left := until - time.monotonic()) > 0.0:
             waiting.clear_entities()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import signal
 import sys
@@ -13,18 +14,20 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import InvalidParameterValueException, ParameterException
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from arm_emulator.lean_executor import LeanExecutor
-from arm_emulator.parameters import Parameters, checked, rule
+from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked
 from arm_emulator.refusal import Refusal
 
-# Commands: nothing is lost, and the newest wins. States: a reliable publisher serves reliable and
-# best-effort subscribers alike. Descriptions: late-comers get the last one.
+# Commands: nothing is lost, and the newest wins. Who receives them reads them all: in a depth of 1 a
+# bad command would take the place of a good one that is not read yet. States: a reliable publisher
+# serves reliable and best-effort subscribers alike. Descriptions: late-comers get the last one.
 COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+COMMAND_SUB_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 STATE_PUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 STATE_SUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 DESCRIPTION_QOS = QoSProfile(
@@ -58,29 +61,42 @@ def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
     Raises:
         Refusal: a value of the wrong type or out of its range.
     """
+    where, fields = f"node {node.get_name()}", dataclasses.fields(kind)  # type: ignore[arg-type]
     values = {}
-    where = f"node {node.get_name()}"
-    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+    for field in fields:
+        if not node.has_parameter(field.name):
+            # A loose descriptor first: the check below says no in our words, and takes 1 for 1.0.
+            loose = ParameterDescriptor(dynamic_typing=True)
+            node.declare_parameter(field.name, field.default, loose)
+        value = checked(node.get_parameter(field.name).value, field, where)
+        values[field.name] = value
         choices = field.metadata["choices"]
         descriptor = ParameterDescriptor(
             description=field.metadata["description"],
             additional_constraints=f"one of {', '.join(choices)}" if choices else "",
             read_only=True,
-            # The check below says no in our words, and takes 1 for 1.0.
             dynamic_typing=True,
         )
         _set_range(descriptor, field)
-        try:
-            if node.has_parameter(field.name):  # of a node that declares what it was given
-                value = node.get_parameter(field.name).value
-                node.set_descriptor(field.name, descriptor)
-            else:
-                value = node.declare_parameter(field.name, field.default, descriptor).value
-        except InvalidParameterValueException as error:
-            what = f"parameter {field.name}"
-            raise Refusal(where, what, f"be {rule(field)}", error) from None
-        values[field.name] = checked(value, field, where)
+        node.set_descriptor(field.name, descriptor)
     return kind(**values)
+
+
+def refuse_other_parameters(node: Node, config: object) -> None:
+    """Refuse parameters that were given to the node and are neither in `config` nor ROS's own.
+
+    The node must have been created with ``automatically_declare_parameters_from_overrides``.
+
+    Raises:
+        Refusal: a parameter that nobody knows, such as a misspelt one.
+    """
+    known = [field.name for field in dataclasses.fields(config)]  # type: ignore[arg-type]
+    for name in node.get_parameters_by_prefix(""):
+        if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
+            where = f"node {node.get_name()}"
+            raise Refusal(
+                where, f"parameter {name}", "be a known one", "an unknown one", ", ".join(known)
+            )
 
 
 def _set_range(descriptor: ParameterDescriptor, field: dataclasses.Field[Any]) -> None:
@@ -174,11 +190,19 @@ class Diagnostics:
             self.publish()
 
 
+def _init() -> None:
+    try:
+        rclpy.init()
+    except RuntimeError as error:  # rcl's, of the arguments after --ros-args
+        got = str(error).removeprefix("failed to initialize rcl: ")
+        raise Refusal("command line", "the ROS arguments", "be well-formed", got) from None
+
+
 def run_node(create: Callable[[], Closable]) -> None:
     """Run one node until it is told to stop; exit code 2 and one line if its set-up is refused."""
-    rclpy.init()
     node: Any = None
     try:
+        _init()
         node = create()
         LeanExecutor(node).spin()
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -195,4 +219,5 @@ def run_node(create: Callable[[], Closable]) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         if node is not None:
             node.close()
-        rclpy.try_shutdown()
+        with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between
+            rclpy.try_shutdown()

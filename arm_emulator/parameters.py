@@ -12,6 +12,9 @@ from arm_emulator.yaml_file import read_yaml
 
 Parameters = TypeVar("Parameters")
 
+# Parameters that every ROS 2 node has of itself.
+ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
 
 def parameter(
     default: Any,

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import time
 
 from arm_emulator.bringup import Bringup
 
 
 def up(scene: str, clock: str, start: str, rerun_port: int, rerun_file: str) -> int:
-    """Run the network and return the exit code: that of the node that ended first, 0 on Ctrl-C."""
+    """Run the network and return the exit code.
+
+    It is that of the node that ended first (128 + the signal's number if a signal ended it), and 0
+    on Ctrl-C or SIGTERM.
+    """
     streams: dict[str, object] = {"rerun_port": rerun_port}
     if rerun_file:
         streams["rerun_file"] = rerun_file
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     with (
         contextlib.suppress(KeyboardInterrupt),
         Bringup(scene, clock=clock, start=start, emulator=streams) as network,
@@ -22,6 +28,6 @@ def up(scene: str, clock: str, start: str, rerun_port: int, rerun_file: str) -> 
             if ended is not None:
                 name, code = ended
                 print(f"{name} ended with exit code {code}; ending the others")
-                return code
+                return code if code >= 0 else 128 - code
             time.sleep(0.1)
     return 0

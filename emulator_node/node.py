@@ -19,13 +19,14 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.node_shell import (
-    COMMAND_QOS,
+    COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
     NANOSECONDS,
     STATE_PUB_QOS,
     Diagnostics,
     declare_parameters,
     nanoseconds_of,
+    refuse_other_parameters,
     run_node,
     stamp,
 )
@@ -73,8 +74,9 @@ class EmulatorNode(Node):
     """The machine as a ROS node."""
 
     def __init__(self) -> None:
-        super().__init__("emulator")
+        super().__init__("emulator", automatically_declare_parameters_from_overrides=True)
         self._config = declare_parameters(self, EmulatorParameters)
+        refuse_other_parameters(self, self._config)
         scene = load_scene(self._config.scene)
         self._session = (
             RealTimeSession(scene, self._config.start)
@@ -108,8 +110,8 @@ class EmulatorNode(Node):
         self._descriptions = self.create_publisher(String, "robot_description", DESCRIPTION_QOS)
         self._descriptions.publish(String(data=scene.urdf))
 
-        self.create_subscription(MotorCommand, "motor_commands", self._on_command, COMMAND_QOS)
-        self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_QOS)
+        self.create_subscription(MotorCommand, "motor_commands", self._on_command, COMMAND_SUB_QOS)
+        self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -301,25 +303,26 @@ class EmulatorNode(Node):
     # Services
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._session.paused = request.data
-        response.success = True
-        response.message = (
-            f"{'paused' if request.data else 'going on'} at tick {self._session.tick}"
-        )
-        session = self._session
-        if session.lockstep and session.answered and session.may_advance:
-            self._advance()
-        return response
+        with self._lock:
+            session = self._session
+            session.paused = request.data
+            if isinstance(session, RealTimeSession):
+                self._catch_up(session)  # ticks that were reached before the pause
+            response.success = True
+            response.message = f"{'paused' if request.data else 'going on'} at tick {session.tick}"
+            if session.lockstep and session.answered and session.may_advance:
+                self._advance()
+            return response
 
     def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.message = self._session.step()
-        response.success = not response.message
-        if response.success:
-            self._tell()
-            response.message = f"at tick {self._session.tick}"
-        elif self._session.fault is not None:
-            self._diagnostics.error(str(self._session.fault))
-        return response
+        with self._lock:
+            response.message = self._session.step()
+            response.success = not response.message
+            if response.success:
+                self._tell()
+                response.message = f"at tick {self._session.tick}"
+            self._report_fault()
+            return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:

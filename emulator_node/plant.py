@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,27 +16,61 @@ from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.compiler import library_of
 from emulator_node.scene import Scene
+from emulator_node.stability import Attempt, attempts, what_holds
 
 # What a joint without an encoder reports, since encoder counts are whole numbers.
 IDEAL_COUNTS_PER_TURN = 2**20
 
+# Beyond, less than six digits of a joint's motion would be left, and encoder counts would overflow.
+LARGEST_POSITION = 1e6  # rad or m
+LARGEST_COUNT = 2.0**52
+LARGEST_STEPS = 10**15
+
 
 class Diverged(RuntimeError):
-    """The integration left the finite world; the plant stays at the last state within it.
+    """The integration left the world of sound motions; the plant stays at the last state within.
+
+    Its text says which joint, when, and which scheme and step would hold small motions there.
 
     Attributes:
-        joint: the joint that left first.
+        joint: the joint that left first, or that held the most of an energy from nowhere.
         t: logical time of the last state within bounds [s].
+
+    Args:
+        joint: see above.
+        t: see above.
+        dt: the step that it came of [s].
+        scheme: the scheme that it came of.
+        hint: what would hold, in words.
+        trial: tries what holds, for `advice`.
     """
 
-    def __init__(self, joint: str, t: float, dt: float, scheme: str) -> None:
+    def __init__(
+        self,
+        joint: str,
+        t: float,
+        dt: float,
+        scheme: str,
+        hint: str = "",
+        trial: Callable[[], Iterator[Attempt]] | None = None,
+    ) -> None:
         self.joint = joint
         self.t = t
+        self._trial = trial
         super().__init__(
             f"Plant.advance: joint {joint} diverged after t = {t:.6g} s with scheme {scheme} at "
-            f"dt = {dt:g} s; the plant stays at the last state before; "
-            "a smaller integrator.dt would hold"
+            f"dt = {dt:g} s; the plant stays at the last state before"
+            + (f"; {hint}" if hint else "")
         )
+
+    def advice(self) -> list[Attempt]:
+        """Try what holds, and return every trial with its outcome; may compile and take seconds.
+
+        The machine starts where the plant was reset, under the voltages that were applied last,
+        and moves for twice the time to the divergence (half a second at least). Each other scheme
+        is tried at the same step, then at halves of it until it holds; then the same scheme.
+        """
+        return list(self._trial()) if self._trial is not None else []
 
 
 @dataclass(frozen=True)
@@ -101,12 +137,17 @@ class Plant:
             v: link speeds (N,) [rad/s or m/s], zero if None.
 
         Raises:
-            Refusal: wrong shape or not finite; the state is as before.
+            Refusal: wrong shape, not finite, or too far away to be computed with; the state is as
+                before.
         """
         at = self.scene.start if q is None else self._vector(q, "Plant.reset", "q", "rad or m")
         speed = (
             np.zeros(self._N) if v is None else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
         )
+        largest = np.minimum(LARGEST_POSITION, LARGEST_COUNT * self.link_angle_per_count)
+        if (np.abs(at) > largest).any():
+            raise Refusal("Plant.reset", "q", f"be at most {largest.min():g} rad or m", at)
+        self._reset_to = at, speed
         self.core.arm_reset(self.machine, _pointer(at), _pointer(speed))
 
     def advance(self, voltage: ArrayLike, steps: int) -> None:
@@ -122,8 +163,7 @@ class Plant:
             Diverged: the integration failed; the state is the last one within bounds.
         """
         self._voltage[:] = self._vector(voltage, "Plant.advance", "voltage", "V")
-        if steps < 0:
-            raise Refusal("Plant.advance", "steps", "be >= 0", steps)
+        _check_steps(steps, "Plant.advance")
         joint = self.core.arm_advance(self.machine, self._voltage_pointer, steps)
         self._check(joint)
 
@@ -146,18 +186,38 @@ class Plant:
             raise Refusal("Plant.run", "voltages", f"have shape (K, {self._N})", rows.shape)
         if not np.isfinite(rows).all():
             raise Refusal("Plant.run", "voltages", "be finite [V]", rows)
-        if steps < 0:
-            raise Refusal("Plant.run", "steps", "be >= 0", steps)
+        _check_steps(steps, "Plant.run")
         q = np.zeros_like(rows)
+        began = self.t
         joint = self.core.arm_run(self.machine, _pointer(rows), len(rows), steps, _pointer(q))
-        self._check(joint)
+        if joint >= 0:
+            done = int((self.t - began) / (steps * self.scene.integrator.dt) + 1e-6)
+            self._check(joint, rows[min(done, len(rows) - 1)])
         return q
 
-    def _check(self, joint: int) -> None:
+    def fault(
+        self, joint: int, t: float, q: Array, v: Array, voltage: ArrayLike | None = None
+    ) -> Diverged:
+        """Return what to raise when a joint, by its index, left the bounds after the state given.
+
+        Args:
+            joint: its index.
+            t: logical time of that state [s].
+            q: its link positions (N,) [rad or m].
+            v: its link speeds (N,) [rad/s or m/s].
+            voltage: applied then (N,) [V]; None: those of the last `advance`.
+        """
+        now = self.scene.integrator
+        applied = np.array(self._voltage if voltage is None else voltage)
+        duration = max(0.5, 2.0 * t)
+        trial = partial(attempts, self.scene, *self._reset_to, applied, duration)
+        hint = what_holds(self, q, v)
+        return Diverged(self.scene.joint_names[joint], t, now.dt, now.scheme, hint, trial)
+
+    def _check(self, joint: int, voltage: ArrayLike | None = None) -> None:
         if joint >= 0:
-            integrator = self.scene.integrator
-            name = self.scene.joint_names[joint]
-            raise Diverged(name, self.t, integrator.dt, integrator.scheme)
+            state = self.state
+            raise self.fault(joint, state.t, state.q, state.v, voltage)
 
     @property
     def t(self) -> float:
@@ -204,6 +264,15 @@ class Plant:
         if not np.isfinite(array).all():
             raise Refusal(where, quantity, f"be finite [{unit}]", array)
         return array
+
+
+def _check_steps(steps: int, where: str) -> None:
+    if not isinstance(steps, int | np.integer):
+        raise Refusal(where, "steps", "be a whole number", repr(steps))
+    if steps < 0:
+        raise Refusal(where, "steps", "be >= 0", steps)
+    if steps > LARGEST_STEPS:
+        raise Refusal(where, "steps", f"be at most {LARGEST_STEPS:g}", steps)
 
 
 def _pointer(array: Array) -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from emulator_node.chain import Array
-from emulator_node.plant import Diverged, Plant, PlantState
+from emulator_node.plant import Plant, PlantState
 from emulator_node.scene import Scene
 from emulator_node.session import Session
 
@@ -196,10 +196,8 @@ class RealTimeSession(Session):
         self._energy = float(s["energy"])
         self.step_wall_ns += int(s["spent"])
         if s["fault"] >= 0:
-            integrator = self.scene.integrator
-            name = self.scene.joint_names[int(s["fault"])]
             t = int(s["tick"]) * self.scene.servo_period
-            self.fault = Diverged(name, t, integrator.dt, integrator.scheme)
+            self.fault = self.plant.fault(int(s["fault"]), t, s["q"], s["v"], s["voltage"])
             self._running = False
         self.tick = int(s["tick"])
         self._state = PlantState(

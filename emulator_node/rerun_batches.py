@@ -17,6 +17,7 @@ from emulator_node.rerun_blueprint import (
     TOOL_PATH,
     TOOL_TARGET,
     TRANSFORMS,
+    WORLD_AXES,
     blueprint,
 )
 from emulator_node.sample_queue import Array, Times
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 # In the order in which `RerunStream.offer` takes them.
 QUANTITIES = ("q", "v", "gear_torque", "current", "voltage", "q_measured")
 
+AXIS_LENGTH = 0.2  # m, of the axes of the world at the base
 SECOND = 1_000_000_000  # ns
 
 
@@ -116,6 +118,13 @@ class RerunBatches:
         # Radii below zero are in points of the screen.
         line = rr.LineStrips3D.from_fields(radii=-1.5, colors=(250, 200, 60))
         point = rr.Points3D.from_fields(radii=-6.0, colors=(230, 60, 60))
+        axes = rr.Arrows3D(
+            vectors=AXIS_LENGTH * np.eye(3),
+            colors=[(230, 80, 80), (90, 190, 90), (90, 140, 240)],
+            labels=["x", "y", "z"],
+            radii=-1.5,
+        )
+        recording.log(WORLD_AXES, root, axes, static=True)
         recording.log(TOOL_PATH, root, line, static=True)
         recording.log(TOOL_TARGET, root, point, static=True)
         curves = [

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 TIMELINE = "t"
 TRANSFORMS = "transforms"
+WORLD_AXES = "world_axes"
 TOOL_PATH = "tool/path"
 TOOL_TARGET = "tool/target"
 DEVIATION = "signals/tool_deviation"
@@ -61,7 +62,7 @@ def blueprint(
     middle = (low + high) / 2.0
     # The eye's opening is about 55 degrees; the factor leaves room for the links' thickness and for
     # the arm to move.
-    distance = 1.5 * max(float(np.linalg.norm(high - low)), 0.1)
+    distance = 1.35 * max(float(np.linalg.norm(high - low)), 0.1)
     solid = [
         shape.from_fields(fill_mode=rr.components.FillMode.Solid)
         for shape in (rr.Cylinders3D, rr.Boxes3D, rr.Ellipsoids3D, rr.Capsules3D)
@@ -110,6 +111,7 @@ def blueprint(
                 plot("Motor current [A]", "signals/current", legend=False),
                 plot("Motor voltage [V]", "signals/voltage", legend=False),
                 plot("Gear torque [N m]", "signals/gear_torque", legend=False),
+                row_shares=[3, 2, 2, 2],  # room for seven names
             ),
             column_shares=[5, 4],
         ),

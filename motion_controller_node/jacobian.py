@@ -217,6 +217,15 @@ class JacobianController:
         return length or 1.0
 
 
+def moving_joints(urdf_xml: str) -> tuple[str, ...]:
+    """Return the names of a robot description's moving joints, base to tool.
+
+    Raises:
+        Refusal: not a robot description, or one that Pinocchio does not take.
+    """
+    return tuple(_whole_model(urdf_xml).names)[1:]
+
+
 def _within(value: Any, quantity: str, rule: str, high: float) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not math.isfinite(value) or not 0.0 < value <= high:
@@ -238,10 +247,7 @@ def _rows(task: str, joints: int) -> int:
 
 def _model(urdf_xml: str, joint_names: tuple[str, ...]) -> Any:
     """Return the Pinocchio model whose moving joints are exactly `joint_names`."""
-    try:
-        model = pin.buildModelFromXML(urdf_xml)
-    except (ValueError, RuntimeError) as error:
-        raise Refusal("robot_description", "the text", "be a URDF", error) from error
+    model = _whole_model(urdf_xml)
     moving = list(model.names)[1:]
     for name in joint_names:
         if name not in moving:
@@ -260,6 +266,13 @@ def _model(urdf_xml: str, joint_names: tuple[str, ...]) -> Any:
         if model.joints[model.getJointId(name)].nv != 1:
             raise Refusal("motion_controller", name, "have one degree of freedom", "more")
     return model
+
+
+def _whole_model(urdf_xml: str) -> Any:
+    try:
+        return pin.buildModelFromXML(urdf_xml)
+    except (ValueError, RuntimeError) as error:
+        raise Refusal("robot_description", "the text", "be a URDF", error) from error
 
 
 def _frame(model: Any, tool: str) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -14,16 +13,19 @@ from std_msgs.msg import String
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.node_shell import (
     COMMAND_QOS,
+    COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
     NANOSECONDS,
     STATE_SUB_QOS,
     Diagnostics,
     declare_parameters,
     nanoseconds_of,
+    refuse_other_parameters,
     run_node,
 )
 from arm_emulator.refusal import Refusal
-from motion_controller_node.jacobian import FloatArray, JacobianController
+from motion_controller_node.instructor import Instructor
+from motion_controller_node.jacobian import JacobianController, moving_joints
 from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.pose import Pose
 
@@ -36,30 +38,44 @@ class MotionControllerNode(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__("motion_controller")
+        super().__init__("motion_controller", automatically_declare_parameters_from_overrides=True)
         self._config = declare_parameters(self, MotionConfig)
+        refuse_other_parameters(self, self._config)
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._diagnostics = Diagnostics(self, "motion controller")
         self._diagnostics.values["tool targets"] = 0
-        self._urdf: str | None = None
+        self._diagnostics.warn("waiting for robot_description")
+        self._urdf = ""
         self._controller: JacobianController | None = None
-        self._start_over()
+        self._instructor = Instructor()
+        self._answer: JointState | None = None
         self._targets = self.create_publisher(JointState, "joint_targets", COMMAND_QOS)
         self.create_subscription(String, "robot_description", self._on_description, DESCRIPTION_QOS)
         self.create_subscription(JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS)
-        self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_QOS)
+        self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
 
     def close(self) -> None:
         """Nothing to let go of."""
 
     def _start_over(self) -> None:
-        self._answer: JointState | None = None
-        self._hold: FloatArray | None = None
-        self._tool_target: Pose | None = None
-        self._coming: deque[tuple[int, Pose]] = deque()
+        self._answer = None
+        self._instructor.start_over()
 
     def _on_description(self, message: String) -> None:
-        self._urdf, self._controller = message.data, None
+        if message.data == self._urdf:
+            return
+        try:
+            controller = JacobianController(
+                message.data, moving_joints(message.data), **self._config.controller_arguments()
+            )
+        except Refusal as reason:
+            self._diagnostics.refuse("robot_description", reason)
+            return
+        if self._controller is not None:  # targets for another arm
+            self._start_over()
+        self._urdf, self._controller = message.data, controller
+        self._order = JointOrder("joint_states", controller.joint_names)
+        self._diagnostics.ok("waiting for joint_states")
 
     def _on_tool_target(self, message: PoseStamped) -> None:
         p, o = message.pose.position, message.pose.orientation
@@ -76,9 +92,7 @@ class MotionControllerNode(Node):
         except Refusal as reason:
             self._diagnostics.refuse("tool_target", reason)
             return
-        # In the order of their times; of two with the same time the newer wins.
-        self._coming.append((nanoseconds_of(message.header.stamp), pose))
-        self._coming = deque(sorted(self._coming, key=lambda item: item[0]))
+        self._instructor.add(nanoseconds_of(message.header.stamp), pose)
         accepted = self._diagnostics.values["tool targets"]
         assert isinstance(accepted, int)
         self._diagnostics.values["tool targets"] = accepted + 1
@@ -86,54 +100,36 @@ class MotionControllerNode(Node):
 
     def _on_joint_states(self, message: JointState) -> None:
         now = nanoseconds_of(message.header.stamp)
-        if now % self._period_ns != 0:
+        controller = self._controller
+        if controller is None or now % self._period_ns != 0:
+            return
+        try:
+            q = self._order.arrange(message.name, message.position, "position", "rad")
+        except Refusal as reason:
+            self._diagnostics.refuse("joint_states", reason)
             return
         if self._answer is not None and now <= nanoseconds_of(self._answer.header.stamp):
             if message.header.stamp == self._answer.header.stamp:
                 self._targets.publish(self._answer)  # somebody came late or lost it
                 return
             self._start_over()
-        try:
-            controller = self._ready_controller(message)
-            if controller is None:
-                return
-            order = JointOrder("joint_states", controller.joint_names)
-            q = order.arrange(message.name, message.position, "position", "rad")
-            q_target = self._instruct(controller, now, q)
-        except Refusal as reason:
-            self._diagnostics.refuse("joint_states", reason)
-            return
+        q_target = self._instructor.instruct(controller, now, q)
+        self._tell(controller)
         answer = JointState(name=controller.joint_names)
         answer.header.stamp = message.header.stamp
         answer.position = array("d", q_target.tobytes())
         self._answer = answer
         self._targets.publish(answer)
 
-    def _instruct(self, controller: JacobianController, now: int, q: FloatArray) -> FloatArray:
-        while self._coming and self._coming[0][0] <= now:
-            self._tool_target = self._coming.popleft()[1]
-        if self._tool_target is None:
-            if self._hold is None:
-                self._hold = q
+    def _tell(self, controller: JacobianController) -> None:
+        if self._instructor.holding:
             self._diagnostics.ok("holding, no tool target yet")
-            return self._hold
-        q_target = controller.update(q, self._tool_target)
+            return
         if controller.notices:
             self._diagnostics.warn("; ".join(controller.notices))
         else:
             self._diagnostics.ok("moving the tool to its target")
         self._diagnostics.values["tool error [m]"] = f"{np.linalg.norm(controller.error[:3]):.2e}"
-        return q_target
-
-    def _ready_controller(self, message: JointState) -> JacobianController | None:
-        if self._controller is None:
-            if self._urdf is None:
-                self._diagnostics.warn("waiting for robot_description")
-                return None
-            self._controller = JacobianController(
-                self._urdf, list(message.name), **self._config.controller_arguments()
-            )
-        return self._controller
 
     def _root(self) -> tuple[str, ...]:
         return (self._controller.base,) if self._controller is not None else ()

@@ -6,7 +6,6 @@ import time
 from array import array
 from dataclasses import dataclass
 
-import numpy as np
 import rclpy.clock
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
@@ -16,6 +15,7 @@ from std_srvs.srv import Trigger
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.node_shell import (
     COMMAND_QOS,
+    COMMAND_SUB_QOS,
     NANOSECONDS,
     STATE_PUB_QOS,
     STATE_SUB_QOS,
@@ -25,12 +25,13 @@ from arm_emulator.node_shell import (
     run_node,
     stamp,
 )
-from arm_emulator.parameters import parameter
+from arm_emulator.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.refusal import Refusal
 from arm_emulator_msgs.msg import MotorCommand, MotorState
-from servo_node.servo import FloatArray, Servo, ServoConfig
-from servo_node.servo_config import ROS_PARAMETERS
-from servo_node.watchdog import Watchdog, WatchdogState
+from servo_node.drives import Drives, Target
+from servo_node.servo import FloatArray
+from servo_node.servo_config import ServoConfig
+from servo_node.watchdog import WatchdogState
 
 SILENCE_CHECK = 0.1  # s, wall
 
@@ -60,16 +61,6 @@ class _Measurement:
     powered: bool
 
 
-@dataclass(frozen=True)
-class _Target:
-    """Joint targets in the servo's order of joints."""
-
-    time_ns: int
-    q: FloatArray
-    v: FloatArray | None
-    tau: FloatArray | None
-
-
 class ServoNode(Node):
     """The servo as a ROS node.
 
@@ -90,13 +81,13 @@ class ServoNode(Node):
         for name in given:
             self.set_descriptor(name, ParameterDescriptor(read_only=True, dynamic_typing=True))
         self._lockstep = own.clock == "lockstep"
+        self._period_ns = round(self._config.period * NANOSECONDS)
         self._joint_states_ticks = max(1, round(own.joint_states_period / self._config.period))
         self._motion_ticks = round(self._config.motion_period / self._config.period)
         names = self._config.joint_names
         self._states_order = JointOrder("motor_states", names)
         self._targets_order = JointOrder("joint_targets", names)
-        self._servo = Servo(self._config)
-        self._watchdog = Watchdog(self._config.hold_after, self._config.cut_after)
+        self._drives = Drives(self._config)
         self._diagnostics = Diagnostics(self, "servo drives")
         self._heard_at = time.monotonic()
         self._start_over()
@@ -106,7 +97,7 @@ class ServoNode(Node):
         self._commands = self.create_publisher(MotorCommand, "motor_commands", COMMAND_QOS)
         self._joint_states = self.create_publisher(JointState, "joint_states", STATE_PUB_QOS)
         self.create_subscription(MotorState, "motor_states", self._on_state, STATE_SUB_QOS)
-        self.create_subscription(JointState, "joint_targets", self._on_target, COMMAND_QOS)
+        self.create_subscription(JointState, "joint_targets", self._on_target, COMMAND_SUB_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
         steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
         self.create_timer(SILENCE_CHECK, self._on_silence_check, clock=steady)
@@ -115,21 +106,18 @@ class ServoNode(Node):
         """Nothing to let go of."""
 
     def _start_over(self) -> None:
-        self._servo.reset()
-        self._watchdog.reset()
+        self._drives.reset()
         self._newest: _Measurement | None = None
         self._waiting = False  # for the joint targets of this motion period
         self._cycle_ns = 0  # when this motion period began
         self._silent = False  # no motor states, and the power is cut
-        self._target: _Target | None = None
-        self._hold: FloatArray | None = None
 
     # Topics
 
     def _on_state(self, message: MotorState) -> None:
-        self._heard_at = time.monotonic()
         names = message.joint_names
         try:
+            self._check_time(message)
             now = _Measurement(
                 int(message.tick),
                 nanoseconds_of(message.header.stamp),
@@ -140,23 +128,37 @@ class ServoNode(Node):
         except Refusal as reason:
             self._diagnostics.refuse("motor_states", reason)
             return
-        if self._newest is not None and now.tick == self._newest.tick:
-            self._say_again()
-            return
-        if self._newest is not None and now.tick < self._newest.tick:
-            self._diagnostics.ok("the emulator was reset")
-            self._start_over()
+        self._heard_at = time.monotonic()
+        if self._newest is not None:
+            if now.tick == self._newest.tick:
+                self._say_again()
+                return
+            # In lock-step no tick is left out, unless it runs free: then nothing is lost.
+            if now.tick < self._newest.tick or (
+                self._lockstep and now.tick > self._newest.tick + 1
+            ):
+                self._diagnostics.ok("the emulator began anew")
+                self._start_over()
         self._newest = now
         self._silent = False
-        self._watchdog.state_came(now.time_ns / NANOSECONDS)
+        self._drives.measure(now.time_ns, now.counts, now.current)
         begins = self._lockstep and self._motion_ticks > 0 and now.tick % self._motion_ticks == 0
         if begins:
             self._waiting, self._cycle_ns = True, now.time_ns
-        self._servo.observe(now.counts, now.current)
         if now.tick % self._joint_states_ticks == 0 or begins:
-            self._say_joint_states(now)
+            self._say_joint_states(now.time_ns)
         if not self._waiting:
             self._answer(now)
+
+    def _check_time(self, message: MotorState) -> None:
+        time_ns, tick = nanoseconds_of(message.header.stamp), int(message.tick)
+        if time_ns != tick * self._period_ns:
+            raise Refusal(
+                "motor_states",
+                "header.stamp",
+                f"be tick x servo period, {tick} x {self._config.period:g} s",
+                f"{time_ns / NANOSECONDS:g} s",
+            )
 
     def _on_target(self, message: JointState) -> None:
         try:
@@ -166,28 +168,25 @@ class ServoNode(Node):
             return
         if self._lockstep and self._motion_ticks and not self._waiting:
             return  # this motion period's targets, said again
-        self._target = target
-        newest = self._newest
-        if newest is not None:
-            self._watchdog.target_came(newest.time_ns / NANOSECONDS)
-        if self._waiting and newest is not None:
+        self._drives.aim(target)
+        if self._waiting and self._newest is not None:
             self._waiting = False
-            self._answer(newest)
+            self._answer(self._newest)
 
-    def _read_target(self, message: JointState) -> _Target:
+    def _read_target(self, message: JointState) -> Target:
         arrange, names = self._targets_order.arrange, message.name
-        target = _Target(
-            nanoseconds_of(message.header.stamp),
+        time_ns = nanoseconds_of(message.header.stamp)
+        target = Target(
             arrange(names, message.position, "position", "rad"),
             arrange(names, message.velocity, "velocity", "rad/s") if message.velocity else None,
             arrange(names, message.effort, "effort", "N m") if message.effort else None,
         )
-        if self._lockstep and self._motion_ticks and target.time_ns != self._cycle_ns:
+        if self._lockstep and self._motion_ticks and time_ns != self._cycle_ns:
             raise Refusal(
                 "joint_targets",
                 "header.stamp",
                 f"be that of the joint states it answers, {self._cycle_ns / NANOSECONDS:g} s",
-                f"{target.time_ns / NANOSECONDS:g} s",
+                f"{time_ns / NANOSECONDS:g} s",
             )
         return target
 
@@ -195,39 +194,27 @@ class ServoNode(Node):
 
     def _answer(self, now: _Measurement) -> None:
         """Compute and say the voltages for the servo period that begins with `now`."""
-        voltage = self._voltage(now)
+        drives = self._drives
+        voltage = drives.voltage(now.powered)
+        if drives.state is WatchdogState.OK:
+            self._diagnostics.ok("following")
+        elif drives.state is WatchdogState.HOLD:
+            self._diagnostics.warn(f"holding: {drives.reason}")
+        else:
+            self._diagnostics.error(drives.reason)
         command = self._command
         command.header.stamp = stamp(now.time_ns)
         command.tick = now.tick
         command.voltage = array("d", voltage.tobytes())
         self._commands.publish(command)
 
-    def _voltage(self, now: _Measurement) -> FloatArray:
-        state = self._watchdog.check(now.time_ns / NANOSECONDS)
-        target = self._target
-        if state is WatchdogState.CUT or not now.powered:
-            self._diagnostics.error(
-                self._watchdog.reason if now.powered else "the drives' power is off"
-            )
-            self._hold = None
-            self._servo.release()
-            return np.zeros(len(now.counts))
-        if state is WatchdogState.HOLD or target is None:
-            self._diagnostics.warn(f"holding: {self._watchdog.reason}")
-            if self._hold is None:
-                self._hold = self._servo.q_measured
-            return self._servo.control(self._hold)
-        self._diagnostics.ok("following")
-        self._hold = None
-        return self._servo.control(target.q, target.v, target.tau)
-
     # Telling
 
-    def _say_joint_states(self, now: _Measurement) -> None:
+    def _say_joint_states(self, time_ns: int) -> None:
         message = self._joint_state
-        message.header.stamp = stamp(now.time_ns)
-        message.position = array("d", self._servo.q_measured.tobytes())
-        message.velocity = array("d", self._servo.v_measured.tobytes())
+        message.header.stamp = stamp(time_ns)
+        message.position = array("d", self._drives.servo.q_measured.tobytes())
+        message.velocity = array("d", self._drives.servo.v_measured.tobytes())
         self._joint_states.publish(message)
 
     def _say_again(self) -> None:
@@ -235,10 +222,10 @@ class ServoNode(Node):
         if self._newest is None:
             return
         if self._waiting:
-            self._say_joint_states(self._newest)
+            # As of the motion period's start, even if another servo has led on from there.
+            self._say_joint_states(self._cycle_ns)
             self._diagnostics.warn(
-                "waiting for the joint targets that answer "
-                f"t = {self._newest.time_ns / NANOSECONDS:g} s"
+                f"waiting for the joint targets that answer t = {self._cycle_ns / NANOSECONDS:g} s"
             )
         else:
             self._commands.publish(self._command)

@@ -11,10 +11,8 @@ from typing import Any
 
 import yaml
 
+from arm_emulator.parameters import ROS_PARAMETERS
 from arm_emulator.refusal import Refusal
-
-# Parameters that every ROS 2 node has of itself; they are no business of the servo.
-ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ import psutil
 import pytest
 
 from arm_emulator.refusal import Refusal
-from emulator_node.rerun_stream import QUANTITIES, RerunStream
+from emulator_node.rerun_batches import QUANTITIES
+from emulator_node.rerun_stream import RerunStream
 from emulator_node.sample_queue import SampleQueue
 from emulator_node.tool_position import ToolPosition
 
@@ -260,7 +261,7 @@ def test_without_a_sink_nothing_is_started():
 import sys, threading
 from emulator_node.rerun_stream import RerunStream
 stream = RerunStream("not read", {NAMES})
-stream.offer(0, *[[0.0] * 3] * 5)
+stream.offer(0, *[None] * 5)
 stream.offer_target(0, (0.0, 0.0, 0.0))
 assert stream.close() and stream.dropped == 0 and stream.url is None
 assert threading.active_count() == 1
@@ -269,45 +270,48 @@ assert "rerun" not in sys.modules
     run(code)
 
 
-def test_queue_keeps_order_around_its_end_and_counts_what_finds_no_place():
+def test_queue_keeps_order_and_counts_what_finds_no_place():
     queue = SampleQueue(capacity=8, width=2, joints=3)
-    taken = []
-    for k in range(50):
-        queue.put(k, [k, k, k], None)
-        if k % 5 == 4:
-            while len(queue):
-                times, rows = queue.take(3)
-                assert len(times) <= 3
-                assert np.array_equal(rows[:, 0], np.repeat(times[:, None], 3, axis=1))
-                assert np.isnan(rows[:, 1]).all()
-                taken += times.tolist()
-    assert taken == list(range(50))
-    assert queue.dropped == 0
+    values = np.zeros((2, 3))
     for k in range(11):
-        queue.put(k, [k] * 3, None)
-    assert (len(queue), queue.dropped) == (8, 3)
-    assert queue.take(100)[0].tolist() == [0, 1, 2, 3, 4, 5]  # up to the end of the memory
-    assert queue.take(100)[0].tolist() == [6, 7]  # the oldest are kept, the newest dropped
+        values[:] = [[k], [-k]]  # the writer's arrays are its own again at once
+        queue.put(k, (values[0], values[1]))
+    assert (len(queue), queue.dropped, queue.newest) == (8, 3, 7)
+    times, rows = queue.take(5)
+    assert times.tolist() == [0, 1, 2, 3, 4]  # the oldest are kept
+    assert rows.tolist() == [[[k] * 3, [-k] * 3] for k in range(5)]
+    queue.put(20, (values[0], values[1]))
+    assert queue.take(100)[0].tolist() == [5, 6, 7, 20]
+    assert queue.take(100)[1].shape == (0, 2, 3)
+    assert queue.dropped == 3
 
 
 @pytest.mark.parametrize(
-    "sample",
+    ("time_ns", "quantities"),
     [
-        (0, [1.0, 2.0]),
-        (0, ["a", "b", "c"]),
-        ("now", [0.0] * 3),
-        (2**80, [0.0] * 3),
-        (0, [0.0] * 3, 1.0, 2.0),
+        (0, (np.zeros(3), np.zeros(2))),
+        (0, (np.zeros(4), np.zeros(4))),
+        (0, (np.zeros(3),)),
+        (0, (np.zeros(3), 1.0)),
+        (0, None),
+        (0, (np.array(["a", "b", "c"]), np.zeros(3))),
+        ("now", (np.zeros(3), np.zeros(3))),
+        (2**80, (np.zeros(3), np.zeros(3))),
+        ([1, 2], (np.zeros(3), np.zeros(3))),
     ],
 )
-def test_a_sample_that_is_none_is_dropped_and_leaves_the_queue_whole(sample):
+def test_a_sample_that_is_none_is_dropped_alone(time_ns, quantities):
     queue = SampleQueue(capacity=4, width=2, joints=3)
-    queue.put(*sample)
-    assert (len(queue), queue.dropped) == (0, 1)
-    queue.put(5, [1.0, 2.0, 3.0], None)
+    queue.put(1, (np.arange(3), np.arange(3)))  # whole numbers will do
+    queue.put(time_ns, quantities)
+    queue.put(5, (np.ones(3), np.ones(3)))
     times, rows = queue.take(4)
-    assert times.tolist() == [5]
-    assert rows[0, 0].tolist() == [1.0, 2.0, 3.0]
+    assert times.tolist() == [1, 5]
+    assert rows.tolist() == [[[0, 1, 2]] * 2, [[1, 1, 1]] * 2]
+    assert queue.dropped == 1
+    queue.put(time_ns, quantities)
+    assert queue.take(4)[1].shape == (0, 2, 3)
+    assert queue.dropped == 2
 
 
 def test_a_file_that_does_not_take_data_costs_samples_and_nothing_else(tmp_path):
@@ -347,9 +351,10 @@ def test_a_killed_process_leaves_a_readable_file(tmp_path):
     file = tmp_path / "a.rrd"
     code = f"""
 import time
+import numpy as np
 from emulator_node.rerun_stream import RerunStream
 stream = RerunStream({URDF!r}, {NAMES}, file={str(file)!r})
-x = [0.5] * 3
+x = np.full(3, 0.5)
 k = 0
 while True:
     stream.offer(k * 1000000, x, x, x, x, x)
@@ -375,10 +380,11 @@ while True:
 def test_a_process_that_forgets_to_close_writes_everything(tmp_path):
     file = tmp_path / "a.rrd"
     code = f"""
+import numpy as np
 from emulator_node.rerun_stream import RerunStream
 stream = RerunStream({URDF!r}, {NAMES}, file={str(file)!r})
 for k in range(500):
-    stream.offer(k * 1000000, *[[float(k)] * 3] * 5)
+    stream.offer(k * 1000000, *[np.full(3, float(k))] * 5)
 """
     run(code)
     assert signal_of(file, "q", "turn")[1].tolist() == list(range(500))

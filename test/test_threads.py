@@ -69,18 +69,18 @@ def test_same_bits_a_hundred_times_under_load(exchange: str) -> None:
             one.reset()
             for steps in (30, 1, 69, 100) if repetition % 2 else (200,):
                 one.advance([10.0, -20.0, 15.0], steps)
-            state = one.state
-            seen.add(b"".join(a.tobytes() for a in (state.q, state.v, state.omega_m, state.current)))
+            s = one.state
+            seen.add(b"".join(a.tobytes() for a in (s.q, s.v, s.omega_m, s.current)))
     assert len(seen) == 1
 
 
 def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
     """Table 1 for our scene: first order for every joint, no joint above the paper's figure."""
     differences = {}
-    for dt in PAPER_TABLE_1:
+    for dt, papers in PAPER_TABLE_1.items():
         one, two = (after_one_second(plant(threads, dt)) for threads in (1, 2))
         differences[dt] = np.abs(one - two)
-        assert np.all(differences[dt] <= PAPER_TABLE_1[dt])
+        assert np.all(differences[dt] <= papers)
     # Ten times smaller with a tenth of the step; 15 % are left for the next order at 1e-3.
     assert differences[1e-3] / differences[1e-4] == pytest.approx([10.0] * 3, rel=0.15)
     assert differences[1e-4] / differences[1e-5] == pytest.approx([10.0] * 3, rel=0.02)
@@ -98,7 +98,7 @@ def test_predicting_makes_the_lag_an_error_of_second_order(scheme: str) -> None:
 
 
 def test_a_long_chain_agrees_too(tmp_path: Path) -> None:
-    """14 free joints, beyond the core's limit of unrolling: the difference vanishes with the step."""
+    """14 free joints, more than the core unrolls: the difference vanishes with the step."""
     differences = []
     for threads in (1, 2):
         scene = random_chain(tmp_path, 6, 14, gravity=[0, 0, -9.81], threads=threads)
@@ -113,7 +113,8 @@ def test_a_long_chain_agrees_too(tmp_path: Path) -> None:
 def test_a_fault_is_caught_in_two_threads_as_in_one() -> None:
     two = plant(2, dt=1e-3)
     before = thread_count()
-    overrides = {"threads": 2, "integrator.dt": 1e-2, "servo_period": 1e-2, "integrator.scheme": "paper"}
+    overrides = {"threads": 2, "integrator.scheme": "paper"}
+    overrides |= {"integrator.dt": 1e-2, "servo_period": 1e-2}
     diverging = Plant(load_scene("three_axis", overrides=overrides))
     for _ in range(2):  # and after a reset once more, at the same time
         diverging.reset()
@@ -140,7 +141,7 @@ def test_no_thread_is_left_and_no_core_is_busy() -> None:
 
 
 def test_no_data_race(tmp_path: Path) -> None:
-    """The core under ThreadSanitizer: two-thread bursts, and the real-time loop with its partners."""
+    """The core under ThreadSanitizer: bursts of two threads, the real-time loop with partners."""
     overrides = {"threads": 2, "integrator.scheme": "paper"}
     unit = scene_unit(load_scene("three_axis", overrides=overrides))
     source, program = tmp_path / "race.cpp", tmp_path / "race"

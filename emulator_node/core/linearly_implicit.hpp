@@ -92,7 +92,10 @@ class LinearlyImplicit {
       advance(x, k1, h);
     }
     friction.stop_at_reversal(x.v);
-    for_each<N>([&](auto j) __attribute__((always_inline)) { follow_voltage(x, V, j); });
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      follow_voltage(x, V, j);
+      if (may_limit(j)) x.i[j] = clamp(x.i[j], S::joint[j].motor.current_limit);
+    });
   }
 
  private:

@@ -1,0 +1,151 @@
+"""Machine, servo and motion controller coupled in one process: lock-step without a network.
+
+The three do in every tick what their nodes do in lock-step, in the same order and with the same
+numbers, so that the motor states are the same to the last bit.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.config_files import find_config
+from arm_emulator.joint_order import JointOrder
+from arm_emulator.refusal import Refusal
+from emulator_node.plant import Diverged
+from emulator_node.scene import Scene, load_scene
+from emulator_node.session import Session
+from motion_controller_node.instructor import Instructor
+from motion_controller_node.jacobian import JacobianController, moving_joints
+from motion_controller_node.motion_config import MotionConfig, load_motion_config
+from motion_controller_node.pose import Pose
+from servo_node.drives import Drives, Target
+from servo_node.servo_config import ServoConfig, load_servo_config
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class OfflineRun:
+    """One run from tick 0.
+
+    Attributes:
+        session: the machine; tick, logical time, state, energy.
+        drives: the servo.
+        controller: eq. (6) for the arm.
+        instructor: takes the tool targets.
+
+    Args:
+        scene: the machine.
+        servo: as the node `servo` gets it.
+        motion: as the node `motion_controller` gets it.
+
+    Raises:
+        Refusal: periods or joints that do not fit together.
+    """
+
+    def __init__(self, scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
+        self.session = Session(scene, "lockstep", "first_answer")
+        self.drives = Drives(servo)
+        self.controller = JacobianController(
+            scene.urdf, moving_joints(scene.urdf), **motion.controller_arguments()
+        )
+        self.instructor = Instructor()
+        _same("servo.period", servo.period, "the scene's servo_period", scene.servo_period)
+        _same("servo.motion_period", servo.motion_period, "motion_controller.period", motion.period)
+        self._motion_ticks = round(motion.period / servo.period)
+        self._servo_names = list(servo.joint_names)
+        # Places of one's joints in the other's arrays; an empty slice where the order is the same.
+        self._to_servo = _places("servo", scene.joint_names, servo.joint_names)
+        self._to_motion = _places("joint_states", servo.joint_names, self.controller.joint_names)
+        self._from_motion = _places("joint_targets", self.controller.joint_names, servo.joint_names)
+
+    def advance(self, ticks: int) -> None:
+        """Go on by so many servo periods.
+
+        Raises:
+            Diverged: the machine did; it stays at the last state before.
+        """
+        session, drives, names = self.session, self.drives, self._servo_names
+        to_servo, motion_ticks = self._to_servo, self._motion_ticks
+        for _ in range(ticks):
+            tick, state = session.tick, session.state
+            now = session.logical_ns
+            drives.measure(now, state.encoder_counts[to_servo], state.current[to_servo])
+            if tick % motion_ticks == 0:
+                q = drives.servo.q_measured[self._to_motion]
+                q_target = self.instructor.instruct(self.controller, now, q)
+                drives.aim(Target(q_target[self._from_motion]))
+            session.offer(tick, names, drives.voltage(session.powered).tolist())
+            session.advance()
+            if session.fault is not None:
+                raise session.fault
+
+
+def _same(one: str, value: float, other: str, expected: float) -> None:
+    if round(value * 1e9) != round(expected * 1e9):
+        raise Refusal("offline run", one, f"be {other}, {expected:g} s", f"{value:g} s")
+
+
+def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> slice | list[int]:
+    """Return what to index an array in the order `given` with, to get it in the order `wanted`."""
+    places = JointOrder(topic, wanted).arrange(given, range(len(given)), "joint", "")
+    order = [int(place) for place in places]
+    return slice(None) if order == list(range(len(order))) else order
+
+
+def load_offline_run(scene_name: str) -> OfflineRun:
+    """Return a run of a scene with the gains of the same name under config/.
+
+    Raises:
+        Refusal: a file that is missing or not taken.
+    """
+    scene = load_scene(scene_name)
+    stem = Path(find_config(scene_name, ".yaml")).stem
+    servo = load_servo_config(find_config(stem, ".yaml", "servo"))
+    motion = load_motion_config(find_config(stem, ".yaml", "motion"))
+    return OfflineRun(scene, servo, motion)
+
+
+def run(scene_name: str, seconds: float, displacement: list[float] | None) -> int:
+    """Run for some logical time, the tool brought aside from the start on, and say how it went.
+
+    Args:
+        scene_name: scene file or name.
+        seconds: of logical time.
+        displacement: of the tool in the world (3,) [m]; None: the arm holds where it starts.
+    """
+    one = load_offline_run(scene_name)
+    session, controller = one.session, one.controller
+    scene = session.scene
+    ticks = round(seconds / scene.servo_period) if np.isfinite(seconds) else 0
+    if ticks < 1:
+        rule = f"be at least the servo period, {scene.servo_period:g} s"
+        raise Refusal("run", "seconds", rule, f"{seconds:g}")
+    R_WT, p_WT = controller.forward(scene.start)
+    # By way of the quaternion, as in a message: the rotation has the same rounding then.
+    orientation = Pose(p_WT, R_WT).quaternion()
+    target = Pose.from_quaternion(
+        p_WT + np.array(displacement or (0.0, 0.0, 0.0)), orientation, "run: displacement"
+    )
+    if displacement is not None:
+        one.instructor.add(0, target)
+    started = time.perf_counter()
+    try:
+        one.advance(ticks)
+    except Diverged as fault:
+        print(fault, file=sys.stderr)
+        return 1
+    wall = time.perf_counter() - started
+    logical = session.logical_ns / 1e9
+    x, y, z = (target.p_WT - controller.forward(session.state.q)[1]) * 1e3
+    print(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")
+    print(
+        f"real-time factor  {logical / wall:.1f}   ({wall / ticks * 1e6:.1f} us per servo period)"
+    )
+    print(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
+    print(f"energy            {session.plant.energy:.6g} J")
+    return 0

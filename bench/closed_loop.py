@@ -1,0 +1,81 @@
+"""The demo's motion without a network: the same servo and motion controller, called in turn."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from arm_emulator.config_files import find_config
+from arm_emulator.yaml_file import read_yaml
+from bench.motion import Array
+from emulator_node.plant import IDEAL_COUNTS_PER_TURN, Plant
+from emulator_node.scene import Scene
+from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.motion_config import load_motion_config
+from motion_controller_node.pose import Pose
+from servo_node.servo import Servo
+from servo_node.servo_config import ServoConfig, load_servo_config
+
+
+class DemoMotion:
+    """The demo of one scene: hold the start until the arm has settled, then go to the target.
+
+    Attributes:
+        settle: servo periods until the target holds.
+        periods: servo periods in all: settling, and one second.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        motion = load_motion_config(find_config(scene.name, ".yaml", "motion"))
+        plan = read_yaml(find_config(scene.name, ".yaml", "demo"))
+        self._config = load_servo_config(find_config(scene.name, ".yaml", "servo"))
+        self._names = scene.joint_names
+        self._controller = JacobianController(
+            scene.urdf, self._names, **motion.controller_arguments()
+        )
+        self._cycle = round(motion.period / scene.servo_period)
+        self.settle = round(float(plan["settle"]) / scene.servo_period)
+        self.periods = self.settle + round(1.0 / scene.servo_period)
+        R_WT, p_WT = self._controller.forward(scene.start)
+        self._target = Pose(p_WT + np.array(plan["displacement"]), R_WT)
+
+    def run(self, scene: Scene) -> tuple[Array, Array]:
+        """Move the machine of `scene`.
+
+        Returns:
+            Link positions at the end of each servo period and the voltages within it,
+            (periods, N) each.
+        """
+        plant, servo = Plant(scene), Servo(self._servo_config(scene))
+        steps = scene.steps_per_period
+        q = np.empty((self.periods, len(self._names)))
+        voltages = np.empty_like(q)
+        q_target = scene.start
+        for k in range(self.periods):
+            state = plant.state
+            servo.observe(state.encoder_counts, state.current)
+            if k >= self.settle and k % self._cycle == 0:
+                q_target = self._controller.update(servo.q_measured, self._target)
+            voltages[k] = servo.control(q_target)
+            plant.advance(voltages[k], steps)
+            q[k] = plant.state.q
+        return q, voltages
+
+    def tool(self, q: Array) -> Array:
+        """Return the tool's position for each row of link positions, (K, 3) [m]."""
+        return np.array([self._controller.forward(row)[1] for row in q])
+
+    def _servo_config(self, scene: Scene) -> ServoConfig:
+        """Return the servo's parameters, in the scene's order, told of the encoders it has."""
+        known = {joint.name: joint for joint in self._config.joints}
+        joints = tuple(
+            dataclasses.replace(
+                known[joint.name],
+                counts_per_turn=joint.encoder.counts_per_turn
+                if joint.encoder
+                else IDEAL_COUNTS_PER_TURN,
+            )
+            for joint in scene.joints
+        )
+        return dataclasses.replace(self._config, joints=joints)

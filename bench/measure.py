@@ -1,0 +1,199 @@
+"""How things are timed here: interleaved, repeated, medians with spread, the machine named."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib.metadata
+import io
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from emulator_node.compiler import find_compiler, library_of, scene_unit
+from emulator_node.scene import Scene
+
+ENOUGH = 0.01  # s of work in one repetition
+LONG = 0.2  # s; beyond this a cold cache is nothing
+
+
+@dataclass(frozen=True)
+class Task:
+    """A thing to time. Both functions get the number of the repetition; only `work` is timed.
+
+    `about` is how long it will take, roughly [s]: what is short is done several times in each
+    repetition, and what is long needs no warm-up.
+    """
+
+    work: Callable[[int], object]
+    prepare: Callable[[int], object] = lambda repetition: None
+    about: float = 0.1
+
+    @property
+    def times(self) -> int:
+        """How often to do it in one repetition."""
+        return max(1, min(50, round(ENOUGH / self.about)))
+
+
+class Steps(Protocol):
+    """A plant, or MuJoCo's of the same machine."""
+
+    def reset(self) -> None:
+        """Go back to the start."""
+
+    def run(self, voltages: ArrayLike, steps: int) -> object:
+        """Hold each row of voltages for some steps."""
+
+
+def stepping(machine: Steps, voltages: ArrayLike, steps: int, about: float = ENOUGH) -> Task:
+    """Return the task of running a machine from its start, each row of voltages for `steps`."""
+    return Task(lambda _: machine.run(voltages, steps), lambda _: machine.reset(), about)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall time of a task [s]: median and quartiles of the repetitions."""
+
+    median: float
+    low: float
+    high: float
+    repetitions: int
+
+    def per(self, count: float) -> Timing:
+        """Return the time of one of `count` equal parts."""
+        return Timing(self.median / count, self.low / count, self.high / count, self.repetitions)
+
+    @property
+    def spread(self) -> float:
+        """Half the distance of the quartiles, over the median."""
+        return 0.5 * (self.high - self.low) / self.median
+
+
+def interleaved(
+    tasks: Mapping[str, Task], repetitions: int, done: Callable[[str], None] | None = None
+) -> dict[str, Timing]:
+    """Time every task `repetitions` times, all of them in turn, after one turn of warm-up.
+
+    In turn, so that a slow spell of the machine hits all tasks alike and not one of them. `done` is
+    called after each repetition of each task, with the task's name.
+    """
+    walls: dict[str, list[float]] = {name: [] for name in tasks}
+    for task in tasks.values():
+        if task.about < LONG:
+            task.prepare(0)
+            task.work(0)
+    with without_collector():
+        for repetition in range(repetitions):
+            for name, task in tasks.items():
+                for _ in range(task.times):
+                    task.prepare(repetition)
+                    walls[name].append(wall(task.work, repetition))
+                if done is not None:
+                    done(name)
+    return {name: timing(values) for name, values in walls.items()}
+
+
+def wall(work: Callable[[int], object], repetition: int = 0) -> float:
+    """Return how long one call takes [s]."""
+    started = time.perf_counter()
+    work(repetition)
+    return time.perf_counter() - started
+
+
+def timing(walls: Iterable[float]) -> Timing:
+    """Return median and quartiles of some wall times [s]."""
+    values = np.array(list(walls))
+    low, median, high = np.quantile(values, (0.25, 0.5, 0.75))
+    return Timing(float(median), float(low), float(high), len(values))
+
+
+@contextlib.contextmanager
+def without_collector() -> Iterator[None]:
+    """Keep Python's garbage collector away from what is timed."""
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
+@contextlib.contextmanager
+def progress(what: str, steps: int) -> Iterator[Callable[[str], None]]:
+    """Show a bar; the function yielded moves it by one step and says what comes next.
+
+    The bar is drawn in these calls only, never by a thread that would disturb what is timed.
+    """
+    columns = (
+        TextColumn("{task.description:<22}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[now]}"),
+    )
+    with Progress(*columns, auto_refresh=False) as bar:
+        task = bar.add_task(what, total=steps, now="")
+        bar.refresh()
+
+        def done(now: str = "") -> None:
+            bar.update(task, advance=1, now=now)
+            bar.refresh()
+
+        yield done
+
+
+def compile_all(scenes: Iterable[Scene]) -> None:
+    """Compile what is not in the cache yet, on all cores, before anything is timed."""
+    different = {scene_unit(scene): scene for scene in scenes}
+    quiet = io.StringIO()
+    with (
+        contextlib.redirect_stderr(quiet),
+        ThreadPoolExecutor(os.cpu_count()) as pool,
+        progress("compile", len(different)) as done,
+    ):
+        for scene, _ in zip(
+            different.values(), pool.map(library_of, different.values()), strict=True
+        ):
+            done(scene.name)
+
+
+def machine() -> dict[str, Any]:
+    """Return what the figures depend on: processor, cores, versions."""
+    version = subprocess.run(
+        [*find_compiler(), "--version"], capture_output=True, text=True, check=False
+    ).stdout.splitlines()
+    packages = ("numpy", "scipy", "mujoco", "pin")
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "compiler": version[0] if version else "unknown",
+        "python": platform.python_version(),
+        "versions": {name: importlib.metadata.version(name) for name in packages},
+        "load_at_start": os.getloadavg()[0],
+    }
+
+
+def _processor() -> str:
+    """Return the processor's model, generically: a hypervisor may hide the rest."""
+    values: dict[str, str] = {}
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            key, colon, value = line.partition(":")
+            if colon:
+                values.setdefault(key.strip(), value.strip())
+    name = values.get("model name", platform.processor() or platform.machine())
+    if "cpu family" in values:
+        name += f" (family {values['cpu family']}, model {values.get('model', '?')})"
+    simd = [flag for flag in ("avx2", "avx512f") if flag in values.get("flags", "").split()]
+    return ", ".join([name, *simd])

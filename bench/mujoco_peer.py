@@ -1,0 +1,179 @@
+"""The same machine in MuJoCo: dcmotor actuators, a fixed tendon as gear.
+
+MuJoCo gets what its documentation offers for such a machine, and nothing that slows it down: no
+geometry, and contacts and constraints are switched off. Its links come from Pinocchio's reading of
+the URDF, so that a slip in the emulator's own reading would show as a difference.
+
+The rotor is a body of its own beside the chain, as the paper's equations have it (its inertia turns
+about its own axis and nothing else). An arrangement with rotor and gear as two coaxial hinges of
+each link gave the same accuracy or less at the same cost.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from bench.reference import links_model
+from emulator_node.scene import Joint, Scene
+
+Array = NDArray[np.float64]
+
+INTEGRATORS = ("Euler", "implicit", "implicitfast", "discrete", "RK4")
+# Else MuJoCo writes a file into the working directory; `MujocoArm.diverged` tells the same.
+mujoco.set_mju_user_warning(lambda message: None)
+
+UNUSED = ("contact", "constraint", "equality", "limit", "frictionloss", "warmstart")
+
+
+class MujocoArm:
+    """A scene's machine, stepped by MuJoCo.
+
+    Args:
+        scene: the machine; no Coulomb friction, no current limit, no payload.
+        integrator: one of `INTEGRATORS`.
+        dt: step [s].
+    """
+
+    def __init__(self, scene: Scene, integrator: str, dt: float) -> None:
+        self.model = mujoco.MjModel.from_xml_string(mjcf(scene, integrator, dt))
+        self.data = mujoco.MjData(self.model)
+        self._start = scene.start
+        self._elastic = [
+            k for k, j in enumerate(scene.joints) if j.motor and j.gear.stiffness is not None
+        ]
+        self._ratio = np.array([joint.gear.ratio for joint in scene.joints])
+        self._q = self._addresses([joint.name for joint in scene.joints])
+        self._motors = self._addresses([f"{scene.joints[k].name}_rotor" for k in self._elastic])
+        self._driven = [k for k, joint in enumerate(scene.joints) if joint.motor is not None]
+        self.reset()
+
+    def _addresses(self, names: list[str]) -> NDArray[np.int64]:
+        return np.array([self.model.joint(name).qposadr[0] for name in names], dtype=np.int64)
+
+    def reset(self) -> None:
+        """Put the machine at its start: at rest, gears unloaded, no current."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self._q] = self._start
+        if self._elastic:
+            self.data.qpos[self._motors] = (self._start / self._ratio)[self._elastic]
+
+    def run(self, voltages: ArrayLike, steps: int) -> None:
+        """Hold each row of voltages (K, N) [V] for `steps` steps."""
+        control, model, data, step = self.data.ctrl, self.model, self.data, mujoco.mj_step
+        for row in np.asarray(voltages)[:, self._driven]:
+            control[:] = row
+            step(model, data, nstep=steps)
+
+    def trace(self, voltages: ArrayLike, steps: int) -> Array:
+        """Do as `run`, and return link positions after each row, (K, N) [rad or m]."""
+        rows = np.asarray(voltages)
+        q = np.empty((len(rows), len(self._q)))
+        for k, row in enumerate(rows):
+            self.data.ctrl[:] = row[self._driven]
+            mujoco.mj_step(self.model, self.data, nstep=steps)
+            q[k] = self.data.qpos[self._q]
+        return q
+
+    @property
+    def q(self) -> Array:
+        """Link positions now (N,) [rad or m]."""
+        return np.array(self.data.qpos[self._q])
+
+    @property
+    def diverged(self) -> bool:
+        """Whether MuJoCo has warned of a bad state, and reset itself, since the last `reset`."""
+        bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
+               mujoco.mjtWarning.mjWARN_BADQACC)  # fmt: skip
+        return any(self.data.warning[kind].number > 0 for kind in bad)
+
+    @property
+    def energy(self) -> float:
+        """Kinetic and potential energy [J]."""
+        mujoco.mj_fwdPosition(self.model, self.data)  # a step leaves the frames one step behind
+        mujoco.mj_fwdVelocity(self.model, self.data)
+        mujoco.mj_energyPos(self.model, self.data)
+        mujoco.mj_energyVel(self.model, self.data)
+        return float(self.data.energy.sum())
+
+
+def mjcf(scene: Scene, integrator: str, dt: float) -> str:
+    """Return the scene's machine as MJCF text."""
+    model = links_model(scene)
+    flags = " ".join(f'{name}="disable"' for name in UNUSED)
+    links, rotors, gears, motors = "", "", "", ""
+    for index, joint in enumerate(scene.joints, start=1):
+        links += _link(model, index, joint)
+        if joint.motor is None:
+            continue
+        motors += _motor(joint)
+        if joint.gear.stiffness is not None:
+            rotors += _rotor(joint)
+            gears += _gear(joint)
+    links += "</body>" * len(scene.joints)
+    return f"""<mujoco>
+<compiler angle="radian"/>
+<option timestep="{dt!r}" integrator="{integrator}" gravity="{_words(scene.gravity or (0, 0, 0))}">
+<flag {flags}/></option>
+<worldbody>{rotors}{links}</worldbody>
+<tendon>{gears}</tendon>
+<actuator>{motors}</actuator>
+</mujoco>"""
+
+
+def _link(model: pin.Model, index: int, joint: Joint) -> str:
+    placement, inertia = model.jointPlacements[index], model.inertias[index]
+    turn = pin.Quaternion(placement.rotation)
+    I = inertia.inertia  # noqa: E741
+    tensor = (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
+    linear, angular = joint_axis(model, index)
+    kind, axis = ("hinge", angular) if angular.any() else ("slide", linear)
+    rigid = joint.motor is not None and joint.gear.stiffness is None
+    carried = joint.motor.rotor_inertia / joint.gear.ratio**2 if rigid and joint.motor else 0.0
+    return f"""
+<body pos="{_words(placement.translation)}" quat="{_words((turn.w, turn.x, turn.y, turn.z))}">
+<inertial mass="{inertia.mass!r}" pos="{_words(inertia.lever)}" fullinertia="{_words(tensor)}"/>
+<joint name="{joint.name}" type="{kind}" axis="{_words(axis)}"
+ damping="{joint.friction.viscous!r}" armature="{carried!r}"/>"""
+
+
+def joint_axis(model: pin.Model, index: int) -> tuple[Array, Array]:
+    """Return the linear and the angular part of a joint's motion, in its own frame, (3,) each."""
+    joint = model.joints[index]
+    data = joint.createData()
+    joint.calc(data, np.zeros(model.nq), np.zeros(model.nv))
+    S = np.ravel(data.S)
+    return S[:3], S[3:]
+
+
+def _rotor(joint: Joint) -> str:
+    assert joint.motor is not None
+    inertia = _words([joint.motor.rotor_inertia] * 3)
+    return f"""
+<body><inertial mass="1" pos="0 0 0" diaginertia="{inertia}"/>
+<joint name="{joint.name}_rotor" type="hinge" axis="0 0 1"/></body>"""
+
+
+def _gear(joint: Joint) -> str:
+    gear = joint.gear
+    return f"""
+<fixed springlength="0" stiffness="{gear.stiffness!r}" damping="{gear.damping!r}">
+<joint joint="{joint.name}_rotor" coef="{gear.ratio!r}"/><joint joint="{joint.name}" coef="-1"/>
+</fixed>"""
+
+
+def _motor(joint: Joint) -> str:
+    motor = joint.motor
+    assert motor is not None
+    rigid = joint.gear.stiffness is None
+    at, turns = (joint.name, 1.0 / joint.gear.ratio) if rigid else (f"{joint.name}_rotor", 1.0)
+    return f"""
+<dcmotor joint="{at}" gear="{turns!r}" resistance="{motor.resistance!r}"
+ motorconst="{motor.torque_constant!r} {motor.back_emf_constant!r}"
+ inductance="{motor.inductance!r} 0"/>"""
+
+
+def _words(values: ArrayLike) -> str:
+    return " ".join(repr(float(value)) for value in np.ravel(values))

@@ -1,0 +1,118 @@
+"""What was promised of speed and accuracy, against what this run has reached."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from bench.ns_per_step import fastest_mujoco
+from bench.stability_map import everywhere_bounded
+
+# what, wanted, reached, whether it is; None: nothing to hold it against, or not measured
+Row = tuple[str, str, str, bool | None]
+
+PER_STEP = {"three_axis": 40.0, "ur5": 12.0, "panda": 12.0}
+AT_ERROR: dict[str, dict[str, float | None]] = {
+    "three_axis": {"0.0001": 250.0, "1e-05": 2000.0, "1e-06": 10000.0},
+    "ur5": {"0.0001": None, "1e-05": 500.0, "1e-06": None},
+    "panda": {"0.0001": None, "1e-05": 500.0, "1e-06": None},
+}
+LARGE_STEP_ERROR = 5e-4  # rad, rosenbrock at 10 ms on three_axis
+READY = 0.05  # s, from the cache
+
+
+def must_show(sections: dict[str, Any]) -> list[Row]:
+    """Return the table's rows, of the sections that were measured."""
+    rows: list[Row] = []
+    for name, make in (
+        ("ns_per_step", _per_step),
+        ("work_precision", _at_error),
+        ("stability_map", _stability),
+        ("energy_drift", _energy),
+        ("first_use", _first_use),
+    ):
+        if name in sections:
+            rows += make(sections[name])
+    return rows
+
+
+def _per_step(figures: dict[str, Any]) -> Iterator[Row]:
+    for arm, wanted in PER_STEP.items():
+        if arm not in figures["arms"]:
+            continue
+        times = figures["arms"][arm]["times"]
+        name, mujoco = fastest_mujoco(times)
+        paper = times["paper"]["median"]
+        ratio = mujoco / paper
+        yield (
+            f"{arm}: time per step, {name} / paper",
+            f"at least {wanted:g}" + (", aim for 20" if wanted < 20 else ""),
+            f"{ratio:.1f} ({mujoco * 1e9:.0f} / {paper * 1e9:.1f} ns)",
+            ratio >= wanted,
+        )
+
+
+def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
+    for machine, targets in AT_ERROR.items():
+        if machine not in figures:
+            continue
+        case = figures[machine]
+        for target, wanted in targets.items():
+            at = case["at_error"][target]
+            what = f"{machine}: time at {target} rad, MuJoCo's best / ours"
+            aim = "say" if wanted is None else f"aim for {wanted:g}"
+            if machine == "three_axis":
+                aim = f"at least {wanted:g}"
+            if not case["agreement"]["agree"]:
+                yield what, aim, "void: the machines differ", False
+            elif at["ratio"] is None:
+                missing = "ours" if at["ours"] is None else "MuJoCo"
+                yield what, aim, f"{missing} did not get there in this run", None
+            else:
+                called = at["mujoco"]["time"] / at["ours_from_python"]["time"]
+                reached = (
+                    f"{at['ratio']:.0f} ({at['mujoco']['time'] * 1e3:.3g} ms "
+                    f"{at['mujoco']['name'].removeprefix('MuJoCo ')} / "
+                    f"{at['ours']['time'] * 1e3:.3g} ms {at['ours']['name']}; "
+                    f"called from Python every period: {called:.0f})"
+                )
+                yield what, aim, reached, None if wanted is None else at["ratio"] >= wanted
+    if "three_axis_10ms" in figures:
+        points = figures["three_axis_10ms"]["series"]["rosenbrock"]
+        error = next(p["error"] for p in points if p["dt"] == 1e-2)
+        met = error is not None and error < LARGE_STEP_ERROR
+        shown = "diverged" if error is None else f"{error:.1e} rad"
+        yield (
+            "three_axis: error of rosenbrock at a step of 10 ms",
+            f"below {LARGE_STEP_ERROR:g} rad",
+            shown,
+            met,
+        )
+
+
+def _stability(figures: dict[str, Any]) -> Iterator[Row]:
+    for scheme in ("rosenbrock", "implicit"):
+        holds = everywhere_bounded(figures, scheme)
+        reached = "everywhere" if holds else "not everywhere"
+        yield f"{scheme} bounded on the stability map", "everywhere", reached, holds
+
+
+def _energy(figures: dict[str, Any]) -> Iterator[Row]:
+    reached = []
+    for scheme in ("paper", "implicit", "rosenbrock"):
+        row = next(row for row in figures["rows"][scheme] if row["dt"] == 1e-4)
+        drift = row["drift"]
+        reached.append(f"{scheme} {'diverged' if drift is None else f'{drift:+.1e} J'}")
+    what = "energy drift of the free chain per minute, at 0.1 ms"
+    yield what, "say", ", ".join(reached), None
+
+
+def _first_use(figures: dict[str, Any]) -> Iterator[Row]:
+    for scene, figure in figures.items():
+        ready = figure["ready"]["median"]
+        yield (
+            f"{scene}: from the cache to a ready plant, imports included",
+            f"below {READY * 1e3:g} ms, no ROS",
+            f"{ready * 1e3:.1f} ms (compiled: {figure['first']['ready']:.1f} s)",
+            ready < READY and not figure["ros"],
+        )

@@ -1,0 +1,32 @@
+"""Pictures of the report: PNG for reading, SVG for enlarging."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+# Colours of our schemes; colours and markers of the others.
+COLOURS = {"paper": "#d9731a", "implicit": "#3c8f4f", "rosenbrock": "#2a6fb0"}
+PEERS = {
+    "MuJoCo Euler": ("#8c8c8c", "v"),
+    "MuJoCo implicit": ("#b58fc7", "<"),
+    "MuJoCo implicitfast": ("#7a3b96", ">"),
+    "MuJoCo discrete": ("#444444", "D"),
+    "MuJoCo RK4": ("#c2185b", "^"),
+    "Pinocchio + SciPy RK45": ("#a9853b", "x"),
+    "Pinocchio + SciPy LSODA": ("#6b5523", "+"),
+}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size in inches; no screen, no global state."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def save(figure: Figure, folder: Path, name: str) -> None:
+    """Write `name`.png and `name`.svg, the same bytes for the same figures."""
+    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
+        figure.savefig(folder / f"{name}.png", dpi=110)
+        figure.savefig(folder / f"{name}.svg", metadata={"Date": None})

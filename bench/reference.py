@@ -1,0 +1,221 @@
+"""An independent solution of the equations of motion, to far more digits than the emulator needs.
+
+Equations (1), (2) and (4) in plain NumPy, the links by Pinocchio's articulated-body algorithm, time
+by SciPy's variable-step integrators. Shares no line with the compiled core: neither the chain's
+frames, nor the elimination of the motors, nor a fixed step.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
+
+from arm_emulator.refusal import Refusal
+from emulator_node.scene import Scene
+
+Array = NDArray[np.float64]
+
+# 1/s; above this an explicit method spends its steps on stability, not on accuracy.
+STIFF = 3e4
+
+
+def reference(
+    scene: Scene,
+    voltages: ArrayLike,
+    period: float,
+    rtol: float = 1e-11,
+    *,
+    method: str | None = None,
+    q: ArrayLike | None = None,
+    v: ArrayLike | None = None,
+    payload: Mapping[str, Any] | None = None,
+) -> Array:
+    """Solve the machine's equations from rest at the scene's start.
+
+    Args:
+        scene: the machine. Its integrator plays no part.
+        voltages: (K, N) [V], row k held from k periods to k + 1.
+        period: how long each row is held [s]. The integration starts anew with each row, since
+            there the right-hand side jumps.
+        rtol: relative error per step of the variable-step method; absolute: a hundredth of it.
+            DOP853 takes a hundredth of both: at the edge of its stability its estimate is poor.
+        method: of `scipy.integrate.solve_ivp`: "Radau" takes stiff machines, "DOP853" is twenty
+            times faster where nothing is stiff; each checks the other. None: by the machine's
+            fastest time constant.
+        q: link positions at the beginning (N,) [rad or m], the scene's start if None; motors along.
+        v: link speeds at the beginning (N,) [rad/s or m/s], zero if None.
+        payload: the scene file's section `payload`, which a loaded scene holds no more by itself.
+
+    Returns:
+        Link positions after each row, (K, N) [rad or m].
+
+    Raises:
+        Refusal: Coulomb friction, a current limit (not smooth), or a payload that is not told.
+    """
+    return reference_states(
+        scene, voltages, period, rtol, method=method, q=q, v=v, payload=payload
+    )[:, 3]
+
+
+def reference_states(
+    scene: Scene,
+    voltages: ArrayLike,
+    period: float,
+    rtol: float = 1e-11,
+    *,
+    method: str | None = None,
+    q: ArrayLike | None = None,
+    v: ArrayLike | None = None,
+    payload: Mapping[str, Any] | None = None,
+) -> Array:
+    """Return i, tm, wm, q, v after each row, (K, 5, N); else as `reference`.
+
+    What a joint lacks (current of a joint without inductance, motor behind a rigid gear) is zero.
+    """
+    machine = ReferenceMachine(scene, payload)
+    x = machine.at_rest(scene.start if q is None else q, v)
+    if method is None:
+        method = "Radau" if machine.fastest_rate(x) > STIFF else "DOP853"
+    if method == "DOP853":
+        rtol = max(1e-2 * rtol, 1e-13)  # SciPy allows 2.2e-14
+    rows = np.clip(np.atleast_2d(voltages), -scene.supply_voltage, scene.supply_voltage)
+    out = np.empty((len(rows), *x.shape))
+    step = None
+    for k, V in enumerate(rows):
+        solution = solve_ivp(
+            machine.rates,
+            (0.0, period),
+            x.ravel(),
+            method=method,
+            rtol=rtol,
+            atol=1e-2 * rtol,
+            first_step=step,
+            t_eval=[period],
+            args=(V,),
+        )
+        if not solution.success:
+            raise RuntimeError(f"reference: {method} failed in row {k}: {solution.message}")
+        x = out[k] = solution.y[:, -1].reshape(x.shape)
+    return out
+
+
+class ReferenceMachine:
+    """The right-hand side of a scene's equations of motion.
+
+    Args:
+        scene: the machine.
+        payload: the scene file's section `payload`.
+    """
+
+    def __init__(self, scene: Scene, payload: Mapping[str, Any] | None = None) -> None:
+        self.N = len(scene.joints)
+        motors = [joint.motor for joint in scene.joints]
+        gears = [joint.gear for joint in scene.joints]
+        for joint in scene.joints:
+            for quantity, smooth in (
+                ("friction.coulomb", joint.friction.coulomb == 0.0),
+                ("motor.current_limit", joint.motor is None or joint.motor.current_limit is None),
+            ):
+                if not smooth:
+                    where = f"joints.{joint.name}.{quantity}"
+                    raise Refusal("reference", where, "be absent", "there", "a smooth machine")
+        self.motor = np.array([motor is not None for motor in motors])
+        self.R, self.L, self.Kt, self.Kb, self.Mm = np.array(
+            [
+                (
+                    m.resistance,
+                    m.inductance,
+                    m.torque_constant,
+                    m.back_emf_constant,
+                    m.rotor_inertia,
+                )
+                if m is not None
+                else (1.0, 0.0, 0.0, 0.0, 1.0)
+                for m in motors
+            ]
+        ).T
+        self.Ng = np.array([gear.ratio for gear in gears])
+        self.Kg = np.array([gear.stiffness or 0.0 for gear in gears])
+        self.Dg = np.array([gear.damping for gear in gears])
+        self.Dl = np.array([joint.friction.viscous for joint in scene.joints])
+        self.rigid = np.array([gear.stiffness is None for gear in gears])
+        self.elastic = self.motor & ~self.rigid
+        self.inductive = self.L > 0.0
+        self.model = links_model(scene, payload)
+        self.model.armature = np.where(self.motor & self.rigid, self.Mm / self.Ng**2, 0.0)
+        self.data = self.model.createData()
+
+    def at_rest(self, q: ArrayLike, v: ArrayLike | None) -> Array:
+        """Return x = (i, tm, wm, q, v), (5, N), without current and with gears unloaded."""
+        x = np.zeros((5, self.N))
+        x[3] = q
+        if v is not None:
+            x[4] = v
+        x[1:3] = np.where(self.elastic, x[3:5] / self.Ng, 0.0)
+        return x
+
+    def fastest_rate(self, x: Array) -> float:
+        """Return the largest magnitude of the Jacobian's eigenvalues at x, 0 V [1/s]."""
+        V, at = np.zeros(self.N), x.ravel()
+        J = np.empty((at.size, at.size))
+        for k, step in enumerate(1e-6 * np.maximum(1.0, np.abs(at))):
+            ahead, back = at.copy(), at.copy()
+            ahead[k] += step
+            back[k] -= step
+            J[:, k] = (self.rates(0.0, ahead, V) - self.rates(0.0, back, V)) / (2.0 * step)
+        return float(np.abs(np.linalg.eigvals(J)).max())
+
+    def rates(self, t: float, flat: Array, V: Array) -> Array:
+        """Return dx/dt, flat."""
+        i, tm, wm, q, v = flat.reshape(5, self.N)
+        wm = np.where(self.rigid, v / self.Ng, wm)
+        i = np.where(self.inductive, i, (V - self.Kb * wm) / self.R)
+        T = np.where(
+            self.rigid,
+            self.Kt * i / self.Ng,  # the rotor is part of the links' mass matrix
+            self.Kg * (self.Ng * tm - q) + self.Dg * (self.Ng * wm - v),
+        )
+        dx = np.zeros((5, self.N))
+        np.divide(V - self.R * i - self.Kb * wm, self.L, out=dx[0], where=self.inductive)
+        dx[1] = np.where(self.elastic, wm, 0.0)
+        dx[2] = np.where(self.elastic, (self.Kt * i - self.Ng * T) / self.Mm, 0.0)
+        dx[3] = v
+        dx[4] = pin.aba(self.model, self.data, q, v, T - self.Dl * v)
+        return dx.ravel()
+
+
+def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.Model:
+    """Return the scene's links in Pinocchio, with plain joint angles in the scene's order.
+
+    Raises:
+        Refusal: the masses are not the scene's: its payload was not told.
+    """
+    robot = ET.fromstring(scene.urdf)
+    for joint in robot.iter("joint"):
+        # Pinocchio counts a continuous joint by cosine and sine; here every angle is a number.
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+            for limit in joint.findall("limit"):
+                joint.remove(limit)
+            ET.SubElement(joint, "limit", lower="-1e9", upper="1e9", effort="1e9", velocity="1e9")
+    model = pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
+    assert list(model.names)[1:] == list(scene.joint_names)
+    model.gravity.linear = np.array(scene.gravity or (0.0, 0.0, 0.0))
+    if payload is not None:
+        xx, yy, zz, xy, xz, yz = payload.get("inertia", (0.0,) * 6)
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        com = np.array(payload.get("com", (0.0, 0.0, 0.0)))
+        frame = model.frames[model.getFrameId(scene.tool)]
+        body = pin.Inertia(payload["mass"], com, inertia)
+        model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
+    moved = sum(joint.body.mass for joint in scene.chain.joints)
+    told = sum(inertia.mass for inertia in list(model.inertias)[1:])
+    if abs(moved - told) > 1e-9 * moved:
+        raise Refusal("reference", "payload", "be the scene's", f"{told - moved:g} kg too much")
+    return model

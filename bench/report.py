@@ -1,0 +1,141 @@
+"""The whole benchmark: sections one after the other, their figures, pictures and report."""
+
+from __future__ import annotations
+
+import datetime
+import importlib
+import importlib.util
+import json
+import shutil
+import time
+import traceback
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from rich.console import Console
+
+from arm_emulator.refusal import Refusal
+from bench.measure import machine
+from bench.must_show import must_show
+
+# A section is a module of this folder with TITLE, run(quick) -> figures (JSON), report(figures) ->
+# Markdown, and, if it has pictures, draw(figures, folder).
+SECTIONS = (
+    "work_precision",
+    "ns_per_step",
+    "what_each_part_costs",
+    "stability_map",
+    "energy_drift",
+    "hard_cases",
+    "threads",
+    "clocks",
+    "first_use",
+)
+
+NOT_PROVEN = """\
+These are times of one processor, in one run, of machines of a few joints. They say nothing about
+contacts, closed loops or many bodies, which MuJoCo and Pinocchio are made for and the emulator
+leaves out: part of what they do in a step is looking after what is not there. They do not say how
+the times are on another processor; ratios carry over better than nanoseconds. Spread is that
+within this run; from run to run a virtual machine differs by more. MuJoCo and Pinocchio are used as
+published, their wheels compiled for any x86-64 processor (but for Pinocchio in C++), where the
+emulator compiles each scene for the processor at hand: that is part of its idea, and part of the
+ratio."""
+
+
+def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
+    """Measure, write figures, pictures and report into `out`, and say how it went.
+
+    Args:
+        quick: fewer cases and repetitions, for trying things out.
+        only: names of sections; empty: all.
+        out: folder for figures.json, report.md and the pictures.
+        publish: folder into which to copy them when all has gone well; None: nowhere.
+
+    Raises:
+        Refusal: a section that does not exist.
+    """
+    for name in only:
+        if name not in SECTIONS:
+            raise Refusal("bench", "section", "be known", name, ", ".join(SECTIONS))
+    console = Console()
+    out.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    figures: dict[str, Any] = {
+        "machine": machine(),
+        "date": datetime.date.today().isoformat(),
+        "quick": quick,
+        "seconds": {},
+        "sections": {},
+        "failed": {},
+    }
+    for name in only or [name for name in SECTIONS if importlib.util.find_spec(f"bench.{name}")]:
+        section = importlib.import_module(f"bench.{name}")
+        console.rule(section.TITLE)
+        started = time.monotonic()
+        try:
+            figures["sections"][name] = section.run(quick)
+        except Exception as error:
+            # What has taken minutes to measure is not thrown away for one section that fails.
+            traceback.print_exc()
+            figures["failed"][name] = f"{type(error).__name__}: {error}"
+        figures["seconds"][name] = time.monotonic() - started
+        (out / "figures.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    write_report(figures, out)
+    for what, wanted, reached, met in must_show(figures["sections"]):
+        colour = {True: "green", False: "red", None: "dim"}[met]
+        console.print(f"[{colour}]{_verdict(met):>12}[/{colour}]  {what}: {reached} ({wanted})")
+    minutes = (time.monotonic() - began) / 60.0
+    console.print(f"{minutes:.1f} min; look at {out / 'report.md'}")
+    for name, reason in figures["failed"].items():
+        console.print(f"[red]section {name} failed[/red]: {reason}")
+    if publish is not None and not figures["failed"]:
+        _publish(out, publish)
+        console.print(f"published in {publish}")
+    return 1 if figures["failed"] else 0
+
+
+def write_report(figures: dict[str, Any], out: Path) -> None:
+    """Write report.md and the pictures from figures, as JSON keeps them."""
+    figures = json.loads(json.dumps(figures))
+    lines = ["# Speed against error", "", *_heading(figures), "", *_must_show_table(figures), ""]
+    lines += ["## What this does not prove", "", NOT_PROVEN]
+    for name, values in figures["sections"].items():
+        section: ModuleType = importlib.import_module(f"bench.{name}")
+        if hasattr(section, "draw"):
+            section.draw(values, out)
+        lines += ["", f"## {section.TITLE}", "", section.report(values)]
+    for name, reason in figures["failed"].items():
+        lines += ["", f"## {name}", "", f"**Failed**: {reason}"]
+    (out / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _heading(figures: dict[str, Any]) -> list[str]:
+    m = figures["machine"]
+    versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items())
+    minutes = sum(figures["seconds"].values()) / 60.0
+    what = "A quick trial, not a measurement" if figures["quick"] else "One run of `make bench`"
+    return [
+        f"{what} on {figures['date']}, {minutes:.1f} min. {m['processor']}, {m['cores']} cores, "
+        f"{m['system']}; {m['compiler']}; Python {m['python']}, {versions}. Load average at the "
+        f"beginning: {m['load_at_start']:.1f}. All figures are in figures.json.",
+    ]
+
+
+def _must_show_table(figures: dict[str, Any]) -> list[str]:
+    lines = ["| | wanted | reached | |", "|---|---|---|---|"]
+    for what, wanted, reached, met in must_show(figures["sections"]):
+        lines.append(f"| {what} | {wanted} | {reached} | {_verdict(met)} |")
+    return lines
+
+
+def _verdict(met: bool | None) -> str:
+    return {True: "reached", False: "**not reached**", None: ""}[met]
+
+
+def _publish(out: Path, publish: Path) -> None:
+    publish.mkdir(parents=True, exist_ok=True)
+    for pattern in ("report.md", "figures.json", "*.png", "*.svg"):
+        for file in out.glob(pattern):
+            shutil.copyfile(file, publish / file.name)

@@ -1,0 +1,477 @@
+"""Error after one second of motion against the wall time that it takes."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.measure import Task, Timing, compile_all, interleaved, progress, without_collector
+from bench.measure import wall as wall_time
+from bench.motion import SERVO_PERIOD, sines
+from bench.mujoco_peer import INTEGRATORS, MujocoArm
+from bench.pictures import COLOURS, PEERS, new_figure, save
+from bench.reference import reference
+from emulator_node.plant import Diverged, Plant
+from emulator_node.scene import SCHEMES, Scene, load_scene
+
+TITLE = "Work and precision"
+
+Array = NDArray[np.float64]
+
+FACTORS = (1.0, 0.5, 0.2)  # of the decades of the step
+INPUTS = 3  # motions; the error is the root mean square over them
+LONGEST = 2.5  # s; a run that would take longer is left out
+TARGETS = (1e-4, 1e-5, 1e-6, 1e-8)  # rad
+AGREEMENT = 1e-6  # rad; beyond this the two machines are not the same
+FROM_PYTHON = "rosenbrock, called every period"
+SCIPY_METHODS = ("RK45", "LSODA")
+# Wall time of a step per joint, a guess for planning only [s].
+GUESS = {"paper": 15e-9, "implicit": 18e-9, "rosenbrock": 32e-9}
+GUESS_MUJOCO = {"implicit": 1.1e-6, "RK4": 2.0e-6}
+GUESS_MUJOCO_OTHERS = 0.65e-6
+
+
+@dataclass(frozen=True)
+class Case:
+    """A machine and how it is driven."""
+
+    title: str
+    scene: str
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    period: float = SERVO_PERIOD  # s, over which a voltage is held
+    ours: float = 1e-7  # s, our smallest step
+    theirs: float = 1e-6  # s, MuJoCo's smallest step
+    rtol: tuple[float, ...] = ()  # of SciPy's methods
+
+
+CASES = {
+    "three_axis": Case("three_axis", "three_axis", rtol=(1e-3, 1e-5, 1e-7)),
+    "ur5": Case("ur5, gravity", "ur5", rtol=(1e-3, 1e-5, 1e-7)),
+    "panda": Case("panda, gravity", "panda", rtol=(1e-3, 1e-5, 1e-7)),
+    "three_axis_10ms": Case(
+        "three_axis, voltages held for 10 ms", "three_axis", period=1e-2, ours=1e-6, theirs=1e-5
+    ),
+    "three_axis_no_inductance": Case(
+        "three_axis without inductance",
+        "three_axis",
+        {"joints.*.motor.inductance": None},
+        ours=1e-5,
+        theirs=1e-5,
+    ),
+}
+
+
+def run(quick: bool) -> dict[str, Any]:
+    """Measure all cases."""
+    cases = dict(list(CASES.items())[:1] + list(CASES.items())[-1:]) if quick else CASES
+    scenes = {
+        (key, scheme): _scene(case, scheme, case.period)
+        for key, case in cases.items()
+        for scheme in SCHEMES
+    }
+    compile_all(scenes.values())
+    return {
+        key: _measure(case, {scheme: scenes[key, scheme] for scheme in SCHEMES}, quick)
+        for key, case in cases.items()
+    }
+
+
+def _scene(case: Case, scheme: str, dt: float) -> Scene:
+    own = {"servo_period": case.period, "integrator.scheme": scheme, "integrator.dt": dt}
+    return load_scene(case.scene, {**case.overrides, **own})
+
+
+def steps_of(largest: float, smallest: float) -> list[float]:
+    """Return step sizes from `largest` to `smallest` [s], three in a decade, dividing `largest`."""
+    decades = round(math.log10(largest / smallest))
+    sizes = [largest * f / 10**d for d in range(decades + 1) for f in FACTORS]
+    return [float(f"{dt:.6g}") for dt in sizes if dt > 0.99 * smallest]
+
+
+class _Series:
+    """One way to compute the motion, at one step size: times it, keeps what came out."""
+
+    def __init__(self, name: str, dt: float, about: float, work: Callable[[int], Array]) -> None:
+        self.name, self.dt, self.about = name, dt, about
+        self._work = work
+        self.ends: dict[int, Array | None] = {}
+
+    def task(self, prepare: Callable[[], object]) -> Task:
+        return Task(self.work, lambda repetition: prepare(), self.about)
+
+    def work(self, repetition: int) -> None:
+        self.ends[repetition] = None
+        with contextlib.suppress(Diverged):
+            self.ends[repetition] = self._work(repetition)
+
+
+def _measure(case: Case, scenes: Mapping[str, Scene], quick: bool) -> dict[str, Any]:
+    scene = scenes["rosenbrock"]
+    N = len(scene.joints)
+    voltages = [sines(N, seed, case.period) for seed in range(INPUTS)]
+    truths = []
+    with progress("reference", INPUTS) as done:
+        for rows in voltages:
+            truths.append(reference(scene, rows, case.period)[-1])
+            done(case.title)
+    agreement = _agreement(case, scene, voltages[0], truths[0])
+
+    smallest, theirs = (case.ours, case.theirs) if not quick else (1e-6, 1e-5)
+    series: list[_Series] = []
+    tasks: dict[str, Task] = {}
+
+    def add(one: _Series, prepare: Callable[[], object]) -> None:
+        if one.about <= LONGEST:
+            series.append(one)
+            tasks[f"{one.name}, {one.dt:g} s"] = one.task(prepare)
+
+    for scheme in SCHEMES:
+        for dt in steps_of(case.period, smallest):
+            plant = Plant(_scene(case, scheme, dt))
+            about = GUESS[scheme] * N / dt
+            add(_Series(scheme, dt, about, _run_plant(plant, voltages, case)), plant.reset)
+            if scheme == "rosenbrock" and dt >= 1e-5:
+                ticks = 4e-6 / case.period
+                one = _Series(FROM_PYTHON, dt, about + ticks, _call_plant(plant, voltages, case))
+                add(one, plant.reset)
+    for integrator in INTEGRATORS:
+        guess = GUESS_MUJOCO.get(integrator, GUESS_MUJOCO_OTHERS)
+        for dt in steps_of(case.period, theirs):
+            if guess * N / dt > LONGEST:
+                continue
+            arm = MujocoArm(scene, integrator, dt)
+            name = f"MuJoCo {integrator}"
+            one = _Series(name, dt, guess * N / dt, _run_mujoco(arm, voltages, case))
+            add(one, arm.reset)
+
+    with progress("work and precision", len(tasks) * INPUTS) as done:
+        timings = interleaved(tasks, INPUTS, lambda name: done(f"{case.title}: {name}"))
+    points: dict[str, list[dict[str, Any]]] = {}
+    for one in series:
+        errors = [
+            None if end is None else float(np.abs(end - truth).max())
+            for truth, end in ((truths[k], one.ends[k]) for k in range(INPUTS))
+        ]
+        points.setdefault(one.name, []).append(
+            {
+                "dt": one.dt,
+                "error": _rms(errors),
+                "errors": errors,
+                "time": asdict(timings[f"{one.name}, {one.dt:g} s"]),
+            }
+        )
+    if not quick:
+        points |= _scipy(case, scene, voltages[0], truths[0])
+    return {
+        "title": case.title,
+        "period": case.period,
+        "agreement": agreement,
+        "series": points,
+        "at_error": {f"{target:g}": _at_error(points, target) for target in TARGETS},
+        "mujoco_wins_below": _mujoco_wins_below(points),
+    }
+
+
+def _run_plant(plant: Plant, voltages: list[Array], case: Case) -> Callable[[int], Array]:
+    steps = round(case.period / plant.scene.integrator.dt)
+    return lambda repetition: plant.run(voltages[repetition], steps)[-1]
+
+
+def _call_plant(plant: Plant, voltages: list[Array], case: Case) -> Callable[[int], Array]:
+    steps = round(case.period / plant.scene.integrator.dt)
+
+    def work(repetition: int) -> Array:
+        for row in voltages[repetition]:
+            plant.advance(row, steps)
+        return plant.state.q
+
+    return work
+
+
+def _run_mujoco(arm: MujocoArm, voltages: list[Array], case: Case) -> Callable[[int], Array]:
+    steps = round(case.period / arm.model.opt.timestep)
+
+    def work(repetition: int) -> Array:
+        arm.run(voltages[repetition], steps)
+        if arm.diverged:
+            raise Diverged("MuJoCo", 0.0, arm.model.opt.timestep, "")
+        return arm.q
+
+    return work
+
+
+def _agreement(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
+    """Check that MuJoCo's machine and ours are one: both against the reference after 1 s.
+
+    With inductance MuJoCo's error is of first order in the step, so twice the result at h less the
+    one at 2 h leaves an error of second order.
+    """
+    h = 1e-5
+    ends = []
+    for dt in (h, 2 * h):
+        arm = MujocoArm(scene, "RK4", dt)
+        arm.run(voltages, round(case.period / dt))
+        ends.append(arm.q)
+    plant = Plant(_scene(case, "rosenbrock", h))
+    ours = plant.run(voltages, round(case.period / h))[-1]
+    mujoco = float(np.abs(2.0 * ends[0] - ends[1] - truth).max())
+    emulator = float(np.abs(ours - truth).max())
+    return {
+        "mujoco": mujoco,
+        "ours": emulator,
+        "agree": max(mujoco, emulator) < AGREEMENT,
+    }
+
+
+def _scipy(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
+    """Time Pinocchio's dynamics in SciPy's integrators, once each: they take seconds."""
+    points: dict[str, list[dict[str, Any]]] = {}
+    runs = [(method, rtol) for method in SCIPY_METHODS for rtol in case.rtol]
+    with progress("Pinocchio + SciPy", len(runs)) as done, without_collector():
+        for method, rtol in runs:
+            end: list[Array] = []
+
+            def work(_: int, method: str = method, rtol: float = rtol, end: Any = end) -> None:
+                end.append(reference(scene, voltages, case.period, rtol, method=method)[-1])
+
+            wall = wall_time(work)
+            error = float(np.abs(end[0] - truth).max())
+            time = {"median": wall, "low": wall, "high": wall, "repetitions": 1}
+            points.setdefault(f"Pinocchio + SciPy {method}", []).append(
+                {"rtol": rtol, "error": error, "errors": [error], "time": time}
+            )
+            done(f"{case.title}: {method}, rtol {rtol:g}")
+    return points
+
+
+def _rms(errors: list[float | None]) -> float | None:
+    if any(error is None or not math.isfinite(error) for error in errors):
+        return None
+    return math.sqrt(sum(error**2 for error in errors if error is not None) / len(errors))
+
+
+def time_at_error(points: list[dict[str, Any]], target: float) -> float | None:
+    """Return the wall time [s] at which a series' error falls to `target`, None if it never does.
+
+    Interpolated on the logarithms of error and time. Where the coarsest step is better than that
+    already, its time: there is nothing cheaper.
+    """
+    before = None
+    for point in points:
+        if point["error"] is None:
+            before = None
+            continue
+        time = point["time"]["median"]
+        if point["error"] <= target:
+            if before is None:
+                return float(time)
+            (e0, t0), (e1, t1) = before, (max(point["error"], 1e-300), time)
+            share = math.log(e0 / target) / math.log(e0 / e1)
+            return float(math.exp(math.log(t0) + share * math.log(t1 / t0)))
+        before = point["error"], time
+    return None
+
+
+def _mujoco_wins_below(points: Mapping[str, list[dict[str, Any]]]) -> float | None:
+    """Return the error below which MuJoCo's best is faster than our best, None if there is none."""
+    for exponent in np.arange(-4.0, -13.0, -0.1):
+        at = _at_error(points, 10.0**exponent)
+        if at["mujoco"] and (at["ours"] is None or at["ratio"] < 1.0):
+            return float(10.0**exponent)
+    return None
+
+
+def _at_error(points: Mapping[str, list[dict[str, Any]]], target: float) -> dict[str, Any]:
+    times = {name: time_at_error(values, target) for name, values in points.items()}
+    reached = {name: time for name, time in times.items() if time is not None}
+
+    def best(choose: Callable[[str], bool]) -> dict[str, Any] | None:
+        names = [name for name in reached if choose(name)]
+        if not names:
+            return None
+        name = min(names, key=reached.__getitem__)
+        return {"name": name, "time": reached[name]}
+
+    ours, mujoco = best(lambda n: n in SCHEMES), best(lambda n: n.startswith("MuJoCo"))
+    return {
+        "ours": ours,
+        "ours_from_python": best(lambda n: n == FROM_PYTHON),
+        "mujoco": mujoco,
+        "scipy": best(lambda n: n.startswith("Pinocchio")),
+        "ratio": mujoco["time"] / ours["time"] if ours and mujoco else None,
+    }
+
+
+# The report
+
+SHOWN_STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+
+
+def draw(figures: dict[str, Any], folder: Path) -> None:
+    """Draw error against wall time, the robots in one picture, the other cases in a second."""
+    robots = [key for key in figures if key in ("three_axis", "ur5", "panda")]
+    others = [key for key in figures if key not in robots]
+    for name, keys in (("work_precision", robots), ("work_precision_more", others)):
+        if keys:
+            _draw([figures[key] for key in keys], folder, name)
+
+
+def _draw(cases: list[dict[str, Any]], folder: Path, name: str) -> None:
+    figure = new_figure(5.2 * len(cases), 5.6)
+    panels = figure.subplots(1, len(cases), squeeze=False)[0]
+    for axes, case in zip(panels, cases, strict=True):
+        for series, points in case["series"].items():
+            good = [p for p in points if p["error"] is not None]
+            x = [p["error"] for p in good]
+            y = [p["time"]["median"] for p in good]
+            if series in COLOURS:
+                style = {"color": COLOURS[series], "marker": "o", "linewidth": 2.0}
+            elif series == FROM_PYTHON:
+                style = {"color": COLOURS["rosenbrock"], "marker": "o", "linestyle": ":"}
+            else:
+                colour, marker = PEERS[series]
+                style = {"color": colour, "marker": marker, "linewidth": 1.0}
+            axes.loglog(x, y, label=series, markersize=4.5, **style)
+        axes.set_title(case["title"])
+        axes.set_xlabel("error after 1 s [rad]")
+        axes.invert_xaxis()
+        axes.grid(True, color="0.9", linewidth=0.8)
+        axes.set_axisbelow(True)
+    panels[0].set_ylabel("wall time per simulated second [s]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    save(figure, folder, name)
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section in Markdown."""
+    lines = [
+        "Error is the difference of the link angles from the reference "
+        "(SciPy DOP853 on Pinocchio's dynamics, rtol 1e-11, bench/reference.py) after 1 s: the "
+        f"largest over the joints, root mean square over {INPUTS} motions (sines of 12 V with "
+        "seeded frequencies and phases, from rest). Each voltage is held for one servo period of "
+        "1 ms where not said otherwise, so no step is longer than that.",
+        "",
+        "Timed is the whole second: ours `Plant.run` (one call, the voltages of all periods applied"
+        " in C, positions after each stored), and, dotted, `Plant.advance` called from Python in "
+        "every period; MuJoCo `data.ctrl[:] = row; mj_step(model, data, nstep)` in every period, "
+        "from Python; SciPy `solve_ivp` started anew in every period, once. Compilation, model "
+        "building and resets are not in it. A period's call costs MuJoCo about as much as ours "
+        "(section Time per step), which weighs little in its 2 to 50 us of steps per period but "
+        "is most of ours; hence the two columns.",
+        "",
+        "Both machines are one: results of both, extrapolated in the step for MuJoCo, against the "
+        "reference after 1 s (must be below 1e-6 rad, else a comparison would be void).",
+        "",
+        "| machine | MuJoCo RK4, extrapolated [rad] | rosenbrock, 10 us [rad] | same machine |",
+        "|---|---|---|---|",
+    ]
+    for case in figures.values():
+        a = case["agreement"]
+        verdict = "yes" if a["agree"] else "**no: comparison void**"
+        lines.append(f"| {case['title']} | {a['mujoco']:.1e} | {a['ours']:.1e} | {verdict} |")
+    lines += [
+        "",
+        "Wall time per simulated second at a given error, interpolated between the measured steps "
+        "on logarithmic scales. Where the longest step that a period allows is already better than "
+        "that error, its time stands there: nothing coarser exists.",
+        "",
+        "| machine | error [rad] | ours | called every period | MuJoCo's best | SciPy's best "
+        "| MuJoCo / ours | MuJoCo / ours called |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for case in figures.values():
+        for target, at in case["at_error"].items():
+            lines.append(f"| {case['title']} | {target} | " + " | ".join(_cells(case, at)) + " |")
+    lines += ["", *_limits(figures)]
+    pictures = [("work_precision", "the robots")]
+    if any(key not in ("three_axis", "ur5", "panda") for key in figures):
+        pictures.append(("work_precision_more", "other cases"))
+    for name, what in pictures:
+        lines += ["", f"![Error against wall time, {what}]({name}.png)"]
+    lines += ["", "<details><summary>Error and time at each step size</summary>", ""]
+    for case in figures.values():
+        lines += _table(case)
+    lines += ["</details>"]
+    return "\n".join(lines)
+
+
+def _cells(case: dict[str, Any], at: dict[str, Any]) -> list[str]:
+    cells = [_best(at[key]) for key in ("ours", "ours_from_python", "mujoco", "scipy")]
+    called = at["ours_from_python"]
+    for ours in (at["ours"], called):
+        known = ours and at["mujoco"] and case["agreement"]["agree"]
+        cells.append(f"{at['mujoco']['time'] / ours['time']:.3g}" if known else "-")
+    return cells
+
+
+def _best(best: dict[str, Any] | None) -> str:
+    if best is None:
+        return "not reached"
+    name = best["name"].removeprefix("MuJoCo ").removeprefix("Pinocchio + SciPy ")
+    shown = "" if name == FROM_PYTHON else f" ({name})"
+    return f"{_milliseconds(best['time'])}{shown}"
+
+
+def _milliseconds(seconds: float) -> str:
+    return f"{seconds * 1e3:.3g} ms"
+
+
+def _limits(figures: dict[str, Any]) -> list[str]:
+    """Say where the comparison is not in our favour, and why it is as it is."""
+    lines = [
+        "What bounds these figures. With inductance all of MuJoCo's integrators are of first order,"
+        " RK4 too: the current is advanced by an exponential formula outside the integrator's "
+        "stages. Without inductance RK4 has its order of 4, and it is the method of choice for "
+        "very small errors. The schemes here end at order 2.",
+    ]
+    for case in figures.values():
+        below = case["mujoco_wins_below"]
+        if below is not None:
+            lines.append(f"{case['title']}: below {below:.1e} rad MuJoCo is faster.")
+    lines.append(
+        "At the coarse end our time is that of one step per period, so the ratio falls where a "
+        "larger error would do."
+    )
+    return lines
+
+
+def _table(case: dict[str, Any]) -> list[str]:
+    """Return one machine's errors and times, whole decades of the step."""
+    dts = {p["dt"] for points in case["series"].values() for p in points if "dt" in p}
+    steps = [dt for dt in SHOWN_STEPS if dt in dts]
+    lines = [
+        f"{case['title']}: error [rad], time per simulated second (spread: half the distance of "
+        "the quartiles)",
+        "",
+        "| | " + " | ".join(f"{dt:g} s" for dt in steps) + " |",
+        "|---" * (len(steps) + 1) + "|",
+    ]
+    for name, points in case["series"].items():
+        if "dt" not in points[0]:
+            continue
+        by_step = {p["dt"]: p for p in points}
+        row = [_point(by_step.get(dt)) for dt in steps]
+        lines.append(f"| {name} | " + " | ".join(row) + " |")
+    for name, points in case["series"].items():
+        if "rtol" in points[0]:
+            shown = "; ".join(f"rtol {p['rtol']:g}: {_point(p)}" for p in points)
+            lines += ["", f"{name}: {shown}."]
+    return [*lines, ""]
+
+
+def _point(point: dict[str, Any] | None) -> str:
+    if point is None:
+        return ""
+    if point["error"] is None:
+        return "diverged"
+    time = Timing(**point["time"])
+    spread = f" ± {100 * time.spread:.0f} %" if time.repetitions > 1 else ""
+    return f"{point['error']:.1e}, {_milliseconds(time.median)}{spread}"

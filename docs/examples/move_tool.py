@@ -1,0 +1,21 @@
+"""Sends a tool target, x y z [m] in the world: python docs/examples/move_tool.py 0.43 0.05 0.64
+
+For arms that are told a position; one that is told a pose would turn its tool upright, too.
+"""
+
+import sys
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+
+x, y, z = map(float, sys.argv[1:4])
+rclpy.init()
+node = rclpy.create_node("move_tool")
+publisher = node.create_publisher(PoseStamped, "tool_target", 1)
+# The motion controller listens, and the emulator, to show it. What is sent before is lost.
+while publisher.get_subscription_count() < 2:
+    rclpy.spin_once(node, timeout_sec=0.1)
+target = PoseStamped()  # stamp 0: holds at once
+target.pose.position.x, target.pose.position.y, target.pose.position.z = x, y, z
+publisher.publish(target)
+publisher.wait_for_all_acked()

@@ -1,0 +1,225 @@
+"""Which scheme and step hold a machine: by the eigenvalues of one step, and by trial.
+
+Linearised about rest in a pose, every scheme is a matrix that maps the state x = (i, tm, wm, q, v)
+of one sample to the next. Its spectral radius says by how much a small motion grows per step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from emulator_node.chain import Array
+from emulator_node.scene import SCHEMES, Integrator, Scene
+
+if TYPE_CHECKING:
+    from emulator_node.plant import Plant
+
+GAMMA = 1.0 - math.sqrt(0.5)  # of the scheme rosenbrock
+# 1/s. What grows more slowly than this, e-fold in ten seconds, is drift and no divergence.
+HARMLESS = 0.1
+SMALLEST_STEP = 1e-8  # s; no step below is looked at
+LONGEST_TRIAL = 3e6  # steps; about a second of computing for an arm of six joints
+
+
+class SmallMotions:
+    """The machine linearised about rest in a pose, all motors at 0 V, held by constant torques.
+
+    Coulomb friction and current limits are left out: both only take energy.
+
+    Args:
+        plant: whose links are asked for accelerations; its state is not touched.
+        q: the pose (N,) [rad or m].
+    """
+
+    def __init__(self, plant: Plant, q: Array) -> None:
+        scene = plant.scene
+        self.scene = scene
+        N = len(scene.joints)
+        zero, unit = np.zeros((N, N)), np.eye(N)
+        at = np.tile(q, (N, 1))
+        fall = plant.link_accelerations(q, zero[0], zero[0])
+        M_inverse = (plant.link_accelerations(at, zero, unit) - fall).T
+        holding = np.tile(np.linalg.solve(M_inverse, -fall), (N, 1))
+        step = 1e-5  # rad: the difference is good to 1e-10 of the second derivative
+        by_q = (
+            plant.link_accelerations(at + step * unit, zero, holding)
+            - plant.link_accelerations(at - step * unit, zero, holding)
+        ).T / (2.0 * step)
+
+        motors = [joint.motor for joint in scene.joints]
+        gears = [joint.gear for joint in scene.joints]
+        has = np.array([motor is not None for motor in motors])
+        R, L, Kt, Kb, Mm = np.array(
+            [
+                (m.resistance, m.inductance, m.torque_constant, m.back_emf_constant, m.rotor_inertia)
+                if m is not None
+                else (1.0, 0.0, 0.0, 0.0, 1.0)
+                for m in motors
+            ]
+        ).T
+        Ng = np.array([gear.ratio for gear in gears])
+        Kg = np.array([gear.stiffness or 0.0 for gear in gears])
+        Dg = np.array([gear.damping for gear in gears])
+        rigid = np.array([gear.stiffness is None for gear in gears])
+        elastic, inductive = has & ~rigid, L > 0.0
+        carried = np.where(has & rigid, Mm / Ng**2, 0.0)
+        # M + carried rotors: (M + C)^-1 = (1 + M^-1 C)^-1 M^-1.
+        by_torque = np.linalg.solve(unit + M_inverse * carried, M_inverse)
+        by_q = np.linalg.solve(unit + M_inverse * carried, by_q)
+
+        # Every row is linear in x; one selector per part of x.
+        i, tm, wm, pos, v = np.eye(5 * N).reshape(5, N, 5 * N)
+        w = np.where(rigid[:, None], v / Ng[:, None], wm)  # motor speed
+        amps = np.where(inductive[:, None], i, -(Kb / R)[:, None] * w)
+        twist, twist_rate = Ng[:, None] * tm - pos, Ng[:, None] * wm - v
+        torque = np.where(
+            elastic[:, None],
+            Kg[:, None] * twist + Dg[:, None] * twist_rate,
+            np.where(has[:, None], (Kt / Ng)[:, None] * amps, 0.0),
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            di = np.where(inductive[:, None], -(R[:, None] * i + Kb[:, None] * w) / L[:, None], 0.0)
+        dwm = (Kt[:, None] * amps - Ng[:, None] * torque) / Mm[:, None]
+        viscous = np.array([joint.friction.viscous for joint in scene.joints])
+        stiff_dv = by_torque @ (torque - viscous[:, None] * v)
+        dtm, dwm = (np.where(elastic[:, None], rows, 0.0) for rows in (wm, dwm))
+        # Only what the machine has: else eigenvalues of nothing, and time for nothing.
+        kept = np.concatenate([inductive, elastic, elastic, np.ones(2 * N, dtype=bool)])
+        stiff = np.concatenate([di, dtm, dwm, v, stiff_dv])
+        whole = stiff.copy()
+        whole[4 * N :] += by_q @ pos
+        self.A = stiff[kept][:, kept]  # what the schemes treat implicitly
+        self.J = whole[kept][:, kept]  # all
+        self.links = int(np.count_nonzero(kept[: 3 * N]))  # where q begins
+        self.fastest = max(0.0, float(np.linalg.eigvals(self.J).real.max()))  # 1/s
+
+    def step(self, scheme: str, dt: float) -> Array:
+        """Return the matrix of one step of a scheme."""
+        n = len(self.J)
+        one = np.eye(n)
+        if scheme == "paper":
+            return self._paper(dt)
+        if scheme == "implicit":
+            return one + dt * np.linalg.solve(one - dt * self.A, self.J)
+        W = one - GAMMA * dt * self.A
+        k1 = np.linalg.solve(W, self.J)
+        k2 = np.linalg.solve(W, self.J @ (one + dt * k1) - 2.0 * k1)
+        return one + dt * (1.5 * k1 + 0.5 * k2)
+
+    def _paper(self, dt: float) -> Array:
+        """Backward Euler of the motors with the links held; then the links by forward Euler."""
+        m = self.links
+        motors = np.eye(len(self.J))
+        motors[:m] = np.linalg.solve(
+            np.eye(m) - dt * self.A[:m, :m],
+            np.hstack([np.eye(m), dt * self.A[:m, m:]]),
+        )
+        links = np.eye(len(self.J))
+        links[m:] += dt * self.J[m:]
+        return links @ motors
+
+    def growth(self, scheme: str, dt: float) -> float:
+        """Return the factor by which the fastest growing small motion grows per step."""
+        return float(np.abs(np.linalg.eigvals(self.step(scheme, dt))).max())
+
+    def holds(self, scheme: str, dt: float) -> bool:
+        """Whether a scheme makes no motion grow that the machine itself does not make grow."""
+        # Rounding splits the double eigenvalue 1 of a free turn by the root of the last place.
+        rate = (math.log(self.growth(scheme, dt)) - 1e-7) / dt
+        return rate < 1.1 * self.fastest + HARMLESS
+
+    def largest_step(self, scheme: str) -> float | None:
+        """Return the largest step that holds, at most the scene's, and divides the servo period.
+
+        None: no step above `SMALLEST_STEP` does.
+        """
+        period, dt = self.scene.servo_period, self.scene.integrator.dt
+        low = self.scene.steps_per_period  # too few, as far as is known
+        if self.holds(scheme, dt):
+            return dt
+        high = 2 * low
+        while not self.holds(scheme, period / high):
+            low, high = high, 2 * high
+            if period / high < SMALLEST_STEP:
+                return None
+        while high - low > max(1, high // 50):
+            middle = (low + high) // 2
+            low, high = (low, middle) if self.holds(scheme, period / middle) else (middle, high)
+        return period / high
+
+
+def what_holds(plant: Plant, q: Array, v: Array) -> str:
+    """Say which scheme and step hold small motions in the pose q, for a machine that diverged.
+
+    Args:
+        plant: the machine.
+        q: its last sound link positions (N,) [rad or m].
+        v: its speeds then (N,) [rad/s or m/s].
+    """
+    now = plant.scene.integrator
+    try:
+        motions = SmallMotions(plant, q)
+        if motions.holds(now.scheme, now.dt):
+            turn = float(np.abs(v).max()) * now.dt
+            return (
+                "small motions about rest in this pose would hold: the motion is too fast for the "
+                f"step, {turn:.2g} rad or m per step"
+            )
+        growth = motions.growth(now.scheme, now.dt)
+        steps = {scheme: motions.largest_step(scheme) for scheme in SCHEMES}
+    except np.linalg.LinAlgError:  # numbers so far apart that the eigenvalues overflow
+        return "a smaller step or another scheme may hold, which could not be examined"
+    found = [
+        f"{scheme} at no dt" if dt is None else f"{scheme} up to dt = {dt:.3g} s"
+        for scheme, dt in steps.items()
+    ]
+    return (
+        f"each step multiplies a small motion about rest in this pose by {growth:.3g}; "
+        f"what holds there: {', '.join(found)}"
+    )
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One trial: the scene with another integrator, from its reset under constant voltages."""
+
+    integrator: Integrator
+    reached: float  # s of logical time
+    held: bool
+
+    def __str__(self) -> str:
+        end = "held" if self.held else "diverged"
+        return f"{self.integrator.scheme} at dt = {self.integrator.dt:g} s {end} ({self.reached:g} s)"
+
+
+def attempts(
+    scene: Scene, q: Array, v: Array, voltage: Array, duration: float
+) -> Iterator[Attempt]:
+    """Try what would hold, from links at (q, v) under constant voltages, for some logical time.
+
+    Each scheme is tried at the scene's step and then at a half, a fourth, ... until it holds; the
+    scene's own scheme last, since it is known to fail at the scene's step.
+    """
+    from emulator_node.plant import Diverged, Plant
+
+    now = scene.integrator
+    for scheme in (*(other for other in SCHEMES if other != now.scheme), now.scheme):
+        dt = now.dt if scheme != now.scheme else now.dt / 2.0
+        while duration / dt < LONGEST_TRIAL:
+            integrator = dataclasses.replace(now, scheme=scheme, dt=dt)
+            plant = Plant(dataclasses.replace(scene, integrator=integrator, threads=1))
+            plant.reset(q, v)
+            try:
+                plant.advance(voltage, math.ceil(duration / dt))
+            except Diverged:
+                yield Attempt(integrator, plant.t, held=False)
+            else:
+                yield Attempt(integrator, plant.t, held=True)
+                break
+            dt /= 2.0

@@ -1,0 +1,91 @@
+"""The servo under its watchdog: voltages whatever comes, or fails to come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from servo_node.servo import FloatArray, Servo, ServoConfig
+from servo_node.watchdog import Watchdog, WatchdogState
+
+_NANOSECONDS = 1e9
+
+
+@dataclass(frozen=True)
+class Target:
+    """Joint targets, (N,) each in the servo's order of joints."""
+
+    q: FloatArray
+    """Link angles [rad]."""
+    v: FloatArray | None = None
+    """Link speeds [rad/s]; None: 0."""
+    tau: FloatArray | None = None
+    """Link torques known beforehand [N m]; None: 0."""
+
+
+class Drives:
+    """All drives of an arm: follow the newest target, hold without one, or give no voltage.
+
+    Per servo period `measure` once, `aim` when a target comes, then `voltage`.
+
+    Attributes:
+        state: what the last `voltage` did.
+        reason: the same in words.
+    """
+
+    def __init__(self, config: ServoConfig) -> None:
+        self.servo = Servo(config)
+        self._watchdog = Watchdog(config.hold_after, config.cut_after)
+        self._off = np.zeros(len(config.joints))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; power that was cut comes back."""
+        self.servo.reset()
+        self._watchdog.reset()
+        self.state, self.reason = WatchdogState.HOLD, "starting"
+        self._now: float | None = None  # logical time of the newest measurement [s]
+        self._target: Target | None = None
+        self._hold: FloatArray | None = None
+
+    def measure(self, time_ns: int, counts: npt.ArrayLike, current: npt.ArrayLike) -> None:
+        """Take this period's measurement: logical time [ns], encoder counts, currents [A].
+
+        Raises:
+            Refusal: see `Servo.observe`. Nothing has changed then.
+        """
+        self.servo.observe(counts, current)
+        self._now = time_ns / _NANOSECONDS
+        self._watchdog.state_came(self._now)
+
+    def aim(self, target: Target) -> None:
+        """Take new joint targets, from this period on."""
+        self._target = target
+        if self._now is not None:
+            self._watchdog.target_came(self._now)
+
+    def voltage(self, powered: bool) -> FloatArray:
+        """Return the voltages for the period that began with the last measurement, (N,) [V].
+
+        Args:
+            powered: whether the drives have power; without it the motors turn no matter what.
+        """
+        assert self._now is not None, "measure first"
+        state = self._watchdog.check(self._now)
+        reason = self._watchdog.reason
+        if state is not WatchdogState.CUT and not powered:
+            state, reason = WatchdogState.CUT, "the drives' power is off"
+        self.state, self.reason = state, reason
+        target = self._target
+        if state is WatchdogState.CUT:
+            self._hold = None
+            self.servo.release()
+            return self._off
+        if state is WatchdogState.HOLD or target is None:
+            if self._hold is None:
+                self._hold = self.servo.q_measured
+            return self.servo.control(self._hold)
+        self._hold = None
+        return self.servo.control(target.q, target.v, target.tau)

@@ -1,0 +1,274 @@
+"""Lock-step: the same bits on every run, under every load, and without a network."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from network import (
+    JOINTS,
+    User,
+    assert_same_bits,
+    bits_of,
+    busy_processor,
+    kill,
+    network,
+    node,
+    offline_states,
+)
+from sensor_msgs.msg import JointState
+
+from arm_emulator.config_files import find_config
+from arm_emulator.node_shell import NANOSECONDS, stamp
+from arm_emulator.offline import OfflineRun, load_offline_run
+from arm_emulator.offline import run as run_command
+from arm_emulator.refusal import Refusal
+from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
+from emulator_node.plant import Plant
+from emulator_node.scene import example_robot_data, load_scene
+from motion_controller_node.motion_config import load_motion_config
+from motion_controller_node.pose import Pose
+from servo_node.servo_config import load_servo_config
+
+TARGET_AT = 0.1  # s
+TICKS = {"three_axis": 600, "ur5": 300}
+
+
+def target_of(scene_name: str) -> Pose:
+    """10 mm aside of where the tool starts."""
+    run = load_offline_run(scene_name)
+    R_WT, p_WT = run.controller.forward(run.session.scene.start)
+    # By way of the quaternion, as in a message: the rotation has the same rounding then.
+    orientation = Pose(p_WT, R_WT).quaternion()
+    return Pose.from_quaternion(p_WT + np.array([0.0, 0.01, 0.0]), orientation)
+
+
+def recorded(log: Path, scene: str) -> dict[int, bytes]:
+    """Run three processes toward the target and return their motor states."""
+    target = target_of(scene)
+    with network(log, scene=scene) as (user, _):
+        user.joint_names = list(load_scene(scene).joint_names)
+        begin(user, target)
+        user.wait("the run", lambda: user.tick >= TICKS[scene])
+        return user.motor_states()
+
+
+def begin(user: User, target: Pose, targets: int = 1) -> None:
+    """Give the target to a paused network, then let it go."""
+    user.wait("the nodes to meet", lambda: user.status and user.status.answered)
+    x, y, z, w = map(float, target.quaternion())
+    user.send_tool_target(tuple(map(float, target.p_WT)), TARGET_AT, (x, y, z, w))
+    user.wait("the target", lambda: user.value("motion_controller", "tool targets") == str(targets))
+    assert user.call("emulator/pause", False).success
+
+
+def offline(scene: str) -> dict[int, bytes]:
+    run = load_offline_run(scene)
+    run.instructor.add(round(TARGET_AT * 1e9), target_of(scene))
+    return offline_states(run, TICKS[scene])
+
+
+def test_three_processes_give_the_same_bits_twice_and_under_load(tmp_path: Path) -> None:
+    once = recorded(tmp_path / "once", "three_axis")
+    with busy_processor(2):
+        again = recorded(tmp_path / "again", "three_axis")
+    assert_same_bits(once, again, TICKS["three_axis"])
+    assert_same_bits(once, offline("three_axis"), TICKS["three_axis"])
+    # The arm did move: otherwise equal bits would mean nothing.
+    assert len(set(once.values())) > TICKS["three_axis"] // 2
+
+
+@pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
+def test_a_run_without_a_network_gives_the_bits_of_three_processes(tmp_path: Path) -> None:
+    assert_same_bits(recorded(tmp_path, "ur5"), offline("ur5"), TICKS["ur5"])
+
+
+def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
+    gains = find_config("three_axis", ".yaml", "servo").read_text()
+    turned = tmp_path / "servo.yaml"
+    in_order = "joint_names: [waist, shoulder, elbow]"
+    assert in_order in gains
+    turned.write_text(gains.replace(in_order, "joint_names: [elbow, waist, shoulder]"))
+    others = ("emulator", "motion_controller")
+    with (
+        network(tmp_path / "log", only=others) as (user, _),
+        node("servo_node.node", "--params-file", str(turned)),
+    ):
+        begin(user, target_of("three_axis"))
+        user.wait("the run", lambda: user.tick >= 300)
+        assert list(user.joint_states.name) == ["elbow", "waist", "shoulder"]
+        assert_same_bits(user.motor_states(), offline("three_axis"), 300)
+    scene, motion = load_scene("three_axis"), find_config("three_axis", ".yaml", "motion")
+    run = OfflineRun(scene, load_servo_config(turned), load_motion_config(motion))
+    run.instructor.add(round(TARGET_AT * 1e9), target_of("three_axis"))
+    assert offline_states(run, 300) == {k: v for k, v in offline("three_axis").items() if k <= 300}
+
+
+def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(tmp_path: Path) -> None:
+    with network(tmp_path, timeout=0.5) as (user, nodes):
+        begin(user, target_of("three_axis"))
+        user.wait("the run", lambda: user.tick >= 120)
+        kill(nodes, "servo")
+        words = "waiting for the motor command that answers tick "
+        user.wait("the diagnostic", lambda: user.said("emulator", words))
+        user.wait("the status", lambda: user.status.waiting_time > 0.5)
+        assert user.status.phase == EmulatorStatus.PHASE_WAITING and not user.status.answered
+        tick = user.status.tick
+        assert user.said("emulator", words)[-1].startswith(f"{words}{tick}, for ")
+        nodes.start("servo")
+        user.wait("the run to go on", lambda: user.tick >= tick + 150)
+        # Up to there nothing was lost: it waited, it did not step.
+        assert_same_bits(user.motor_states(), offline("three_axis"), tick)
+
+
+def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(tmp_path: Path) -> None:
+    with network(tmp_path, timeout=0.5) as (user, nodes):
+        begin(user, target_of("three_axis"))
+        user.wait("the run", lambda: user.tick >= 120)
+        kill(nodes, "motion_controller")
+        words = "waiting for the joint targets that answer t = "
+        user.wait("the diagnostic", lambda: user.diagnostics["servo"].message.startswith(words))
+        user.wait("the status", lambda: user.status.waiting_time > 0.5)
+        tick = user.status.tick
+        assert tick % 50 == 0  # at the start of a motion period
+        assert user.diagnostics["servo"].message == f"{words}{tick / 1000:g} s"
+        nodes.start("motion_controller")
+        user.wait("the run to go on", lambda: user.tick >= tick + 150)
+        assert_same_bits(user.motor_states(), offline("three_axis"), tick)
+        # The new one knows of no tool target and holds the arm, until it is told again.
+        assert user.diagnostics["motion_controller"].message == "holding, no tool target yet"
+        target = target_of("three_axis")
+        user.send_tool_target(tuple(map(float, target.p_WT)))
+        user.wait("the tool", lambda: user.said("motion_controller", "moving the tool"))
+
+
+def test_a_new_emulator_begins_anew_with_the_old_partners(tmp_path: Path) -> None:
+    with network(tmp_path) as (user, nodes):
+        begin(user, target_of("three_axis"))
+        user.wait("the run", lambda: user.tick >= 120)
+        kill(nodes, "emulator")
+        user.wait("the servo to notice", lambda: user.said("servo", "no motor state for "))
+        assert nodes.process("servo").poll() is nodes.process("motion_controller").poll() is None
+        user.spin()
+        user.forget()
+        nodes.start("emulator")
+        begin(user, target_of("three_axis"), targets=2)
+        user.wait("the new run", lambda: user.tick >= 300)
+        assert user.said("servo", "the emulator began anew")
+        assert_same_bits(user.motor_states(), offline("three_axis"), 300)
+
+
+def test_a_motion_controller_that_comes_last_still_gets_the_robot(tmp_path: Path) -> None:
+    with network(tmp_path, start="first_answer", only=("emulator", "servo")) as (user, _):
+        words = "waiting for the joint targets that answer t = 0 s"
+        user.wait("the servo to wait", lambda: words in user.words["servo"])
+        assert user.tick == 0
+        gains = find_config("three_axis", ".yaml", "motion")
+        with node("motion_controller_node.node", "--params-file", str(gains)):
+            user.wait("the run", lambda: user.tick >= 100)
+        user.wait("the robot", lambda: user.description)
+        assert user.description == load_scene("three_axis").urdf
+        run = load_offline_run("three_axis")
+        assert_same_bits(user.motor_states(), offline_states(run, 100), 100)
+
+
+def test_a_reset_while_the_servo_waits_for_targets(tmp_path: Path) -> None:
+    """The user takes the motion controller's place."""
+    with network(tmp_path, start="first_answer", only=("emulator", "servo")) as (user, _):
+
+        def answer(time: float) -> None:
+            message = JointState(name=JOINTS, position=[0.0, 0.5, 0.8])
+            message.header.stamp = stamp(round(time * NANOSECONDS))
+            user.publish(user.targets, message)
+
+        waiting = "waiting for the joint targets that answer t = "
+        user.wait("t = 0", lambda: f"{waiting}0 s" in user.words["servo"])
+        answer(0.0)
+        user.wait("t = 0.05", lambda: f"{waiting}0.05 s" in user.words["servo"])
+        first = user.motor_states()
+        assert max(first) == 50
+        user.forget()
+        assert user.call("emulator/reset").success
+        user.wait("t = 0", lambda: user.diagnostics["servo"].message == f"{waiting}0 s")
+        answer(0.05)  # too late
+        user.wait("the refusal", lambda: user.refused("servo", "joint_targets") == 1)
+        assert user.value("servo", "newest refusal") == (
+            "joint_targets: header.stamp must be that of the joint states it answers, 0 s, "
+            "got 0.05 s"
+        )
+        assert user.tick == 0
+        answer(0.0)
+        user.wait("t = 0.05", lambda: user.tick == 50)
+        assert_same_bits(user.motor_states(), first, 50)
+
+
+def test_two_servos_at_once(tmp_path: Path) -> None:
+    with network(tmp_path) as (user, nodes):
+        begin(user, target_of("three_axis"))
+        user.wait("the run", lambda: user.tick >= 60)
+        first = nodes.process("servo")
+        nodes.start("servo")
+        second = nodes.process("servo")
+        user.wait("two answers to a tick", lambda: user.refused("emulator", "motor_commands"))
+        assert "(stale)" in user.value("emulator", "newest refusal")
+        tick = user.tick
+        user.wait("the run to go on", lambda: user.tick >= tick + 200)
+        first.kill()
+        first.wait()
+        tick = user.tick
+        user.wait("the run to go on", lambda: user.tick >= tick + 200)
+        assert second.poll() is None
+
+
+def test_free_run_ends_with_the_first_answer(tmp_path: Path) -> None:
+    """The user takes the servo's place."""
+    with network(tmp_path, start="free_run", only=("emulator",)) as (user, _):
+        user.wait("the free run", lambda: user.tick >= 20)
+        user.wait("the status", lambda: user.status)
+        assert user.status.phase == EmulatorStatus.PHASE_FREE_RUNNING
+        user.publish(user.commands, MotorCommand(tick=3, joint_names=JOINTS, voltage=[0.0] * 3))
+        user.wait("the end", lambda: user.status.phase == EmulatorStatus.PHASE_WAITING)
+        tick = user.status.tick
+        user.wait("the last state", lambda: user.tick == tick)
+        volts = [3.0, 1.0, 2.0]
+        elbow_first = ["elbow", "waist", "shoulder"]
+        user.publish(user.commands, MotorCommand(tick=tick, joint_names=elbow_first, voltage=volts))
+        user.wait("the next tick", lambda: user.tick == tick + 1)
+        scene = load_scene("three_axis")
+        plant = Plant(scene)
+        plant.advance([0.0] * 3, scene.steps_per_period * tick)
+        expected = bits_of(plant.state.encoder_counts, plant.state.current)
+        assert user.motor_states()[tick] == expected
+        plant.advance([1.0, 2.0, 3.0], scene.steps_per_period)
+        expected = bits_of(plant.state.encoder_counts, plant.state.current)
+        assert user.motor_states()[tick + 1] == expected
+        assert user.refused("emulator", "motor_commands") == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"period": 2e-3, "motion_period": 0.05}, "servo.period must be the scene's servo_period"),
+        ({"motion_period": 0.04}, "servo.motion_period must be motion_controller.period, 0.05 s"),
+    ],
+)
+def test_offline_refuses_periods_that_do_not_fit(change: dict[str, float], words: str) -> None:
+    servo = load_servo_config(find_config("three_axis", ".yaml", "servo"))
+    motion = load_motion_config(find_config("three_axis", ".yaml", "motion"))
+    with pytest.raises(Refusal, match=words):
+        OfflineRun(load_scene("three_axis"), dataclasses.replace(servo, **change), motion)
+
+
+def test_the_run_command_reports(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command("three_axis", 3.0, [0.0, 0.01, 0.0]) == 0
+    said = capsys.readouterr().out
+    assert "scene three_axis: 3 s of logical time in " in said
+    x, y, z = (float(mm) for mm in re.findall(r"[xyz] ([-+][\d.]+)", said))
+    assert max(abs(x), abs(y), abs(z)) < 0.1  # of 10 mm; the encoders' residual is 0.07 mm
+    with pytest.raises(Refusal, match="run: seconds must be at least"):
+        run_command("three_axis", float("nan"), None)
+    with pytest.raises(Refusal, match="run: displacement: position must be finite"):
+        run_command("three_axis", 1.0, [0.0, float("inf"), 0.0])

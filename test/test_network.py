@@ -1,0 +1,413 @@
+"""The nodes among strangers: bad messages, services, both clocks, simulated time."""
+
+from __future__ import annotations
+
+import math
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from network import (
+    JOINTS,
+    User,
+    assert_same_bits,
+    network,
+    node,
+    offline_states,
+)
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+
+from arm_emulator.config_files import find_config
+from arm_emulator.node_shell import NANOSECONDS, nanoseconds_of, stamp
+from arm_emulator.offline import OfflineRun, load_offline_run
+from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from motion_controller_node.pose import Pose
+
+ZERO = [0.0, 0.0, 0.0]
+NAN, INF = math.nan, math.inf
+TICKS = 400
+
+
+def go(user: User) -> None:
+    user.wait("the nodes to meet", lambda: user.status and user.status.answered)
+    assert user.call("emulator/pause", False).success
+
+
+def pause_at(user: User, tick: int) -> int:
+    """Pause a lock-step run at `tick` or soon after, when that tick is answered."""
+    user.wait(f"tick {tick}", lambda: user.tick >= tick)
+    assert user.call("emulator/pause", True).success
+    paused = EmulatorStatus.PHASE_PAUSED
+    user.wait("the pause", lambda: user.status.phase == paused and user.status.answered)
+    user.wait("the last state", lambda: user.tick == user.status.tick)
+    return int(user.status.tick)
+
+
+# ------------------------------------------------------------------------------------ bad messages
+
+
+def motor_command(tick: int, voltage: list[float] = ZERO, names: list[str] = JOINTS) -> Any:
+    return MotorCommand(tick=tick, joint_names=names, voltage=voltage)
+
+
+def joint_state(
+    time_ns: int, position: list[float], names: list[str] = JOINTS, **more: list[float]
+) -> Any:
+    message = JointState(name=names, position=position, **more)
+    message.header.stamp = stamp(time_ns)
+    return message
+
+
+def motor_state(at: int, **change: Any) -> Any:
+    message = MotorState(
+        tick=at, joint_names=JOINTS, encoder_counts=[0, 0, 0], current=ZERO, powered=True
+    )
+    message.header.stamp = stamp(at * 1_000_000)
+    for field, value in change.items():
+        setattr(message, field, value)
+    return message
+
+
+def pose(position: list[float], orientation: list[float], frame: str = "") -> Any:
+    message = PoseStamped()
+    message.header.frame_id = frame
+    p, o = message.pose.position, message.pose.orientation
+    p.x, p.y, p.z = position
+    o.x, o.y, o.z, o.w = orientation
+    return message
+
+
+NAMES_RULE = "joint names must name every joint once"
+# Of each topic: what is sent at tick k of a paused run, and the beginning of the refusal.
+Maker = Callable[[int], Any]
+BAD: dict[str, list[tuple[Maker, str]]] = {
+    "motor_commands": [
+        (lambda k: motor_command(k - 1), "tick must be at least {k}, got {k-1} (stale)"),
+        (lambda k: motor_command(k + 1), "tick must be at most {k}, got {k+1} (future)"),
+        (lambda k: motor_command(2**64 - 1), "tick must be at most {k}, got 18446744073709551615"),
+        (lambda k: motor_command(k, names=["waist", "shoulder", "hand"]), NAMES_RULE),
+        (lambda k: motor_command(k, names=["waist", "waist", "elbow"]), NAMES_RULE),
+        (lambda k: motor_command(k, [1.0, 2.0]), "voltage must have one value per joint name (3)"),
+        (lambda k: motor_command(k, [1.0, NAN, 2.0]), "voltage must be finite [V], got [1.0, nan"),
+        (lambda k: motor_command(k, [1.0, 2.0, -INF]), "voltage must be finite [V]"),
+        (lambda k: motor_command(k, [], []), NAMES_RULE),
+    ],
+    "joint_targets": [
+        (lambda k: joint_state(k * 10**6, [0.0, 0.5]), "position must have one value per joint"),
+        (lambda k: joint_state(k * 10**6, [0.0, NAN, 0.5]), "position must be finite [rad]"),
+        (lambda k: joint_state(k * 10**6, ZERO, velocity=[INF, 0.0, 0.0]), "velocity must be fini"),
+        (lambda k: joint_state(k * 10**6, ZERO, effort=[1.0]), "effort must have one value per"),
+        (lambda k: joint_state(k * 10**6, ZERO, ["waist", "elbow", "knee"]), NAMES_RULE),
+        (lambda k: joint_state(10**18, ZERO), "header.stamp must be that of the joint states it"),
+    ],
+    "motor_states": [
+        (lambda k: motor_state(k + 1, joint_names=["a", "b", "c"]), NAMES_RULE),
+        (lambda k: motor_state(k + 1, encoder_counts=[1, 2]), "encoder_counts must have one value"),
+        (lambda k: motor_state(k + 1, current=[0.0] * 4), "current must have one value per joint"),
+        (lambda k: motor_state(k + 1, current=[0.0, NAN, 0.0]), "current must be finite [A]"),
+        (lambda k: motor_state(k + 1, tick=k + 2), "header.stamp must be tick x servo period"),
+    ],
+    "tool_target": [
+        (lambda _: pose([NAN, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]), "position must be finite"),
+        (lambda _: pose([0.1, 0.0, INF], [0.0, 0.0, 0.0, 1.0]), "position must be finite"),
+        (lambda _: pose([0.1, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]), "orientation must be a quaternion"),
+        (lambda _: pose([0.1, 0.0, 0.5], [0.0, NAN, 0.0, 1.0]), "orientation must be finite"),
+        (
+            lambda _: pose([0.1, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0], "camera"),
+            "header.frame_id must be the arm's base, got camera; valid: world",
+        ),
+    ],
+    "joint_states": [
+        (lambda _: joint_state(10**18, [0.0, 0.5], ["waist", "elbow"]), NAMES_RULE),
+        (lambda _: joint_state(10**18, [0.0, NAN, 0.5]), "position must be finite [rad]"),
+        (lambda _: joint_state(10**18, []), "position must have one value per joint name (3)"),
+    ],
+}
+RECEIVER = {
+    "motor_commands": "emulator",
+    "joint_targets": "servo",
+    "motor_states": "servo",
+    "tool_target": "motion_controller",
+    "joint_states": "motion_controller",
+}
+
+
+# Topics of different receivers.
+TOGETHER = [("motor_commands", "joint_targets", "tool_target"), ("motor_states", "joint_states")]
+
+
+def publishers(user: User) -> dict[str, Any]:
+    return {
+        "motor_commands": user.commands,
+        "joint_targets": user.targets,
+        "motor_states": user.states,
+        "tool_target": user.tool_targets,
+        "joint_states": user.measured,
+    }
+
+
+def assert_refused(user: User, topic: str, count: int, words: str, tick: int) -> None:
+    """Wait for a topic's refusal of that number and check what is said of it."""
+    name = RECEIVER[topic]
+    user.wait(f"refusal {count} on {topic}", lambda: user.refused(name, topic) == count)
+    words = words.replace("{k}", f"{tick}")
+    words = words.replace("{k-1}", f"{tick - 1}").replace("{k+1}", f"{tick + 1}")
+    said = user.value(name, "newest refusal")
+    assert said.startswith(f"{topic}: {words}") and "\n" not in said, said
+    assert user.diagnostics[name].level == DiagnosticStatus.WARN
+
+
+def reference(change: Callable[[OfflineRun], None] | None = None) -> dict[int, bytes]:
+    run = load_offline_run("three_axis")
+    if change:
+        change(run)
+    return offline_states(run, TICKS)
+
+
+def test_bad_messages_are_refused_counted_and_change_nothing(tmp_path: Path) -> None:
+    with network(tmp_path) as (user, _):
+        go(user)
+        tick = pause_at(user, 120)
+        user.recording = False  # the motor states of this test are no states of the machine
+        publish = publishers(user)
+        # One bad message per node and turn, so that each one's words are seen.
+        for topics in TOGETHER:
+            for turn in range(max(len(BAD[topic]) for topic in topics)):
+                sent = {topic: BAD[topic][turn] for topic in topics if turn < len(BAD[topic])}
+                for topic, (make, _) in sent.items():
+                    user.publish(publish[topic], make(tick))
+                for topic, (_, words) in sent.items():
+                    assert_refused(user, topic, turn + 1, words, tick)
+        user.wait("the count", lambda: user.status.commands_refused == len(BAD["motor_commands"]))
+        assert user.value("motion_controller", "tool targets") == "0"
+        user.recording = True
+        assert user.call("emulator/pause", False).success
+        user.wait("the run", lambda: user.tick >= TICKS)
+        assert_same_bits(user.motor_states(), reference(), TICKS)
+
+
+def test_garbage_and_huge_messages_change_nothing(tmp_path: Path) -> None:
+    rng = random.Random(5)
+    little_endian = b"\0\1\0\0"
+    garbage = [
+        b"",
+        little_endian,
+        little_endian + b"\xff" * 64,
+        *[little_endian + rng.randbytes(rng.randint(1, 300)) for _ in range(20)],
+        *[rng.randbytes(rng.randint(1, 300)) for _ in range(20)],
+    ]
+    names = [f"joint_{index}" for index in range(5_000)]
+    values = [0.0] * len(names)
+    with network(tmp_path) as (user, _):
+        go(user)
+        tick = pause_at(user, 120)
+        user.recording = False
+        publish = publishers(user)
+        for topic, publisher in publish.items():
+            user.wait(f"a listener on {topic}", publisher.get_subscription_count)
+            for data in garbage:
+                publisher.publish(data)
+                user.spin(0.001)
+        huge = {
+            "motor_commands": motor_command(tick, values, names),
+            "joint_targets": joint_state(tick * 10**6, values, names),
+            "motor_states": motor_state(
+                tick + 1, joint_names=names, encoder_counts=[0] * len(names), current=values
+            ),
+            "joint_states": joint_state(10**18, values, names),
+            "tool_target": pose(ZERO, [0.0, 0.0, 0.0, 1.0], "x" * 100_000),
+        }
+        for topic, message in huge.items():
+
+            def refused(topic: str = topic, message: Any = message) -> bool:
+                publish[topic].publish(message)  # again: states are read as best effort
+                return user.refused(RECEIVER[topic], topic) > 0
+
+            user.wait(f"the refusal on {topic}", refused)
+            assert len(user.value(RECEIVER[topic], "newest refusal")) < 300
+        user.recording = True
+        assert user.call("emulator/pause", False).success
+        user.wait("the run", lambda: user.tick >= TICKS)
+        assert_same_bits(user.motor_states(), reference(), TICKS)
+
+
+def test_bad_messages_in_full_run_change_nothing(tmp_path: Path) -> None:
+    """As above, but between the good messages of a run that goes on."""
+    topics = ("motor_commands", "joint_targets", "tool_target", "joint_states")
+    with network(tmp_path) as (user, _):
+        go(user)
+        publish, turn = publishers(user), 0
+        while user.tick < TICKS:
+            for topic in topics:
+                make, _ = BAD[topic][turn % len(BAD[topic])]
+                publish[topic].publish(make(2**40))
+            turn += 1
+            user.spin(0.005)
+        for topic in topics:
+            user.wait(f"{topic} refused", lambda t=topic: user.refused(RECEIVER[t], t) > 0)
+        assert_same_bits(user.motor_states(), reference(), TICKS)
+
+
+def test_tool_targets_for_different_times_may_come_at_once(tmp_path: Path) -> None:
+    _, p_WT = load_offline_run("three_axis").controller.forward([0.0, 0.5, 0.8])
+    there, back = p_WT + np.array([0.0, 0.02, 0.0]), p_WT - np.array([0.0, 0.01, 0.0])
+
+    def aim(run: OfflineRun) -> None:
+        run.instructor.add(100_000_000, Pose(there, np.eye(3)))
+        run.instructor.add(250_000_000, Pose(back, np.eye(3)))
+
+    with network(tmp_path) as (user, _):
+        user.wait("the nodes to meet", lambda: user.status and user.status.answered)
+        user.send_tool_target(tuple(map(float, back)), at=0.25)
+        user.send_tool_target(tuple(map(float, there)), at=0.1)
+        user.wait("both", lambda: user.value("motion_controller", "tool targets") == "2")
+        assert user.call("emulator/pause", False).success
+        user.wait("the run", lambda: user.tick >= TICKS)
+        assert_same_bits(user.motor_states(), reference(aim), TICKS)
+
+
+# ---------------------------------------------------------------------------------------- services
+
+
+def test_services_in_lock_step(tmp_path: Path) -> None:
+    with network(tmp_path) as (user, _):
+        go(user)
+        refused = user.call("emulator/step")
+        assert not refused.success and refused.message == "not paused, pause first"
+        tick = pause_at(user, 100)
+        for more in range(1, 4):
+            stepped = user.call("emulator/step")
+            assert stepped.success and stepped.message == f"at tick {tick + more}"
+            user.wait("the state", lambda more=more: user.tick == tick + more)
+            user.wait("the status", lambda more=more: user.status.tick == tick + more)
+            user.wait("its answer", lambda: user.status.answered)
+        off_at = tick + 3
+        assert user.call("emulator/power", False).success
+        assert user.call("emulator/pause", False).success
+        user.wait("the servo to notice", lambda: user.said("servo", "the drives' power is off"))
+        on_at = pause_at(user, off_at + 60)
+        user.wait("the status", lambda: not user.status.powered)
+        assert user.call("emulator/power", True).success
+        assert user.call("emulator/pause", False).success
+        end = on_at + 100
+        user.wait("the run", lambda: user.tick >= end)
+        user.wait("the status", lambda: user.status.powered)
+        powerless = load_offline_run("three_axis")
+        offline = offline_states(powerless, off_at)
+        # Power is off from this tick on; the servo has answered it already and hears of it in the
+        # next state. Likewise when it comes back.
+        powerless.session.powered = False
+        offline |= offline_states(powerless, on_at + 1)
+        powerless.session.powered = True
+        offline |= offline_states(powerless, end)
+        assert_same_bits(user.motor_states(), offline, end)
+
+        user.forget()
+        assert user.call("emulator/reset").message == "at tick 0"
+        user.wait("the pause of the start", lambda: user.status and user.status.tick == 0)
+        assert user.status.phase == EmulatorStatus.PHASE_PAUSED
+        go(user)
+        user.wait("the run", lambda: user.tick >= TICKS)
+        assert_same_bits(user.motor_states(), reference(), TICKS)
+
+
+def test_services_in_real_time(tmp_path: Path) -> None:
+    with network(tmp_path, clock="realtime", start="free_run") as (user, _):
+        running = EmulatorStatus.PHASE_RUNNING
+        user.wait("the run", lambda: user.status and user.status.phase == running)
+        assert not user.call("emulator/step").success
+        assert user.call("emulator/pause", True).success
+        first = int(user.call("emulator/step").message.removeprefix("at tick "))
+        for more in range(1, 4):
+            assert user.call("emulator/step").message == f"at tick {first + more}"
+        user.wait("the status", lambda: user.status.tick == first + 3)
+        assert user.status.phase == EmulatorStatus.PHASE_PAUSED
+        for _ in range(20):  # in a row, with ticks on their way
+            assert user.call("emulator/pause", False).success
+            paused, stepped = user.calls(("emulator/pause", True), ("emulator/step", None))
+            tick = int(paused.message.removeprefix("paused at tick "))
+            assert stepped.message == f"at tick {tick + 1}"
+        user.motor_states()  # no tick was told twice
+        assert user.call("emulator/power", False).success
+        assert user.call("emulator/pause", False).success
+        user.wait("the servo to notice", lambda: user.said("servo", "the drives' power is off"))
+        user.wait("the status", lambda: not user.status.powered and user.status.phase == running)
+        assert user.call("emulator/power", True).success
+        user.wait("the servo to go on", lambda: user.diagnostics["servo"].message == "following")
+        before = user.tick
+        assert before > first + 3
+        user.forget()
+        assert user.call("emulator/reset").success
+        user.wait("the new run", lambda: user.status and 0 < user.status.tick)
+        assert min(user.motor_states()) < before
+        user.wait("the servo to begin anew", lambda: user.said("servo", "the emulator began anew"))
+
+
+# --------------------------------------------------------------------------------------- real time
+
+
+def test_real_time_is_real_time(tmp_path: Path) -> None:
+    with network(tmp_path, clock="realtime", start="free_run") as (user, _):
+        running = EmulatorStatus.PHASE_RUNNING
+        user.wait("the run", lambda: user.status and user.status.phase == running)
+        user.wait("targets", lambda: user.joint_targets and user.joint_states and user.truth)
+        statuses: list[tuple[float, EmulatorStatus]] = []
+
+        def enough() -> bool:
+            if not statuses or statuses[-1][1] is not user.status:
+                statuses.append((time.monotonic(), user.status))
+            return len(statuses) > 5
+
+        user.wait("three seconds", enough)
+        (began, first), (ended, last) = statuses[0], statuses[-1]
+        logical = last.logical_time - first.logical_time
+        # Status comes every 0.5 s of wall time; what is lost by more than LOST_TIME is let go, so a
+        # loaded machine may fall behind, but nothing may let logical time run ahead.
+        assert logical < 1.1 * (ended - began)
+        assert logical > 0.3 * (ended - began)
+        for _, status in statuses:
+            assert status.logical_time == pytest.approx(status.tick * 1e-3)
+            assert nanoseconds_of(status.header.stamp) == status.tick * 1_000_000
+            assert status.phase == running and status.powered
+            assert status.step_time > 0.0 and math.isfinite(status.energy)
+            assert status.waiting_time == 0.0
+        assert last.tick > first.tick and last.overruns >= first.overruns
+        assert last.worst_lateness >= first.worst_lateness >= 0.0
+        ticks = sorted(user.motor_states())
+        assert ticks[-1] - ticks[0] > 500 and len(ticks) > 0.9 * (ticks[-1] - ticks[0])
+        # Holding where it started: within two encoder counts of 2 pi / 1024 * 0.01 rad.
+        held = dict(zip(user.truth.name, user.truth.position, strict=True))
+        assert held == pytest.approx({"waist": 0.0, "shoulder": 0.5, "elbow": 0.8}, abs=2 * 6.2e-5)
+
+
+def test_nodes_follow_the_emulators_clock(tmp_path: Path) -> None:
+    gains = str(find_config("three_axis", ".yaml", "motion"))
+    sim_time = ("-p", "use_sim_time:=true")
+    with (
+        network(tmp_path, only=("emulator", "servo")) as (user, _),
+        node("motion_controller_node.node", "--params-file", gains, *sim_time),
+    ):
+        follower = rclpy.create_node(
+            "follower",
+            context=user.node.context,
+            parameter_overrides=[Parameter("use_sim_time", value=True)],
+        )
+        user.add(follower)
+        go(user)
+        tick = pause_at(user, 1100)
+        # The clock is said every 10 ticks.
+        expected = tick // 10 * 10 * 1_000_000
+        user.wait("the time", lambda: follower.get_clock().now().nanoseconds == expected)
+        # Diagnostics carry the node's own time: since 0 here, since 1970 in a node without.
+        user.wait("words at 1 s", lambda: user.stamps.get("motion_controller", 0) >= NANOSECONDS)
+        assert user.stamps["motion_controller"] <= expected
+        assert user.stamps["servo"] > 10**9 * NANOSECONDS
+        follower.destroy_node()
