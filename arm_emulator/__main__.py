@@ -69,6 +69,17 @@ def _parser() -> argparse.ArgumentParser:
     compile_.add_argument("--into", type=Path, help="folder for the library (default: the cache)")
     compile_.set_defaults(run=_compile)
 
+    advise = commands.add_parser("advise", help="find the cheapest scheme and step for an error")
+    _scene(advise)
+    advise.add_argument(
+        "--error",
+        type=float,
+        default=1e-4,
+        help="largest error of a link on the way (rad or m, default: %(default)s)",
+    )
+    advise.add_argument("--write", action="store_true", help="put the result into the scene file")
+    advise.set_defaults(run=_advise)
+
     bench = commands.add_parser("bench", help="measure speed and accuracy (a source tree only)")
     bench.add_argument("--quick", action="store_true", help="fewer cases, to try it out")
     bench.add_argument("--only", action="append", default=[], metavar="SECTION",
@@ -80,11 +91,36 @@ def _parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check-scene", help="say whether scene files are valid")
     check.add_argument("scenes", nargs="+", metavar="SCENE")
     check.set_defaults(run=_check_scene)
+
+    record = commands.add_parser("record", help="record the network into a rosbag2 bag")
+    record.add_argument("out", type=Path, help="folder of the new bag")
+    _topics(record)
+    record.set_defaults(run=_record)
+
+    replay = commands.add_parser("replay", help="publish what a bag holds, at the recorded times")
+    replay.add_argument("bag", type=Path)
+    _topics(replay)
+    replay.add_argument(
+        "--rate", type=float, default=1.0, help="recorded seconds per second (default: 1)"
+    )
+    replay.add_argument("--wait", action="store_true", help="begin when every topic has a listener")
+    replay.set_defaults(run=_replay)
+
+    check_bag = commands.add_parser(
+        "check", help="drive the machine again with recorded commands and compare every bit"
+    )
+    check_bag.add_argument("bag", type=Path)
+    check_bag.add_argument("--scene", help="scene file or name (default: as the bag tells)")
+    check_bag.set_defaults(run=_check)
     return parser
 
 
 def _scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", nargs="?", default="three_axis", help="scene file or name")
+
+
+def _topics(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="these only (default: all)")
 
 
 def _clock(parser: argparse.ArgumentParser) -> None:
@@ -131,6 +167,12 @@ def _compile(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _advise(arguments: argparse.Namespace) -> int:
+    from arm_emulator.advise import advise_scene
+
+    return advise_scene(arguments.scene, arguments.error, arguments.write)
+
+
 def _bench(arguments: argparse.Namespace) -> int:
     tree = Path(__file__).resolve().parents[1]
     if not (tree / "bench" / "report.py").is_file():
@@ -149,6 +191,24 @@ def _check_scene(arguments: argparse.Namespace) -> int:
         scene = load_scene(name)
         print(f"{scene.where}: valid, {len(scene.joints)} joints: {', '.join(scene.joint_names)}")
     return 0
+
+
+def _record(arguments: argparse.Namespace) -> int:
+    from arm_emulator.record import record
+
+    return record(arguments.out, arguments.topics)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from arm_emulator.replay import replay
+
+    return replay(arguments.bag, arguments.topics, arguments.rate, arguments.wait)
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from arm_emulator.check import check
+
+    return check(arguments.bag, arguments.scene)
 
 
 if __name__ == "__main__":

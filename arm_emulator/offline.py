@@ -37,6 +37,7 @@ class OfflineRun:
         drives: the servo.
         controller: eq. (6) for the arm.
         instructor: takes the tool targets.
+        motion_ticks: servo periods in a motion period.
 
     Args:
         scene: the machine.
@@ -56,7 +57,7 @@ class OfflineRun:
         self.instructor = Instructor()
         _same("servo.period", servo.period, "the scene's servo_period", scene.servo_period)
         _same("servo.motion_period", servo.motion_period, "motion_controller.period", motion.period)
-        self._motion_ticks = round(motion.period / servo.period)
+        self.motion_ticks = round(motion.period / servo.period)
         self._servo_names = list(servo.joint_names)
         # Places of one's joints in the other's arrays; an empty slice where the order is the same.
         self._to_servo = _places("servo", scene.joint_names, servo.joint_names)
@@ -70,7 +71,7 @@ class OfflineRun:
             Diverged: the machine did; it stays at the last state before.
         """
         session, drives, names = self.session, self.drives, self._servo_names
-        to_servo, motion_ticks = self._to_servo, self._motion_ticks
+        to_servo, motion_ticks = self._to_servo, self.motion_ticks
         for _ in range(ticks):
             tick, state = session.tick, session.state
             now = session.logical_ns

@@ -210,8 +210,10 @@ class LinearlyImplicit {
   ARM_INLINE bool limiting(int j) const { return may_limit(j) && at_limit[j]; }
 
   // A current that would pass its limit in this step is led to the limit instead. Whether it would
-  // is judged at the step's beginning: where a limit is reached or left the order is 1.
-  ARM_INLINE void choose_elimination(const State<N>& x, const double (&V)[N], int j) {
+  // is judged at the step's beginning: where a limit is reached or left the order is 1. It rises at
+  // (V - Kb wm - R i) / L until it meets the limit, and then stays; it is begun where a straight
+  // way to the limit has the same mean, and so the same impulse.
+  ARM_INLINE void choose_elimination(State<N>& x, const double (&V)[N], int j) {
     motor[j] = free[j];
     if (!may_limit(j)) return;
     const auto& [present, R, L, Kt, Kb, Mm, limit] = S::joint[j].motor;
@@ -220,7 +222,11 @@ class LinearlyImplicit {
     at_limit[j] = i > limit || i < -limit;
     if (!at_limit[j]) return;
     motor[j] = limited[j];
-    forced_rate[j] = (clamp(i, limit) - x.i[j]) / h;
+    const double way = clamp(i, limit) - x.i[j];
+    const double part_of_step = L * way / (h * (V[j] - Kb * wm - R * x.i[j]));
+    const double straight = way * (part_of_step < 1.0 ? part_of_step : 1.0);
+    x.i[j] += way - straight;
+    forced_rate[j] = straight / h;
   }
 
   ARM_INLINE static void advance(State<N>& x, const Rates& k, double step) {

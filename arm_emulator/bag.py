@@ -1,0 +1,353 @@
+"""A rosbag2 bag with MCAP storage: written so that a crash loses little, read whole or cut off.
+
+The files are those of rosbag2 in Jazzy (metadata version 9, MCAP profile `ros2`), so `ros2 bag`
+reads them, and what `ros2 bag record` writes is read here.
+"""
+
+from __future__ import annotations
+
+import heapq
+import re
+import struct
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from os import SEEK_END
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, NamedTuple
+
+import yaml
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+from arm_emulator.refusal import Refusal
+
+try:
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Message, Schema
+    from mcap.stream_reader import StreamReader
+    from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+    from zstandard import ZstdError
+except ImportError as error:  # a stock ROS 2 machine has none
+    raise Refusal(
+        "bags", "Python package mcap", "be installed", error, "pip install mcap"
+    ) from None
+
+METADATA_VERSION = 9  # of rosbag2 in Jazzy
+CHUNK_SIZE = 2**18  # bytes: what is not yet in a chunk is lost in a crash
+NANOSECONDS = 1_000_000_000
+
+# How reading a damaged file fails, beside McapError.
+_DAMAGE = (struct.error, UnicodeDecodeError, ValueError, MemoryError, RuntimeError, ZstdError)
+
+_POLICIES: dict[str, type[IntEnum]] = {
+    "history": HistoryPolicy,
+    "reliability": ReliabilityPolicy,
+    "durability": DurabilityPolicy,
+    "liveliness": LivelinessPolicy,
+}
+_DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
+
+
+@dataclass
+class Topic:
+    """A topic in a bag.
+
+    Attributes:
+        name: with its namespace, such as ``/motor_states``.
+        type: such as ``arm_emulator_msgs/msg/MotorState``.
+        definition: text of the message's definition and, after lines of ``=``, of all it contains;
+            empty if not known.
+        offered: QoS of each publisher.
+        type_hash: RIHS01 hash of the type, empty if not known.
+        count: messages.
+    """
+
+    name: str
+    type: str
+    definition: str = ""
+    offered: tuple[QoSProfile, ...] = ()
+    type_hash: str = ""
+    count: int = 0
+
+
+class BagMessage(NamedTuple):
+    """A message as it went over the network."""
+
+    topic: str
+    received: int  # wall time [ns]
+    published: int  # wall time [ns]
+    data: bytes
+
+
+class BagWriter:
+    """Writes a new bag; use it in a `with` block.
+
+    Args:
+        folder: the bag, which must not exist.
+
+    Raises:
+        Refusal: it exists, or cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._file = folder / f"{folder.resolve().name}_0.mcap"
+        self._topics: dict[int, Topic] = {}
+        self._schemas: dict[str, int] = {}
+        self._begin, self._end = 2**63 - 1, 0
+        try:
+            folder.mkdir(parents=True)
+            self._stream = self._file.open("xb")
+        except FileExistsError:
+            raise Refusal("record", f"folder {folder}", "be new", "one that exists") from None
+        except OSError as error:
+            raise Refusal("record", f"folder {folder}", "be writable", error.strerror) from None
+        self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)
+        self._mcap.start("ros2", "arm_emulator")
+        self.flush()
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def topics(self) -> list[Topic]:
+        """Topics so far, with their counts."""
+        return list(self._topics.values())
+
+    @property
+    def seconds(self) -> float:
+        """Wall time from the first message to the last [s]."""
+        return max(0, self._end - self._begin) / NANOSECONDS
+
+    def add_topic(self, topic: Topic) -> int:
+        """Take up a topic and return its number in this bag."""
+        if topic.type not in self._schemas:
+            encoding = "ros2msg" if topic.definition else ""
+            self._schemas[topic.type] = self._mcap.register_schema(
+                topic.type, encoding, topic.definition.encode()
+            )
+        number = self._mcap.register_channel(
+            topic.name,
+            "cdr",
+            self._schemas[topic.type],
+            {
+                "offered_qos_profiles": yaml.safe_dump([_qos_to_yaml(q) for q in topic.offered]),
+                "topic_type_hash": topic.type_hash,
+            },
+        )
+        self._topics[number] = topic
+        return number
+
+    def write(self, number: int, received: int, published: int, data: bytes) -> None:
+        """Write a message of the topic with this number."""
+        topic = self._topics[number]
+        self._mcap.add_message(number, received, data, published, topic.count)
+        topic.count += 1
+        self._begin, self._end = min(self._begin, received), max(self._end, received)
+
+    def flush(self) -> None:
+        """Hand all that was written to the system: a crash of this process loses none of it."""
+        self._mcap.flush()
+
+    def close(self) -> None:
+        """Write indices and metadata; without them only readers that scan can read the bag."""
+        if self._stream.closed:
+            return
+        metadata = self._metadata()
+        self._mcap.flush()
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(metadata)})
+        self._mcap.finish()
+        self._stream.close()
+        text = yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False)
+        unfinished = self.folder / "metadata.yaml.tmp"
+        unfinished.write_text(text, encoding="utf-8")
+        unfinished.replace(self.folder / "metadata.yaml")
+
+    def _metadata(self) -> dict[str, Any]:
+        count = sum(topic.count for topic in self.topics)
+        span = {
+            "duration": {"nanoseconds": max(0, self._end - self._begin)},
+            "starting_time": {"nanoseconds_since_epoch": self._begin if count else 0},
+            "message_count": count,
+        }
+        return {
+            "version": METADATA_VERSION,
+            "storage_identifier": "mcap",
+            **span,
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": topic.name,
+                        "type": topic.type,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": [_qos_to_yaml(q) for q in topic.offered],
+                        "type_description_hash": topic.type_hash,
+                    },
+                    "message_count": topic.count,
+                }
+                for topic in self.topics
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self._file.name],
+            "files": [{"path": self._file.name, **span}],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+
+
+class Bag:
+    """A bag to read. It is scanned once, so that later reading meets no surprise.
+
+    Attributes:
+        topics: by name.
+        complete: False for a bag whose recorder was killed; what it had flushed is there.
+
+    Args:
+        path: a bag's folder, or one MCAP file.
+
+    Raises:
+        Refusal: no bag, or a damaged one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.topics: dict[str, Topic] = {}
+        self.complete = True
+        if path.is_dir():
+            self._files = sorted(path.glob("*.mcap"), key=_place)
+        else:
+            self._files = [path]
+        if not path.exists():
+            raise Refusal(str(path), "the bag", "exist", "no such file or folder")
+        if not self._files:
+            raise Refusal(str(path), "the bag", "hold *.mcap files", "none", "storage mcap")
+        for message in self.messages():
+            self.topics[message.topic].count += 1
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
+        """Yield the messages of some topics, or all, in the order of the file: as received."""
+        for file in self._files:
+            try:
+                with file.open("rb") as stream:
+                    try:
+                        yield from self._read(stream, topics)
+                    except (McapError, *_DAMAGE) as error:
+                        if not _cut_off(stream):
+                            what = error or type(error).__name__
+                            raise Refusal(str(file), "the bag", "be undamaged MCAP", what) from None
+                        self.complete = False
+            except OSError as error:
+                raise Refusal(str(file), "the bag", "be readable", error.strerror) from None
+
+    def as_published(self, topics: Collection[str], window: int = 10_000) -> Iterator[BagMessage]:
+        """Yield messages in the order in which they were published: an answer after its question.
+
+        Args:
+            topics: their names.
+            window: by how many messages the order of reception may differ at most.
+        """
+        heap: list[tuple[int, int, BagMessage]] = []
+        for number, message in enumerate(self.messages(topics)):
+            heapq.heappush(heap, (message.published or message.received, number, message))
+            if len(heap) > window:
+                yield heapq.heappop(heap)[2]
+        while heap:
+            yield heapq.heappop(heap)[2]
+
+    def _read(self, stream: IO[bytes], topics: Collection[str] | None) -> Iterator[BagMessage]:
+        schemas: dict[int, Schema] = {}
+        names: dict[int, str] = {}
+        for record in StreamReader(stream, validate_crcs=True).records:
+            if isinstance(record, Message):
+                name = names.get(record.channel_id)
+                if name is None:
+                    raise McapError(f"a message of channel {record.channel_id}, which is not there")
+                if topics is None or name in topics:
+                    yield BagMessage(name, record.log_time, record.publish_time, record.data)
+            elif isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                names[record.id] = record.topic
+                if record.topic not in self.topics:
+                    self.topics[record.topic] = _topic(record, schemas.get(record.schema_id))
+
+
+def _cut_off(stream: IO[bytes]) -> bool:
+    """Whether reading failed because the file ends too early: its recorder was killed."""
+    at_end = not stream.read(1)
+    size = stream.seek(0, SEEK_END)
+    stream.seek(max(0, size - len(MCAP0_MAGIC)))
+    begins = size > len(MCAP0_MAGIC)
+    return at_end and begins and stream.read() != MCAP0_MAGIC
+
+
+def _place(file: Path) -> tuple[int, str]:
+    """Return where a file of a split bag stands: bag_10.mcap comes after bag_9.mcap."""
+    number = re.search(r"_(\d+)$", file.stem)
+    return (int(number[1]) if number else 0, file.name)
+
+
+def _topic(channel: Channel, schema: Schema | None) -> Topic:
+    if schema is None or channel.message_encoding != "cdr":
+        raise McapError(f"topic {channel.topic}: not a serialized ROS 2 message")
+    try:
+        profiles = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []
+        offered = tuple(_qos_from_yaml(profile) for profile in profiles)
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise McapError(f"topic {channel.topic}: QoS profiles: {error!r}") from None
+    return Topic(
+        channel.topic,
+        schema.name,
+        schema.data.decode() if schema.encoding == "ros2msg" else "",
+        offered,
+        channel.metadata.get("topic_type_hash", ""),
+    )
+
+
+def _qos_to_yaml(profile: QoSProfile) -> dict[str, Any]:
+    def seconds(duration: Duration) -> dict[str, int]:
+        sec, nsec = divmod(duration.nanoseconds, NANOSECONDS)
+        return {"sec": sec, "nsec": nsec}
+
+    return {
+        "history": profile.history.name.lower(),
+        "depth": profile.depth,
+        "reliability": profile.reliability.name.lower(),
+        "durability": profile.durability.name.lower(),
+        "deadline": seconds(profile.deadline),
+        "lifespan": seconds(profile.lifespan),
+        "liveliness": profile.liveliness.name.lower(),
+        "liveliness_lease_duration": seconds(profile.liveliness_lease_duration),
+        "avoid_ros_namespace_conventions": profile.avoid_ros_namespace_conventions,
+    }
+
+
+def _qos_from_yaml(data: dict[str, Any]) -> QoSProfile:
+    """Read names, as version 9 has them, or numbers, as before."""
+    values: dict[str, Any] = {"depth": int(data["depth"])}
+    for key, policy in _POLICIES.items():
+        value = data[key]
+        values[key] = policy(value) if isinstance(value, int) else policy[value.upper()]
+    for key in _DURATIONS:
+        sec, nsec = int(data[key]["sec"]), int(data[key]["nsec"])
+        # Fast DDS before Humble wrote another infinity.
+        values[key] = Duration(nanoseconds=min(sec * NANOSECONDS + nsec, 2**63 - 1))
+    values["avoid_ros_namespace_conventions"] = bool(data["avoid_ros_namespace_conventions"])
+    return QoSProfile(**values)

@@ -1,0 +1,325 @@
+"""`arm_emulator check`: drive the machine again as a bag tells, and compare every bit.
+
+In lock-step a run depends on nothing but what was commanded at which tick. So the recorded
+commands, offered to a new session, must give the recorded states. A run is what lies between two
+resets; it is checked if the bag has it from tick 0 on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from arm_emulator.bag import Bag
+from arm_emulator.config_files import config_folder
+from arm_emulator.node_shell import nanoseconds_of
+from arm_emulator.record import definition_of, fields
+from arm_emulator.refusal import Refusal
+from arm_emulator.yaml_file import read_yaml
+from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from emulator_node.scene import Scene, load_scene
+from emulator_node.session import Session
+
+# Topic -> class and type of its messages.
+TYPES: dict[str, tuple[Any, str]] = {
+    "motor_commands": (MotorCommand, "arm_emulator_msgs/msg/MotorCommand"),
+    "motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
+    "emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
+    "emulator/status": (EmulatorStatus, "arm_emulator_msgs/msg/EmulatorStatus"),
+    "robot_description": (String, "std_msgs/msg/String"),
+    "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
+}
+NEEDED = ("motor_commands", "motor_states")
+COMPARED = (*NEEDED, "emulator/joint_states")
+
+
+class Difference(Exception):
+    """The first bit that is not as recorded."""
+
+
+@dataclass
+class Tally:
+    """What was compared, and what could not be.
+
+    Attributes:
+        runs: from tick 0 on.
+        states: motor states.
+        truths: messages on `emulator/joint_states`.
+        refused: commands that the machine did not take.
+        lost: motor states that the bag misses.
+        free: ticks at 0 V before the first command of a run.
+        skipped: motor states of runs whose beginning is not in the bag.
+    """
+
+    runs: int = 0
+    states: int = 0
+    truths: int = 0
+    refused: int = 0
+    lost: int = 0
+    free: int = 0
+    skipped: int = 0
+    doubled: list[int] = field(default_factory=list)  # ticks with two commands that differ
+
+
+def check(path: Path, scene_name: str | None) -> int:
+    """Compare and say the outcome; the exit code is 0 if all is equal, 1 if not.
+
+    Args:
+        path: the bag.
+        scene_name: scene file or name; None: the one that the bag tells of.
+
+    Raises:
+        Refusal: a bad bag, one that cannot be checked, or no scene.
+    """
+    bag = Bag(path)
+    topics = _topics(bag)
+    _refuse_real_time(bag, topics)
+    scene = load_scene(scene_name or _scene_of(bag, topics))
+    checker = _Checker(Session(scene, "lockstep", "first_answer"), str(path))
+    tally = checker.tally
+    difference: Difference | None = None
+    try:
+        for name, message in _read(bag, topics, COMPARED):
+            checker.take(name, message)
+    except Difference as found:
+        difference = found
+    if not tally.runs:
+        raise Refusal(
+            str(path),
+            "the bag",
+            "hold a run from tick 0 on",
+            f"{tally.skipped} states of later ticks",
+            "record, then call emulator/reset",
+        )
+    print(f"scene {scene.name}: {_told(tally, bag.complete)}")
+    if difference is None:
+        print("equal to the last bit")
+        return 0
+    print(f"the first difference: {difference}")
+    for hint in _hints(tally, bag, topics, scene):
+        print(f"note: {hint}")
+    return 1
+
+
+class _Checker:
+    """Takes the messages of a bag in the order of publication, as the machine took them."""
+
+    def __init__(self, session: Session, where: str) -> None:
+        self.tally = Tally()
+        self._session = session
+        self._where = where
+        self._inside = False  # a run that began at tick 0
+        self._led = False  # by commands
+        self._offered: tuple[int, bytes] | None = None
+
+    def take(self, name: str, message: Any) -> None:
+        {
+            "motor_commands": self._on_command,
+            "motor_states": self._on_state,
+            "emulator/joint_states": self._on_truth,
+        }[name](message)
+
+    def _on_command(self, command: MotorCommand) -> None:
+        session = self._session
+        if not self._inside:
+            return
+        if command.tick == session.tick + 1 and session.answered:
+            self.tally.lost += 1  # it answers a state that the bag misses
+            self._advance()
+        try:
+            session.offer(command.tick, command.joint_names, command.voltage)
+        except Refusal:
+            self.tally.refused += 1
+            return
+        self._led = True
+        offered = (command.tick, command.voltage.tobytes())
+        before, self._offered = self._offered, offered
+        if before is not None and before[0] == command.tick and before != offered:
+            self.tally.doubled.append(command.tick)
+
+    def _on_state(self, state: MotorState) -> None:
+        session, tick = self._session, int(state.tick)
+        self._same_joints("motor_states", state.joint_names)
+        if tick == 0 and (not self._inside or session.tick > 0):
+            session.reset()
+            self._inside, self._led, self._offered = True, False, None
+            self.tally.runs += 1
+        elif not self._inside or tick < session.tick:
+            # A reset whose first state is not in the bag, or the bag begins within a run.
+            self._inside = False
+            self.tally.skipped += 1
+            return
+        elif tick == session.tick + 1:
+            # Power is switched between ticks: this state's flag is that of the period before it.
+            session.powered = bool(state.powered)
+            self._advance()
+        elif tick > session.tick:
+            rule = f"answer tick {session.tick + 1}"
+            got = f"nothing, and the next state is that of tick {tick}"
+            raise Refusal(self._where, "motor_commands", rule, got, "a bag without gaps")
+        self.tally.states += 1
+        now, order = session.state, self._order(state.joint_names)
+        self._compare("encoder_counts", order, np.array(state.encoder_counts), now.encoder_counts)
+        self._compare("current", order, np.array(state.current), now.current)
+
+    def _on_truth(self, truth: JointState) -> None:
+        session, now = self._session, self._session.state
+        if not self._inside or nanoseconds_of(truth.header.stamp) != session.logical_ns:
+            return
+        self._same_joints("emulator/joint_states", truth.name)
+        self.tally.truths += 1
+        order = self._order(truth.name)
+        self._compare("position", order, np.array(truth.position), now.q)
+        self._compare("velocity", order, np.array(truth.velocity), now.v)
+        self._compare("effort", order, np.array(truth.effort), now.gear_torque)
+
+    def _advance(self) -> None:
+        session = self._session
+        if not session.answered:
+            if self._led:
+                raise Refusal(
+                    self._where,
+                    "motor_commands",
+                    f"answer tick {session.tick}",
+                    "nothing, though the machine went on",
+                    "a lock-step run without gaps that was started first_answer or paused",
+                )
+            self.tally.free += 1
+        session.advance()
+        if session.fault is not None:
+            raise Difference(f"run {self.tally.runs}, {session.fault}; the recorded run went on")
+
+    def _same_joints(self, topic: str, names: list[str]) -> None:
+        expected = self._session.scene.joint_names
+        if sorted(names) != sorted(expected):
+            raise Refusal(
+                self._where,
+                f"joints of {topic}",
+                "be those of the scene",
+                ", ".join(names),
+                ", ".join(expected),
+            )
+
+    def _order(self, names: list[str]) -> list[int]:
+        """Return where the message has each joint of the scene."""
+        return [list(names).index(name) for name in self._session.scene.joint_names]
+
+    def _compare(
+        self, quantity: str, order: list[int], given: NDArray[Any], computed: NDArray[Any]
+    ) -> None:
+        if len(given) != len(order):
+            rule = f"have {len(order)} values"
+            raise Refusal(self._where, quantity, rule, f"{len(given)} values")
+        recorded = given[order]
+        # Of the bits: 0.0 and -0.0 differ, and a NaN is equal to itself.
+        differ = recorded.view(np.int64) != computed.view(np.int64)
+        if differ.any():
+            joint = int(np.argmax(differ))
+            raise Difference(
+                f"run {self.tally.runs}, tick {self._session.tick}, "
+                f"joint {self._session.scene.joint_names[joint]}, {quantity}: "
+                f"recorded {recorded[joint].item()!r}, computed {computed[joint].item()!r}"
+            )
+
+
+def _topics(bag: Bag) -> dict[str, str]:
+    """Return the names in the bag of the topics wanted; they may stand in a namespace."""
+    states = [name for name in bag.topics if name.endswith("/motor_states")]
+    if len(states) != 1:
+        known = ", ".join(states or sorted(bag.topics)) or "no topics"
+        raise Refusal(str(bag.path), "the bag", "have one topic motor_states", known)
+    namespace = states[0].removesuffix("motor_states")
+    found = {}
+    for name, (_, kind) in TYPES.items():
+        topic = bag.topics.get(namespace + name)
+        if topic is None or not topic.count:
+            if name in NEEDED:
+                raise Refusal(str(bag.path), "the bag", f"have messages on {name}", "none")
+            continue
+        if topic.type != kind:
+            raise Refusal(str(bag.path), f"type of {topic.name}", f"be {kind}", topic.type)
+        if topic.definition and fields(topic.definition) != fields(definition_of(kind)):
+            rule = f"be the {kind} of this version"
+            raise Refusal(str(bag.path), f"definition of {topic.name}", rule, "other fields")
+        found[name] = topic.name
+    return found
+
+
+def _read(bag: Bag, topics: dict[str, str], wanted: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+    """Yield name and message, in the order of publication."""
+    names = {topics[name]: name for name in wanted if name in topics}
+    for one in bag.as_published(names):
+        name = names[one.topic]
+        try:
+            yield name, deserialize_message(one.data, TYPES[name][0])
+        except RuntimeError as error:
+            raise Refusal(str(bag.path), f"messages on {name}", "be readable", error) from None
+
+
+def _refuse_real_time(bag: Bag, topics: dict[str, str]) -> None:
+    for _, status in _read(bag, topics, ("emulator/status",)):
+        if status.worst_lateness > 0.0 or status.overruns:
+            rule = "hold a run in lock-step"
+            got = f"one in real time (worst lateness {status.worst_lateness:g} s)"
+            raise Refusal(str(bag.path), "the bag", rule, got)
+
+
+def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
+    """Return the scene that the emulator named, or the only one that has these joints."""
+    folder = config_folder()
+    for _, array in _read(bag, topics, ("diagnostics",)):
+        for status in array.status:
+            if status.name.split("/")[-1] == "emulator" and status.hardware_id:
+                if (folder / f"{status.hardware_id}.yaml").is_file():
+                    return str(status.hardware_id)
+                got = f"none, and {status.hardware_id} does not come along"
+                raise Refusal("check", "--scene", "name the scene's file", got)
+    _, state = next(_read(bag, topics, ("motor_states",)))
+    fitting = [
+        file.stem
+        for file in sorted(folder.glob("*.yaml"))
+        if sorted(read_yaml(file).get("joints", {})) == sorted(state.joint_names)
+    ]
+    if len(fitting) != 1:
+        joints = ", ".join(state.joint_names)
+        valid = ", ".join(fitting) or None
+        raise Refusal("check", "--scene", f"name the scene with the joints {joints}", "none", valid)
+    return fitting[0]
+
+
+def _told(tally: Tally, complete: bool) -> str:
+    parts = [
+        f"{tally.runs} run{'s' if tally.runs > 1 else ''}",
+        f"{tally.states} motor states",
+        f"{tally.truths} true joint states",
+    ]
+    extra = {
+        "commands were refused": tally.refused,
+        "states are missing": tally.lost,
+        "ticks at 0 V before the first command": tally.free,
+        "states of a run that began before the recording are left out": tally.skipped,
+    }
+    parts += [f"{number} {what}" for what, number in extra.items() if number]
+    if not complete:
+        parts.append("the recorder did not end the bag")
+    return ", ".join(parts)
+
+
+def _hints(tally: Tally, bag: Bag, topics: dict[str, str], scene: Scene) -> Iterator[str]:
+    for _, description in _read(bag, topics, ("robot_description",)):
+        if description.data != scene.urdf:
+            yield f"the recorded robot_description is not that of scene {scene.name}"
+        break
+    if tally.free:
+        yield "no command is recorded for the first ticks; a free run cannot be told from a gap"
+    if tally.doubled:
+        yield f"different commands answer tick {tally.doubled[0]}; the last one was taken"

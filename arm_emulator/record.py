@@ -1,0 +1,175 @@
+"""`arm_emulator record`: all that is said on the network, or on some topics, into a bag."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import signal
+import time
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from arm_emulator.bag import BagWriter, Topic
+from arm_emulator.lean_executor import LeanExecutor
+from arm_emulator.refusal import Refusal
+
+LOOK_PERIOD = 0.1  # s, wall: how often new topics are looked for
+FLUSH_PERIOD = 0.5  # s, wall: what a crash loses at most
+DEPTH = 10_000  # messages: some seconds of every topic, should the disk be busy
+
+
+def record(out: Path, topics: Collection[str] | None) -> int:
+    """Record until Ctrl-C and say in one line what there is.
+
+    Args:
+        out: folder of the new bag.
+        topics: names, with or without the leading ``/``; None: all.
+
+    Raises:
+        Refusal: the folder exists, or the disk takes no more.
+    """
+    rclpy.init()
+    node: Node | None = None
+    try:
+        with BagWriter(out) as bag:
+            node = _Recorder(bag, topics)
+            try:
+                LeanExecutor(node).spin()
+            except (KeyboardInterrupt, ExternalShutdownException):
+                pass
+            finally:
+                # A second Ctrl-C must not break off the ending.
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except OSError as error:
+        raise Refusal("record", f"folder {out}", "take what is recorded", error) from None
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    said = [topic for topic in bag.topics if topic.count]
+    count = sum(topic.count for topic in said)
+    print(f"{out}: {count} messages on {len(said)} topics in {bag.seconds:.1f} s")
+    return 0
+
+
+class _Recorder(Node):
+    """Subscribes to topics as they appear and writes what comes, unread."""
+
+    def __init__(self, bag: BagWriter, topics: Collection[str] | None) -> None:
+        super().__init__("recorder", enable_rosout=False, start_parameter_services=False)
+        self._bag = bag
+        self._wanted = None if topics is None else {self.resolve_topic_name(t) for t in topics}
+        self._known: set[str] = set()
+        self.create_timer(LOOK_PERIOD, self._look)
+        self.create_timer(FLUSH_PERIOD, bag.flush)
+        self._look()
+
+    def _look(self) -> None:
+        for name, types in self.get_topic_names_and_types():
+            hidden = any(part.startswith("_") for part in name.split("/"))
+            if name in self._known or (
+                hidden if self._wanted is None else name not in self._wanted
+            ):
+                continue
+            publishers = [
+                one for one in self.get_publishers_info_by_topic(name) if one.topic_type == types[0]
+            ]
+            others = [one for one in publishers if one.node_name != self.get_name()]
+            if others:
+                self._known.add(name)
+                self._take_up(name, types[0], others)
+
+    def _take_up(self, name: str, kind: str, publishers: list[Any]) -> None:
+        try:
+            message = message_class(kind)
+        except Refusal as reason:
+            print(f"{name} is not recorded: {reason}", flush=True)
+            return
+        offered = tuple(one.qos_profile for one in publishers)
+        number = self._bag.add_topic(
+            Topic(name, kind, definition_of(kind), offered, str(publishers[0].topic_type_hash))
+        )
+        self.create_subscription(message, name, self._writer(number), request(offered), raw=True)
+        print(f"recording {name}", flush=True)
+
+    def _writer(self, number: int) -> Any:
+        write = self._bag.write
+
+        def on_message(data: bytes, info: dict[str, Any]) -> None:
+            write(number, time.time_ns(), info["source_timestamp"], data)
+
+        return on_message
+
+
+def request(offered: Collection[QoSProfile]) -> QoSProfile:
+    """Return the most that every publisher offers."""
+    reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offered)
+    latched = all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offered)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def message_class(kind: str) -> Any:
+    """Return the class of a message type such as ``std_msgs/msg/String``.
+
+    Raises:
+        Refusal: it is not installed here.
+    """
+    package, _, name = kind.partition("/msg/")
+    try:
+        found = getattr(importlib.import_module(f"{package}.msg"), name)
+        found.get_fields_and_field_types()
+        return found
+    except (ImportError, AttributeError, TypeError, ValueError):
+        raise Refusal("bag", f"message type {kind}", "be installed", "none of that name") from None
+
+
+def definition_of(kind: str) -> str:
+    """Return the text of a message's definition, followed by all that it contains.
+
+    Empty where only IDL is installed. Format: https://mcap.dev/spec/registry#ros2msg
+    """
+    waiting, texts = [kind.replace("/msg/", "/")], {}
+    while waiting:
+        one = waiting.pop(0)
+        if one in texts:
+            continue
+        package, name = one.split("/")
+        try:
+            file = Path(get_package_share_directory(package)) / "msg" / f"{name}.msg"
+            texts[one] = file.read_text(encoding="utf-8")
+        except (PackageNotFoundError, OSError):
+            return ""
+        waiting += _contained(texts[one], package)
+    root, *rest = texts.items()
+    separator = "=" * 80
+    return root[1] + "".join(f"\n{separator}\nMSG: {one}\n{text}" for one, text in rest)
+
+
+def fields(definition: str) -> list[str]:
+    """Return the fields and constants of the first message in a definition, without comments."""
+    first = definition.partition("=" * 80)[0]
+    lines = (" ".join(line.partition("#")[0].split()) for line in first.splitlines())
+    return [line for line in lines if line]
+
+
+def _contained(text: str, package: str) -> list[str]:
+    """Return the message types that a definition's fields have."""
+    found = []
+    for line in fields(text):
+        base = re.split(r"[\[<]", line.split()[0])[0]
+        if "/" in base:
+            found.append(base.replace("/msg/", "/"))
+        elif base[0].isupper():  # a message of the same package; the built-in types are lower case
+            found.append(f"{package}/{base}")
+    return found

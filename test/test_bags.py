@@ -1,0 +1,527 @@
+"""Bags: what was said is kept to the byte, said again, and checked to the bit."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from network import PATIENCE, RECORD_QOS, User, network, user
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from arm_emulator.bag import Bag, BagMessage, BagWriter, Topic
+from arm_emulator.check import check
+from arm_emulator.record import definition_of, message_class, request
+from arm_emulator.refusal import Refusal
+from arm_emulator.replay import offer
+from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from emulator_node.scene import load_scene
+from emulator_node.session import Session
+
+TICKS = 300
+TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
+
+
+@contextmanager
+def command_line(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "arm_emulator", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def run(*arguments: object) -> tuple[int, str]:
+    with command_line(*arguments) as process:
+        said, _ = process.communicate(timeout=PATIENCE)
+        return process.returncode, said
+
+
+def await_line(process: subprocess.Popen[str], line: str) -> None:
+    assert process.stdout is not None
+    said = []
+    for one in process.stdout:
+        said.append(one)
+        if one.strip() == line:
+            return
+    raise AssertionError(f"ended without saying {line}: {said}")
+
+
+def begin_anew(user: User) -> None:
+    """Reset a paused network so that a recorder gets tick 0 and its answer, and let it go."""
+    user.wait("the nodes to meet", lambda: user.status and user.status.answered)
+    user.forget()
+    assert user.call("emulator/reset").success
+    user.wait("the answer", lambda: user.status and user.status.answered)
+    user.send_tool_target((0.1, 0.02, 0.8), at=0.05)
+    assert user.call("emulator/pause", False).success
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A run of three processes with a stop of the power, in a bag; and the recorder's words."""
+    folder = tmp_path_factory.mktemp("recording")
+    bag = folder / "bag"
+    with network(folder / "log") as (user, _), command_line("record", bag) as recorder:
+        await_until_all_are_recorded(recorder)
+        begin_anew(user)
+        user.wait("the run", lambda: user.tick >= TICKS // 2)
+        assert user.call("emulator/power", False).success
+        at = user.tick
+        user.wait("ticks without power", lambda: user.tick >= at + 20)
+        assert user.calls(("emulator/pause", True), ("emulator/power", True))[0].success
+        assert user.call("emulator/pause", False).success
+        at = user.tick
+        user.wait("the rest", lambda: user.tick >= max(TICKS, at + 50))
+        assert user.call("emulator/pause", True).success
+        recorder.send_signal(signal.SIGINT)
+        said, _ = recorder.communicate(timeout=PATIENCE)
+        assert recorder.returncode == 0, said
+    return bag, said
+
+
+def await_until_all_are_recorded(recorder: subprocess.Popen[str]) -> None:
+    assert recorder.stdout is not None
+    missing = {f"recording /{name}" for name in (*(t[1:] for t in TYPES), "emulator/joint_states")}
+    for line in recorder.stdout:
+        missing.discard(line.strip())
+        if not missing:
+            return
+    raise AssertionError(f"the recorder ended without {missing}")
+
+
+def test_a_recorded_run_is_equal_to_the_last_bit(
+    recording: tuple[Path, str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag, said = recording
+    assert re.search(r"bag: \d+ messages on \d+ topics in [\d.]+ s$", said.strip())
+    assert check(bag, None) == 0
+    words = capfd.readouterr().out
+    assert "equal to the last bit" in words
+    states = [m for m in messages(bag) if isinstance(m, MotorState)]
+    assert len({m.tick for m in states}) > TICKS
+    # The test is of something: the arm moved, and the power was off for a while.
+    assert len({m.encoder_counts.tobytes() for m in states}) > 20
+    assert {m.powered for m in states} == {True, False}
+
+
+def messages(bag: Path) -> list[Any]:
+    kinds = {**TYPES, "/emulator/joint_states": JointState}
+    return [deserialize_message(m.data, kinds[m.topic]) for m in Bag(bag).messages(kinds)]
+
+
+def rewrite(bag: Path, copy: Path, change: Callable[[BagMessage], bytes | None]) -> Path:
+    """Write a copy in which `change` gives each message's bytes, None to leave it out."""
+    original = Bag(bag)
+    with BagWriter(copy) as writer:
+        numbers = {}
+        for name, topic in original.topics.items():
+            new = Topic(topic.name, topic.type, topic.definition, topic.offered, topic.type_hash)
+            numbers[name] = writer.add_topic(new)
+        for one in original.messages():
+            data = change(one)
+            if data is not None:
+                writer.write(numbers[one.topic], one.received, one.published, data)
+    return copy
+
+
+def flip(
+    topic: str, kind: Any, tick: int, quantity: str, bit: int = 0
+) -> Callable[[BagMessage], bytes]:
+    """Flip a bit, the lowest if not told otherwise, of the elbow's value in a tick's messages."""
+
+    def change(one: BagMessage) -> bytes:
+        if one.topic != topic:
+            return one.data
+        message = deserialize_message(one.data, kind)
+        at = getattr(message, "tick", None)
+        if at is None:
+            at = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) // 10**6
+        if at != tick:
+            return one.data
+        values = getattr(message, quantity)
+        bits = np.frombuffer(values, dtype=np.int64)
+        bits[2] ^= 1 << bit
+        return serialize_message(message)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind", "quantity", "tick"),
+    [
+        ("/motor_states", MotorState, "encoder_counts", 57),
+        ("/motor_states", MotorState, "current", 211),
+        ("/emulator/joint_states", JointState, "velocity", 120),
+    ],
+)
+def test_one_bit_of_a_state_is_found(
+    recording: tuple[Path, str],
+    tmp_path: Path,
+    topic: str,
+    kind: Any,
+    quantity: str,
+    tick: int,
+) -> None:
+    copy = rewrite(recording[0], tmp_path / "copy", flip(topic, kind, tick, quantity))
+    code, said = run("check", copy)
+    assert code == 1
+    place = f"the first difference: run 1, tick {tick}, joint elbow, {quantity}: recorded "
+    assert place in said
+    recorded, computed = re.findall(r"(?:recorded|computed) (\S+?),? *(?=,|$)", said, re.M)
+    assert recorded != computed
+
+
+def test_one_bit_of_a_command_is_found(recording: tuple[Path, str], tmp_path: Path) -> None:
+    # Not its lowest bit, which the rounding of the motor's current may swallow.
+    change = flip("/motor_commands", MotorCommand, 80, "voltage", bit=30)
+    code, said = run("check", rewrite(recording[0], tmp_path / "copy", change))
+    assert code == 1
+    # The links pass it on within the period: the first joint that differs may be another one.
+    assert re.search(r"the first difference: run 1, tick 81, joint \w+, current: recorded ", said)
+
+
+def test_a_gap_in_commands_is_refused(recording: tuple[Path, str], tmp_path: Path) -> None:
+    def change(one: BagMessage) -> bytes | None:
+        dropped = one.topic == "/motor_commands" and (
+            deserialize_message(one.data, MotorCommand).tick == 80
+        )
+        return None if dropped else one.data
+
+    with pytest.raises(Refusal, match="motor_commands must answer tick 80, got nothing"):
+        check(rewrite(recording[0], tmp_path / "copy", change), None)
+
+
+def test_a_lost_state_is_told_and_the_others_are_compared(
+    recording: tuple[Path, str], tmp_path: Path
+) -> None:
+    def change(one: BagMessage) -> bytes | None:
+        lost = one.topic == "/motor_states" and (
+            deserialize_message(one.data, MotorState).tick == 80
+        )
+        return None if lost else one.data
+
+    code, said = run("check", rewrite(recording[0], tmp_path / "copy", change))
+    assert code == 0, said
+    assert "1 states are missing" in said
+
+
+def test_a_recording_that_began_late_is_refused(
+    recording: tuple[Path, str], tmp_path: Path
+) -> None:
+    def change(one: BagMessage) -> bytes | None:
+        early = one.topic in TYPES and deserialize_message(one.data, TYPES[one.topic]).tick < 10
+        return None if early else one.data
+
+    code, said = run("check", rewrite(recording[0], tmp_path / "copy", change))
+    assert code == 2
+    assert "must hold a run from tick 0 on" in said
+
+
+def test_another_scene_differs_or_is_refused(recording: tuple[Path, str], tmp_path: Path) -> None:
+    config = Path(__file__).resolve().parents[1] / "config"
+    shutil.copytree(config / "urdf", tmp_path / "urdf")
+    text = (config / "three_axis.yaml").read_text()
+    assert "resistance: 1.0" in text
+    other = tmp_path / "three_axis.yaml"
+    other.write_text(text.replace("resistance: 1.0", "resistance: 1.01"))
+    code, said = run("check", recording[0], "--scene", other)
+    assert code == 1
+    assert "the first difference: run 1, tick " in said
+
+
+def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
+    """An independent reader: metadata, QoS, definitions, and every byte."""
+    bag, said = recording
+    mine = list(Bag(bag).messages())
+    with Reader(bag) as reader:
+        assert reader.message_count == len(mine)
+        assert f": {len(mine)} messages" in said
+        theirs = sorted((time, c.topic, bytes(data)) for c, time, data in reader.messages())
+        store = get_typestore(Stores.ROS2_JAZZY)
+        for connection in reader.connections:
+            store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+            # rosbags computes the hash of what the definition says, ROS hands out its own.
+            assert store.hash_rihs01(connection.msgtype) == connection.digest
+        offered = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+        connection = next(c for c in reader.connections if c.topic == "/motor_states")
+        first = next(reader.messages([connection]))[2]
+        assert list(store.deserialize_cdr(first, connection.msgtype).joint_names) == [
+            "waist",
+            "shoulder",
+            "elbow",
+        ]
+    assert theirs == sorted((m.received, m.topic, m.data) for m in mine)
+    assert offered["/robot_description"][0].durability.name == "TRANSIENT_LOCAL"
+    assert offered["/motor_states"][0].reliability.name == "RELIABLE"
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (metadata["version"], metadata["ros_distro"]) == (9, "jazzy")
+    assert metadata["storage_identifier"] == "mcap"
+    assert metadata["relative_file_paths"] == ["bag_0.mcap"]
+
+
+def test_what_is_replayed_is_the_same_bytes_in_the_same_order(recording: tuple[Path, str]) -> None:
+    bag, _ = recording
+    expected = [m.data for m in Bag(bag).messages(["/motor_states"])]
+    with user() as one:
+        got: list[bytes] = []
+        one.node.create_subscription(MotorState, "motor_states", got.append, RECORD_QOS, raw=True)
+        arguments = (bag, "--topics", "motor_states", "--rate", "5", "--wait")
+        with command_line("replay", *arguments) as process:
+            one.wait("all to be said again", lambda: len(got) >= len(expected))
+            said, _ = process.communicate(timeout=PATIENCE)
+            assert process.returncode == 0, said
+    assert got == expected
+    assert f"{len(expected)} messages on 1 topics" in said
+
+
+def test_a_late_listener_gets_a_replayed_description(recording: tuple[Path, str]) -> None:
+    with user() as one, command_line("replay", recording[0], "--rate", "0.5"):
+        one.wait("the description", lambda: one.description)
+        assert one.description == load_scene("three_axis").urdf
+
+
+def test_a_killed_recorder_leaves_what_it_had_flushed(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with user() as one, command_line("record", bag) as recorder:
+        talk = one.node.create_publisher(String, "talk", 10)
+        await_line(recorder, "recording /talk")
+        sent = 0
+
+        def size() -> int:
+            nonlocal sent
+            talk.publish(String(data=f"word {sent}"))
+            sent += 1
+            return (bag / "bag_0.mcap").stat().st_size
+
+        empty = size()
+        one.wait("a flush", lambda: size() > empty)
+        flushed = size()
+        one.wait("another flush", lambda: size() > flushed)
+        recorder.send_signal(signal.SIGKILL)
+        recorder.wait()
+    file = bag / "bag_0.mcap"
+    kept = [deserialize_message(m.data, String).data for m in Bag(bag).messages(["/talk"])]
+    assert not Bag(bag).complete
+    assert len(kept) > 1
+    assert kept == [f"word {k}" for k in range(len(kept))]
+    # And cut off in the middle of a chunk: the chunks before it.
+    os.truncate(file, file.stat().st_size - 20)
+    cut = [deserialize_message(m.data, String).data for m in Bag(bag).messages(["/talk"])]
+    assert 0 < len(cut) <= len(kept)
+    assert cut == kept[: len(cut)]
+
+
+def synthetic(folder: Path, powers: list[bool], first: int = 0) -> Path:
+    """A bag of two runs, made without a network, with the machine at 0 V before tick `first`."""
+    session = Session(load_scene("three_axis"), "lockstep", "first_answer")
+    names = list(session.scene.joint_names)
+    rng = np.random.default_rng(7)
+    clock = 10**18
+    with BagWriter(folder) as writer:
+        numbers = {
+            topic: writer.add_topic(
+                Topic(
+                    topic,
+                    f"arm_emulator_msgs/msg/{kind.__name__}",
+                    definition_of(f"arm_emulator_msgs/msg/{kind.__name__}"),
+                )
+            )
+            for topic, kind in TYPES.items()
+        }
+
+        def say(topic: str, message: Any) -> None:
+            nonlocal clock
+            clock += 1000
+            writer.write(numbers[topic], clock, clock, serialize_message(message))
+
+        def tell() -> None:
+            say(
+                "/motor_states",
+                MotorState(
+                    tick=session.tick,
+                    joint_names=names,
+                    powered=session.powered,
+                    encoder_counts=session.state.encoder_counts,
+                    current=session.state.current,
+                ),
+            )
+
+        for _ in range(2):
+            session.reset()
+            session.powered = True
+            tell()
+            for powered in powers:
+                if session.tick >= first:
+                    voltage = rng.uniform(-5.0, 5.0, len(names)).tolist()
+                    say(
+                        "/motor_commands",
+                        MotorCommand(tick=session.tick + 1000, joint_names=names, voltage=voltage),
+                    )
+                    say(
+                        "/motor_commands",
+                        MotorCommand(tick=session.tick, joint_names=names, voltage=voltage),
+                    )
+                    session.offer(session.tick, names, voltage)
+                session.powered = powered
+                session.advance()
+                tell()
+                tell()  # as an unanswered state is told again
+            # In flight when the reset comes: refused.
+            say(
+                "/motor_commands",
+                MotorCommand(tick=session.tick, joint_names=names, voltage=[1.0] * 3),
+            )
+    return folder
+
+
+def test_resets_power_and_a_free_run_are_followed(tmp_path: Path) -> None:
+    powers = [True] * 7 + [False] * 5 + [True] * 6
+    code, said = run("check", synthetic(tmp_path / "bag", powers))
+    assert code == 0, said
+    assert "2 runs, 74 motor states" in said
+    assert "36 commands were refused" in said
+    code, said = run("check", synthetic(tmp_path / "free", powers, first=4))
+    assert code == 0, said
+    assert "8 ticks at 0 V before the first command" in said
+
+
+def status_bag(folder: Path) -> Path:
+    """A bag of real time."""
+    synthetic(folder.parent / "lockstep", [True] * 3)
+    kind = "arm_emulator_msgs/msg/EmulatorStatus"
+    original = Bag(folder.parent / "lockstep")
+    with BagWriter(folder) as writer:
+        late = writer.add_topic(Topic("/emulator/status", kind, definition_of(kind)))
+        numbers = {
+            name: writer.add_topic(Topic(name, t.type)) for name, t in original.topics.items()
+        }
+        for one in original.messages():
+            writer.write(numbers[one.topic], one.received, one.published, one.data)
+        status = serialize_message(EmulatorStatus(worst_lateness=1e-4))
+        writer.write(late, one.received, one.published, status)
+    return folder
+
+
+def damaged(folder: Path) -> Path:
+    bag = synthetic(folder, [True] * 50)
+    file = bag / f"{folder.name}_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 4] ^= 1
+    file.write_bytes(data)
+    return bag
+
+
+def other_topics(folder: Path) -> Path:
+    with BagWriter(folder) as writer:
+        number = writer.add_topic(Topic("/talk", "std_msgs/msg/String"))
+        writer.write(number, 1, 1, serialize_message(String(data="hello")))
+    return folder
+
+
+def other_definition(folder: Path) -> Path:
+    with BagWriter(folder) as writer:
+        for topic, kind in TYPES.items():
+            name = f"arm_emulator_msgs/msg/{kind.__name__}"
+            number = writer.add_topic(Topic(topic, name, "uint64 tick\nfloat32[] value\n"))
+            writer.write(number, 1, 1, serialize_message(kind()))
+    return folder
+
+
+def empty_folder(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+def text_file(folder: Path) -> Path:
+    file = folder.with_suffix(".mcap")
+    file.write_text("this is not a bag\n")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: folder, "the bag must exist"),
+        (empty_folder, "the bag must hold *.mcap files"),
+        (text_file, "the bag must be undamaged MCAP"),
+        (damaged, "the bag must be undamaged MCAP"),
+        (other_topics, "the bag must have one topic motor_states, got /talk"),
+        (other_definition, "must be the arm_emulator_msgs/msg/MotorCommand of this version"),
+        (status_bag, "the bag must hold a run in lock-step"),
+    ],
+)
+def test_bad_bags_are_refused(make: Callable[[Path], Path], words: str, tmp_path: Path) -> None:
+    bag = make(tmp_path / "bag")
+    with pytest.raises(Refusal, match=re.escape(words)) as refusal:
+        check(bag, "three_axis")
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("check", "nothing"), "nothing: the bag must exist"),
+        (("replay", "nothing"), "nothing: the bag must exist"),
+        (("replay", "nothing", "--rate", "0"), "replay: rate must be > 0 and finite, got 0.0"),
+        (("record", "."), "record: folder . must be new"),
+    ],
+)
+def test_refusals_are_one_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
+    code, said = run(*arguments)
+    assert code == 2
+    assert said.startswith(words) and said.count("\n") == 1
+
+
+def test_a_topic_that_is_not_in_the_bag_is_refused(tmp_path: Path) -> None:
+    code, said = run("replay", other_topics(tmp_path / "bag"), "--topics", "walk")
+    assert code == 2
+    assert "--topics must be in the bag, got /walk; valid: /talk" in said
+
+
+def test_unknown_message_types_are_refused() -> None:
+    for kind in (
+        "nobody_msgs/msg/Word",
+        "std_msgs/msg/Word",
+        "std_msgs/msg/__name__",
+        "std_msgs",
+        "",
+    ):
+        with pytest.raises(Refusal, match="be installed"):
+            message_class(kind)
+
+
+def test_a_recorder_asks_for_what_all_publishers_offer() -> None:
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    hasty = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    assert request([latched]).durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert request([latched, hasty]).durability == DurabilityPolicy.VOLATILE
+    assert request([latched, hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
+    # And a replay offers what serves the listeners of each.
+    assert offer([latched, hasty]).durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert offer([latched, hasty]).reliability == ReliabilityPolicy.RELIABLE
+    assert offer([hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
+    manual = QoSProfile(depth=1, liveliness=LivelinessPolicy.MANUAL_BY_TOPIC)
+    assert offer([manual]).liveliness == LivelinessPolicy.MANUAL_BY_TOPIC

@@ -1,0 +1,219 @@
+"""Machines that break integrators: held, or detected and told; never numbers past divergence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.hard_cases import CASES, DETECTED, DRIFTS, EARTH, FAILED, Case, report, spin
+from emulator_node.plant import Diverged, Plant
+from emulator_node.scene import SCHEMES, Scene, load_scene
+from emulator_node.stability import SmallMotions
+
+
+@pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
+def test_hard_case(case: Case) -> None:
+    """The bounds stand in bench/hard_cases.py, each beside its truth and reason."""
+    outcomes = list(case.run(True))
+    assert {outcome.scheme for outcome in outcomes} == set(SCHEMES)
+    verdicts = {(outcome.scheme, outcome.dt): outcome.verdict for outcome in outcomes}
+    assert FAILED not in verdicts.values(), verdicts
+    if case.run is spin:  # nothing is stiff there and nothing damps: no case for `implicit`
+        assert verdicts["rosenbrock", 1e-4] == verdicts["rosenbrock", 1e-5] == "held"
+        return
+    assert DRIFTS not in verdicts.values(), verdicts
+    for scheme in ("rosenbrock", "implicit"):
+        assert DETECTED not in {v for (s, _), v in verdicts.items() if s == scheme}, verdicts
+
+
+def test_report_shows_every_outcome() -> None:
+    outcome = {
+        "scheme": "paper",
+        "dt": 1e-3,
+        "measured": None,
+        "bound": 1.0,
+        "note": "elbow after 2 s",
+        "may_drift": False,
+        "verdict": DETECTED,
+    }
+    case = {"name": "a case", "truth": "a truth", "measured": "error", "outcomes": [outcome]}
+    assert "| paper | detected, elbow after 2 s |" in report({"cases": [case]})
+
+
+# Bounded everywhere
+
+
+def corners() -> Iterator[Any]:
+    """The corners and the middle of issue 3's map, and some that combine the worst."""
+    gear, motor = "joints.*.gear.", "joints.*.motor."
+    for stiffness in (1e2, 1e5, 1e8):
+        yield pytest.param({f"{gear}stiffness": stiffness}, id=f"Kg {stiffness:g}")
+    for inductance in (1e-7, 1e-2):  # R = 1 ohm
+        yield pytest.param({f"{motor}inductance": inductance}, id=f"L/R {inductance:g}")
+    # Links of 0.1 to 1 kg m2; the rotor's 1e-4 kg m2 are 1 kg m2 behind the gear.
+    for rotor in (1e-8, 1e0):
+        yield pytest.param({f"{motor}rotor_inertia": rotor}, id=f"rotor {rotor:g}")
+    worst = {f"{gear}stiffness": 1e8, f"{gear}damping": 0.0, f"{motor}inductance": 1e-7}
+    yield pytest.param({**worst, f"{motor}rotor_inertia": 1e-8}, id="all fast, undamped")
+    slow = {f"{gear}stiffness": 1e2, f"{gear}damping": 0.0, f"{motor}inductance": 1e-2}
+    yield pytest.param({**slow, f"{motor}rotor_inertia": 1e-8}, id="all slow, undamped")
+    dry = {"joints.*.friction": {"coulomb": 3.0, "breakaway": 4.0}, f"{motor}current_limit": 5.0}
+    yield pytest.param({**worst, **dry, "gravity": EARTH}, id="all fast, dry friction")
+
+
+def fastest(scene: Scene) -> float:
+    """Largest link speed under sines, under saturated voltages to and fro, and after a throw."""
+    N, K = len(scene.joints), 150
+    t, rng = scene.servo_period * np.arange(K)[:, None], np.random.default_rng(4)
+    plant, reached = Plant(scene), 0.0
+    for V, v in (
+        (12.0 * np.sin(2.0 * np.pi * (0.5 + 0.3 * np.arange(N)) * t + np.arange(N)), 0.0),
+        (48.0 * rng.choice([-1.0, 1.0], (K, N)), 0.0),
+        (np.zeros((K, N)), 5.0),
+    ):
+        plant.reset(v=np.full(N, v))
+        for row in V:
+            plant.advance(row, scene.steps_per_period)
+            reached = max(reached, float(np.abs(plant.state.v).max()))
+    return reached
+
+
+@pytest.mark.parametrize("overrides", list(corners()))
+@pytest.mark.parametrize("scheme", ["implicit", "rosenbrock"])
+def test_bounded_up_to_ten_milliseconds(scheme: str, overrides: dict[str, Any]) -> None:
+    """No step up to 10 ms makes the arm faster than it is; the plant's own check stays silent."""
+
+    def at(scheme: str, dt: float) -> Scene:
+        own = {"integrator.scheme": scheme, "integrator.dt": dt, "servo_period": 1e-2}
+        return load_scene("three_axis", overrides={**own, **overrides})
+
+    truth = fastest(at(scheme, 2e-5))
+    for dt in (1e-2, 2e-3, 1e-3, 1e-4):
+        # At 48 V to and fro light links turn by 0.2 rad within a step of 10 ms, where the turning of
+        # the links, taken explicitly, is wrong by a part like that.
+        assert fastest(at(scheme, dt)) < 1.5 * truth, dt
+
+
+# Divergence
+
+
+def paper(dt: float, **overrides: Any) -> Scene:
+    own = {"integrator.scheme": "paper", "integrator.dt": dt, "servo_period": 1e-2}
+    return load_scene("three_axis", overrides={**own, **overrides})
+
+
+def drive(plant: Plant, rows: int) -> None:
+    t = 1e-2 * np.arange(rows)[:, None]
+    for row in 12.0 * np.sin(2.0 * np.pi * (0.5 + 0.3 * np.arange(3)) * t + np.arange(3)):
+        plant.advance(row, plant.scene.steps_per_period)
+
+
+def test_a_divergence_that_stays_finite_is_detected() -> None:
+    """At 1.25 ms `paper` rattles at 100 rad/s for ever and never leaves the finite world."""
+    plant = Plant(paper(1.25e-3))
+    with pytest.raises(Diverged) as fault:
+        drive(plant, 300)
+    held = plant.state
+    assert held.t == fault.value.t < 1.0
+    for _ in range(3):  # and it stays there, whatever is asked for
+        with pytest.raises(Diverged):
+            plant.advance([0.0, 0.0, 0.0], 1)
+        assert plant.t == held.t and np.array_equal(plant.state.q, held.q)
+    plant.reset()
+    plant.advance([0.0, 0.0, 0.0], 1000)
+
+
+def test_no_sound_motion_is_taken_for_a_divergence() -> None:
+    """Motions of all kinds whose energy swings: thrown, braked, dropped, driven to and fro."""
+    for overrides in (
+        {},
+        {"joints.*.motor": None, "joints.*.gear": None, "joints.*.encoder": None,
+         "joints.*.friction": None},
+        {"joints.*.motor.torque_constant": 0.06},  # a motor that gives more than it takes
+    ):  # fmt: skip
+        for scheme in SCHEMES:
+            own = {"integrator.scheme": scheme, "gravity": EARTH, "integrator.dt": 1e-4}
+            plant = Plant(load_scene("three_axis", overrides={**own, **overrides}))
+            plant.reset(v=[5.0, -3.0, 4.0])
+            rng = np.random.default_rng(6)
+            for _ in range(100):
+                plant.advance(rng.uniform(-48.0, 48.0, 3), 300)
+
+
+def test_the_text_says_which_joint_when_and_what_holds() -> None:
+    plant = Plant(paper(1.25e-3))
+    words = (
+        r"joint (waist|shoulder|elbow) diverged after t = 0\.\d+ s with scheme paper at "
+        r"dt = 0\.00125 s; the plant stays at the last state before; each step multiplies a small "
+        r"motion about rest in this pose by 1\.\d+; what holds there: rosenbrock up to "
+        r"dt = 0\.00125 s, implicit up to dt = 0\.00125 s, paper up to dt = 0\.00111 s"
+    )
+    with pytest.raises(Diverged, match=words):
+        drive(plant, 300)
+    drive(Plant(paper(1e-2 / 9)), 300)  # 1.11 ms does hold
+
+
+def test_a_motion_too_fast_for_its_step_is_told_as_such() -> None:
+    plant = Plant(paper(1e-3))
+    plant.reset(v=[5000.0, 0.0, 0.0])
+    with pytest.raises(Diverged, match=r"the motion is too fast for the step, 5 rad or m per step"):
+        plant.advance([0.0, 0.0, 0.0], 10)
+
+
+def test_advice_is_what_was_tried() -> None:
+    plant = Plant(paper(1.25e-3))
+    with pytest.raises(Diverged) as fault:
+        drive(plant, 300)
+    tried = fault.value.advice()
+    assert [(a.integrator.scheme, a.integrator.dt, a.held) for a in tried] == [
+        ("rosenbrock", 1.25e-3, True),
+        ("implicit", 1.25e-3, True),
+        ("paper", 0.625e-3, True),
+    ]
+    assert str(tried[2]).startswith("paper at dt = 0.000625 s held (")
+    assert all(a.reached >= 2.0 * fault.value.t for a in tried)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {},
+        {"joints.*.motor.inductance": None},
+        {"joints.*.gear.stiffness": 1e5},
+        {"joints.*.motor.rotor_inertia": 1e-6},
+        {
+            "joints.*.gear.stiffness": None,
+            "joints.*.gear.damping": None,
+            "joints.*.friction.viscous": 300.0,
+        },
+    ],
+    ids=["three_axis", "no inductance", "stiff", "light rotor", "rigid"],
+)
+def test_small_motions_hold_up_to_the_step_that_is_told(overrides: dict[str, Any]) -> None:
+    """A push of 1e-6 rad/s on a resting arm: it fades below the largest step and grows above."""
+    plant = Plant(paper(1e-2, **overrides))
+    motions = SmallMotions(plant, plant.scene.start)
+    # The step need not divide the servo period here.
+    low, high = 1e-7, 1e-2
+    while high / low > 1.001:
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if motions.holds("paper", middle) else (low, middle)
+    assert low > 1e-6 and high < 1e-2
+    largest = motions.largest_step("paper")
+    assert largest is not None and largest <= low
+    steps = round(1e-2 / largest)  # a divisor of the period, sought to 2 %
+    assert 1e-2 / (0.98 * steps - 1.0) > low
+    speeds = []
+    for factor in (0.97, 1.1):
+        period = 1e-9 * round(1e9 * factor * low)  # whole nanoseconds
+        pushed = Plant(paper(period, **{**overrides, "servo_period": period}))
+        pushed.reset(v=[1e-6, -1e-6, 1e-6])
+        try:
+            pushed.advance(np.zeros(3), 20_000)
+            speeds.append(float(np.abs(pushed.state.v).max()))
+        except Diverged:
+            speeds.append(np.inf)
+    assert speeds[0] <= 1e-6 < 1e-3 < speeds[1]
