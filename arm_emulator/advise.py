@@ -120,9 +120,7 @@ def _truth(scene: Scene, file: Path, voltages: Array) -> tuple[Array | None, str
     return truth, "reference: SciPy at 1e-11 on Pinocchio's dynamics (bench/reference.py)"
 
 
-def _table(
-    motion: Motion, settings: list[Setting], now: Setting, truth: Array | None
-) -> Table:
+def _table(motion: Motion, settings: list[Setting], now: Setting, truth: Array | None) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("")
     table.add_column("scheme")

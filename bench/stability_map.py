@@ -182,6 +182,8 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     colours = ListedColormap([*blues, *browns, "#c62828", "#000000"])
     norm = BoundaryNorm(edges, colours.N)
     image = None
+    for name, panel in zip(names, panels[0], strict=True):
+        panel.set_title(name, fontsize=11)
     for row, axis in zip(panels, axes.values(), strict=True):
         for panel, name in zip(row, names, strict=True):
             shown = _shown(axis["cells"][name], axis["errors"][name])
@@ -191,17 +193,15 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
             panel.set_xscale("log")
             panel.set_yscale("log")
             panel.minorticks_off()
-            if row is panels[0]:
-                panel.set_title(name, fontsize=10)
             if panel is row[0]:
                 panel.set_ylabel("step [s]")
             else:
                 panel.set_yticklabels([])
         row[len(names) // 2].set_xlabel(axis["label"])
     assert image is not None
-    bar = figure.colorbar(image, ax=panels, shrink=0.7, ticks=[-9.5, -6.5, -3, 0.5, 1.5, 2.5])
+    bar = figure.colorbar(image, ax=panels, shrink=0.7, ticks=[-10, -6, -3, -1, 1.5, 2.5])
     bar.ax.set_yticklabels(
-        ["1e-10 rad", "1e-6", "1e-3: accurate below", "bounded", "diverged, detected",
+        ["1e-10 rad", "1e-6 rad", "1e-3 rad: accurate below", "bounded above", "diverged, detected",
          "diverged, not detected"]
     )  # fmt: skip
     save(figure, folder, "stability_map")

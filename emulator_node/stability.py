@@ -47,7 +47,7 @@ class SmallMotions:
         M_inverse = (plant.link_accelerations(at, zero, unit) - fall).T
         holding = np.tile(np.linalg.solve(M_inverse, -fall), (N, 1))
         step = 1e-5  # rad: the difference is good to 1e-10 of the second derivative
-        by_q = (
+        sag = (
             plant.link_accelerations(at + step * unit, zero, holding)
             - plant.link_accelerations(at - step * unit, zero, holding)
         ).T / (2.0 * step)
@@ -57,7 +57,13 @@ class SmallMotions:
         has = np.array([motor is not None for motor in motors])
         R, L, Kt, Kb, Mm = np.array(
             [
-                (m.resistance, m.inductance, m.torque_constant, m.back_emf_constant, m.rotor_inertia)
+                (
+                    m.resistance,
+                    m.inductance,
+                    m.torque_constant,
+                    m.back_emf_constant,
+                    m.rotor_inertia,
+                )
                 if m is not None
                 else (1.0, 0.0, 0.0, 0.0, 1.0)
                 for m in motors
@@ -71,7 +77,7 @@ class SmallMotions:
         carried = np.where(has & rigid, Mm / Ng**2, 0.0)
         # M + carried rotors: (M + C)^-1 = (1 + M^-1 C)^-1 M^-1.
         by_torque = np.linalg.solve(unit + M_inverse * carried, M_inverse)
-        by_q = np.linalg.solve(unit + M_inverse * carried, by_q)
+        by_q = np.linalg.solve(unit + M_inverse * carried, sag)
 
         # Every row is linear in x; one selector per part of x.
         i, tm, wm, pos, v = np.eye(5 * N).reshape(5, N, 5 * N)
@@ -195,7 +201,9 @@ class Attempt:
 
     def __str__(self) -> str:
         end = "held" if self.held else "diverged"
-        return f"{self.integrator.scheme} at dt = {self.integrator.dt:g} s {end} ({self.reached:g} s)"
+        return (
+            f"{self.integrator.scheme} at dt = {self.integrator.dt:g} s {end} ({self.reached:g} s)"
+        )
 
 
 def attempts(

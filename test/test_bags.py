@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -69,12 +70,27 @@ def await_line(process: subprocess.Popen[str], line: str) -> None:
     raise AssertionError(f"ended without saying {line}: {said}")
 
 
-def begin_anew(user: User) -> None:
-    """Reset a paused network so that a recorder gets tick 0 and its answer, and let it go."""
+def begin_anew(user: User, bag: Path) -> None:
+    """Reset a paused network until a recorder has tick 0 and its answer, and let it go.
+
+    The emulator may find a new listener later than the listener finds the emulator.
+    """
     user.wait("the nodes to meet", lambda: user.status and user.status.answered)
     user.forget()
-    assert user.call("emulator/reset").success
-    user.wait("the answer", lambda: user.status and user.status.answered)
+    reset_at = 0.0
+
+    def begun() -> bool:
+        nonlocal reset_at
+        if time.monotonic() > reset_at + 2.0:  # s; the recorder flushes every half second
+            reset_at = time.monotonic()
+            assert user.call("emulator/reset").success
+        told = {
+            (m.topic, deserialize_message(m.data, TYPES[m.topic]).tick)
+            for m in Bag(bag).messages(TYPES)
+        }
+        return told >= {(topic, 0) for topic in TYPES}
+
+    user.wait("tick 0 to be recorded", begun)
     user.send_tool_target((0.1, 0.02, 0.8), at=0.05)
     assert user.call("emulator/pause", False).success
 
@@ -86,7 +102,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     bag = folder / "bag"
     with network(folder / "log") as (user, _), command_line("record", bag) as recorder:
         await_until_all_are_recorded(recorder)
-        begin_anew(user)
+        begin_anew(user, bag)
         user.wait("the run", lambda: user.tick >= TICKS // 2)
         assert user.call("emulator/power", False).success
         at = user.tick
@@ -188,8 +204,8 @@ def test_one_bit_of_a_state_is_found(
     copy = rewrite(recording[0], tmp_path / "copy", flip(topic, kind, tick, quantity))
     code, said = run("check", copy)
     assert code == 1
-    place = f"the first difference: run 1, tick {tick}, joint elbow, {quantity}: recorded "
-    assert place in said
+    place = rf"the first difference: run \d+, tick {tick}, joint elbow, {quantity}: recorded "
+    assert re.search(place, said)
     recorded, computed = re.findall(r"(?:recorded|computed) (\S+?),? *(?=,|$)", said, re.M)
     assert recorded != computed
 
@@ -200,7 +216,7 @@ def test_one_bit_of_a_command_is_found(recording: tuple[Path, str], tmp_path: Pa
     code, said = run("check", rewrite(recording[0], tmp_path / "copy", change))
     assert code == 1
     # The links pass it on within the period: the first joint that differs may be another one.
-    assert re.search(r"the first difference: run 1, tick 81, joint \w+, current: recorded ", said)
+    assert re.search(r"the first difference: run \d+, tick 81, joint \w+, current: recorded ", said)
 
 
 def test_a_gap_in_commands_is_refused(recording: tuple[Path, str], tmp_path: Path) -> None:
@@ -249,7 +265,7 @@ def test_another_scene_differs_or_is_refused(recording: tuple[Path, str], tmp_pa
     other.write_text(text.replace("resistance: 1.0", "resistance: 1.01"))
     code, said = run("check", recording[0], "--scene", other)
     assert code == 1
-    assert "the first difference: run 1, tick " in said
+    assert "the first difference: run " in said
 
 
 def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:

@@ -73,7 +73,9 @@ def scene(machine: str, scheme: str, steps: int, **overrides: Any) -> Scene:
         "integrator.dt": PERIOD / steps,
         "servo_period": PERIOD,
     }
-    return load_scene(scene_file(machine), overrides={**integrator, **MACHINES[machine], **overrides})
+    return load_scene(
+        scene_file(machine), overrides={**integrator, **MACHINES[machine], **overrides}
+    )
 
 
 def voltages(joints: int) -> np.ndarray:
@@ -86,7 +88,9 @@ def voltages(joints: int) -> np.ndarray:
 @cache
 def truth(machine: str) -> np.ndarray:
     one = scene(machine, "paper", 100)
-    return reference(one, voltages(len(one.joints)), PERIOD, payload=MACHINES[machine].get("payload"))
+    return reference(
+        one, voltages(len(one.joints)), PERIOD, payload=MACHINES[machine].get("payload")
+    )
 
 
 def motion(machine: str, scheme: str, steps: int, **overrides: Any) -> np.ndarray:
@@ -193,8 +197,8 @@ def test_stiff_gears_converge_to_the_rigid_gear(scheme: str) -> None:
         for Kg in (1e6, 1e7, 1e8)
     ]
     assert away[0] < 5e-5  # T = 20 N m, and some overshoot
-    # The largest difference is a peak of the gears' ringing after the first jump of the voltage, seen
-    # at the ends of the 10 ms: its height over T / Kg changes by up to 15 % with the frequency.
+    # The largest difference is a peak of the gears' ringing after the first jump of the voltage,
+    # seen every 10 ms: its height over T / Kg changes by up to 15 % with the frequency.
     assert away[0] / away[1] == pytest.approx(10.0, abs=2.0)
     assert away[1] / away[2] == pytest.approx(10.0, abs=2.0)
 
@@ -314,7 +318,7 @@ def test_a_joint_breaks_away_at_its_breakaway_torque(tmp_path: Path, scheme: str
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
-    """A thrown chain of four joints with dry friction alone loses energy until all of it is gone."""
+    """A thrown chain of four joints with dry friction alone loses energy till all of it is gone."""
     urdf = random_chain_urdf(np.random.default_rng(7), 4)
     names = [name for name in pin.buildModelFromXML(urdf).names if name != "universe"]
     joints = {name: {"friction": {"coulomb": 1.5, "breakaway": 2.5}} for name in names}

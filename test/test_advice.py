@@ -1,0 +1,194 @@
+"""The cheapest setting for an error: estimates against the reference, and into the scene file."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import CONFIG
+
+from arm_emulator.advise import record
+from arm_emulator.refusal import Refusal
+from bench.reference import reference
+from emulator_node.advice import Motion, advise, round_numbers, write_integrator
+from emulator_node.scene import SCHEMES, Scene, load_scene
+
+
+@cache
+def demo() -> tuple[Motion, np.ndarray]:
+    """The first 0.4 s of three_axis' demo (its target holds from 0.2 s on), and the true motion."""
+    scene = load_scene("three_axis")
+    voltages = record(scene, CONFIG / "three_axis.yaml")[0][:400]
+    return Motion(scene, voltages), reference(scene, voltages, scene.servo_period)
+
+
+def error(scheme: str, steps: int) -> float:
+    motion, truth = demo()
+    q = motion.q(scheme, steps)
+    assert q is not None
+    return float(np.abs(q - truth).max())
+
+
+def test_the_demo_is_the_paper_s() -> None:
+    """Nothing happens for 0.2 s, then the joints move towards a tool 10 mm aside."""
+    _, truth = demo()
+    assert np.abs(truth[:199] - truth[0]).max() < 1e-4  # some encoder counts
+    assert np.abs(truth[-1] - truth[0]).max() > 1e-2  # 10 mm at 0.6 m
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("steps", [2, 5, 20])
+def test_estimates_are_errors(scheme: str, steps: int) -> None:
+    """Where the differences of doubled steps fall by the scheme's order, their sum is the error."""
+    estimate = demo()[0].estimate(scheme, steps)
+    # The differences have their maxima at different instants, which makes the sum larger.
+    assert error(scheme, steps) * 0.98 < estimate < error(scheme, steps) * 1.3
+
+
+@pytest.mark.parametrize("wanted", [1e-4, 3e-6, 1e-8])
+def test_settings_keep_the_error_and_the_next_coarser_ones_do_not(wanted: float) -> None:
+    motion, _ = demo()
+    settings = advise(motion, wanted)
+    assert settings == sorted(settings, key=lambda s: s.cost)
+    reached = {setting.scheme for setting in settings}
+    assert "rosenbrock" in reached  # others may need more steps than are tried
+    for setting in settings:
+        steps = round(1e-3 / setting.dt)
+        assert steps in round_numbers(1, steps + 1)
+        assert error(setting.scheme, steps) <= wanted
+        coarser = round_numbers(1, steps)
+        if coarser:
+            assert motion.estimate(setting.scheme, coarser[-1]) > wanted
+
+
+def test_divergence_is_no_estimate() -> None:
+    """three_axis with stiff undamped gears: `paper` holds at no step that people use."""
+    overrides = {"joints.*.gear.stiffness": 1e7, "joints.*.gear.damping": 0.0}
+    scene = load_scene("three_axis", overrides=overrides)
+    motion = Motion(scene, np.full((100, 3), 5.0))
+    assert motion.estimate("paper", 1) == np.inf
+    assert np.isfinite(motion.estimate("rosenbrock", 4))
+    schemes = [setting.scheme for setting in advise(motion, 1e-4)]
+    assert "rosenbrock" in schemes and "paper" not in schemes
+
+
+def test_errors_that_make_no_sense_are_refused() -> None:
+    for wanted in (0.0, -1.0, 1e-13, 2.0, float("nan")):
+        with pytest.raises(Refusal, match="advise: error must be from 1e-11 to 1 rad"):
+            advise(demo()[0], wanted)
+
+
+def test_round_numbers() -> None:
+    assert round_numbers(1, 26) == [1, 2, 4, 5, 8, 10, 16, 20, 25]
+    assert round_numbers(51, 64) == []
+
+
+# Into the scene file
+
+
+def scene_copy(folder: Path, **replaced: str) -> Path:
+    shutil.copytree(CONFIG / "urdf", folder / "urdf")
+    text = (CONFIG / "three_axis.yaml").read_text()
+    for old, new in replaced.items():
+        assert old in text
+        text = text.replace(old, new)
+    file = folder / "three_axis.yaml"
+    file.write_bytes(text.encode())
+    return file
+
+
+def test_writing_changes_two_values_and_nothing_else(tmp_path: Path) -> None:
+    file = scene_copy(tmp_path)
+    before = file.read_text().splitlines()
+    write_integrator(file, "implicit", 2.5e-5)
+    after = file.read_text().splitlines()
+    changed = [(old, new) for old, new in zip(before, after, strict=True) if old != new]
+    assert [new.split("#")[0].split() for _, new in changed] == [
+        ["scheme:", "implicit"],
+        ["dt:", "2.5e-5"],
+    ]
+    assert [new.find("#") for _, new in changed] == [old.find("#") for old, _ in changed]
+    assert load_scene(file).integrator.dt == 2.5e-5
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["three_axis.yaml", "urdf"]
+    write_integrator(file, load_scene(CONFIG / "three_axis.yaml").integrator.scheme,
+                     load_scene(CONFIG / "three_axis.yaml").integrator.dt)  # fmt: skip
+    assert file.read_text().splitlines() == before
+
+
+SECTIONS = {
+    "one line": ("{scheme: paper, dt: 1e-4}  # mine", "{scheme: implicit, dt: 5.0e-5}  # mine"),
+    "no scheme, one line": ("{dt: 1e-4}", "{scheme: implicit, dt: 5.0e-5}"),
+    "no scheme": ("\n    dt: 1e-4 # coarse", "\n    scheme: implicit\n    dt: 5.0e-5 # coarse"),
+    "quoted": ("\n  'dt': 1e-4\n  scheme: 'paper'", "\n  'dt': 5.0e-5\n  scheme: implicit"),
+    "Windows": ("\r\n  dt: 1e-4\r\n  scheme: paper\r", "\r\n  dt: 5.0e-5\r\n  scheme: implicit\r"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", SECTIONS)
+def test_sections_as_people_write_them(tmp_path: Path, kind: str) -> None:
+    old, new = SECTIONS[kind]
+    file = scene_copy(tmp_path)
+    text = file.read_text()
+    head = text[: text.index("integrator:")]
+    tail = "\nservo_period: 1.0e-3\nthreads: 1\n"
+    file.write_bytes(f"{head}integrator: {old}{tail}".encode())
+    write_integrator(file, "implicit", 5e-5)
+    assert file.read_bytes().decode() == f"{head}integrator: {new}{tail}"
+
+
+def test_what_would_change_more_is_refused(tmp_path: Path) -> None:
+    """The step is an anchor that the servo period uses too."""
+    file = scene_copy(tmp_path)
+    text = file.read_text()
+    text = text[: text.index("integrator:")] + "integrator: {dt: &dt 1e-3}\nservo_period: *dt\n"
+    file.write_text(text)
+    with pytest.raises(Refusal, match=r"three_axis.yaml: |advised.yaml: "):
+        write_integrator(file, "implicit", 5e-4)
+    assert file.read_text() == text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["three_axis.yaml", "urdf"]
+
+
+def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join([str(CONFIG.parent), os.environ.get("PYTHONPATH", "")])
+    return subprocess.run(
+        [sys.executable, "-m", "arm_emulator", "advise", *arguments],
+        capture_output=True, text=True, timeout=120, check=False, cwd=cwd,
+        env={**os.environ, "PYTHONPATH": path, "COLUMNS": "200"},
+    )  # fmt: skip
+
+
+def test_command_shows_the_estimate_beside_the_reference_and_writes(tmp_path: Path) -> None:
+    file = scene_copy(tmp_path)
+    done = run(str(file), "--error", "1e-5", "--write")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("scene three_axis, 1.2 s of its demo; wanted: error <= 1e-05")
+    cheapest = next(line.split() for line in lines if line.startswith("cheapest  "))
+    _, scheme, dt, estimate, truth, _ = cheapest
+    assert scheme == "rosenbrock" and float(truth) <= 1e-5
+    assert float(estimate) == pytest.approx(float(truth), rel=0.1)
+    integrator = load_scene(file).integrator
+    assert (integrator.scheme, integrator.dt) == (scheme, float(dt))
+
+
+def test_command_refuses_in_one_line(tmp_path: Path) -> None:
+    done = run("three_axis", "--error", "0")
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == "advise: error must be from 1e-11 to 1 rad, got 0.0"
+
+
+def test_a_scene_without_a_demo_moves_by_sines(tmp_path: Path) -> None:
+    file = scene_copy(tmp_path).rename(tmp_path / "mine.yaml")
+    scene: Scene = load_scene(file)
+    voltages, what = record(scene, file)
+    assert what.startswith("sines of a quarter of the supply")
+    assert voltages.shape == (1000, 3) and np.abs(voltages).max() == pytest.approx(12.0, rel=1e-3)
+    found: Any = advise(Motion(scene, voltages[:200]), 1e-4)
+    assert found[0].estimate <= 1e-4
