@@ -23,9 +23,10 @@ from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked
 from arm_emulator.refusal import Refusal
 
-# Commands: nothing is lost, and the newest wins. Who receives them reads them all: in a depth of 1 a
-# bad command would take the place of a good one that is not read yet. States: a reliable publisher
-# serves reliable and best-effort subscribers alike. Descriptions: late-comers get the last one.
+# Commands: nothing is lost, and the newest wins. Who receives them reads them all: in a depth of 1
+# a bad command would take the place of a good one that is not read yet. States: a reliable
+# publisher serves reliable and best-effort subscribers alike. Descriptions: late-comers get the
+# last one.
 COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 COMMAND_SUB_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 STATE_PUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
@@ -52,7 +53,8 @@ def nanoseconds_of(stamp: Time) -> int:
 class Closable(Protocol):
     """A node that lets go of what it holds when its process ends."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Let go."""
 
 
 def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
@@ -219,5 +221,7 @@ def run_node(create: Callable[[], Closable]) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         if node is not None:
             node.close()
+            # By name, not by the garbage collector: else the middleware may leave its shared memory.
+            node.destroy_node()
         with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between
             rclpy.try_shutdown()

@@ -147,8 +147,8 @@ def report(figures: dict[str, Any]) -> str:
         "servo period; a lost period is a deadline missed by a whole period, which logical time "
         "does not make up for; an old command answers a state more than two periods old.",
         "",
-        "| scene | wall [s] | real-time factor | lost periods | old commands | lateness p50 / p99 / "
-        "max [us] | SCHED_FIFO | memory locked |",
+        "| scene | wall [s] | real-time factor | lost periods | old commands | lateness p50 / p99 "
+        "/ max [us] | SCHED_FIFO | memory locked |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for name, row in figures["real_time"].items():

@@ -154,10 +154,12 @@ def report(figures: dict[str, Any]) -> str:
         "`lag` is the exchange of the paper's Fig. 6, `predict` the one that leads "
         "the sample on by its own speeds and accelerations (core/two_threads.hpp).",
         "",
-        "Table 1 of the paper, on three_axis with scheme `paper`: difference between two threads and one after 1 s "
-        "[rad], for waist, shoulder, elbow, and beside it the error of each against the reference.",
+        "Table 1 of the paper, on three_axis with scheme `paper`: difference between two threads "
+        "and one after 1 s [rad], for waist, shoulder, elbow, and beside it the error of each "
+        "against the reference.",
         "",
-        "| step [s] | paper | lag - one | predict - one | error, one | error, lag | error, predict |",
+        "| step [s] | paper | lag - one | predict - one | error, one | error, lag "
+        "| error, predict |",
         "|---|---|---|---|---|---|---|",
     ]
     for step, row in figures["table_1"].items():
@@ -196,7 +198,8 @@ def report(figures: dict[str, Any]) -> str:
         "",
         f"Two threads paid {begin}; the paper had {PAPER_RATIO} at N = 3 on a machine whose single "
         "step took far longer than its handshake. Both threads on one core, N = 24: "
-        f"{one_core['lag']:.0f} (lag), {one_core['predict']:.0f} (predict) times one thread's time.",
+        f"{one_core['lag']:.0f} (lag), {one_core['predict']:.0f} (predict) times one thread's "
+        "time.",
     ]
     return "\n".join(lines)
 

@@ -342,8 +342,8 @@ def report(figures: dict[str, Any]) -> str:
         " in C, positions after each stored), and, dotted, `Plant.advance` called from Python in "
         "every period; MuJoCo `data.ctrl[:] = row; mj_step(model, data, nstep)` in every period, "
         "from Python; SciPy `solve_ivp` started anew in every period, once. Compilation, model "
-        "building and resets are not in it. A call (section Time per step) weighs little beside the "
-        "steps that MuJoCo takes in a period, but is most of our time at few steps per period; "
+        "building and resets are not in it. A call (section Time per step) weighs little beside "
+        "the steps that MuJoCo takes in a period, but is most of ours at few steps per period; "
         "hence the two columns.",
         "",
         "Both machines are one: results of both, extrapolated in the step for MuJoCo, against the "

@@ -237,22 +237,31 @@ class EmulatorNode(Node):
             self._repeat()
 
     def _repeat(self) -> None:
-        session = self._session
-        if session.phase not in (Phase.WAITING, Phase.PAUSED):
-            if session.phase is Phase.RUNNING:
-                self._diagnostics.ok("running")
-            return
-        now = time.monotonic()
-        if now - self._repeated_at >= REPEAT_AFTER and not session.answered:
+        session, now = self._session, time.monotonic()
+        unanswered = session.phase in (Phase.WAITING, Phase.PAUSED) and not session.answered
+        if unanswered and now - self._repeated_at >= REPEAT_AFTER:
             self._repeated_at = now
             self._say_motor_state()
-        waited = now - self._told_at
-        if session.phase is Phase.WAITING and waited > self._config.timeout:
+        self._say_health(waited=now - self._told_at)
+
+    def _say_health(self, waited: float) -> None:
+        session, say = self._session, self._diagnostics
+        if session.phase is Phase.STOPPED:
+            say.error(str(session.fault))
+        elif session.phase is Phase.PAUSED:
+            say.ok(f"paused at tick {session.tick}")
+        elif session.phase is Phase.FREE_RUNNING:
+            say.warn("no motor command yet, running free at 0 V")
+        elif session.phase is Phase.WAITING and waited > self._config.timeout:
             # In whole seconds, so that the words change, and are published, once a second.
-            self._diagnostics.warn(
+            say.warn(
                 f"waiting for the motor command that answers tick {session.tick}, "
                 f"for {waited:.0f} s"
             )
+        elif not session.powered:
+            say.warn("the drives' power is off, motors at 0 V")
+        else:
+            say.ok("running")
 
     def _on_tool_target(self, target: PoseStamped) -> None:
         """Show the target beside the arm; the machine itself knows nothing of it."""
@@ -295,10 +304,6 @@ class EmulatorNode(Node):
             status.real_time_priority = bool(figures.fifo)
             status.memory_locked = bool(figures.locked)
         self._statuses.publish(status)
-        if session.phase is Phase.FREE_RUNNING:
-            self._diagnostics.warn("no motor command yet, running free at 0 V")
-        elif session.phase is Phase.PAUSED:
-            self._diagnostics.ok(f"paused at tick {session.tick}")
 
     # Services
 

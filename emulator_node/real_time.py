@@ -234,4 +234,3 @@ class RealTimeSession(Session):
             self._loop.start(self.tick)
         elif not self.may_advance:
             self._halt()
-

@@ -80,13 +80,14 @@ class MotionControllerNode(Node):
     def _on_tool_target(self, message: PoseStamped) -> None:
         p, o = message.pose.position, message.pose.orientation
         try:
-            if message.header.frame_id not in ("", "world", *self._root()):
+            bases = sorted({"world", *self._root()})
+            if message.header.frame_id not in ("", *bases):
                 raise Refusal(
                     "tool_target",
                     "header.frame_id",
                     "be the arm's base",
                     message.header.frame_id,
-                    ", ".join(("world", *self._root())),
+                    ", ".join(bases),
                 )
             pose = Pose.from_quaternion((p.x, p.y, p.z), (o.x, o.y, o.z, o.w))
         except Refusal as reason:

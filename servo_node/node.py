@@ -30,7 +30,7 @@ from arm_emulator.refusal import Refusal
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 from servo_node.drives import Drives, Target
 from servo_node.servo import FloatArray
-from servo_node.servo_config import ServoConfig
+from servo_node.servo_config import ServoConfig, rule_of
 from servo_node.watchdog import WatchdogState
 
 SILENCE_CHECK = 0.1  # s, wall
@@ -79,7 +79,12 @@ class ServoNode(Node):
         }
         self._config = ServoConfig.from_mapping(given, "parameters of node servo")
         for name in given:
-            self.set_descriptor(name, ParameterDescriptor(read_only=True, dynamic_typing=True))
+            descriptor = ParameterDescriptor(
+                description=f"{name.rsplit('.', 1)[-1].replace('_', ' ')}: {rule_of(name)}",
+                read_only=True,
+                dynamic_typing=True,
+            )
+            self.set_descriptor(name, descriptor)
         self._lockstep = own.clock == "lockstep"
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._joint_states_ticks = max(1, round(own.joint_states_period / self._config.period))

@@ -139,6 +139,13 @@ _SCALARS = {
 _FIELDS = {f.name: f for f in fields(JointServo) if f.name != "name"}
 
 
+def rule_of(name: str) -> str:
+    """Return in words what the parameter of a dotted name may be, empty if there is no rule."""
+    leaf = name.rsplit(".", 1)[-1]
+    rule = _FIELDS[leaf].metadata["rule"] if leaf in _FIELDS else _SCALARS.get(leaf)
+    return rule.words.removeprefix("be ") if rule is not None else ""
+
+
 class _Loader(yaml.SafeLoader):
     """Takes 1e-3 for a number as ROS does; YAML 1.1, PyYAML's dialect, wants 1.0e-3."""
 

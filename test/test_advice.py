@@ -69,14 +69,16 @@ def test_settings_keep_the_error_and_the_next_coarser_ones_do_not(wanted: float)
 
 
 def test_divergence_is_no_estimate() -> None:
-    """three_axis with stiff undamped gears: `paper` holds at no step that people use."""
+    """Stiff undamped gears: `paper` diverges down to steps that nobody would choose."""
     overrides = {"joints.*.gear.stiffness": 1e7, "joints.*.gear.damping": 0.0}
     scene = load_scene("three_axis", overrides=overrides)
     motion = Motion(scene, np.full((100, 3), 5.0))
     assert motion.estimate("paper", 1) == np.inf
-    assert np.isfinite(motion.estimate("rosenbrock", 4))
-    schemes = [setting.scheme for setting in advise(motion, 1e-4)]
-    assert "rosenbrock" in schemes and "paper" not in schemes
+    # The gears' ringing of 1e-6 rad is not resolved; differences that stay so small are no harm.
+    assert motion.estimate("rosenbrock", 4) < 1e-4
+    settings = {setting.scheme: setting for setting in advise(motion, 1e-4)}
+    assert "paper" not in settings or settings["paper"].dt < 1e-5
+    assert settings["rosenbrock"].dt >= 2.5e-4
 
 
 def test_errors_that_make_no_sense_are_refused() -> None:

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.hard_cases import CASES, DETECTED, DRIFTS, EARTH, FAILED, Case, report, spin
+from bench.hard_cases import (
+    CASES,
+    DETECTED,
+    DRIFTS,
+    EARTH,
+    FAILED,
+    LINKS_ALONE,
+    Case,
+    report,
+    spin,
+)
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import SCHEMES, Scene, load_scene
 from emulator_node.stability import SmallMotions
@@ -47,9 +57,9 @@ def test_report_shows_every_outcome() -> None:
 
 
 def corners() -> Iterator[Any]:
-    """The corners and the middle of issue 3's map, and some that combine the worst."""
+    """The corners of issue 3's map, and some that combine the worst. Its middle is three_axis."""
     gear, motor = "joints.*.gear.", "joints.*.motor."
-    for stiffness in (1e2, 1e5, 1e8):
+    for stiffness in (1e2, 1e8):
         yield pytest.param({f"{gear}stiffness": stiffness}, id=f"Kg {stiffness:g}")
     for inductance in (1e-7, 1e-2):  # R = 1 ohm
         yield pytest.param({f"{motor}inductance": inductance}, id=f"L/R {inductance:g}")
@@ -126,21 +136,23 @@ def test_a_divergence_that_stays_finite_is_detected() -> None:
     plant.advance([0.0, 0.0, 0.0], 1000)
 
 
-def test_no_sound_motion_is_taken_for_a_divergence() -> None:
+@pytest.mark.parametrize(
+    ("scheme", "overrides"),
+    [
+        *((scheme, {}) for scheme in SCHEMES),
+        *((scheme, {**LINKS_ALONE, "gravity": EARTH}) for scheme in SCHEMES),
+        # Motors that give more mechanical power than they take from their back-EMF.
+        ("rosenbrock", {"joints.*.motor.torque_constant": 0.06}),
+    ],
+)
+def test_no_sound_motion_is_taken_for_a_divergence(scheme: str, overrides: dict[str, Any]) -> None:
     """Motions of all kinds whose energy swings: thrown, braked, dropped, driven to and fro."""
-    for overrides in (
-        {},
-        {"joints.*.motor": None, "joints.*.gear": None, "joints.*.encoder": None,
-         "joints.*.friction": None},
-        {"joints.*.motor.torque_constant": 0.06},  # a motor that gives more than it takes
-    ):  # fmt: skip
-        for scheme in SCHEMES:
-            own = {"integrator.scheme": scheme, "gravity": EARTH, "integrator.dt": 1e-4}
-            plant = Plant(load_scene("three_axis", overrides={**own, **overrides}))
-            plant.reset(v=[5.0, -3.0, 4.0])
-            rng = np.random.default_rng(6)
-            for _ in range(100):
-                plant.advance(rng.uniform(-48.0, 48.0, 3), 300)
+    own = {"integrator.scheme": scheme, "integrator.dt": 1e-4}
+    plant = Plant(load_scene("three_axis", overrides={**own, **overrides}))
+    plant.reset(v=[5.0, -3.0, 4.0])
+    rng = np.random.default_rng(6)
+    for _ in range(100):
+        plant.advance(rng.uniform(-48.0, 48.0, 3), 300)
 
 
 def test_the_text_says_which_joint_when_and_what_holds() -> None:

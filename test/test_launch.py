@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import subprocess
@@ -146,25 +145,13 @@ def wait(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def shared_memory(domain: str) -> list[str]:
-    """Return what the DDS ports of a domain hold in shared memory."""
-    first = 7400 + 250 * int(domain)
-    ports = {f"fastrtps_port{port}" for port in range(first, first + 250)}
-    return [one.name for one in Path("/dev/shm").iterdir() if one.name.split("_el")[0] in ports]
-
-
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_up_ends_all_on_request(stop: signal.Signals) -> None:
-    with up() as (launcher, _, user):
-        domain = os.environ["ROS_DOMAIN_ID"]
-        assert shared_memory(domain) or not Path("/dev/shm").is_dir()
+    with up() as (launcher, _, _):
         launcher.send_signal(stop)
         said, complaint = launcher.communicate(timeout=PATIENCE)
         assert launcher.returncode == 0
         assert said == "" and "Traceback" not in complaint
-        del user
-    left = shared_memory(domain)
-    assert left == []
 
 
 @pytest.mark.parametrize("name", ["emulator", "servo", "motion_controller"])

@@ -223,13 +223,12 @@ def test_small_inductances_converge_to_none(scheme: str) -> None:
 @pytest.mark.parametrize(
     "overrides",
     [
-        {"joints.*.friction": {"viscous": 0.5, "coulomb": 5.0}},
         {"joints.*.friction": {"viscous": 0.5, "coulomb": 5.0, "breakaway": 8.0}},
         {"joints.*.motor.current_limit": 3.0},
         {"joints.*.motor.current_limit": 3.0, **NO_INDUCTANCE},
         {"joints.*.motor.current_limit": 3.0, **RIGID},
     ],
-    ids=["coulomb", "breakaway", "limit", "limit without inductance", "limit with rigid gear"],
+    ids=["dry friction", "limit", "limit without inductance", "limit with rigid gear"],
 )
 def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str, Any]) -> None:
     """The three schemes meet at the same motion; the instant of a switch is known to one step."""
