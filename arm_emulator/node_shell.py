@@ -221,7 +221,7 @@ def run_node(create: Callable[[], Closable]) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         if node is not None:
             node.close()
-            # By name, not by the garbage collector: else the middleware may leave its shared memory.
+            # Not left to the garbage collector: the middleware may leave its shared memory then.
             node.destroy_node()
         with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between
             rclpy.try_shutdown()

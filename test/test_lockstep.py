@@ -186,6 +186,7 @@ def test_a_reset_while_the_servo_waits_for_targets(tmp_path: Path) -> None:
 
         waiting = "waiting for the joint targets that answer t = "
         user.wait("t = 0", lambda: f"{waiting}0 s" in user.words["servo"])
+        user.wait("the first state, said again for late-comers", lambda: 0 in user.motor_states())
         answer(0.0)
         user.wait("t = 0.05", lambda: f"{waiting}0.05 s" in user.words["servo"])
         first = user.motor_states()

@@ -165,8 +165,8 @@ class RealTime {
     }
   }
 
-  void tell(std::int64_t k, std::int64_t answered, std::int64_t lateness, std::int64_t spent, int fault,
-            const double (&V)[N]) {
+  void tell(std::int64_t k, std::int64_t answered, std::int64_t lateness, std::int64_t spent,
+            int fault, const double (&V)[N]) {
     const std::int64_t w = written.load(std::memory_order_relaxed);
     if (w - read.load(std::memory_order_acquire) == kRing) {
       unread.fetch_add(1);
