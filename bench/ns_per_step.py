@@ -87,10 +87,12 @@ def _tasks(schemes: dict[str, Scene]) -> dict[str, Task]:
     voltage = VOLTAGE * (-1.0) ** np.arange(N)[None, :]
     tasks: dict[str, Task] = {}
     for scheme, steps in STEPS.items():
-        tasks[scheme] = stepping(Plant(schemes[scheme]), voltage, steps, about=1e-3)
+        tasks[scheme] = stepping(Plant(schemes[scheme]), voltage, steps, about=20e-9 * N * steps)
     for integrator in INTEGRATORS:
         arm = MujocoArm(schemes["paper"], integrator, DT)
-        tasks[f"MuJoCo {integrator}"] = stepping(arm, voltage, MUJOCO_STEPS, about=5e-3)
+        tasks[f"MuJoCo {integrator}"] = stepping(
+            arm, voltage, MUJOCO_STEPS, about=0.7e-6 * N * MUJOCO_STEPS
+        )
     tasks["Pinocchio ABA, Python"] = Task(_aba(schemes["paper"]))
     return tasks
 

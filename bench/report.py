@@ -34,14 +34,15 @@ SECTIONS = (
 )
 
 NOT_PROVEN = """\
-These are times of one processor, in one run, of machines of a few joints. They say nothing about
-contacts, closed loops or many bodies, which MuJoCo and Pinocchio are made for and the emulator
-leaves out: part of what they do in a step is looking after what is not there. They do not say how
-the times are on another processor; ratios carry over better than nanoseconds. Spread is that
-within this run; from run to run a virtual machine differs by more. MuJoCo and Pinocchio are used as
-published, their wheels compiled for any x86-64 processor (but for Pinocchio in C++), where the
-emulator compiles each scene for the processor at hand: that is part of its idea, and part of the
-ratio."""
+These are times of one processor, in one run, of arms of a few joints. They say nothing about
+contacts, closed kinematic loops or many bodies, which MuJoCo and Pinocchio are made for and the
+emulator leaves out: part of what they do in a step is looking after what is not there. They do not
+say how the times are on another processor; ratios carry over better than nanoseconds. Spread is
+that within this run; from run to run a virtual machine differs by more. MuJoCo and Pinocchio are
+used as published, their wheels compiled for any x86-64 processor (but for Pinocchio in C++), where
+the emulator compiles each scene for the processor at hand: that is part of its idea, and part of
+the ratio. The motions are smooth but for the jumps of the voltages; friction that sticks, limits
+that are reached and encoders are not in the work-precision curves."""
 
 
 def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
