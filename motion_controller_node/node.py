@@ -80,7 +80,7 @@ class MotionControllerNode(Node):
     def _on_tool_target(self, message: PoseStamped) -> None:
         p, o = message.pose.position, message.pose.orientation
         try:
-            bases = sorted({"world", *self._root()})
+            bases = list(dict.fromkeys(("world", *self._root())))
             if message.header.frame_id not in ("", *bases):
                 raise Refusal(
                     "tool_target",
