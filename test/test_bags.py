@@ -92,7 +92,7 @@ def begin_anew(user: User, bag: Path) -> None:
 
     user.wait("tick 0 to be recorded", begun)
     user.send_tool_target((0.1, 0.02, 0.8), at=0.05)
-    user.wait("the target", lambda: user.value("motion_controller", "tool targets") not in ("", "0"))
+    user.wait("the target", lambda: int(user.value("motion_controller", "tool targets") or 0) > 0)
     assert user.call("emulator/pause", False).success
 
 
