@@ -15,7 +15,7 @@ from typing import IO
 
 from arm_emulator.config_files import find_config
 
-STOP_PATIENCE = 5.0  # s, wall: for a node to end by itself
+STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine too
 _PR_SET_PDEATHSIG = 1
 _prctl = ctypes.CDLL(None).prctl  # found here, since a forked child should do little
 

@@ -46,7 +46,7 @@ from servo_node.servo_config import load_servo_config
 
 Array = NDArray[np.float64]
 
-PATIENCE = 30.0  # s, wall: for anything that the nodes should do within a second or two
+PATIENCE = 120.0  # s, wall: for what the nodes do within a second or two on an idle machine
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def _run(scene: Scene, network: Bringup, console: Console) -> DemoResult:
                     progress.update(bar, completed=len(observer.q) - 1, deviation=shown)
                 return len(observer.q) > plan.instructions
 
-            observer.wait(watched, network, "the instructions", patience=60.0 * PATIENCE)
+            observer.wait(watched, network, "the instructions", patience=15.0 * PATIENCE)
         wall = time.monotonic() - started
     finally:
         observer.destroy_node()
@@ -244,7 +244,7 @@ class _Observer(Node):
         if now == expected:
             self.q.append(np.array(truth.position))
             self.gear_torque = np.array(truth.effort)
-        elif now > expected and self.q:
+        elif now > expected:
             raise Refusal("demo", "emulator/joint_states", "come without a gap", f"t = {now} ns")
 
 

@@ -161,7 +161,7 @@ def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess
     path = os.pathsep.join([str(CONFIG.parent), os.environ.get("PYTHONPATH", "")])
     return subprocess.run(
         [sys.executable, "-m", "arm_emulator", "advise", *arguments],
-        capture_output=True, text=True, timeout=120, check=False, cwd=cwd,
+        capture_output=True, text=True, timeout=600, check=False, cwd=cwd,
         env={**os.environ, "PYTHONPATH": path, "COLUMNS": "200"},
     )  # fmt: skip
 

@@ -16,8 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 import yaml
-from network import PATIENCE, RECORD_QOS, User, network, user
+from network import PATIENCE, RECORD_QOS, User, network, ros_domain, user
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
@@ -81,9 +84,9 @@ def begin_anew(user: User, bag: Path) -> None:
 
     def begun() -> bool:
         nonlocal reset_at
-        if time.monotonic() > reset_at + 2.0:  # s; the recorder flushes every half second
-            reset_at = time.monotonic()
+        if time.monotonic() > reset_at:
             assert user.call("emulator/reset").success
+            reset_at = time.monotonic() + 2.0  # s; the recorder flushes every half second
         told = {
             (m.topic, deserialize_message(m.data, TYPES[m.topic]).tick)
             for m in Bag(bag).messages(TYPES)
@@ -99,7 +102,16 @@ def begin_anew(user: User, bag: Path) -> None:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A run of three processes with a stop of the power, in a bag; and the recorder's words."""
-    folder = tmp_path_factory.mktemp("recording")
+    for _ in range(5):
+        bag, said = record_one(tmp_path_factory.mktemp("recording"))
+        kept = {m.tick for m in messages(bag) if isinstance(m, MotorState)}
+        # On a busy machine a recorder may miss a message, see docs/bags.md.
+        if kept >= set(range(max(kept))):
+            break
+    return bag, said
+
+
+def record_one(folder: Path) -> tuple[Path, str]:
     bag = folder / "bag"
     with network(folder / "log") as (user, _), command_line("record", bag) as recorder:
         await_until_all_are_recorded(recorder)
@@ -302,20 +314,40 @@ def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
 def test_what_is_replayed_is_the_same_bytes_in_the_same_order(recording: tuple[Path, str]) -> None:
     bag, _ = recording
     expected = [m.data for m in Bag(bag).messages(["/motor_states"])]
-    with user() as one:
-        got: list[bytes] = []
-        one.node.create_subscription(MotorState, "motor_states", got.append, RECORD_QOS, raw=True)
+    got: list[bytes] = []
+    # The only listener: the replay waits for no second one.
+    with ros_domain() as domain, listener(domain, got) as spin:
         arguments = (bag, "--topics", "motor_states", "--rate", "5", "--wait")
         with command_line("replay", *arguments) as process:
-            one.wait("all to be said again", lambda: len(got) >= len(expected))
+            deadline = time.monotonic() + PATIENCE
+            while len(got) < len(expected):
+                assert time.monotonic() < deadline, f"{len(got)} of {len(expected)} messages"
+                spin()
             said, _ = process.communicate(timeout=PATIENCE)
             assert process.returncode == 0, said
     assert got == expected
     assert f"{len(expected)} messages on 1 topics" in said
 
 
+@contextmanager
+def listener(domain: int, got: list[bytes]) -> Iterator[Callable[[], None]]:
+    """Be one listener on motor_states and nothing else; yield what takes a message."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("listener", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    node.create_subscription(MotorState, "motor_states", got.append, RECORD_QOS, raw=True)
+    try:
+        yield lambda: executor.spin_once(timeout_sec=0.1)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
 def test_a_late_listener_gets_a_replayed_description(recording: tuple[Path, str]) -> None:
-    with user() as one, command_line("replay", recording[0], "--rate", "0.5"):
+    with user() as one, command_line("replay", recording[0], "--rate", "0.02"):
         one.wait("the description", lambda: one.description)
         assert one.description == load_scene("three_axis").urdf
 
@@ -323,8 +355,9 @@ def test_a_late_listener_gets_a_replayed_description(recording: tuple[Path, str]
 def test_a_killed_recorder_leaves_what_it_had_flushed(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     with user() as one, command_line("record", bag) as recorder:
-        talk = one.node.create_publisher(String, "talk", 10)
+        talk = one.node.create_publisher(String, "talk", 1000)
         await_line(recorder, "recording /talk")
+        one.wait("the recorder", talk.get_subscription_count)
         sent = 0
 
         def size() -> int:

@@ -55,7 +55,7 @@ def times_of(recording: Path, entity: str) -> set[int]:
 def test_demo(scene: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "arm_emulator", "demo", scene, "--out", str(tmp_path)]
     with ros_domain():
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600.0, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     summary = json.loads((tmp_path / "demo.json").read_text())
     deviations = np.array(summary["deviations_m"])

@@ -98,7 +98,7 @@ def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
     with ros_domain():
         started = [(start(*command), command, words, lines) for command, words, lines in cases]
         for process, command, words, lines in started:
-            said, complaint = process.communicate(timeout=PATIENCE + 30.0)
+            said, complaint = process.communicate(timeout=PATIENCE)
             assert process.returncode == 2, (command, complaint)
             assert said == "", command
             *before, last = complaint.splitlines()

@@ -15,7 +15,9 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from network import (
+    ASK_AGAIN,
     JOINTS,
+    RECEIVER,
     User,
     assert_same_bits,
     network,
@@ -131,15 +133,8 @@ BAD: dict[str, list[tuple[Maker, str]]] = {
         (lambda _: joint_state(10**18, []), "position must have one value per joint name (3)"),
     ],
 }
-RECEIVER = {
-    "motor_commands": "emulator",
-    "joint_targets": "servo",
-    "motor_states": "servo",
-    "tool_target": "motion_controller",
-    "joint_states": "motion_controller",
-}
-
-
+# Nodes read these with best effort: a message may get lost.
+MAY_GET_LOST = ("motor_states", "joint_states")
 # Topics of different receivers.
 TOGETHER = [("motor_commands", "joint_targets", "tool_target"), ("motor_states", "joint_states")]
 
@@ -154,14 +149,31 @@ def publishers(user: User) -> dict[str, Any]:
     }
 
 
-def assert_refused(user: User, topic: str, count: int, words: str, tick: int) -> None:
-    """Wait for a topic's refusal of that number and check what is said of it."""
-    name = RECEIVER[topic]
-    user.wait(f"refusal {count} on {topic}", lambda: user.refused(name, topic) == count)
-    words = words.replace("{k}", f"{tick}")
-    words = words.replace("{k-1}", f"{tick - 1}").replace("{k+1}", f"{tick + 1}")
-    said = user.value(name, "newest refusal")
-    assert said.startswith(f"{topic}: {words}") and "\n" not in said, said
+def assert_all_refused(user: User, bad: dict[str, tuple[Any, str]], tick: int) -> None:
+    """Publish a bad message on each topic and wait until they are refused in these words."""
+    before = {topic: user.refused(RECEIVER[topic], topic) for topic in bad}
+    for topic, (message, _) in bad.items():
+        user.publish(publishers(user)[topic], message)
+    for topic, (message, words) in bad.items():
+        words = words.replace("{k}", f"{tick}")
+        words = words.replace("{k-1}", f"{tick - 1}").replace("{k+1}", f"{tick + 1}")
+        await_refusal(user, topic, message, before[topic], f"{topic}: {words}")
+
+
+def await_refusal(user: User, topic: str, message: Any, before: int, words: str) -> None:
+    """Wait until a message is refused; send it again if it may have been lost."""
+    name, again_at = RECEIVER[topic], time.monotonic() + ASK_AGAIN
+
+    def refused() -> bool:
+        nonlocal again_at
+        if topic in MAY_GET_LOST and time.monotonic() > again_at:
+            again_at = time.monotonic() + ASK_AGAIN
+            user.publish(publishers(user)[topic], message)
+        said = user.value(name, "newest refusal")
+        return user.refused(name, topic) > before and said.startswith(words)
+
+    user.wait(f"the refusal {words}", refused)
+    assert "\n" not in user.value(name, "newest refusal")
     assert user.diagnostics[name].level == DiagnosticStatus.WARN
 
 
@@ -176,19 +188,16 @@ def test_bad_messages_are_refused_counted_and_change_nothing(tmp_path: Path) -> 
     with network(tmp_path) as (user, _):
         go(user)
         tick = pause_at(user, 120)
-        user.recording = False  # the motor states of this test are no states of the machine
-        publish = publishers(user)
         # One bad message per node and turn, so that each one's words are seen.
         for topics in TOGETHER:
             for turn in range(max(len(BAD[topic]) for topic in topics)):
-                sent = {topic: BAD[topic][turn] for topic in topics if turn < len(BAD[topic])}
-                for topic, (make, _) in sent.items():
-                    user.publish(publish[topic], make(tick))
-                for topic, (_, words) in sent.items():
-                    assert_refused(user, topic, turn + 1, words, tick)
+                bad = {topic: BAD[topic][turn] for topic in topics if turn < len(BAD[topic])}
+                made = {topic: (make(tick), words) for topic, (make, words) in bad.items()}
+                assert_all_refused(user, made, tick)
         user.wait("the count", lambda: user.status.commands_refused == len(BAD["motor_commands"]))
+        for topic in set(BAD) - set(MAY_GET_LOST):
+            assert user.refused(RECEIVER[topic], topic) == len(BAD[topic])
         assert user.value("motion_controller", "tool targets") == "0"
-        user.recording = True
         assert user.call("emulator/pause", False).success
         user.wait("the run", lambda: user.tick >= TICKS)
         assert_same_bits(user.motor_states(), reference(), TICKS)
@@ -209,12 +218,10 @@ def test_garbage_and_huge_messages_change_nothing(tmp_path: Path) -> None:
     with network(tmp_path) as (user, _):
         go(user)
         tick = pause_at(user, 120)
-        user.recording = False
         publish = publishers(user)
-        for topic, publisher in publish.items():
-            user.wait(f"a listener on {topic}", publisher.get_subscription_count)
+        for publisher in publish.values():
             for data in garbage:
-                publisher.publish(data)
+                user.publish(publisher, data)
                 user.spin(0.001)
         huge = {
             "motor_commands": motor_command(tick, values, names),
@@ -228,12 +235,11 @@ def test_garbage_and_huge_messages_change_nothing(tmp_path: Path) -> None:
         for topic, message in huge.items():
 
             def refused(topic: str = topic, message: Any = message) -> bool:
-                publish[topic].publish(message)  # again: states are read as best effort
+                user.publish(publish[topic], message)  # again: states are read as best effort
                 return user.refused(RECEIVER[topic], topic) > 0
 
             user.wait(f"the refusal on {topic}", refused)
             assert len(user.value(RECEIVER[topic], "newest refusal")) < 300
-        user.recording = True
         assert user.call("emulator/pause", False).success
         user.wait("the run", lambda: user.tick >= TICKS)
         assert_same_bits(user.motor_states(), reference(), TICKS)
@@ -243,8 +249,10 @@ def test_bad_messages_in_full_run_change_nothing(tmp_path: Path) -> None:
     """As above, but between the good messages of a run that goes on."""
     topics = ("motor_commands", "joint_targets", "tool_target", "joint_states")
     with network(tmp_path) as (user, _):
-        go(user)
         publish, turn = publishers(user), 0
+        for topic in topics:
+            user.await_listener(publish[topic])
+        go(user)
         while user.tick < TICKS:
             for topic in topics:
                 make, _ = BAD[topic][turn % len(BAD[topic])]
@@ -253,6 +261,7 @@ def test_bad_messages_in_full_run_change_nothing(tmp_path: Path) -> None:
             user.spin(0.005)
         for topic in topics:
             user.wait(f"{topic} refused", lambda t=topic: user.refused(RECEIVER[t], t) > 0)
+        user.wait("the last tick", lambda: user.tick >= TICKS)
         assert_same_bits(user.motor_states(), reference(), TICKS)
 
 
@@ -344,10 +353,9 @@ def test_services_in_real_time(tmp_path: Path) -> None:
         user.wait("the servo to go on", lambda: user.diagnostics["servo"].message == "following")
         before = user.tick
         assert before > first + 3
-        user.forget()
         assert user.call("emulator/reset").success
-        user.wait("the new run", lambda: user.status and 0 < user.status.tick)
-        assert min(user.motor_states()) < before
+        user.wait("the new run", lambda: 0 < user.tick < before)
+        user.motor_states()  # nor after the reset
         user.wait("the servo to begin anew", lambda: user.said("servo", "the emulator began anew"))
 
 
@@ -355,37 +363,54 @@ def test_services_in_real_time(tmp_path: Path) -> None:
 
 
 def test_real_time_is_real_time(tmp_path: Path) -> None:
-    with network(tmp_path, clock="realtime", start="free_run") as (user, _):
-        running = EmulatorStatus.PHASE_RUNNING
-        user.wait("the run", lambda: user.status and user.status.phase == running)
-        user.wait("targets", lambda: user.joint_targets and user.joint_states and user.truth)
-        statuses: list[tuple[float, EmulatorStatus]] = []
+    """What holds on every machine, however busy; how punctual one is, the bench measures."""
+    period = 1e-3  # s
+    with network(tmp_path, clock="realtime", start="paused") as (user, _):
+        user.wait("the nodes to meet", lambda: user.status and user.status.answered)
+        before_start = time.monotonic()
+        assert user.call("emulator/pause", False).success
+        after_start = time.monotonic()
+        heard: list[tuple[float, EmulatorStatus]] = []
 
         def enough() -> bool:
-            if not statuses or statuses[-1][1] is not user.status:
-                statuses.append((time.monotonic(), user.status))
-            return len(statuses) > 5
+            if user.status.tick > 0 and not (heard and heard[-1][1] is user.status):
+                heard.append((time.monotonic(), user.status))
+            return len(heard) > 5
 
-        user.wait("three seconds", enough)
-        (began, first), (ended, last) = statuses[0], statuses[-1]
-        logical = last.logical_time - first.logical_time
-        # Status comes every 0.5 s of wall time; what is lost by more than LOST_TIME is let go, so a
-        # loaded machine may fall behind, but nothing may let logical time run ahead.
-        assert logical < 1.1 * (ended - began)
-        assert logical > 0.3 * (ended - began)
-        for _, status in statuses:
-            assert status.logical_time == pytest.approx(status.tick * 1e-3)
+        user.wait("six times the status", enough)
+        user.wait("targets", lambda: user.joint_targets and user.joint_states and user.truth)
+        before_end = time.monotonic()
+        paused = user.call("emulator/pause", True)
+        user.wait("the pause", lambda: user.status.phase == EmulatorStatus.PHASE_PAUSED)
+        last = user.status
+        assert paused.message == f"paused at tick {last.tick}"
+        user.wait("the last state", lambda: user.tick == last.tick)
+        assert max(user.motor_states()) == last.tick  # and no tick was told twice
+
+        # Logical time never runs ahead: each period takes its time, and so does each lost one.
+        for at, status in (*heard, (time.monotonic(), last)):
+            assert (status.tick + status.overruns) * period < at - before_start
+        # And all time is there or counted as lost, but for half a second that a busy machine may
+        # take to end the loop.
+        assert (last.tick + last.overruns) * period > before_end - after_start - 0.5
+        assert (last.overruns > 0) == (last.worst_lateness >= period)
+        assert last.median_lateness <= last.p99_lateness <= last.worst_lateness + 1e-6  # s, a bin
+
+        assert [status.phase for _, status in heard] == [EmulatorStatus.PHASE_RUNNING] * len(heard)
+        for (_, one), (_, next_one) in zip(heard, [*heard[1:], (0.0, last)], strict=True):
+            for counter in ("tick", "overruns", "old_commands", "worst_lateness"):
+                assert getattr(one, counter) <= getattr(next_one, counter)
+        for _, status in heard:
+            assert status.logical_time == pytest.approx(status.tick * period)
             assert nanoseconds_of(status.header.stamp) == status.tick * 1_000_000
-            assert status.phase == running and status.powered
-            assert status.step_time > 0.0 and math.isfinite(status.energy)
+            assert status.powered and math.isfinite(status.energy)
             assert status.waiting_time == 0.0
-        assert last.tick > first.tick and last.overruns >= first.overruns
-        assert last.worst_lateness >= first.worst_lateness >= 0.0
-        ticks = sorted(user.motor_states())
-        assert ticks[-1] - ticks[0] > 500 and len(ticks) > 0.9 * (ticks[-1] - ticks[0])
-        # Holding where it started: within two encoder counts of 2 pi / 1024 * 0.01 rad.
+        assert any(status.step_time > 0.0 for _, status in heard)
         held = dict(zip(user.truth.name, user.truth.position, strict=True))
-        assert held == pytest.approx({"waist": 0.0, "shoulder": 0.5, "elbow": 0.8}, abs=2 * 6.2e-5)
+        # Holding where it started, however late commands are: at rest they are 0 V. Two encoder
+        # counts of 2 pi / 1024 * 0.01 rad.
+        start = {"waist": 0.0, "shoulder": 0.5, "elbow": 0.8}
+        assert held == pytest.approx(start, abs=2 * 6.2e-5)
 
 
 def test_nodes_follow_the_emulators_clock(tmp_path: Path) -> None:
@@ -403,9 +428,15 @@ def test_nodes_follow_the_emulators_clock(tmp_path: Path) -> None:
         user.add(follower)
         go(user)
         tick = pause_at(user, 1100)
-        # The clock is said every 10 ticks.
+        # The clock is said every 10 ticks, and nodes read it with best effort: 100 ms are left for
+        # what gets lost.
         expected = tick // 10 * 10 * 1_000_000
-        user.wait("the time", lambda: follower.get_clock().now().nanoseconds == expected)
+
+        def now() -> int:
+            return int(follower.get_clock().now().nanoseconds)
+
+        user.wait("the time", lambda: expected - 100_000_000 <= now() <= expected)
+        assert now() % 10_000_000 == 0
         # Diagnostics carry the node's own time: since 0 here, since 1970 in a node without.
         user.wait("words at 1 s", lambda: user.stamps.get("motion_controller", 0) >= NANOSECONDS)
         assert user.stamps["motion_controller"] <= expected

@@ -153,6 +153,6 @@ def test_no_data_race(tmp_path: Path) -> None:
     if "cannot find" in built.stderr and "tsan" in built.stderr:
         pytest.skip("the compiler comes without ThreadSanitizer")
     assert built.returncode == 0, built.stderr
-    ran = subprocess.run([str(program)], capture_output=True, text=True, timeout=120, check=False)
+    ran = subprocess.run([str(program)], capture_output=True, text=True, timeout=600, check=False)
     assert ran.returncode == 0 and ran.stdout == "done\n", ran.stderr[-3000:]
     assert "WARNING: ThreadSanitizer" not in ran.stderr
