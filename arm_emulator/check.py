@@ -27,7 +27,7 @@ from arm_emulator.refusal import Refusal
 from arm_emulator.yaml_file import read_yaml
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
 from emulator_node.scene import Scene, load_scene
-from emulator_node.session import Session
+from emulator_node.session import Needless, Session
 
 # Topic -> class and type of its messages.
 TYPES: dict[str, tuple[Any, str]] = {
@@ -55,6 +55,7 @@ class Tally:
         states: motor states.
         truths: messages on `emulator/joint_states`.
         refused: commands that the machine did not take.
+        needless: commands said again, or on their way when a run was left.
         lost: motor states that the bag misses.
         free: ticks at 0 V before the first command of a run.
         skipped: motor states of runs whose beginning is not in the bag.
@@ -64,6 +65,7 @@ class Tally:
     states: int = 0
     truths: int = 0
     refused: int = 0
+    needless: int = 0
     lost: int = 0
     free: int = 0
     skipped: int = 0
@@ -137,6 +139,9 @@ class _Checker:
             self._advance()
         try:
             session.offer(command.tick, command.joint_names, command.voltage)
+        except Needless:
+            self.tally.needless += 1
+            return
         except Refusal:
             self.tally.refused += 1
             return
@@ -304,6 +309,7 @@ def _told(tally: Tally, complete: bool) -> str:
     ]
     extra = {
         "commands were refused": tally.refused,
+        "commands were not needed": tally.needless,
         "states are missing": tally.lost,
         "ticks at 0 V before the first command": tally.free,
         "states of a run that began before the recording are left out": tally.skipped,

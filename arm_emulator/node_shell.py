@@ -152,6 +152,14 @@ class Diagnostics:
         if first:
             self.publish()
 
+    def count(self, what: str) -> None:
+        """Count under `what` an input that was not needed; that is no reason to worry."""
+        before = self.values.get(what, 0)
+        assert isinstance(before, int)
+        self.values[what] = before + 1
+        if not before:
+            self.publish()
+
     def ok(self, message: str) -> None:
         """Say that all is well, and what is going on."""
         self._say(DiagnosticStatus.OK, message)

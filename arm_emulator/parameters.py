@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -43,12 +44,7 @@ def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters
     Raises:
         Refusal: no parameters of that node, an unknown name, or a value that is not taken.
     """
-    document = read_yaml(path)
-    try:
-        given = dict(document[node]["ros__parameters"])
-    except (KeyError, TypeError):
-        rule = f"hold {node}: ros__parameters:"
-        raise Refusal(path.name, "file", rule, "something else") from None
+    given = dict(ros_parameters(path, node))
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name, value in given.items():
         if name not in fields:
@@ -56,6 +52,22 @@ def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters
             raise Refusal(path.name, f"parameter {name}", "be known", repr(value), known)
         given[name] = checked(value, fields[name], path.name)
     return kind(**given)
+
+
+def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
+    """Return the parameters that a ROS parameter file holds for a node, by name or by `/**`.
+
+    Raises:
+        Refusal: no parameters of that node.
+    """
+    document = read_yaml(path)
+    for name in (node, f"/{node}", "/**"):
+        section = document.get(name)
+        if isinstance(section, Mapping) and isinstance(section.get("ros__parameters"), Mapping):
+            return dict(section["ros__parameters"])
+    rule = f"hold the parameters of the node {node}"
+    valid = f"{node}: ros__parameters:"
+    raise Refusal(path.name, "the file", rule, ", ".join(map(str, document)), valid)
 
 
 def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:

@@ -21,7 +21,8 @@ SECOND = 1_000_000_000  # ns
 POLL = 0.1  # s
 # The viewer says when data are loaded, but draws meshes and curves some pictures later, and its
 # words of welcome cover a part of the window for 1 to 3 s.
-SETTLE = 4.0  # s
+SETTLE = 4.0  # s, and
+SETTLE_PICTURES = 8  # on a busy machine
 
 T = TypeVar("T")
 
@@ -32,7 +33,7 @@ def take_screenshot(
     *,
     at: float | None = None,
     size: tuple[int, int] = (1600, 900),
-    patience: float = 60.0,
+    patience: float = 180.0,
 ) -> None:
     """Show a recording in an invisible viewer and write what it shows.
 
@@ -58,9 +59,10 @@ def take_screenshot(
             rule = f"lie in the recording, {start:g} to {end:g} s"
             raise Refusal("screenshot", "time", rule, f"{moment:g}")
         viewer.set_time(TIMELINE, duration=moment, play_state="paused")
-        settled = time.monotonic() + SETTLE
-        while time.monotonic() < settled:
+        settled, pictures = time.monotonic() + SETTLE, 0
+        while time.monotonic() < settled or pictures < SETTLE_PICTURES:
             viewer.take_screenshot()  # keeps it drawing
+            pictures += 1
             time.sleep(5.0 * POLL)
         png.parent.mkdir(parents=True, exist_ok=True)
         png.write_bytes(viewer.take_screenshot())

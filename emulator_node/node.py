@@ -37,7 +37,7 @@ from emulator_node.plant import Diverged
 from emulator_node.real_time import RealTimeSession
 from emulator_node.rerun_stream import RerunStream
 from emulator_node.scene import example_robot_data, load_scene
-from emulator_node.session import CLOCKS, STARTS, Phase, Session
+from emulator_node.session import CLOCKS, STARTS, Needless, Phase, Session
 
 STATUS_PERIOD = 0.5  # s, wall
 REPEAT_AFTER = (
@@ -156,6 +156,9 @@ class EmulatorNode(Node):
         with self._lock:
             try:
                 self._session.offer(command.tick, command.joint_names, command.voltage)
+            except Needless as reason:
+                self._diagnostics.count(f"motor_commands {reason.kind}")
+                return
             except Refusal as reason:
                 self._diagnostics.refuse("motor_commands", reason)
                 return

@@ -32,6 +32,18 @@ class Phase(enum.IntEnum):
     STOPPED = 4
 
 
+class Needless(Refusal):
+    """A command that is not taken, and need not be: nothing is wrong with it.
+
+    Attributes:
+        kind: which one it is, in two or three words.
+    """
+
+    def __init__(self, kind: str, rule: str, got: str) -> None:
+        super().__init__("motor_commands", "tick", rule, f"{got} ({kind})")
+        self.kind = kind
+
+
 class Session:
     """The machine, driven tick by tick by motor commands.
 
@@ -56,11 +68,13 @@ class Session:
         self._start = start
         self._order = JointOrder("motor_commands", scene.joint_names)
         self._zero = np.zeros(len(scene.joint_names))
+        self.tick = -1
         self.reset()
 
     def reset(self) -> None:
         """Begin anew at tick 0, as after construction. Power stays as it is."""
         self.plant.reset()
+        self._left_tick = self.tick  # where the run before was
         self.tick = 0
         self.paused = self._start == "paused"
         self.fault: Diverged | None = None
@@ -68,6 +82,7 @@ class Session:
         self.step_wall_ns = 0
         self._commanded: Array | None = None  # newest accepted command
         self._answered_tick = -1  # the tick that it answers
+        self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
         self._state: PlantState | None = None
 
     @property
@@ -119,16 +134,35 @@ class Session:
             voltage: one per name [V].
 
         Raises:
+            Needless: the same bits once more for one of the two ticks answered last, or an answer
+                that was on its way when the run before was left.
             Refusal: wrong tick, names, length, or a voltage that is not finite.
         """
         if tick > self.tick:
-            raise Refusal("motor_commands", "tick", f"be at most {self.tick}", f"{tick} (future)")
+            rule, got = f"be at most {self.tick}", f"{tick} (future)"
+            if self._commanded is None and tick <= self._left_tick:
+                raise Needless("before the reset", rule, f"{tick}")
+            raise Refusal("motor_commands", "tick", rule, got)
         newest = self._answered_tick
         if (self.lockstep and self._commanded is not None and tick < self.tick) or tick < newest:
             at_least = self.tick if self.lockstep else newest
-            raise Refusal("motor_commands", "tick", f"be at least {at_least}", f"{tick} (stale)")
-        self._commanded = self._order.arrange(joint_names, voltage, "voltage", "V")
+            rule = f"be at least {at_least}"
+            if self._is_repeated(tick, self._order.arrange(joint_names, voltage, "voltage", "V")):
+                raise Needless("repeated", rule, f"{tick}")
+            raise Refusal("motor_commands", "tick", rule, f"{tick} (stale)")
+        command = self._order.arrange(joint_names, voltage, "voltage", "V")
+        if tick == newest and self._is_repeated(tick, command):
+            raise Needless("repeated", "be answered once", f"{tick}")
+        if tick != newest:
+            self._before = (newest, self._commanded)
+        self._commanded = command
         self._answered_tick = tick
+
+    def _is_repeated(self, tick: int, command: Array) -> bool:
+        for answered, known in ((self._answered_tick, self._commanded), self._before):
+            if tick == answered and known is not None and known.tobytes() == command.tobytes():
+                return True
+        return False
 
     def advance(self) -> None:
         """Advance by one servo period under the command, or under 0 V without one or without power.

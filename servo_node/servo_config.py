@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from arm_emulator.parameters import ROS_PARAMETERS
+from arm_emulator.parameters import ROS_PARAMETERS, ros_parameters
 from arm_emulator.refusal import Refusal
 
 
@@ -146,39 +143,14 @@ def rule_of(name: str) -> str:
     return rule.words.removeprefix("be ") if rule is not None else ""
 
 
-class _Loader(yaml.SafeLoader):
-    """Takes 1e-3 for a number as ROS does; YAML 1.1, PyYAML's dialect, wants 1.0e-3."""
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
-
-
 def load_servo_config(path: str | Path) -> ServoConfig:
-    """Read a ROS parameter file whose node is ``servo`` or ``/**``.
+    """Read a ROS parameter file of the node ``servo``.
 
     Raises:
         Refusal: no such file, not a parameter file, or a value that is not taken.
     """
     path = Path(path)
-    where = path.name
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except OSError as error:
-        raise Refusal(where, "the file", "be readable", error.strerror or error) from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise Refusal(where, "the file", "be YAML", error) from error
-    for node in ("servo", "/servo", "/**"):
-        section = document.get(node) if isinstance(document, Mapping) else None
-        if isinstance(section, Mapping) and isinstance(section.get("ros__parameters"), Mapping):
-            return ServoConfig.from_mapping(section["ros__parameters"], where)
-    keys = ", ".join(map(str, document)) if isinstance(document, Mapping) else type(document)
-    raise Refusal(
-        where, "the file", "hold the parameters of the node servo", keys, "servo: ros__parameters:"
-    )
+    return ServoConfig.from_mapping(ros_parameters(path, "servo"), path.name)
 
 
 def _nested(mapping: object, where: str) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from network import (
     JOINTS,
     User,
@@ -255,7 +256,18 @@ def test_free_run_ends_with_the_first_answer(tmp_path: Path) -> None:
         plant.advance([1.0, 2.0, 3.0], scene.steps_per_period)
         expected = bits_of(plant.state.encoder_counts, plant.state.current)
         assert user.motor_states()[tick + 1] == expected
+        # The same answer once more is no fault; another one to a tick that was left is.
+        again = MotorCommand(tick=tick, joint_names=elbow_first, voltage=volts)
+        user.publish(user.commands, again)
+        repeated = "motor_commands repeated"
+        user.wait("the count", lambda: user.value("emulator", repeated) == "1")
         assert user.refused("emulator", "motor_commands") == 0
+        assert user.diagnostics["emulator"].level == DiagnosticStatus.OK
+        again.voltage[0] += 1.0
+        user.publish(user.commands, again)
+        user.wait("the refusal", lambda: user.refused("emulator", "motor_commands") == 1)
+        assert f"got {tick} (stale)" in user.value("emulator", "newest refusal")
+        assert user.value("emulator", repeated) == "1"
 
 
 @pytest.mark.parametrize(

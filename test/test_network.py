@@ -24,6 +24,7 @@ from network import (
     node,
     offline_states,
 )
+from network import user as user_of
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
@@ -92,7 +93,10 @@ NAMES_RULE = "joint names must name every joint once"
 Maker = Callable[[int], Any]
 BAD: dict[str, list[tuple[Maker, str]]] = {
     "motor_commands": [
-        (lambda k: motor_command(k - 1), "tick must be at least {k}, got {k-1} (stale)"),
+        (
+            lambda k: motor_command(k - 1, [9.0, 9.0, 9.0]),
+            "tick must be at least {k}, got {k-1} (stale)",
+        ),
         (lambda k: motor_command(k + 1), "tick must be at most {k}, got {k+1} (future)"),
         (lambda k: motor_command(2**64 - 1), "tick must be at most {k}, got 18446744073709551615"),
         (lambda k: motor_command(k, names=["waist", "shoulder", "hand"]), NAMES_RULE),
@@ -351,8 +355,9 @@ def test_services_in_real_time(tmp_path: Path) -> None:
         user.wait("the status", lambda: not user.status.powered and user.status.phase == running)
         assert user.call("emulator/power", True).success
         user.wait("the servo to go on", lambda: user.diagnostics["servo"].message == "following")
+        # All have been read, of those told so far.
+        user.wait("the states", lambda: user.tick > tick + 1)
         before = user.tick
-        assert before > first + 3
         assert user.call("emulator/reset").success
         user.wait("the new run", lambda: 0 < user.tick < before)
         user.motor_states()  # nor after the reset
@@ -442,3 +447,18 @@ def test_nodes_follow_the_emulators_clock(tmp_path: Path) -> None:
         assert user.stamps["motion_controller"] <= expected
         assert user.stamps["servo"] > 10**9 * NANOSECONDS
         follower.destroy_node()
+
+
+def test_the_nodes_live_in_a_namespace() -> None:
+    """Names are relative, and the parameter files that come along apply everywhere."""
+    left = ("-r", "__ns:=/left")
+    servo, motion = (str(find_config("three_axis", ".yaml", k)) for k in ("servo", "motion"))
+    with (
+        user_of("/left") as user,
+        node("emulator_node.node", "-p", "scene:=three_axis", "-p", "start:=paused", *left),
+        node("servo_node.node", "--params-file", servo, *left),
+        node("motion_controller_node.node", "--params-file", motion, *left),
+    ):
+        go(user)
+        user.wait("the run", lambda: user.tick >= 120)
+        assert_same_bits(user.motor_states(), reference(), 120)

@@ -13,6 +13,7 @@ import scipy.linalg
 import yaml
 
 from arm_emulator.refusal import Refusal
+from motion_controller_node.motion_config import load_motion_config
 from servo_node.servo import JointServo, Servo, ServoConfig, _Axis, load_servo_config
 from servo_node.watchdog import Watchdog, WatchdogState
 
@@ -392,10 +393,11 @@ def test_parameters_that_are_no_mapping_or_given_twice_are_refused() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (None, "the file must be readable"),
-        ("a: [", "the file must be YAML"),
+        (None, "file must be readable"),
+        ("a: [", "file must be well-formed YAML"),
         ("other: {ros__parameters: {}}", "hold the parameters of the node servo, got other"),
-        ("- 1", "hold the parameters of the node servo"),
+        ("- 1", "file must be a mapping of keys to values"),
+        ("servo: 1", "hold the parameters of the node servo, got servo; valid: servo: ros__para"),
     ],
 )
 def test_bad_parameter_files_are_refused(tmp_path: Path, text: str | None, words: str) -> None:
@@ -412,6 +414,17 @@ def test_parameter_file_may_write_numbers_as_ros_takes_them(tmp_path: Path) -> N
     text = yaml.safe_dump({"/**": {"ros__parameters": parameters()}})
     file.write_text(text.replace("period: 0.001", "period: 1e-3"))
     assert load_servo_config(file).period == 1e-3
+
+
+@pytest.mark.parametrize("node", ["servo", "/servo", "/**"])
+def test_parameter_files_may_name_the_node_or_all_nodes(tmp_path: Path, node: str) -> None:
+    file = tmp_path / "servo.yaml"
+    file.write_text(yaml.safe_dump({node: {"ros__parameters": parameters()}}))
+    assert load_servo_config(file).joint_names == tuple(parameters()["joint_names"])
+    motion = tmp_path / "motion.yaml"
+    name = node.replace("servo", "motion_controller")
+    motion.write_text(yaml.safe_dump({name: {"ros__parameters": {"weight": 0.25}}}))
+    assert load_motion_config(motion).weight == 0.25
 
 
 # The files that come along

@@ -7,7 +7,7 @@ import pytest
 
 from arm_emulator.refusal import Refusal
 from emulator_node.scene import load_scene
-from emulator_node.session import Phase, Session
+from emulator_node.session import Needless, Phase, Session
 
 NAMES = ["waist", "shoulder", "elbow"]
 ZERO = [0.0, 0.0, 0.0]
@@ -106,6 +106,57 @@ def test_bad_commands_change_nothing(
         one.offer(tick, names, voltage)
     one.advance()
     assert np.array_equal(one.voltage, [4.0, 5.0, 6.0])
+
+
+def test_the_same_answer_again_is_needless_and_another_one_is_stale() -> None:
+    one = session()
+    turned = ["elbow", "waist", "shoulder"]
+    one.offer(0, NAMES, [1.0, 2.0, 3.0])
+    for _ in range(2):
+        with pytest.raises(Needless, match=r"tick must be answered once, got 0 \(repeated\)"):
+            one.offer(0, turned, [3.0, 1.0, 2.0])
+    one.advance()
+    one.offer(1, NAMES, [1.5, 2.0, 3.0])
+    with pytest.raises(Needless, match=r"tick must be at least 1, got 0 \(repeated\)"):
+        one.offer(0, NAMES, [1.0, 2.0, 3.0])  # another servo's, while tick 1 is answered
+    for other in ([1.0, 2.0, 3.0000000000000004], [1.5, 2.0, 3.0]):
+        with pytest.raises(Refusal, match=r"\(stale\)") as refusal:
+            one.offer(0, NAMES, other)
+        assert not isinstance(refusal.value, Needless)
+    one.advance()
+    assert np.array_equal(one.voltage, [1.5, 2.0, 3.0])
+    # Another answer to a tick that is not left yet is taken.
+    one.offer(2, NAMES, [0.0, 0.0, 1.0])
+    one.offer(2, NAMES, [0.0, 0.0, 2.0])
+    one.advance()
+    assert np.array_equal(one.voltage, [0.0, 0.0, 2.0])
+
+
+def test_repeated_commands_in_real_time() -> None:
+    one = session("realtime")
+    one.offer(0, NAMES, [1.0, 1.0, 1.0])
+    one.advance()
+    with pytest.raises(Needless):
+        one.offer(0, NAMES, [1.0, 1.0, 1.0])
+    one.offer(0, NAMES, [2.0, 1.0, 1.0])
+    one.advance()
+    assert np.array_equal(one.voltage, [2.0, 1.0, 1.0])
+
+
+def test_an_answer_to_the_run_before_a_reset_is_needless_until_the_new_one_is_answered() -> None:
+    one = session(start="first_answer")
+    for tick in range(3):
+        one.offer(tick, NAMES, ZERO)
+        one.advance()
+    one.reset()
+    with pytest.raises(Needless, match=r"tick must be at most 0, got 3 \(before the reset\)"):
+        one.offer(3, NAMES, ZERO)
+    assert one.phase is Phase.WAITING and one.tick == 0
+    with pytest.raises(Refusal, match=r"got 4 \(future\)"):
+        one.offer(4, NAMES, ZERO)
+    one.offer(0, NAMES, ZERO)
+    with pytest.raises(Refusal, match=r"got 3 \(future\)"):
+        one.offer(3, NAMES, ZERO)
 
 
 def test_joints_are_matched_by_name() -> None:
