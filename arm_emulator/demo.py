@@ -216,7 +216,14 @@ class _Observer(Node):
         return self._pause.service_is_ready()
 
     def go(self) -> None:
-        self._pause.call_async(SetBool.Request(data=False))
+        """Let time go on, and ask again until it does."""
+
+        def ask() -> None:
+            if not self.q:
+                self._pause.call_async(SetBool.Request(data=False))
+
+        ask()
+        self.create_timer(5.0, ask)
 
     def deviation(self, k: int) -> Array:
         """Target minus tool before instruction k, (3,) [m]."""

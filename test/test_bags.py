@@ -347,7 +347,7 @@ def listener(domain: int, got: list[bytes]) -> Iterator[Callable[[], None]]:
 
 
 def test_a_late_listener_gets_a_replayed_description(recording: tuple[Path, str]) -> None:
-    with user() as one, command_line("replay", recording[0], "--rate", "0.02"):
+    with user() as one, command_line("replay", recording[0], "--rate", "0.2"):
         one.wait("the description", lambda: one.description)
         assert one.description == load_scene("three_axis").urdf
 

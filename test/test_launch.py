@@ -87,7 +87,13 @@ def start(*command: str) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=_heed_ctrl_c,  # noqa: PLW1509 - one system call, no lock
     )
+
+
+def _heed_ctrl_c() -> None:
+    """In the child: whoever runs the tests in the background of a shell ignores SIGINT."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
