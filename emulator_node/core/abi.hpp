@@ -22,12 +22,7 @@ int arm_advance(TheMachine* machine, const double* voltage, std::int64_t steps) 
 // `rows` rows of N voltages, `steps` steps each; q after each row goes to `q`.
 int arm_run(TheMachine* machine, const double* voltage, std::int64_t rows, std::int64_t steps,
             double* q) {
-  for (std::int64_t row = 0; row < rows; ++row, voltage += N, q += N) {
-    const int joint = machine->advance(voltage, steps);
-    if (joint >= 0) return joint;
-    std::copy_n(machine->state().q, N, q);
-  }
-  return -1;
+  return machine->follow(voltage, rows, steps, q);
 }
 double arm_time(const TheMachine* machine) { return machine->time(); }
 double arm_energy(const TheMachine* machine) { return machine->energy(); }
