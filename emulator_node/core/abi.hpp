@@ -16,7 +16,9 @@ extern "C" {
 TheMachine* arm_new(double dt, int core) { return new TheMachine(dt, core); }
 void arm_delete(TheMachine* machine) { delete machine; }
 void arm_reset(TheMachine* machine, const double* q, const double* v) { machine->reset(q, v); }
+// Returns -1, the joint that went out of bounds, or -2 if a voltage is not finite.
 int arm_advance(TheMachine* machine, const double* voltage, std::int64_t steps) {
+  if (!std::all_of(voltage, voltage + N, arm::is_finite)) return -2;
   return machine->advance(voltage, steps);
 }
 // `rows` rows of N voltages, `steps` steps each; q after each row goes to `q`.

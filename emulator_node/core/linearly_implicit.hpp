@@ -156,8 +156,7 @@ class LinearlyImplicit {
       change[j] = past.torque[j] - links.nle[j] - M[j][j] * past.a[j];
     });
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      for_each<N>([&](auto k) __attribute__((always_inline)) {
-        if (k <= j) return;
+      for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
         change[j] -= M[j][k] * past.a[k];
         change[k] -= M[j][k] * past.a[j];
       });
@@ -191,6 +190,7 @@ class LinearlyImplicit {
 
   // Without a motor, with a rigid gear or in one stage, most of the table is zero.
   static ARM_INLINE constexpr bool matters(int j, int input) {
+    if constexpr (N > kUnrollLimit) return true;
     const bool motor = S::joint[j].motor.present, elastic = motor && !S::joint[j].gear.rigid;
     const bool each[] = {motor, elastic, elastic, true, motor, true, stages == 2};
     return each[input];

@@ -1,11 +1,11 @@
 // The machine: motors, gears and links of one scene, and their way through time.
 #pragma once
 
-#include <bit>
 #include <cstdint>
 #include <type_traits>
 
 #include "energy.hpp"
+#include "finite.hpp"
 #include "linearly_implicit.hpp"
 #include "paper_scheme.hpp"
 #include "two_threads.hpp"
@@ -35,7 +35,6 @@ class Machine {
       x.i[j] = 0.0;
       x.tm[j] = q[j] / Ng;
       x.wm[j] = v[j] / Ng;
-      V[j] = 0.0;
     }
     threads.reset(x);
     balance.reset(x);
@@ -53,7 +52,7 @@ class Machine {
   // The same for `rows` rows of voltages. The links' positions after each row go to `q`.
   int follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
     if (fault >= 0) return fault;
-    Course course = {voltage, q, steps, 0};
+    Course course = {voltage, q, steps, 0, {}};
     std::int64_t count = rows * steps;
     if (steps == 0)
       for (std::int64_t row = 0; row < rows; ++row) course.end_row(x);
@@ -123,8 +122,9 @@ class Machine {
     double* q;              // for the positions after this row
     std::int64_t steps;     // of a row
     std::int64_t left;      // of this row
+    Vector V;               // of this row, within the supply
 
-    ARM_INLINE void begin_row(Vector& V) {
+    ARM_INLINE void begin_row() {
       for_each<N>([&](auto j) __attribute__((always_inline)) {
         V[j] = clamp(voltage[j], S::supply_voltage);
       });
@@ -141,14 +141,14 @@ class Machine {
   __attribute__((noinline, noclone)) void run(Course& course, int count) {
     State<N> y = x;  // here, as `left`, where the compiler may keep it in registers
     std::int64_t left = course.left;
-    double power = EnergyBalance<S>::largest_power(y, V), energy = 0.0;
+    double power = EnergyBalance<S>::largest_power(y, course.V), energy = 0.0;
     for (int s = 0; s < count; ++s) {
       if (left == 0) {
-        course.begin_row(V);
-        power = EnergyBalance<S>::largest_power(y, V);
+        course.begin_row();
+        power = EnergyBalance<S>::largest_power(y, course.V);
         left = course.steps;
       }
-      threads.step(y, V);
+      threads.step(y, course.V);
       energy += h * power;
       if (--left == 0) course.end_row(y);
     }
@@ -182,14 +182,13 @@ class Machine {
   }
 
   // The first joint whose state is not finite, or that turns so far in one step that the result
-  // means nothing; -1 if there is none. Reads bit patterns, since this unit is compiled for finite
-  // arithmetic and may take a comparison with NaN as it likes.
+  // means nothing; -1 if there is none.
   int joint_out_of_bounds(const State<N>& s) const {
     for (int j = 0; j < N; ++j) {
       const double Ng = S::joint[j].gear.Ng;
       const double values[] = {s.i[j], s.tm[j], s.wm[j], s.q[j], s.v[j]};
       for (const double value : values)
-        if ((std::bit_cast<std::uint64_t>(value) >> 52 & 0x7ff) == 0x7ff) return j;
+        if (!is_finite(value)) return j;
       if (h * clamp(s.v[j], 1e300) > kLargestTurn || h * clamp(s.v[j], 1e300) < -kLargestTurn ||
           h * Ng * s.wm[j] > kLargestTurn || h * Ng * s.wm[j] < -kLargestTurn)
         return j;
@@ -206,7 +205,6 @@ class Machine {
   double h;
   Threads threads;
   State<N> x = {};
-  Vector V = {};
   EnergyBalance<S> balance;
   int fault = -1;  // the joint that went out of bounds
   std::int64_t steps_taken = 0;
