@@ -7,6 +7,7 @@ from typing import Any
 
 from bench.ns_per_step import fastest_mujoco
 from bench.stability_map import everywhere_bounded
+from emulator_node.scene import SCHEMES
 
 # what, wanted, reached, whether it is; None: nothing to hold it against, or not measured
 Row = tuple[str, str, str, bool | None]
@@ -91,7 +92,7 @@ def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
 
 
 def _stability(figures: dict[str, Any]) -> Iterator[Row]:
-    for scheme in ("rosenbrock", "implicit"):
+    for scheme in ("rosenbrock", "extrapolated", "implicit"):
         holds = everywhere_bounded(figures, scheme)
         reached = "everywhere" if holds else "not everywhere"
         yield f"{scheme} bounded on the stability map", "everywhere", reached, holds
@@ -99,7 +100,7 @@ def _stability(figures: dict[str, Any]) -> Iterator[Row]:
 
 def _energy(figures: dict[str, Any]) -> Iterator[Row]:
     reached = []
-    for scheme in ("paper", "implicit", "rosenbrock"):
+    for scheme in SCHEMES:
         row = next(row for row in figures["rows"][scheme] if row["dt"] == 1e-4)
         drift = row["drift"]
         reached.append(f"{scheme} {'diverged' if drift is None else f'{drift:+.1e} J'}")

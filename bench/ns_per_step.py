@@ -27,7 +27,7 @@ TITLE = "Time per step"
 
 ROBOTS = {"three_axis": 3, "ur5": 6, "panda": 7}
 CHAINS = (12, 24)
-STEPS = {"paper": 20_000, "implicit": 20_000, "rosenbrock": 20_000}  # in one measurement
+STEPS = dict.fromkeys(SCHEMES, 20_000)  # in one measurement
 MUJOCO_STEPS = 2_000
 ABA_CALLS = 2_000
 DT = 1e-5  # s; what a step costs does not depend on it

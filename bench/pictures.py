@@ -8,7 +8,12 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 # Colours of our schemes; colours and markers of the others.
-COLOURS = {"paper": "#d9731a", "implicit": "#3c8f4f", "rosenbrock": "#2a6fb0"}
+COLOURS = {
+    "paper": "#d9731a",
+    "implicit": "#3c8f4f",
+    "rosenbrock": "#2a6fb0",
+    "extrapolated": "#0aa5a0",
+}
 PEERS = {
     "MuJoCo Euler": ("#8c8c8c", "v"),
     "MuJoCo implicit": ("#b58fc7", "<"),

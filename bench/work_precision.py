@@ -33,7 +33,7 @@ AGREEMENT = 1e-6  # rad; beyond this the two machines are not the same
 FROM_PYTHON = "rosenbrock, called every period"
 SCIPY_METHODS = ("RK45", "LSODA")
 # Wall time of a step per joint, a guess for planning only [s].
-GUESS = {"paper": 15e-9, "implicit": 18e-9, "rosenbrock": 32e-9}
+GUESS = {"paper": 15e-9, "implicit": 18e-9, "rosenbrock": 32e-9, "extrapolated": 20e-9}
 GUESS_MUJOCO = {"implicit": 1.1e-6, "RK4": 2.0e-6}
 GUESS_MUJOCO_OTHERS = 0.65e-6
 

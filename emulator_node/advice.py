@@ -26,7 +26,7 @@ from emulator_node.chain import Array
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import SCHEMES, Scene, load_scene
 
-ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2}
+ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
 # Of the differences. They may stay for a while what they are where a fast motion is not resolved,
 # such as the ringing of a stiff gear; they do not sum up then.

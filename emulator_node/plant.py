@@ -25,6 +25,7 @@ IDEAL_COUNTS_PER_TURN = 2**20
 LARGEST_POSITION = 1e6  # rad or m
 LARGEST_COUNT = 2.0**52
 LARGEST_STEPS = 10**15
+NOT_FINITE = -2  # what the core answers to a voltage that is not
 
 
 class Diverged(RuntimeError):
@@ -106,6 +107,7 @@ class Plant:
         self.scene = scene
         self.core = _declare(library_of(scene))
         self._N = len(scene.joints)
+        self._shape = (self._N,)
         self.machine = self.core.arm_new(scene.integrator.dt, scene.cores[1])
         self._voltage = np.zeros(self._N)
         self._voltage_pointer = _pointer(self._voltage)
@@ -162,9 +164,17 @@ class Plant:
             Refusal: wrong shape, not finite, or a negative count; the state is as before.
             Diverged: the integration failed; the state is the last one within bounds.
         """
-        self._voltage[:] = self._vector(voltage, "Plant.advance", "voltage", "V")
         _check_steps(steps, "Plant.advance")
+        # This is called every servo period: an array that fits is looked at by the core alone.
+        if not (isinstance(voltage, np.ndarray) and voltage.shape == self._shape):
+            voltage = self._vector(voltage, "Plant.advance", "voltage", "V")
+        try:
+            np.copyto(self._voltage, voltage, casting="same_kind")
+        except TypeError:
+            raise Refusal("Plant.advance", "voltage", "be numbers [V]", voltage) from None
         joint = self.core.arm_advance(self.machine, self._voltage_pointer, steps)
+        if joint == NOT_FINITE:
+            raise Refusal("Plant.advance", "voltage", "be finite [V]", voltage)
         self._check(joint)
 
     def run(self, voltages: ArrayLike, steps: int) -> Array:
@@ -256,7 +266,7 @@ class Plant:
 
     def _vector(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
         try:
-            array = np.array(values, dtype=np.float64)
+            array = np.array(values).astype(np.float64, casting="same_kind")
         except (TypeError, ValueError):
             raise Refusal(where, quantity, f"be numbers [{unit}]", values) from None
         if array.shape != (self._N,):

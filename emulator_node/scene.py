@@ -21,7 +21,7 @@ from arm_emulator.refusal import Refusal
 from arm_emulator.yaml_file import read_yaml
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 
-SCHEMES = ("rosenbrock", "implicit", "paper")
+SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
 EXCHANGES = ("predict", "lag")
 LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
 
@@ -169,7 +169,7 @@ def _build(root: _Section, file: Path) -> Scene:
     threads = root.integer("threads", default=1, at_least=1, at_most=2)
     if threads == 2 and integrator.scheme == "rosenbrock":
         rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
-        raise root.refusal("threads", rule, 2, "2 with scheme paper or implicit")
+        raise root.refusal("threads", rule, 2, "2 with another scheme")
     cores = _cores(root)
     root.finish()
     return Scene(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +51,19 @@ def test_same_bits_however_the_steps_are_asked_for(plant: Plant) -> None:
         assert plant.t == 1000 * 1e-4
 
 
+@pytest.mark.parametrize("steps", [0, 1, 3, 16, 50])
+def test_same_bits_in_rows_as_one_by_one(plant: Plant, steps: int) -> None:
+    rows = np.random.default_rng(1).uniform(-60.0, 60.0, (40, 3))  # beyond the supply, too
+    one_by_one = []
+    for row in rows:
+        plant.advance(row, steps)
+        one_by_one.append(plant.state.q)
+    end = as_bytes(plant)
+    plant.reset()
+    assert plant.run(rows, steps).tobytes() == np.array(one_by_one).tobytes()
+    assert as_bytes(plant) == end
+
+
 def test_two_plants_do_not_share_anything() -> None:
     scene = load_scene("three_axis")
     one, other = Plant(scene), Plant(scene)
@@ -63,10 +77,14 @@ def test_two_plants_do_not_share_anything() -> None:
         ([1.0, 2.0], r"Plant.advance: voltage must have shape \(3,\), got \(2,\)"),
         ([1.0, np.nan, 0.0], r"Plant.advance: voltage must be finite \[V\], got .*nan"),
         ([1.0, np.inf, 0.0], r"voltage must be finite \[V\]"),
+        (np.array([1.0, np.nan, 0.0]), r"voltage must be finite \[V\]"),
         (["a", "b", "c"], r"voltage must be numbers \[V\]"),
+        ([1.0, None, 0.0], r"voltage must be numbers \[V\]"),
+        (np.array([1.0, 2.0j, 0.0]), r"voltage must be numbers \[V\]"),
+        (np.zeros((3, 1)), r"voltage must have shape \(3,\), got \(3, 1\)"),
     ],
 )
-def test_bad_voltages_change_nothing(plant: Plant, voltage: list[float], words: str) -> None:
+def test_bad_voltages_change_nothing(plant: Plant, voltage: Any, words: str) -> None:
     before = as_bytes(plant)
     with pytest.raises(Refusal, match=words):
         plant.advance(voltage, 1)
@@ -95,6 +113,21 @@ def test_divergence_is_caught_at_the_last_state_within_bounds() -> None:
     assert plant.t == held.t
     plant.reset()
     plant.advance([0.0, 0.0, 0.0], 10)
+
+
+@pytest.mark.parametrize("steps", [1, 3, 40])
+def test_divergence_within_rows_is_that_of_one_by_one(steps: int) -> None:
+    overrides = {"integrator.scheme": "paper", "integrator.dt": 1e-2, "servo_period": 1e-2}
+    plant = Plant(load_scene("three_axis", overrides=overrides))
+    rows = np.random.default_rng(2).uniform(-20.0, 20.0, (1000, 3))
+    with pytest.raises(Diverged):
+        for row in rows:
+            plant.advance(row, steps)
+    t, end = plant.t, as_bytes(plant)
+    plant.reset()
+    with pytest.raises(Diverged):
+        plant.run(rows, steps)
+    assert plant.t == t and as_bytes(plant) == end
 
 
 def test_free_pendulum_keeps_its_period(tmp_path: Path) -> None:

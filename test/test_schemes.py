@@ -18,7 +18,7 @@ from bench.reference import links_model, reference, reference_states
 from emulator_node.plant import Plant
 from emulator_node.scene import SCHEMES, Scene, load_scene
 
-ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2}
+ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 PERIOD = 1e-2  # s, over which a voltage is held
 ROWS = 30
 
@@ -188,7 +188,7 @@ def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
 # Limits
 
 
-@pytest.mark.parametrize("scheme", ["implicit", "rosenbrock"])
+@pytest.mark.parametrize("scheme", ["implicit", "rosenbrock", "extrapolated"])
 def test_stiff_gears_converge_to_the_rigid_gear(scheme: str) -> None:
     """The wind-up is T / Kg."""
     rigid = motion("rigid gear", scheme, 200)
@@ -231,7 +231,7 @@ def test_small_inductances_converge_to_none(scheme: str) -> None:
     ids=["dry friction", "limit", "limit without inductance", "limit with rigid gear"],
 )
 def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str, Any]) -> None:
-    """The three schemes meet at the same motion; the instant of a switch is known to one step."""
+    """All schemes meet at the same motion; the instant of a switch is known to one step."""
     t = PERIOD * np.arange(ROWS)[:, None]
     rows = 12.0 * np.sin(2.0 * np.pi * (1.5 + 0.3 * np.arange(3)) * t + np.arange(3))
 
@@ -242,9 +242,9 @@ def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str,
     for scheme in SCHEMES:
         errors = np.array([np.abs(run(scheme, n) - fine).max() for n in (50, 400)])
         # Eight times the steps: an eighth of the error; a switch may fall well or badly into its
-        # step, which for rosenbrock is nearly all of the (small) error.
-        assert errors[0] / errors[1] > {"rosenbrock": 2.0}.get(scheme, 6.0)
-        assert errors[1] < {"rosenbrock": 2e-5}.get(scheme, 2e-4)
+        # step, which for the second order is nearly all of the (small) error.
+        assert errors[0] / errors[1] > {1: 6.0, 2: 2.0}[ORDERS[scheme]]
+        assert errors[1] < {1: 2e-4, 2: 2e-5}[ORDERS[scheme]]
 
 
 @pytest.mark.parametrize("machine", ["everything", "no inductance", "rigid gear"])
@@ -285,11 +285,11 @@ def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: flo
         plant.advance([0.0], 1)
     # It stops at the end of the step in which it reverses; a first-order scheme is off by about a
     # step more (relative error of dt Dl / (2 I) over the whole time with viscous friction).
-    slack = 0.0 if scheme == "rosenbrock" or not viscous else dt * viscous / INERTIA * time
+    slack = 0.0 if ORDERS[scheme] == 2 or not viscous else dt * viscous / INERTIA * time
     assert -slack - 1e-9 <= plant.t - time <= dt + slack + 1e-9
     # Of first order: v0 dt / 2 from the sum over speeds at one end of each step; of second: the
     # step of the reversal, (Dc / I) dt^2.
-    bound = 0.6 * v0 * dt if scheme != "rosenbrock" else Dc / INERTIA * dt**2
+    bound = 0.6 * v0 * dt if ORDERS[scheme] == 1 else Dc / INERTIA * dt**2
     rest = plant.state.q[0]
     assert rest == pytest.approx(distance, abs=bound)
     plant.advance([0.0], 100_000)

@@ -86,7 +86,7 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
     assert differences[1e-4] / differences[1e-5] == pytest.approx([10.0] * 3, rel=0.02)
 
 
-@pytest.mark.parametrize("scheme", ["paper", "implicit"])
+@pytest.mark.parametrize("scheme", ["paper", "implicit", "extrapolated"])
 def test_predicting_makes_the_lag_an_error_of_second_order(scheme: str) -> None:
     differences = []
     for dt in (1e-3, 5e-4, 2.5e-4):

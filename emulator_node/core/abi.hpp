@@ -16,18 +16,15 @@ extern "C" {
 TheMachine* arm_new(double dt, int core) { return new TheMachine(dt, core); }
 void arm_delete(TheMachine* machine) { delete machine; }
 void arm_reset(TheMachine* machine, const double* q, const double* v) { machine->reset(q, v); }
+// Returns -1, the joint that went out of bounds, or -2 if a voltage is not finite.
 int arm_advance(TheMachine* machine, const double* voltage, std::int64_t steps) {
+  if (!std::all_of(voltage, voltage + N, arm::is_finite)) return -2;
   return machine->advance(voltage, steps);
 }
 // `rows` rows of N voltages, `steps` steps each; q after each row goes to `q`.
 int arm_run(TheMachine* machine, const double* voltage, std::int64_t rows, std::int64_t steps,
             double* q) {
-  for (std::int64_t row = 0; row < rows; ++row, voltage += N, q += N) {
-    const int joint = machine->advance(voltage, steps);
-    if (joint >= 0) return joint;
-    std::copy_n(machine->state().q, N, q);
-  }
-  return -1;
+  return machine->follow(voltage, rows, steps, q);
 }
 double arm_time(const TheMachine* machine) { return machine->time(); }
 double arm_energy(const TheMachine* machine) { return machine->energy(); }

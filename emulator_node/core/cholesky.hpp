@@ -38,14 +38,6 @@ struct Cholesky {
  private:
   // Short dependent loops: unrolling pays up to larger sizes than elsewhere.
   static constexpr int kUnroll = 24;
-
-  template <class Index>
-  static ARM_INLINE constexpr auto next(Index j) {
-    if constexpr (std::is_same_v<Index, int>)
-      return j + 1;
-    else
-      return std::integral_constant<int, Index::value + 1>{};
-  }
 };
 
 }  // namespace arm

@@ -77,15 +77,22 @@ class EnergyBalance {
     steps = 0;
   }
 
-  // `count` steps of h were taken to x with the voltages V. Returns -1, or the joint that holds the
-  // most of an energy that came from nowhere.
-  int after(const State<N>& x, const double (&V)[N], double h, int count) {
+  // What the motors give at most at the voltages V [W].
+  ARM_INLINE static double largest_power(const State<N>& x, const double (&V)[N]) {
     double power = 0.0;
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      power += largest_power(S::joint[j], V[j],
-                             S::joint[j].gear.rigid ? x.v[j] / S::joint[j].gear.Ng : x.wm[j]);
+      power += arm::largest_power(S::joint[j], V[j],
+                                  S::joint[j].gear.rigid ? x.v[j] / S::joint[j].gear.Ng : x.wm[j]);
     });
-    at_most += h * count * power;
+    return power;
+  }
+
+  // The motors have given at most E [J].
+  void give(double E) { at_most += E; }
+
+  // `count` steps have led to x. Returns -1, or the joint that holds the most of an energy that
+  // came from nowhere.
+  int broken_by(const State<N>& x, int count) {
     steps += count;
     if (steps < kCheckEvery) return -1;
     steps = 0;

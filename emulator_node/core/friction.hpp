@@ -39,7 +39,7 @@ class Friction {
       // Each round frees one joint, so there are at most N.
       do {
         factor_unlocked(W);
-        for (int j = 0; j < N; ++j) x[j] = rhs[j];
+        for (int j = 0; j < N; ++j) x[j] = rhs[j] - S::joint[j].Dc * direction[j];
         solve_again(x);
       } while (free_one(W, rhs, x));
     }
@@ -47,14 +47,14 @@ class Friction {
 
   ARM_INLINE void solve_again(double (&x)[N]) const {
     if constexpr (present())
-      for (int j = 0; j < N; ++j) x[j] = locked[j] ? 0.0 : x[j] - force(j);
+      for (int j = 0; j < N; ++j) x[j] = locked[j] ? 0.0 : x[j];
     factors.solve(x);
   }
 
-  // Torque against the motion of joint j, as long as it slides.
+  // Torque against the motion of joint j, or of the lock that holds it.
   ARM_INLINE double force(int j) const {
     if constexpr (present())
-      return S::joint[j].Dc * direction[j];
+      return locked[j] ? held[j] : S::joint[j].Dc * direction[j];
     else
       return 0.0;
   }
@@ -82,8 +82,9 @@ class Friction {
     double excess = 0.0, way = 0.0;
     for (int j = 0; j < N; ++j) {
       if (!locked[j]) continue;
-      double torque = rhs[j];  // that the lock holds
+      double torque = rhs[j];
       for (int k = 0; k < N; ++k) torque -= (k >= j ? W[j][k] : W[k][j]) * x[k];
+      held[j] = torque;
       const double size = torque < 0.0 ? -torque : torque;
       if (size - S::joint[j].Ds > excess) {
         worst = j;
@@ -100,6 +101,7 @@ class Friction {
   Cholesky<N> factors;
   bool locked[N] = {};
   double direction[N] = {};
+  double held[N] = {};  // torque of a lock [N m]
 };
 
 }  // namespace arm

@@ -35,6 +35,15 @@ ARM_INLINE void for_each_reverse(Body&& body) {
   }
 }
 
+// The index after j, as constant as j is.
+template <class Index>
+ARM_INLINE constexpr auto next(Index j) {
+  if constexpr (std::is_same_v<Index, int>)
+    return j + 1;
+  else
+    return std::integral_constant<int, Index::value + 1>{};
+}
+
 // body(j) for j = first .. N-1, with the constants of `first` kept.
 template <int N, class Index, class Body>
 ARM_INLINE void for_each_from(Index first, Body&& body) {

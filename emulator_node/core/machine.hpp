@@ -1,11 +1,11 @@
 // The machine: motors, gears and links of one scene, and their way through time.
 #pragma once
 
-#include <bit>
 #include <cstdint>
 #include <type_traits>
 
 #include "energy.hpp"
+#include "finite.hpp"
 #include "linearly_implicit.hpp"
 #include "paper_scheme.hpp"
 #include "two_threads.hpp"
@@ -35,42 +35,51 @@ class Machine {
       x.i[j] = 0.0;
       x.tm[j] = q[j] / Ng;
       x.wm[j] = v[j] / Ng;
-      V[j] = 0.0;
     }
     threads.reset(x);
     balance.reset(x);
     fault = -1;
-    steps = 0;
+    steps_taken = 0;
   }
 
-  // Take `count` steps with the voltages held, clamped to the supply. Returns -1, or the joint that
+  // Take `steps` steps with the voltages held, clamped to the supply. Returns -1, or the joint that
   // went out of bounds: then the state is the last one within, until reset.
-  int advance(const double* voltage, std::int64_t count) {
+  int advance(const double* voltage, std::int64_t steps) {
+    double q[N];
+    return follow(voltage, 1, steps, q);
+  }
+
+  // The same for `rows` rows of voltages. The links' positions after each row go to `q`.
+  int follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
     if (fault >= 0) return fault;
-    for (int j = 0; j < N; ++j) V[j] = clamp(voltage[j], S::supply_voltage);
+    Course course = {voltage, q, steps, 0, {}};
+    std::int64_t count = rows * steps;
+    if (steps == 0)
+      for (std::int64_t row = 0; row < rows; ++row) course.end_row(x);
     threads.begin(count);
     while (count > 0) {
       const int chunk = count < kCheckEvery ? static_cast<int>(count) : kCheckEvery;
       const State<N> before = x;
+      const Course course_before = course;
       const auto memory = threads.memory();
-      run(chunk);
+      run(course, chunk);
       if (joint_out_of_bounds(x) >= 0) {
         go_back(before, memory);
-        return fault = creep_to_the_fault(chunk);
+        return fault = creep_to_the_fault(course_before, chunk);
       }
-      fault = balance.after(x, V, h, chunk);
+      fault = balance.broken_by(x, chunk);
       if (fault >= 0) {
         go_back(before, memory);
         return fault;
       }
-      steps += chunk;
+      steps_taken += chunk;
       count -= chunk;
     }
     threads.end();
     return -1;
   }
 
-  double time() const { return static_cast<double>(steps) * h; }
+  double time() const { return static_cast<double>(steps_taken) * h; }
   const State<N>& state() const { return x; }
 
   // A rigid gear's motor follows its link.
@@ -107,9 +116,46 @@ class Machine {
   static constexpr int kCheckEvery = 16;
   static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
 
-  // Not inlined: every step, however it is asked for, runs the same instructions and gives the same
-  // bits.
-  __attribute__((noinline)) void run(int count) { threads.run(x, V, count); }
+  // What is to be done: rows of voltages, each for some steps.
+  struct Course {
+    const double* voltage;  // of the next row
+    double* q;              // for the positions after this row
+    std::int64_t steps;     // of a row
+    std::int64_t left;      // of this row
+    Vector V;               // of this row, within the supply
+
+    ARM_INLINE void begin_row() {
+      for_each<N>([&](auto j) __attribute__((always_inline)) {
+        V[j] = clamp(voltage[j], S::supply_voltage);
+      });
+      voltage += N;
+    }
+    ARM_INLINE void end_row(const State<N>& x) {
+      for_each<N>([&](auto j) __attribute__((always_inline)) { q[j] = x.q[j]; });
+      q += N;
+    }
+  };
+
+  // Neither inlined nor cloned: every step, however it is asked for, runs the same instructions and
+  // gives the same bits.
+  __attribute__((noinline, noclone)) void run(Course& course, int count) {
+    State<N> y = x;  // here, as `left`, where the compiler may keep it in registers
+    std::int64_t left = course.left;
+    double power = EnergyBalance<S>::largest_power(y, course.V), energy = 0.0;
+    for (int s = 0; s < count; ++s) {
+      if (left == 0) {
+        course.begin_row();
+        power = EnergyBalance<S>::largest_power(y, course.V);
+        left = course.steps;
+      }
+      threads.step(y, course.V);
+      energy += h * power;
+      if (--left == 0) course.end_row(y);
+    }
+    course.left = left;
+    x = y;
+    balance.give(energy);
+  }
 
   void go_back(const State<N>& before, const typename Threads::Memory& memory) {
     threads.end();
@@ -118,32 +164,31 @@ class Machine {
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
-  int creep_to_the_fault(int chunk) {
+  int creep_to_the_fault(Course course, int chunk) {
     for (int s = 0; s < chunk; ++s) {
       const State<N> before = x;
       const auto memory = threads.memory();
       threads.begin(1);
-      run(1);
+      run(course, 1);
       const int joint = joint_out_of_bounds(x);
       if (joint >= 0) {
         go_back(before, memory);
         return joint;
       }
       threads.end();
-      ++steps;
+      ++steps_taken;
     }
     __builtin_unreachable();  // the same steps as before end at the same fault
   }
 
   // The first joint whose state is not finite, or that turns so far in one step that the result
-  // means nothing; -1 if there is none. Reads bit patterns, since this unit is compiled for finite
-  // arithmetic and may take a comparison with NaN as it likes.
+  // means nothing; -1 if there is none.
   int joint_out_of_bounds(const State<N>& s) const {
     for (int j = 0; j < N; ++j) {
       const double Ng = S::joint[j].gear.Ng;
       const double values[] = {s.i[j], s.tm[j], s.wm[j], s.q[j], s.v[j]};
       for (const double value : values)
-        if ((std::bit_cast<std::uint64_t>(value) >> 52 & 0x7ff) == 0x7ff) return j;
+        if (!is_finite(value)) return j;
       if (h * clamp(s.v[j], 1e300) > kLargestTurn || h * clamp(s.v[j], 1e300) < -kLargestTurn ||
           h * Ng * s.wm[j] > kLargestTurn || h * Ng * s.wm[j] < -kLargestTurn)
         return j;
@@ -160,10 +205,9 @@ class Machine {
   double h;
   Threads threads;
   State<N> x = {};
-  Vector V = {};
   EnergyBalance<S> balance;
   int fault = -1;  // the joint that went out of bounds
-  std::int64_t steps = 0;
+  std::int64_t steps_taken = 0;
 };
 
 }  // namespace arm

@@ -19,6 +19,12 @@ class PaperScheme {
       if (S::joint[j].motor.present) motor[j] = motor_step(S::joint[j].motor, S::joint[j].gear, h);
   }
 
+  // It takes nothing from the past.
+  struct Memory {};
+  void reset(const State<N>&) {}
+  Memory memory() const { return {}; }
+  void restore(Memory) {}
+
   // From sample k to k + 1 with the voltages V, the links' part taken at sample k.
   ARM_INLINE void step(State<N>& x, const double (&V)[N]) {
     typename Links<S>::Dynamics links;

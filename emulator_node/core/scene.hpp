@@ -6,7 +6,7 @@
 
 namespace arm {
 
-enum class Scheme { paper, implicit, rosenbrock };
+enum class Scheme { paper, implicit, rosenbrock, extrapolated };
 // What two threads exchange: see two_threads.hpp.
 enum class Exchange { lag, predict };
 enum class JointKind { revolute, prismatic };

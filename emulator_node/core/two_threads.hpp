@@ -67,6 +67,7 @@ class TwoThreads {
   struct Memory {
     double v[N];
     double q_links[N], v_links[N];  // where that links' part was taken
+    typename Stepper::Memory stepper;
   };
 
   // Begin at a state with no past.
@@ -75,20 +76,27 @@ class TwoThreads {
       past.v[j] = past.v_links[j] = x.v[j];
       past.q_links[j] = x.q[j];
     }
+    stepper.reset(x);
+    past.stepper = stepper.memory();
     restore(past);
   }
 
-  const Memory& memory() const { return past; }
+  Memory memory() const {
+    Memory memory = past;
+    memory.stepper = stepper.memory();
+    return memory;
+  }
 
   // Go back to a memory. The links' part is worked out anew, by the same instructions.
   void restore(const Memory& memory) {
     past = memory;
+    stepper.restore(memory.stepper);
     Dynamics links;
     evaluate(past.q_links, past.v_links, links);
     parcels[(asked.load() + 1) & 1].pack(links);
   }
 
-  // A burst of `count` steps is coming, in one or several calls of `run`.
+  // A burst of `count` steps is coming, one by one.
   void begin(std::int64_t count) {
     target.store(asked.load() + count);
     wake();
@@ -100,24 +108,22 @@ class TwoThreads {
     wait_for(asked.load());
   }
 
-  void run(State<N>& x, const double (&V)[N], int count) {
-    Dynamics links;
-    for (int s = 0; s < count; ++s) {
-      const std::int64_t k = asked.load(std::memory_order_relaxed);
-      Sample& sample = samples[k & 1];
-      for (int j = 0; j < N; ++j) {
-        const double change = x.v[j] - past.v[j];
-        const double ahead = S::exchange == Exchange::predict ? 1.0 : 0.0;
-        sample.v[j] = past.v_links[j] = x.v[j] + ahead * change;
-        sample.q[j] = past.q_links[j] = x.q[j] + ahead * h * (x.v[j] + end_of_step * change);
-        past.v[j] = x.v[j];
-      }
-      asked.store(k + 1, std::memory_order_release);
-      wait_for(k);
-      parcels[(k + 1) & 1].fetch();
-      parcels[(k + 1) & 1].unpack(links);
-      stepper.step(x, V, links);
+  ARM_INLINE void step(State<N>& x, const double (&V)[N]) {
+    const std::int64_t k = asked.load(std::memory_order_relaxed);
+    Sample& sample = samples[k & 1];
+    for (int j = 0; j < N; ++j) {
+      const double change = x.v[j] - past.v[j];
+      const double ahead = S::exchange == Exchange::predict ? 1.0 : 0.0;
+      sample.v[j] = past.v_links[j] = x.v[j] + ahead * change;
+      sample.q[j] = past.q_links[j] = x.q[j] + ahead * h * (x.v[j] + end_of_step * change);
+      past.v[j] = x.v[j];
     }
+    asked.store(k + 1, std::memory_order_release);
+    wait_for(k);
+    Dynamics links;
+    parcels[(k + 1) & 1].fetch();
+    parcels[(k + 1) & 1].unpack(links);
+    stepper.step(x, V, links);
   }
 
  private:
@@ -217,17 +223,15 @@ class TwoThreads {
 template <class S, class Stepper>
 class OneThread {
  public:
-  struct Memory {};
+  using Memory = typename Stepper::Memory;
 
   OneThread(double step, int) : stepper(step) {}
-  void reset(const State<S::N>&) {}
-  Memory memory() const { return {}; }
-  void restore(Memory) {}
+  void reset(const State<S::N>& x) { stepper.reset(x); }
+  const Memory& memory() const { return stepper.memory(); }
+  void restore(const Memory& memory) { stepper.restore(memory); }
   void begin(std::int64_t) {}
   void end() {}
-  ARM_INLINE void run(State<S::N>& x, const double (&V)[S::N], int count) {
-    for (int s = 0; s < count; ++s) stepper.step(x, V);
-  }
+  ARM_INLINE void step(State<S::N>& x, const double (&V)[S::N]) { stepper.step(x, V); }
 
  private:
   Stepper stepper;
