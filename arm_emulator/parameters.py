@@ -55,13 +55,13 @@ def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters
 
 
 def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
-    """Return the parameters that a ROS parameter file holds for a node, by name or by `/**`.
+    """Return the parameters that a ROS parameter file holds for a node, by name or wildcard.
 
     Raises:
         Refusal: no parameters of that node.
     """
     document = read_yaml(path)
-    for name in (node, f"/{node}", "/**"):
+    for name in (node, f"/{node}", f"/**/{node}", "/**"):
         section = document.get(name)
         if isinstance(section, Mapping) and isinstance(section.get("ros__parameters"), Mapping):
             return dict(section["ros__parameters"])

@@ -136,8 +136,8 @@ class User:
         """Call services one right after the other: True or False for SetBool, None for Trigger.
 
         A server that has not found this client yet loses its answer, and a client does not notice
-        that its server was killed: what has no answer is asked again. All but a step may be done
-        twice; the first step that a test asks for must be one that may be, too.
+        that its server was killed: what no server has ever answered is asked again. So the first
+        step that a test asks for must be one that may be done twice.
         """
         asked = []
         for name, request in calls:
@@ -156,7 +156,7 @@ class User:
             if time.monotonic() > ask_at:
                 ask_at = time.monotonic() + ASK_AGAIN
                 for name, client, message, futures in waiting:
-                    if name not in self._answered or not name.endswith("/step"):
+                    if name not in self._answered:
                         futures.append(client.call_async(message))
             return not waiting
 
@@ -210,6 +210,7 @@ class User:
         for publisher in self.node.publishers:
             known = self._listeners(publisher.topic_name)
             self._gone.update(who for who, name in known if name == node)
+        self._answered = {name for name in self._answered if not name.startswith(f"{node}/")}
 
     def _listeners(self, topic: str) -> list[tuple[bytes, str]]:
         """Return identity and node of every known listener on a topic."""

@@ -416,7 +416,7 @@ def test_parameter_file_may_write_numbers_as_ros_takes_them(tmp_path: Path) -> N
     assert load_servo_config(file).period == 1e-3
 
 
-@pytest.mark.parametrize("node", ["servo", "/servo", "/**"])
+@pytest.mark.parametrize("node", ["servo", "/servo", "/**/servo", "/**"])
 def test_parameter_files_may_name_the_node_or_all_nodes(tmp_path: Path, node: str) -> None:
     file = tmp_path / "servo.yaml"
     file.write_text(yaml.safe_dump({node: {"ros__parameters": parameters()}}))
