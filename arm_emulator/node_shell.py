@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import signal
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from arm_emulator.ctrl_c import CtrlC
 from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked
 from arm_emulator.refusal import Refusal
@@ -211,9 +211,11 @@ def _init() -> None:
 def run_node(create: Callable[[], Closable]) -> None:
     """Run one node until it is told to stop; exit code 2 and one line if its set-up is refused."""
     node: Any = None
+    ctrl_c = CtrlC()
     try:
         _init()
         node = create()
+        ctrl_c.leave_to_rclpy()
         LeanExecutor(node).spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -226,7 +228,7 @@ def run_node(create: Callable[[], Closable]) -> None:
             raise
     finally:
         # A second Ctrl-C, from the terminal beside the launcher's, must not break off the ending.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        ctrl_c.leave_to_rclpy()
         if node is not None:
             node.close()
             # Not left to the garbage collector: the middleware may leave its shared memory then.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import signal
 import time
 from collections.abc import Collection
 from pathlib import Path
@@ -17,6 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from arm_emulator.bag import BagWriter, Topic
+from arm_emulator.ctrl_c import CtrlC
 from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.refusal import Refusal
 
@@ -35,18 +35,20 @@ def record(out: Path, topics: Collection[str] | None) -> int:
     Raises:
         Refusal: the folder exists, or the disk takes no more.
     """
+    ctrl_c = CtrlC()
     rclpy.init()
     node: Node | None = None
     try:
         with BagWriter(out) as bag:
             node = _Recorder(bag, topics)
+            ctrl_c.leave_to_rclpy()  # nothing must break off the ending
             try:
                 LeanExecutor(node).spin()
-            except (KeyboardInterrupt, ExternalShutdownException):
+            except ExternalShutdownException:
                 pass
-            finally:
-                # A second Ctrl-C must not break off the ending.
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
+            except RuntimeError:  # of rclpy, when a signal shuts it down under a callback
+                if rclpy.ok():
+                    raise
     except OSError as error:
         raise Refusal("record", f"folder {out}", "take what is recorded", error) from None
     finally:

@@ -16,6 +16,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from arm_emulator.bag import NANOSECONDS, Bag
+from arm_emulator.ctrl_c import CtrlC
 from arm_emulator.record import message_class
 from arm_emulator.refusal import Refusal
 
@@ -42,7 +43,9 @@ def replay(path: Path, topics: Collection[str] | None, rate: float, wait: bool) 
         raise Refusal("replay", "rate", "be > 0 and finite", rate)
     bag = Bag(path)
     names = _chosen(bag, topics)
+    ctrl_c = CtrlC()
     rclpy.init()
+    ctrl_c.leave_to_rclpy()
     node = rclpy.create_node("replayer", enable_rosout=False, start_parameter_services=False)
     count, started = 0, time.monotonic()
     try:
@@ -57,8 +60,11 @@ def replay(path: Path, topics: Collection[str] | None, rate: float, wait: bool) 
         count = _publish(bag, publishers, rate)
         for publisher in publishers.values():
             publisher.wait_for_all_acked(ACKNOWLEDGE)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
+    except RuntimeError:  # of rclpy, when a signal shuts it down
+        if rclpy.ok():
+            raise
     finally:
         _end(node)
     cut = "" if bag.complete else "; its recorder did not end it"

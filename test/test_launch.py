@@ -112,6 +112,36 @@ def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
             assert len(before) == lines - 1, complaint
 
 
+INTERRUPTED = """
+import os, signal
+from rclpy.node import Node
+from arm_emulator.node_shell import run_node
+
+def ctrl_c():
+    os.kill(os.getpid(), signal.SIGINT)
+
+class Interrupted(Node):
+    def __init__(self):
+        super().__init__("interrupted")
+        {set_up}
+        self.create_timer(0.01, ctrl_c)
+
+    def close(self):
+        ctrl_c()
+        print("closed")
+
+run_node(Interrupted)
+"""
+
+
+@pytest.mark.parametrize(("set_up", "words"), [("ctrl_c()", ""), ("pass", "closed\n")])
+def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(set_up: str, words: str) -> None:
+    command = [sys.executable, "-c", INTERRUPTED.format(set_up=set_up)]
+    with ros_domain():
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
+    assert (done.stdout, done.stderr) == (words, "")
+
+
 # ---------------------------------------------------------------------------------- arm_emulator up
 
 
