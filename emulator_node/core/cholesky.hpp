@@ -5,18 +5,23 @@
 
 namespace arm {
 
+// The upper triangle is set, row <= column; what else there is in its rows has no meaning.
+template <int N>
+using Symmetric = double[N][kPadded<N>];
+
 template <int N>
 struct Cholesky {
-  double L[N][N];  // L[j][k] is row k, column j of the factor, k > j
+  double L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
   double inverse_D[N];
 
-  // Factor the matrix whose upper triangle is in `M`, which is used up.
-  ARM_INLINE void factor(double (&M)[N][N]) {
+  // Factor `M`, which is used up.
+  ARM_INLINE void factor(Symmetric<N>& M) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       inverse_D[j] = 1.0 / M[j][j];
+      for_each_lane_from<N>(
+          next(j), [&](auto k) __attribute__((always_inline)) { L[j][k] = M[j][k] * inverse_D[j]; });
       for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
-        L[j][k] = M[j][k] * inverse_D[j];
-        for_each_from<N>(
+        for_each_lane_from<N>(
             k, [&](auto i) __attribute__((always_inline)) { M[k][i] -= L[j][k] * M[j][i]; });
       });
     });

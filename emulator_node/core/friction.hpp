@@ -25,7 +25,7 @@ class Friction {
 
   // Decide what each joint does in this step, for W x = rhs, and solve for x. The factors and the
   // decisions serve `solve_again` for a second right-hand side of the same step.
-  ARM_INLINE void solve(double (&W)[N][N], const double (&v)[N], double (&x)[N]) {
+  ARM_INLINE void solve(Symmetric<N>& W, const double (&v)[N], double (&x)[N]) {
     if constexpr (!present()) {
       factors.factor(W);
       factors.solve(x);
@@ -68,8 +68,8 @@ class Friction {
 
  private:
   // M with the rows and columns of the locked joints made those of the identity.
-  void factor_unlocked(const double (&W)[N][N]) {
-    double free[N][N];
+  void factor_unlocked(const Symmetric<N>& W) {
+    Symmetric<N> free;
     for (int j = 0; j < N; ++j)
       for (int k = j; k < N; ++k)
         free[j][k] = !locked[j] && !locked[k] ? W[j][k] : j == k ? 1.0 : 0.0;
@@ -77,7 +77,7 @@ class Friction {
   }
 
   // Free the joint that is the most overloaded; false if every locked joint holds.
-  bool free_one(const double (&W)[N][N], const double (&rhs)[N], const double (&x)[N]) {
+  bool free_one(const Symmetric<N>& W, const double (&rhs)[N], const double (&x)[N]) {
     int worst = -1;
     double excess = 0.0, way = 0.0;
     for (int j = 0; j < N; ++j) {

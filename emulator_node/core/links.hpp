@@ -5,6 +5,7 @@
 // centrifugal and gravity terms, which the paper calls C.
 #pragma once
 
+#include "cholesky.hpp"
 #include "scene.hpp"
 #include "sincos.hpp"
 
@@ -58,7 +59,7 @@ struct Links {
   };
 
   struct MassMatrix {
-    double at[N][N];  // the upper triangle, row <= column, is set
+    Symmetric<N> at;
   };
 
   // All that the equation of motion takes from the links at one (q, v).
@@ -114,7 +115,8 @@ struct Links {
   // Mass matrix: the inertia of all that joint j carries, moved with unit acceleration of joint j,
   // seen by every joint i <= j. The wrenches of all those j go down the chain side by side.
   static ARM_INLINE void mass_matrix(const Kinematics& k, MassMatrix& M) {
-    double fx[N], fy[N], fz[N], nx[N], ny[N], nz[N];
+    constexpr int n = kPadded<N>;
+    double fx[n] = {}, fy[n] = {}, fz[n] = {}, nx[n] = {}, ny[n] = {}, nz[n] = {};
     Body carried = S::joint[N - 1].body;
     for_each_reverse<N>([&](auto i) __attribute__((always_inline)) {
       const bool turns = revolute(i);
@@ -124,10 +126,10 @@ struct Links {
       nx[i] = turns ? carried.I.xz : carried.h.y;
       ny[i] = turns ? carried.I.yz : -carried.h.x;
       nz[i] = turns ? carried.I.zz : 0.0;
-      for_each_from<N>(
+      for_each_lane_from<N>(
           i, [&](auto j) __attribute__((always_inline)) { M.at[i][j] = turns ? nz[j] : fz[j]; });
       if (i == 0) return;
-      for_each_from<N>(i, [&](auto j) __attribute__((always_inline)) {
+      for_each_lane_from<N>(i, [&](auto j) __attribute__((always_inline)) {
         const Wrench w = sum({}, k.link[i], {{fx[j], fy[j], fz[j]}, {nx[j], ny[j], nz[j]}});
         fx[j] = w.f.x, fy[j] = w.f.y, fz[j] = w.f.z;
         nx[j] = w.n.x, ny[j] = w.n.y, nz[j] = w.n.z;

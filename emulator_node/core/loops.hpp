@@ -23,6 +23,11 @@ ARM_INLINE void for_each(Body&& body) {
   }
 }
 
+// Beyond it the innermost loops run over whole groups of so many.
+inline constexpr int kLanes = 8;
+template <int N>
+inline constexpr int kPadded = N <= kUnrollLimit ? N : (N + kLanes - 1) / kLanes * kLanes;
+
 // body(i) for i = N-1 .. 0.
 template <int N, int limit = kUnrollLimit, class Body>
 ARM_INLINE void for_each_reverse(Body&& body) {
@@ -53,6 +58,17 @@ ARM_INLINE void for_each_from(Index first, Body&& body) {
     for_each<N - Index::value, N>([&](auto j) __attribute__((always_inline)) {
       body(std::integral_constant<int, Index::value + decltype(j)::value>{});
     });
+  }
+}
+
+// The same in whole groups of lanes: beyond the unroll limit also for some j before `first` and some
+// from N to kPadded<N>, where there must be room.
+template <int N, class Index, class Body>
+ARM_INLINE void for_each_lane_from(Index first, Body&& body) {
+  if constexpr (std::is_same_v<Index, int>) {
+    for (int j = first / kLanes * kLanes; j < kPadded<N>; ++j) body(j);
+  } else {
+    for_each_from<N>(first, body);
   }
 }
 

@@ -227,7 +227,7 @@ class OneThread {
 
   OneThread(double step, int) : stepper(step) {}
   void reset(const State<S::N>& x) { stepper.reset(x); }
-  const Memory& memory() const { return stepper.memory(); }
+  Memory memory() const { return stepper.memory(); }
   void restore(const Memory& memory) { stepper.restore(memory); }
   void begin(std::int64_t) {}
   void end() {}
