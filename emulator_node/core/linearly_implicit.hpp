@@ -64,29 +64,33 @@ class LinearlyImplicit {
   const Memory& memory() const { return past; }
   void restore(const Memory& memory) { past = memory; }
 
-  // From sample k to k + 1 with the voltages V.
-  ARM_INLINE void step(State<N>& x, const double (&V)[N]) {
-    Dynamics links;
-    Links<S>::dynamics(x.q, x.v, links);
-    step(x, V, links);
-  }
-
-  // The same with the links' part at sample k from elsewhere; it is used up.
-  ARM_INLINE void step(State<N>& x, const double (&V)[N], Dynamics& links) {
+  // From sample k to k + 1 with the voltages V. The links' part comes from `exchange`, which is
+  // given the links as soon as they have moved on (two_threads.hpp).
+  template <class Exchange>
+  ARM_INLINE void step(State<N>& x, const double (&V)[N], Dynamics& links, Exchange& exchange) {
     JointInput z[N];
     Accelerations k1;
     double change[N] = {};
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      links.M.at[j][j] += carried_rotor(S::joint[j]);
       z[j] = begin(x, V, j);
+      k1.torque[j] = answer(&JointResponse::rhs_1, z[j], j);
+    });
+    exchange.take(links);
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      links.M.at[j][j] += carried_rotor(S::joint[j]);
     });
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, z, k1);
     if constexpr (extrapolates) past = k1;
     if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
     if constexpr (stages == 2) second_stage(links, change, z);
-    for_each<N>([&](auto j) __attribute__((always_inline)) { finish(x, V, z[j], j); });
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      x.q[j] += h * (x.v[j] + gamma * h * (z[j].k1_v + 0.5 * z[j].k2_v));
+      x.v[j] += h * (gamma * z[j].k1_v + 0.5 * z[j].k2_v);
+    });
     friction.stop_at_reversal(x.v);
+    exchange.give(x);
+    for_each<N>([&](auto j) __attribute__((always_inline)) { finish_motor(x, V, z[j], j); });
   }
 
  private:
@@ -110,7 +114,6 @@ class LinearlyImplicit {
   ARM_INLINE void first_stage(const State<N>& x, Dynamics& links, JointInput (&z)[N],
                               Accelerations& k1) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      k1.torque[j] = answer(&JointResponse::rhs_1, z[j], j);
       k1.a[j] = k1.torque[j] - links.nle[j];
       links.M.at[j][j] += of(j).diagonal;
     });
@@ -163,8 +166,8 @@ class LinearlyImplicit {
     });
   }
 
-  ARM_INLINE void finish(State<N>& x, const double (&V)[N], const JointInput& z, int j) const {
-    const double s = gamma * h;
+  ARM_INLINE void finish_motor(State<N>& x, const double (&V)[N], const JointInput& z,
+                               int j) const {
     if (S::joint[j].motor.present) {
       x.i[j] += answer(&JointResponse::i, z, j);
       if (!S::joint[j].gear.rigid) {
@@ -172,8 +175,6 @@ class LinearlyImplicit {
         x.wm[j] += answer(&JointResponse::wm, z, j);
       }
     }
-    x.q[j] += h * (x.v[j] + s * (z.k1_v + 0.5 * z.k2_v));
-    x.v[j] += h * (gamma * z.k1_v + 0.5 * z.k2_v);
     follow_voltage(x, V, j);
     if (may_limit(j)) x.i[j] = clamp(x.i[j], S::joint[j].motor.current_limit);
   }

@@ -56,7 +56,7 @@ class Machine {
     std::int64_t count = rows * steps;
     if (steps == 0)
       for (std::int64_t row = 0; row < rows; ++row) course.end_row(x);
-    threads.begin(count);
+    threads.begin(count, x);
     while (count > 0) {
       const int chunk = count < kCheckEvery ? static_cast<int>(count) : kCheckEvery;
       const State<N> before = x;
@@ -168,7 +168,7 @@ class Machine {
     for (int s = 0; s < chunk; ++s) {
       const State<N> before = x;
       const auto memory = threads.memory();
-      threads.begin(1);
+      threads.begin(1, x);
       run(course, 1);
       const int joint = joint_out_of_bounds(x);
       if (joint >= 0) {

@@ -13,6 +13,7 @@ template <class S>
 class PaperScheme {
  public:
   static constexpr int N = S::N;
+  using Dynamics = typename Links<S>::Dynamics;
 
   explicit PaperScheme(double step) : h(step) {
     for (int j = 0; j < N; ++j)
@@ -25,19 +26,16 @@ class PaperScheme {
   Memory memory() const { return {}; }
   void restore(Memory) {}
 
-  // From sample k to k + 1 with the voltages V, the links' part taken at sample k.
-  ARM_INLINE void step(State<N>& x, const double (&V)[N]) {
-    typename Links<S>::Dynamics links;
-    Links<S>::dynamics(x.q, x.v, links);
-    step(x, V, links);
-  }
-
-  // The same with the links' part from elsewhere; it is used up.
-  ARM_INLINE void step(State<N>& x, const double (&V)[N], typename Links<S>::Dynamics& links) {
+  // From sample k to k + 1 with the voltages V. The links' part comes from `exchange`, which is
+  // given the links as soon as they have moved on (two_threads.hpp).
+  template <class Exchange>
+  ARM_INLINE void step(State<N>& x, const double (&V)[N], Dynamics& links, Exchange& exchange) {
     double a[N];
     motors(x, V);
+    exchange.take(links);
     accelerations(x, links, a);
     integrate(x, a);
+    exchange.give(x);
   }
 
  private:
@@ -55,7 +53,7 @@ class PaperScheme {
   }
 
   // Eq. (4) with the motors at sample k + 1.
-  ARM_INLINE void accelerations(const State<N>& x, typename Links<S>::Dynamics& links,
+  ARM_INLINE void accelerations(const State<N>& x, Dynamics& links,
                                 double (&a)[N]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       links.M.at[j][j] += carried_rotor(S::joint[j]);

@@ -96,9 +96,11 @@ class TwoThreads {
     parcels[(asked.load() + 1) & 1].pack(links);
   }
 
-  // A burst of `count` steps is coming, one by one.
-  void begin(std::int64_t count) {
+  // A burst of `count` steps is coming, one by one, from the state x.
+  void begin(std::int64_t count, const State<N>& x) {
+    if (count == 0) return;
     target.store(asked.load() + count);
+    hand_over(x);
     wake();
   }
 
@@ -108,25 +110,48 @@ class TwoThreads {
     wait_for(asked.load());
   }
 
+  // From sample k to k + 1. Sample k is with the Newton-Euler thread already.
   ARM_INLINE void step(State<N>& x, const double (&V)[N]) {
+    const Sample& sample = samples[newest() & 1];
+    for (int j = 0; j < N; ++j) {
+      past.v[j] = x.v[j];
+      past.q_links[j] = sample.q[j];
+      past.v_links[j] = sample.v[j];
+    }
+    Dynamics links;
+    stepper.step(x, V, links, *this);
+  }
+
+  // The stepper asks for the links' part in step k: that of sample k - 1.
+  ARM_INLINE void take(Dynamics& links) {
+    const std::int64_t k = newest();
+    wait_for(k);
+    parcels[(k + 1) & 1].fetch();
+    parcels[(k + 1) & 1].unpack(links);
+  }
+
+  // The stepper has the links of sample k + 1, before it is done with the motors.
+  ARM_INLINE void give(const State<N>& x) {
+    if (asked.load(std::memory_order_relaxed) < target.load(std::memory_order_relaxed))
+      hand_over(x);
+  }
+
+ private:
+  // The sample that was handed over last.
+  std::int64_t newest() const { return asked.load(std::memory_order_relaxed) - 1; }
+
+  ARM_INLINE void hand_over(const State<N>& x) {
     const std::int64_t k = asked.load(std::memory_order_relaxed);
     Sample& sample = samples[k & 1];
     for (int j = 0; j < N; ++j) {
       const double change = x.v[j] - past.v[j];
       const double ahead = S::exchange == Exchange::predict ? 1.0 : 0.0;
-      sample.v[j] = past.v_links[j] = x.v[j] + ahead * change;
-      sample.q[j] = past.q_links[j] = x.q[j] + ahead * h * (x.v[j] + end_of_step * change);
-      past.v[j] = x.v[j];
+      sample.v[j] = x.v[j] + ahead * change;
+      sample.q[j] = x.q[j] + ahead * h * (x.v[j] + end_of_step * change);
     }
     asked.store(k + 1, std::memory_order_release);
-    wait_for(k);
-    Dynamics links;
-    parcels[(k + 1) & 1].fetch();
-    parcels[(k + 1) & 1].unpack(links);
-    stepper.step(x, V, links);
   }
 
- private:
   // The paper's links move on with the speed at a step's beginning, implicit ones with that at its
   // end.
   static constexpr double end_of_step = S::scheme == Scheme::paper ? 0.0 : 1.0;
@@ -224,16 +249,24 @@ template <class S, class Stepper>
 class OneThread {
  public:
   using Memory = typename Stepper::Memory;
+  using Dynamics = typename Links<S>::Dynamics;
 
   OneThread(double step, int) : stepper(step) {}
   void reset(const State<S::N>& x) { stepper.reset(x); }
   Memory memory() const { return stepper.memory(); }
   void restore(const Memory& memory) { stepper.restore(memory); }
-  void begin(std::int64_t) {}
+  void begin(std::int64_t, const State<S::N>&) {}
   void end() {}
-  ARM_INLINE void step(State<S::N>& x, const double (&V)[S::N]) { stepper.step(x, V); }
+  ARM_INLINE void step(State<S::N>& x, const double (&V)[S::N]) {
+    Dynamics links;
+    Links<S>::dynamics(x.q, x.v, links);
+    stepper.step(x, V, links, *this);
+  }
+  ARM_INLINE void take(Dynamics&) {}  // it is there already
+  ARM_INLINE void give(const State<S::N>&) {}
 
  private:
+
   Stepper stepper;
 };
 
