@@ -9,6 +9,14 @@ namespace arm {
 template <int N>
 using Symmetric = double[N][kPadded<N>];
 
+// How many numbers that takes, with all that stands in their groups of lanes.
+template <int N>
+constexpr int packed_length() {
+  int length = 0;
+  for (int j = 0; j < N; ++j) length += kPadded<N> - first_lane<N>(j);
+  return length;
+}
+
 template <int N>
 struct Cholesky {
   double L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
@@ -16,10 +24,11 @@ struct Cholesky {
 
   // Factor `M`, which is used up.
   ARM_INLINE void factor(Symmetric<N>& M) {
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
+    for_each<N, kUnrollNested>([&](auto j) __attribute__((always_inline)) {
       inverse_D[j] = 1.0 / M[j][j];
-      for_each_lane_from<N>(
-          next(j), [&](auto k) __attribute__((always_inline)) { L[j][k] = M[j][k] * inverse_D[j]; });
+      for_each_lane_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
+        L[j][k] = M[j][k] * inverse_D[j];
+      });
       for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
         for_each_lane_from<N>(
             k, [&](auto i) __attribute__((always_inline)) { M[k][i] -= L[j][k] * M[j][i]; });
@@ -28,21 +37,17 @@ struct Cholesky {
   }
 
   ARM_INLINE void solve(double (&x)[N]) const {
-    for_each<N, kUnroll>([&](auto j) __attribute__((always_inline)) {
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
       for_each_from<N>(next(j),
                        [&](auto k) __attribute__((always_inline)) { x[k] -= L[j][k] * x[j]; });
     });
-    for_each_reverse<N, kUnroll>([&](auto j) __attribute__((always_inline)) {
+    for_each_reverse<N>([&](auto j) __attribute__((always_inline)) {
       double sum = x[j] * inverse_D[j];
       for_each_from<N>(next(j),
                        [&](auto k) __attribute__((always_inline)) { sum -= L[j][k] * x[k]; });
       x[j] = sum;
     });
   }
-
- private:
-  // Short dependent loops: unrolling pays up to larger sizes than elsewhere.
-  static constexpr int kUnroll = 24;
 };
 
 }  // namespace arm

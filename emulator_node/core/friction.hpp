@@ -69,7 +69,7 @@ class Friction {
  private:
   // M with the rows and columns of the locked joints made those of the identity.
   void factor_unlocked(const Symmetric<N>& W) {
-    Symmetric<N> free;
+    Symmetric<N> free = {};
     for (int j = 0; j < N; ++j)
       for (int k = j; k < N; ++k)
         free[j][k] = !locked[j] && !locked[k] ? W[j][k] : j == k ? 1.0 : 0.0;

@@ -118,7 +118,7 @@ struct Links {
     constexpr int n = kPadded<N>;
     double fx[n] = {}, fy[n] = {}, fz[n] = {}, nx[n] = {}, ny[n] = {}, nz[n] = {};
     Body carried = S::joint[N - 1].body;
-    for_each_reverse<N>([&](auto i) __attribute__((always_inline)) {
+    for_each_reverse<N, kUnrollNested>([&](auto i) __attribute__((always_inline)) {
       const bool turns = revolute(i);
       fx[i] = turns ? -carried.h.y : 0.0;
       fy[i] = turns ? carried.h.x : 0.0;

@@ -7,7 +7,9 @@
 namespace arm {
 
 // Above this count unrolled code costs more (compile time, instruction cache) than folding saves.
-inline constexpr int kUnrollLimit = 12;
+inline constexpr int kUnrollLimit = 24;
+// The same for loops with long loops inside.
+inline constexpr int kUnrollNested = 12;
 
 #define ARM_INLINE __attribute__((always_inline)) inline
 
@@ -23,10 +25,15 @@ ARM_INLINE void for_each(Body&& body) {
   }
 }
 
-// Beyond it the innermost loops run over whole groups of so many.
+// Beyond it the inner loops run over whole groups of so many.
 inline constexpr int kLanes = 8;
 template <int N>
-inline constexpr int kPadded = N <= kUnrollLimit ? N : (N + kLanes - 1) / kLanes * kLanes;
+inline constexpr int kPadded = N <= kUnrollNested ? N : (N + kLanes - 1) / kLanes * kLanes;
+// The first of the group of j.
+template <int N>
+constexpr int first_lane(int j) {
+  return N <= kUnrollNested ? j : j / kLanes * kLanes;
+}
 
 // body(i) for i = N-1 .. 0.
 template <int N, int limit = kUnrollLimit, class Body>
@@ -61,12 +68,12 @@ ARM_INLINE void for_each_from(Index first, Body&& body) {
   }
 }
 
-// The same in whole groups of lanes: beyond the unroll limit also for some j before `first` and some
+// The same in whole groups of lanes: beyond kUnrollNested also for some j before `first` and some
 // from N to kPadded<N>, where there must be room.
 template <int N, class Index, class Body>
 ARM_INLINE void for_each_lane_from(Index first, Body&& body) {
   if constexpr (std::is_same_v<Index, int>) {
-    for (int j = first / kLanes * kLanes; j < kPadded<N>; ++j) body(j);
+    for (int j = first_lane<N>(first); j < kPadded<N>; ++j) body(j);
   } else {
     for_each_from<N>(first, body);
   }

@@ -53,8 +53,7 @@ class PaperScheme {
   }
 
   // Eq. (4) with the motors at sample k + 1.
-  ARM_INLINE void accelerations(const State<N>& x, Dynamics& links,
-                                double (&a)[N]) {
+  ARM_INLINE void accelerations(const State<N>& x, Dynamics& links, double (&a)[N]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       links.M.at[j][j] += carried_rotor(S::joint[j]);
       a[j] = drive_torque(S::joint[j], x, j) - links.nle[j] - S::joint[j].Dl * x.v[j];

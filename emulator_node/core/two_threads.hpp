@@ -10,6 +10,9 @@
 // those of the state to which that sample's speeds and accelerations lead: the error is of second
 // order.
 //
+// A sample goes out as soon as its links have moved, and the links' part comes in when a step has
+// done what it can without it: the motors' work overlaps with the ways between the cores.
+//
 // The threads are kept in step by two counters. Which results are exchanged depends on the number
 // of the step alone, never on who was faster, so the motion is the same to the last bit on every
 // run. Within a burst both threads spin; between bursts the Newton-Euler thread sleeps.
@@ -163,7 +166,7 @@ class TwoThreads {
   // The links' part on its way between the cores: as few cache lines as it takes, written in one
   // go.
   struct alignas(64) Parcel {
-    double nle[N], M[N * (N + 1) / 2];
+    double nle[N], M[packed_length<N>()];
 
     // Ask for the cache lines, all at once, before they are written or read one by one.
     ARM_INLINE void take_hold() {
@@ -179,14 +182,14 @@ class TwoThreads {
       double* next = M;
       for (int j = 0; j < N; ++j) {
         nle[j] = links.nle[j];
-        for (int i = j; i < N; ++i) *next++ = links.M.at[j][i];
+        for (int i = first_lane<N>(j); i < kPadded<N>; ++i) *next++ = links.M.at[j][i];
       }
     }
     ARM_INLINE void unpack(Dynamics& links) const {
       const double* next = M;
       for (int j = 0; j < N; ++j) {
         links.nle[j] = nle[j];
-        for (int i = j; i < N; ++i) links.M.at[j][i] = *next++;
+        for (int i = first_lane<N>(j); i < kPadded<N>; ++i) links.M.at[j][i] = *next++;
       }
     }
   };
@@ -266,7 +269,6 @@ class OneThread {
   ARM_INLINE void give(const State<S::N>&) {}
 
  private:
-
   Stepper stepper;
 };
 
