@@ -8,9 +8,18 @@ import sys
 from pathlib import Path
 
 import pytest
+from machines import random_chain
 
 from arm_emulator.refusal import Refusal
-from emulator_node.compiler import CACHE_VARIABLE, compile_ahead, library_of
+from emulator_node.compiler import (
+    CACHE_VARIABLE,
+    CORE,
+    FLAGS,
+    compile_ahead,
+    find_compiler,
+    library_of,
+    scene_unit,
+)
 from emulator_node.scene import load_scene
 
 READY = (
@@ -47,6 +56,25 @@ def test_the_step_is_no_part_of_the_library_but_physics_is(cache: Path) -> None:
     assert len(list(cache.glob("*.so"))) == 1
     library_of(load_scene("three_axis", overrides={"joints.elbow.gear.stiffness": 2e4}))
     assert len(list(cache.glob("*.so"))) == 2
+
+
+@pytest.mark.parametrize("joints", [4, 14])
+@pytest.mark.parametrize(
+    ("scheme", "threads"),
+    [("paper", 1), ("implicit", 2), ("rosenbrock", 1), ("extrapolated", 1), ("extrapolated", 2)],
+)
+def test_the_core_compiles_without_a_warning(
+    scheme: str, threads: int, joints: int, tmp_path: Path
+) -> None:
+    integrator = {"scheme": scheme, "dt": 1e-4}
+    scene = random_chain(tmp_path, 3, joints, integrator=integrator, threads=threads)
+    source = tmp_path / "unit.cpp"
+    source.write_text(scene_unit(scene))
+    flags = [flag for flag in FLAGS if flag not in ("-O3", "-shared")]  # -O1 for the time it takes
+    warnings = ["-O1", "-c", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{CORE}"]
+    command = [*find_compiler(), *flags, *warnings, str(source), "-o", str(tmp_path / "unit.o")]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (built.returncode, built.stderr) == (0, "")
 
 
 def test_without_a_compiler_it_says_what_to_do(
