@@ -19,6 +19,8 @@ TITLE = "Two clocks"
 SECONDS = 60.0  # of real time
 OFFLINE_SECONDS = 10.0
 LOCKSTEP_TICKS = 20_000
+# Real time is punctual below both: error of the real-time factor, share of old commands.
+FACTOR_ERROR, OLD_SHARE = 1e-3, 0.01
 
 
 def run(quick: bool) -> dict[str, Any]:
@@ -108,7 +110,7 @@ def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
             if clock == "lockstep" and ran[-1][1].tick >= LOCKSTEP_TICKS:
                 break
     (first_wall, first), (last_wall, last) = moving()[0], moving()[-1]
-    node.destroy_node()
+    node.destroy_node()  # type: ignore[no-untyped-call]
     rclpy.try_shutdown()
     ticks = last.tick - first.tick
     return {
@@ -124,6 +126,12 @@ def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
         "memory_locked": last.memory_locked,
         "refused": last.commands_refused,
     }
+
+
+def punctual(figures: dict[str, Any]) -> bool:
+    """Whether a run in real time kept its limits."""
+    late = abs(figures["real_time_factor"] - 1.0) >= FACTOR_ERROR
+    return not late and bool(figures["old_commands_share"] < OLD_SHARE)
 
 
 def _offline(scene: str) -> float:

@@ -11,7 +11,7 @@ import time
 from rich.console import Console
 from rich.progress import Progress
 
-from bench.clocks import busy_core, measure
+from bench.clocks import FACTOR_ERROR, OLD_SHARE, busy_core, measure, punctual
 
 
 def main() -> None:
@@ -42,10 +42,10 @@ def main() -> None:
             clock.join()
     for name, value in figures.items():
         console.print(f"{name:<20} {value}")
-    factor, old = figures["real_time_factor"], figures["old_commands_share"]
-    punctual = abs(factor - 1.0) < 1e-3 and old < 0.01
-    console.print("punctual" if punctual else "[red]not punctual: 0.1 % and 1 % are the limits")
-    sys.exit(not punctual)
+    met = punctual(figures)
+    limits = f"{FACTOR_ERROR:.1%} and {OLD_SHARE:.0%} are the limits"
+    console.print("punctual" if met else f"[red]not punctual: {limits}")
+    sys.exit(not met)
 
 
 if __name__ == "__main__":

@@ -69,7 +69,8 @@ def _table_1() -> dict[str, Any]:
 def _after(voltages: Array, dt: float, kind: dict[str, Any]) -> Array:
     overrides = {"integrator.scheme": "paper", "integrator.dt": dt, **kind}
     plant = Plant(load_scene("three_axis", overrides=overrides))
-    return plant.run(voltages, plant.scene.steps_per_period)[-1]
+    last: Array = plant.run(voltages, plant.scene.steps_per_period)[-1]
+    return last
 
 
 def _loops(joints: tuple[int, ...], repetitions: int) -> dict[str, Any]:
