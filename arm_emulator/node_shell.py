@@ -13,6 +13,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -123,7 +124,7 @@ def _set_range(descriptor: ParameterDescriptor, field: dataclasses.Field[Any]) -
 
 
 class Diagnostics:
-    """The node's health in words, on `diagnostics`: at 1 Hz, and at once when it changes.
+    """The node's health in words, on `diagnostics`: every second, and at once when it changes.
 
     Refused input is counted by kind, and the newest refusal is told in full.
     """
@@ -137,7 +138,8 @@ class Diagnostics:
         self._newest_refusal = ""
         self._level, self._message = DiagnosticStatus.OK, "starting"
         self.values: dict[str, object] = {}
-        node.create_timer(1.0, self.publish)
+        # Of wall time, with `use_sim_time` too: health is asked for when logical time stands still.
+        node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
     def refused(self) -> int:

@@ -446,6 +446,9 @@ def test_nodes_follow_the_emulators_clock(tmp_path: Path) -> None:
         user.wait("words at 1 s", lambda: user.stamps.get("motion_controller", 0) >= NANOSECONDS)
         assert user.stamps["motion_controller"] <= expected
         assert user.stamps["servo"] > 10**9 * NANOSECONDS
+        # They go on while logical time stands still.
+        del user.diagnostics["motion_controller"]
+        user.wait("words at a standstill", lambda: "motion_controller" in user.diagnostics)
         follower.destroy_node()
 
 
