@@ -27,7 +27,7 @@ class RealTimeFigures:
     median_lateness: int
     p99_lateness: int
     unread: int  # snapshots that nobody fetched in time
-    fifo: int  # 1: the thread runs under SCHED_FIFO
+    fifo: int  # 1: the core's threads run under SCHED_FIFO
     locked: int  # 1: memory is locked
 
 

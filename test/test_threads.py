@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ from machines import random_chain
 
 from emulator_node.compiler import CORE, FLAGS, find_compiler, scene_unit
 from emulator_node.plant import Diverged, Plant
+from emulator_node.real_time import RealTimeLoop
 from emulator_node.scene import load_scene
 
 # Table 1 of the paper: difference between one and two threads after 1 s [rad].
@@ -138,6 +140,25 @@ def test_no_thread_is_left_and_no_core_is_busy() -> None:
     assert share < 0.2  # a spinning thread would take a whole core, or its half on a busy machine
     del one
     assert thread_count() == before
+
+
+def test_in_real_time_no_thread_waits_for_one_that_is_less_urgent() -> None:
+    """Else the motor thread, under SCHED_FIFO, spins while other work keeps the other thread."""
+
+    def urgent() -> int:
+        tasks = [int(task.name) for task in Path("/proc/self/task").iterdir()]
+        return [os.sched_getscheduler(task) for task in tasks].count(os.SCHED_FIFO)
+
+    two = plant(2)
+    loop = RealTimeLoop(two, 1_000_000, 10, -1)
+    loop.start(0)
+    assert loop.wait(10.0)
+    if not loop.figures().fifo:
+        loop.stop()
+        pytest.skip("the system does not permit SCHED_FIFO")
+    assert urgent() == 2
+    loop.stop()
+    assert urgent() == 0
 
 
 def test_no_data_race(tmp_path: Path) -> None:

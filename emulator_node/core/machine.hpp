@@ -26,6 +26,9 @@ class Machine {
   // `core`: of the second thread, if there is one; -1: any.
   Machine(double dt, int core) : h(dt), threads(dt, core) {}
 
+  // Schedule all threads as the calling one; false if the system does not permit it.
+  bool join_schedule() { return threads.join_schedule(); }
+
   // Put the links at (q, v), the motors along with them: no current, gears unloaded.
   void reset(const double* q, const double* v) {
     for (int j = 0; j < N; ++j) {

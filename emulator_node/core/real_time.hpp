@@ -100,7 +100,9 @@ class RealTime {
 
   void stop() {
     stopping.store(true);
-    if (thread.joinable()) thread.join();
+    if (!thread.joinable()) return;
+    thread.join();
+    machine.join_schedule();
   }
 
   void command(std::int64_t answered, const double* voltage) { commands.write(answered, voltage); }
@@ -198,7 +200,8 @@ class RealTime {
   void become_real_time() {
     sched_param priority = {};
     priority.sched_priority = 50;
-    fifo.store(pthread_setschedparam(pthread_self(), SCHED_FIFO, &priority) == 0);
+    const bool permitted = pthread_setschedparam(pthread_self(), SCHED_FIFO, &priority) == 0;
+    fifo.store(machine.join_schedule() && permitted);
 #ifdef MCL_ONFAULT
     locked.store(mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0);
 #endif

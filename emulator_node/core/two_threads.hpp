@@ -66,6 +66,15 @@ class TwoThreads {
     wake();
   }
 
+  // Schedule the Newton-Euler thread as the caller is. It must not be less urgent than who waits
+  // for it. False if the system does not permit it.
+  bool join_schedule() {
+    int policy = SCHED_OTHER;
+    sched_param priority = {};
+    pthread_getschedparam(pthread_self(), &policy, &priority);
+    return pthread_setschedparam(newton_euler.native_handle(), policy, &priority) == 0;
+  }
+
   // What a step takes from the past, beside the state: speeds and links' part of one sample ago.
   struct Memory {
     double v[N];
@@ -255,6 +264,7 @@ class OneThread {
   using Dynamics = typename Links<S>::Dynamics;
 
   OneThread(double step, int) : stepper(step) {}
+  bool join_schedule() { return true; }
   void reset(const State<S::N>& x) { stepper.reset(x); }
   Memory memory() const { return stepper.memory(); }
   void restore(const Memory& memory) { stepper.restore(memory); }
