@@ -16,10 +16,12 @@ target = PoseStamped()  # stamp 0: holds at once
 target.pose.position.x, target.pose.position.y, target.pose.position.z = x, y, z
 # The motion controller listens; so do the emulator, to show it, and recorders. Who has not found us
 # yet would miss it: it is said for a second after the first two have.
-said = 0
+said = waited = 0
 while said < 10:
     rclpy.spin_once(node, timeout_sec=0.1)
     if publisher.get_subscription_count() >= 2:
         publisher.publish(target)
         said += 1
+    elif (waited := waited + 1) == 30:
+        print("waiting for a motion controller that listens to tool_target")
 publisher.wait_for_all_acked()
