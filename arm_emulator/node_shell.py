@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from arm_emulator.ctrl_c import CtrlC
+from arm_emulator.end_anyway import end_anyway
 from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked
 from arm_emulator.refusal import Refusal
@@ -39,6 +40,7 @@ DESCRIPTION_QOS = QoSProfile(
 )
 
 NANOSECONDS = 1_000_000_000
+ENDING = 5.0  # s, wall: what the middleware is given to end
 
 
 def stamp(nanoseconds: int) -> Time:
@@ -233,6 +235,7 @@ def run_node(create: Callable[[], Closable]) -> None:
         ctrl_c.leave_to_rclpy()
         if node is not None:
             node.close()
+            end_anyway(ENDING, code=0 if sys.exc_info()[0] is None else 1)
             # Not left to the garbage collector: the middleware may leave its shared memory then.
             node.destroy_node()
         with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between

@@ -142,6 +142,23 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(set_up: str, words: s
     assert (done.stdout, done.stderr) == (words, "")
 
 
+LOCKED_UP = """
+import ctypes
+from arm_emulator.end_anyway import end_anyway
+
+print("ended, but for the middleware")
+end_anyway(0.1, {code})
+ctypes.PyDLL(None).sleep(600)  # with Python's lock
+"""
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_a_middleware_that_locks_up_does_not_keep_a_process(code: int) -> None:
+    command = [sys.executable, "-c", LOCKED_UP.format(code=code)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert (done.returncode, done.stdout) == (code, "ended, but for the middleware\n")
+
+
 # ---------------------------------------------------------------------------------- arm_emulator up
 
 
