@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
+from collections.abc import Iterator
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
 
 
 class CtrlC:
@@ -24,3 +29,16 @@ class CtrlC:
     def _on_signal(self, number: int, frame: object) -> None:
         if self._breaks_off:
             raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def until_shut_down() -> Iterator[None]:
+    """Take what rclpy raises in the block when a signal shuts it down for the block's end."""
+    try:
+        yield
+    except ExternalShutdownException:
+        pass
+    except RuntimeError:
+        # rclpy's handles fail in many words when they are shut down under a running callback.
+        if rclpy.ok():
+            raise

@@ -15,11 +15,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.timer import Timer
 
-from arm_emulator.ctrl_c import CtrlC
+from arm_emulator.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.end_anyway import end_anyway
 from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked
@@ -125,6 +125,11 @@ def _set_range(descriptor: ParameterDescriptor, field: dataclasses.Field[Any]) -
         ]
 
 
+def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
+    """Call back every `period` [s] of wall time, whatever the node's own clock is."""
+    return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
 class Diagnostics:
     """The node's health in words, on `diagnostics`: every second, and at once when it changes.
 
@@ -140,8 +145,8 @@ class Diagnostics:
         self._newest_refusal = ""
         self._level, self._message = DiagnosticStatus.OK, "starting"
         self.values: dict[str, object] = {}
-        # Of wall time, with `use_sim_time` too: health is asked for when logical time stands still.
-        node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # With `use_sim_time` too: health is asked for when logical time stands still.
+        wall_timer(node, 1.0, self.publish)
 
     @property
     def refused(self) -> int:
@@ -217,19 +222,16 @@ def run_node(create: Callable[[], Closable]) -> None:
     node: Any = None
     ctrl_c = CtrlC()
     try:
-        _init()
-        node = create()
-        ctrl_c.leave_to_rclpy()
-        LeanExecutor(node).spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+        with until_shut_down():
+            _init()
+            node = create()
+            ctrl_c.leave_to_rclpy()
+            LeanExecutor(node).spin()
+    except KeyboardInterrupt:
         pass
     except (Refusal, ParameterException) as refusal:
         print(refusal, file=sys.stderr)
         sys.exit(2)
-    except RuntimeError:
-        # rclpy's handles fail in many words when a signal shuts it down under a running callback.
-        if rclpy.ok():
-            raise
     finally:
         # A second Ctrl-C, from the terminal beside the launcher's, must not break off the ending.
         ctrl_c.leave_to_rclpy()

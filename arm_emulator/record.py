@@ -11,12 +11,11 @@ from typing import Any
 
 import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from arm_emulator.bag import BagWriter, Topic
-from arm_emulator.ctrl_c import CtrlC
+from arm_emulator.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.refusal import Refusal
 
@@ -42,13 +41,8 @@ def record(out: Path, topics: Collection[str] | None) -> int:
         with BagWriter(out) as bag:
             node = _Recorder(bag, topics)
             ctrl_c.leave_to_rclpy()  # nothing must break off the ending
-            try:
+            with until_shut_down():
                 LeanExecutor(node).spin()
-            except ExternalShutdownException:
-                pass
-            except RuntimeError:  # of rclpy, when a signal shuts it down under a callback
-                if rclpy.ok():
-                    raise
     except OSError as error:
         raise Refusal("record", f"folder {out}", "take what is recorded", error) from None
     finally:

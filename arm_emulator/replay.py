@@ -16,7 +16,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from arm_emulator.bag import NANOSECONDS, Bag
-from arm_emulator.ctrl_c import CtrlC
+from arm_emulator.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.record import message_class
 from arm_emulator.refusal import Refusal
 
@@ -49,22 +49,18 @@ def replay(path: Path, topics: Collection[str] | None, rate: float, wait: bool) 
     node = rclpy.create_node("replayer", enable_rosout=False, start_parameter_services=False)
     count, started = 0, time.monotonic()
     try:
-        publishers = {
-            name: node.create_publisher(
-                message_class(bag.topics[name].type), name, offer(bag.topics[name].offered)
-            )
-            for name in names
-        }
-        if wait:
-            _wait_for_listeners(publishers)
-        count = _publish(bag, publishers, rate)
-        for publisher in publishers.values():
-            publisher.wait_for_all_acked(ACKNOWLEDGE)
-    except ExternalShutdownException:
-        pass
-    except RuntimeError:  # of rclpy, when a signal shuts it down
-        if rclpy.ok():
-            raise
+        with until_shut_down():
+            publishers = {
+                name: node.create_publisher(
+                    message_class(bag.topics[name].type), name, offer(bag.topics[name].offered)
+                )
+                for name in names
+            }
+            if wait:
+                _wait_for_listeners(publishers)
+            count = _publish(bag, publishers, rate)
+            for publisher in publishers.values():
+                publisher.wait_for_all_acked(ACKNOWLEDGE)
     finally:
         _end(node)
     cut = "" if bag.complete else "; its recorder did not end it"

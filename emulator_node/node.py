@@ -5,14 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from array import array
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import rclpy
-import rclpy.clock
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -29,6 +26,7 @@ from arm_emulator.node_shell import (
     refuse_other_parameters,
     run_node,
     stamp,
+    wall_timer,
 )
 from arm_emulator.parameters import parameter
 from arm_emulator.refusal import Refusal
@@ -97,7 +95,6 @@ class EmulatorNode(Node):
             port=self._config.rerun_port or None,
         )
         self._report_ticks = max(1, round(self._config.report_period / scene.servo_period))
-        self._steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(self, scene.name)
 
         names = list(scene.joint_names)
@@ -121,8 +118,8 @@ class EmulatorNode(Node):
         self._repeated_at = self._told_at
         self._reported: Diverged | None = None  # the fault that was told last
         self._status_mark = (time.monotonic_ns(), 0, 0)
-        self._create_timer(REPEAT_AFTER, self._on_repeat)
-        self._create_timer(STATUS_PERIOD, self._on_status)
+        wall_timer(self, REPEAT_AFTER, self._on_repeat)
+        wall_timer(self, STATUS_PERIOD, self._on_status)
         self._tell()
         self.get_logger().info(
             f"scene {scene.name}: {len(names)} joints, {scene.integrator.scheme} at "
@@ -137,7 +134,7 @@ class EmulatorNode(Node):
             )
             self._teller.start()
         else:
-            self._create_timer(scene.servo_period, self._on_free_run)
+            wall_timer(self, scene.servo_period, self._on_free_run)
 
     def close(self) -> None:
         """Stop the machine and finish the Rerun recording."""
@@ -146,9 +143,6 @@ class EmulatorNode(Node):
             self._teller.join()
         self._session.close()
         self._stream.close()
-
-    def _create_timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        return self.create_timer(period, callback, clock=self._steady)
 
     # Time
 

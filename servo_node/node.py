@@ -6,7 +6,6 @@ import time
 from array import array
 from dataclasses import dataclass
 
-import rclpy.clock
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -24,6 +23,7 @@ from arm_emulator.node_shell import (
     nanoseconds_of,
     run_node,
     stamp,
+    wall_timer,
 )
 from arm_emulator.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.refusal import Refusal
@@ -104,8 +104,7 @@ class ServoNode(Node):
         self.create_subscription(MotorState, "motor_states", self._on_state, STATE_SUB_QOS)
         self.create_subscription(JointState, "joint_targets", self._on_target, COMMAND_SUB_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
-        self.create_timer(SILENCE_CHECK, self._on_silence_check, clock=steady)
+        wall_timer(self, SILENCE_CHECK, self._on_silence_check)
 
     def close(self) -> None:
         """Nothing to let go of."""
