@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import hashlib
 import os
 import platform
@@ -14,16 +13,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 from arm_emulator.refusal import Refusal
 from emulator_node.chain import Body, ChainJoint
+from emulator_node.library_cache import cache_folders, locked, writable_cache
 from emulator_node.scene import Gear, Joint, Scene
 
 CORE = Path(__file__).resolve().parent / "core"
-CACHE_VARIABLE = "ARM_EMULATOR_CACHE"
 
 # The stepping code never asks for errno, traps or the sign of zero, and may reassociate.
 # Finiteness is checked on bit patterns (core/machine.hpp).
@@ -43,12 +41,12 @@ def library_of(scene: Scene) -> ctypes.CDLL:
         Refusal: there is neither a cached library nor a working compiler.
     """
     unit = scene_unit(scene)
-    for folder in _cache_folders():
+    for folder in cache_folders():
         for target in ("native", *PORTABLE_TARGETS):
             file = folder / _library_name(scene, unit, target)
             if file.is_file() and (target == "native" or _runs_here(target)):
                 return ctypes.CDLL(str(file))
-    return ctypes.CDLL(str(compile_scene(scene, "native", _writable_cache())))
+    return ctypes.CDLL(str(compile_scene(scene, "native", writable_cache())))
 
 
 def compile_scene(scene: Scene, target: str, folder: Path) -> Path:
@@ -61,7 +59,7 @@ def compile_scene(scene: Scene, target: str, folder: Path) -> Path:
     """
     unit = scene_unit(scene)
     library = folder / _library_name(scene, unit, target)
-    with _locked(library.with_suffix(".lock")):
+    with locked(library.with_suffix(".lock")):
         if library.is_file():
             return library
         compiler = find_compiler()
@@ -95,7 +93,7 @@ def compile_ahead(scene: Scene, target: str, folder: Path | None) -> Path:
     if target not in targets:
         raise Refusal("compile", "target", "be known", target, ", ".join(targets))
     if folder is None:
-        folder = _writable_cache()
+        folder = writable_cache()
     folder.mkdir(parents=True, exist_ok=True)
     return compile_scene(scene, target, folder)
 
@@ -201,7 +199,7 @@ def _number(value: float) -> str:
     return repr(float(value) + 0.0)
 
 
-# The cache
+# What a library is called
 
 
 def _library_name(scene: Scene, unit: str, target: str) -> str:
@@ -241,38 +239,3 @@ def _runs_here(target: str) -> bool:
         "x86-64-v4": {"avx512f", "avx512dq", "avx512vl", "avx512bw"},
     }[target]
     return platform.machine() in ("x86_64", "AMD64") and needed <= set(_processor().split())
-
-
-def _cache_folders() -> list[Path]:
-    """Return where libraries may lie, the preferred place first."""
-    named = os.environ.get(CACHE_VARIABLE)
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "arm_emulator"
-    shared = Path(tempfile.gettempdir()) / f"arm_emulator-{os.getuid()}"
-    return [Path(named)] if named else [user, shared]
-
-
-def _writable_cache() -> Path:
-    for folder in _cache_folders():
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            with tempfile.TemporaryFile(dir=folder):
-                pass
-        except OSError:
-            continue
-        # A library from a folder that somebody else can write to is somebody else's code.
-        if folder.stat().st_uid == os.getuid():
-            return folder
-    raise Refusal(
-        "arm_emulator",
-        "cache folder",
-        "be writable",
-        " or ".join(map(str, _cache_folders())),
-        f"set {CACHE_VARIABLE} to a folder of yours",
-    )
-
-
-@contextlib.contextmanager
-def _locked(file: Path) -> Iterator[None]:
-    with file.open("w") as handle:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield

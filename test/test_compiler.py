@@ -12,7 +12,6 @@ from machines import random_chain
 
 from arm_emulator.refusal import Refusal
 from emulator_node.compiler import (
-    CACHE_VARIABLE,
     CORE,
     FLAGS,
     compile_ahead,
@@ -20,6 +19,7 @@ from emulator_node.compiler import (
     library_of,
     scene_unit,
 )
+from emulator_node.library_cache import CACHE_VARIABLE
 from emulator_node.scene import load_scene
 
 READY = (
