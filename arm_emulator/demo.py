@@ -35,6 +35,7 @@ from arm_emulator.node_shell import (
     stamp,
 )
 from arm_emulator.refusal import Refusal
+from arm_emulator.ros_domain import own_domain
 from arm_emulator.yaml_file import read_yaml
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.scene import Scene, load_scene
@@ -79,25 +80,25 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
     """Run the experiment, leave its pictures in `out`, and say how it went."""
     console = Console()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    # A domain of its own, so that a network that runs already is left alone.
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     out.mkdir(parents=True, exist_ok=True)
     scene = load_scene(scene_name)
-    title = f"{scene.name}, {clock}, ROS_DOMAIN_ID {os.environ['ROS_DOMAIN_ID']}"
-    console.print(f"[bold]arm_emulator demo[/bold]: {title}")
-    rclpy.init()
-    try:
-        with Bringup(
-            scene_name,
-            clock=clock,
-            start="paused",
-            emulator={"rerun_file": (out / "demo.rrd").resolve()},
-            log=out / "log",
-        ) as network:
-            result = _run(scene, network, console)
-            codes = network.stop()
-    finally:
-        rclpy.try_shutdown()
+    # A domain of its own, so that a network that runs already is left alone.
+    with own_domain(unless_named=True) as domain:
+        title = f"{scene.name}, {clock}, ROS_DOMAIN_ID {domain}"
+        console.print(f"[bold]arm_emulator demo[/bold]: {title}")
+        rclpy.init()
+        try:
+            with Bringup(
+                scene_name,
+                clock=clock,
+                start="paused",
+                emulator={"rerun_file": (out / "demo.rrd").resolve()},
+                log=out / "log",
+            ) as network:
+                result = _run(scene, network, console)
+                codes = network.stop()
+        finally:
+            rclpy.try_shutdown()
     unclean = {name: code for name, code in codes.items() if code != 0}
     if unclean:
         console.print(f"[red]not ended cleanly: {unclean}, see {out / 'log'}")

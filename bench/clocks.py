@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -12,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from arm_emulator.ros_domain import own_domain
 from bench.measure import progress
 
 TITLE = "Two clocks"
@@ -56,20 +56,15 @@ def busy_core() -> Iterator[None]:
 
 def _in_own_process(what: str, scene: str, seconds: float) -> dict[str, Any]:
     """Measure in a process of its own, on a ROS domain of its own."""
-    environment = {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
     command = [sys.executable, "-m", "bench.clocks", what, scene, str(seconds)]
-    done = subprocess.run(
-        command,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).resolve().parents[1],
-    )
+    with own_domain():
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=Path(__file__).resolve().parents[1],
+        )
     figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return figures
 

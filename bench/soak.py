@@ -11,6 +11,7 @@ import time
 from rich.console import Console
 from rich.progress import Progress
 
+from arm_emulator.ros_domain import own_domain
 from bench.clocks import FACTOR_ERROR, OLD_SHARE, busy_core, measure, punctual
 
 
@@ -20,11 +21,10 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--scene", default="three_axis")
     arguments = parser.parse_args()
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     seconds = 60.0 * arguments.minutes
     console = Console()
-    with busy_core(), Progress(console=console) as progress:
+    with own_domain(unless_named=True), busy_core(), Progress(console=console) as progress:
         bar = progress.add_task("real time, one core busy", total=seconds)
         over = threading.Event()
         clock = threading.Thread(

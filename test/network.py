@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import random
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -29,6 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from arm_emulator.bringup import Bringup
 from arm_emulator.node_shell import NANOSECONDS, nanoseconds_of, stamp
 from arm_emulator.offline import OfflineRun
+from arm_emulator.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
 
 JOINTS = ["waist", "shoulder", "elbow"]  # of three_axis
@@ -48,21 +46,6 @@ RECEIVER = {
 RECORD_QOS = QoSProfile(depth=20_000)
 # A depth of 1 would keep only the newest for a node that is just being discovered.
 SEND_QOS = QoSProfile(depth=100)
-
-
-def free_domain() -> int:
-    """Return a ROS domain in which nobody is on this machine."""
-    domains = list(range(1, 101))
-    random.SystemRandom().shuffle(domains)
-    for domain in domains:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                # The port of a domain's first participant (DDSI-RTPS 9.6.2.4).
-                probe.bind(("0.0.0.0", 7400 + 250 * domain + 10))
-            except OSError:
-                continue
-            return domain
-    raise RuntimeError("every ROS domain is taken")
 
 
 class User:
@@ -225,7 +208,11 @@ class User:
         recorded: dict[int, bytes] = {}
         for raw in self._raw_states:
             message = deserialize_message(raw, MotorState)
-            assert list(message.joint_names) == self.joint_names
+            names = list(message.joint_names)
+            assert names == self.joint_names, (
+                f"a motor state of another machine: joints {names}, tick {message.tick}, "
+                f"expected {self.joint_names}"
+            )
             bits = bits_of(message.encoder_counts, message.current)
             if recorded.setdefault(int(message.tick), bits) != bits:
                 raise AssertionError(f"tick {message.tick} was told twice, and differently")
@@ -310,24 +297,9 @@ def assert_same_bits(one: dict[int, bytes], other: dict[int, bytes], ticks: int)
 
 
 @contextmanager
-def ros_domain() -> Iterator[int]:
-    """Put this process, and those that it starts, into a ROS domain of their own."""
-    mine = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    before = {name: os.environ.get(name) for name in mine}
-    os.environ.update(mine)
-    try:
-        yield int(mine["ROS_DOMAIN_ID"])
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
-
-
-@contextmanager
 def user(namespace: str = "/") -> Iterator[User]:
     """Be a user in a ROS domain of its own."""
-    with ros_domain() as domain:
+    with own_domain() as domain:
         one = User(domain, namespace)
         try:
             yield one

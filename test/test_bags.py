@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
-from network import PATIENCE, RECORD_QOS, User, network, ros_domain, user
+from network import PATIENCE, RECORD_QOS, User, network, user
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
@@ -33,6 +33,7 @@ from arm_emulator.check import check
 from arm_emulator.record import definition_of, message_class, request
 from arm_emulator.refusal import Refusal
 from arm_emulator.replay import offer
+from arm_emulator.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
 from emulator_node.scene import load_scene
 from emulator_node.session import Session
@@ -316,7 +317,7 @@ def test_what_is_replayed_is_the_same_bytes_in_the_same_order(recording: tuple[P
     expected = [m.data for m in Bag(bag).messages(["/motor_states"])]
     got: list[bytes] = []
     # The only listener: the replay waits for no second one.
-    with ros_domain() as domain, listener(domain, got) as spin:
+    with own_domain() as domain, listener(domain, got) as spin:
         arguments = (bag, "--topics", "motor_states", "--rate", "5", "--wait")
         with command_line("replay", *arguments) as process:
             deadline = time.monotonic() + PATIENCE

@@ -11,10 +11,10 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
-from network import ros_domain
 
 from arm_emulator.demo import DemoPlan
 from arm_emulator.offline import load_offline_run
+from arm_emulator.ros_domain import own_domain
 from emulator_node.scene import example_robot_data
 from motion_controller_node.pose import Pose
 
@@ -54,7 +54,7 @@ def times_of(recording: Path, entity: str) -> set[int]:
 @pytest.mark.parametrize("scene", ["three_axis", pytest.param("ur5", marks=needs_robots)])
 def test_demo(scene: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "arm_emulator", "demo", scene, "--out", str(tmp_path)]
-    with ros_domain():
+    with own_domain():
         done = subprocess.run(command, capture_output=True, text=True, timeout=600.0, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     summary = json.loads((tmp_path / "demo.json").read_text())

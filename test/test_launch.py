@@ -13,9 +13,10 @@ from pathlib import Path
 
 import psutil
 import pytest
-from network import PATIENCE, User, ros_domain
+from network import PATIENCE, User
 
 from arm_emulator.config_files import find_config
+from arm_emulator.ros_domain import own_domain
 
 SERVO = ("servo_node.node", "--params-file", "config/servo/three_axis.yaml")
 # Module and arguments after --ros-args, and what is said.
@@ -101,7 +102,7 @@ def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
     cases = [((module, "--ros-args", *more), words, 1) for (module, *more), words in REFUSED_NODES]
     cases += [((one, "--ros-args", *more), words, 2) for (one, *more), words in REFUSED_BY_ROS]
     cases += [(("arm_emulator", *command), words, 1) for command, words in REFUSED_COMMANDS]
-    with ros_domain():
+    with own_domain():
         started = [(start(*command), command, words, lines) for command, words, lines in cases]
         for process, command, words, lines in started:
             said, complaint = process.communicate(timeout=PATIENCE)
@@ -137,7 +138,7 @@ run_node(Interrupted)
 @pytest.mark.parametrize(("set_up", "words"), [("ctrl_c()", ""), ("pass", "closed\n")])
 def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(set_up: str, words: str) -> None:
     command = [sys.executable, "-c", INTERRUPTED.format(set_up=set_up)]
-    with ros_domain():
+    with own_domain():
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert (done.stdout, done.stderr) == (words, "")
 
@@ -165,7 +166,7 @@ def test_a_middleware_that_locks_up_does_not_keep_a_process(code: int) -> None:
 @contextmanager
 def up(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], list[psutil.Process], User]]:
     """Start `arm_emulator up` and wait until its three nodes run the machine."""
-    with ros_domain() as domain:
+    with own_domain() as domain:
         user = User(domain)
         launcher = start("arm_emulator", "up", "three_axis", *arguments)
         children: list[psutil.Process] = []
@@ -226,7 +227,7 @@ def test_up_that_is_killed_leaves_no_node() -> None:
 
 def test_up_tells_of_a_node_that_cannot_start() -> None:
     """The port of the Rerun stream is taken: the emulator says no, and the others end."""
-    with ros_domain(), socket_on_a_port() as port:
+    with own_domain(), socket_on_a_port() as port:
         launcher = start("arm_emulator", "up", "three_axis", "--rerun-port", str(port))
         said, complaint = launcher.communicate(timeout=PATIENCE)
         assert launcher.returncode == 2
