@@ -28,6 +28,7 @@ from rclpy.qos import (
 )
 
 from arm_emulator.refusal import Refusal
+from arm_emulator.yaml_file import parse_yaml
 
 try:
     from mcap.exceptions import McapError
@@ -308,9 +309,10 @@ def _topic(channel: Channel, schema: Schema | None) -> Topic:
     if schema is None or channel.message_encoding != "cdr":
         raise McapError(f"topic {channel.topic}: not a serialized ROS 2 message")
     try:
-        profiles = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []
+        text = channel.metadata.get("offered_qos_profiles", "")
+        profiles = parse_yaml(text, "offered_qos_profiles") or []
         offered = tuple(_qos_from_yaml(profile) for profile in profiles)
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise McapError(f"topic {channel.topic}: QoS profiles: {error!r}") from None
     return Topic(
         channel.topic,

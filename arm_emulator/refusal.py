@@ -23,11 +23,14 @@ class Refusal(ValueError):
         self.rule = rule
         self.got = got
         self.valid = valid
-        line = f"{where}: {quantity} must {rule}, got {_short(got)}"
-        super().__init__(line if valid is None else f"{line}; valid: {valid}")
+        line = f"{_one_line(where, 120)}: {_one_line(quantity, 200)} must {_one_line(rule, 300)}"
+        line += f", got {_one_line(got, 80)}"
+        super().__init__(line if valid is None else f"{line}; valid: {_one_line(valid, 500)}")
 
 
-def _short(value: object) -> str:
-    """Return `value` on one line of at most 80 characters."""
-    text = " ".join(str(value).split()) or repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+def _one_line(value: object, longest: int) -> str:
+    """Return `value` on one line of at most `longest` printable characters."""
+    text = str(value)
+    text = " ".join(text[: 8 * longest].split()) or repr(text[:longest])
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
