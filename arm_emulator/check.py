@@ -1,14 +1,15 @@
 """`arm_emulator check`: drive the machine again as a bag tells, and compare every bit.
 
-In lock-step a run depends on nothing but what was commanded at which tick. So the recorded
-commands, offered to a new session, must give the recorded states. A run is what lies between two
+A run depends on nothing but the voltages of each servo period, and every motor state tells those
+of the period before it. So the machine, driven by these voltages, must come to the recorded states;
+and in lock-step the voltages must be those of the recorded commands. A run is what lies between two
 resets; it is checked if the bag has it from tick 0 on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,14 @@ from std_msgs.msg import String
 
 from arm_emulator.bag import Bag
 from arm_emulator.config_files import config_folder
+from arm_emulator.joint_order import JointOrder
 from arm_emulator.node_shell import nanoseconds_of
 from arm_emulator.record import definition_of, fields
 from arm_emulator.refusal import Refusal
 from arm_emulator.yaml_file import read_yaml
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
 from emulator_node.scene import Scene, load_scene
-from emulator_node.session import Needless, Session
+from emulator_node.session import Session
 
 # Topic -> class and type of its messages.
 TYPES: dict[str, tuple[Any, str]] = {
@@ -38,8 +40,7 @@ TYPES: dict[str, tuple[Any, str]] = {
     "robot_description": (String, "std_msgs/msg/String"),
     "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
 }
-NEEDED = ("motor_commands", "motor_states")
-COMPARED = (*NEEDED, "emulator/joint_states")
+COMPARED = ("motor_states", "motor_commands", "emulator/joint_states")
 
 
 class Difference(Exception):
@@ -54,9 +55,9 @@ class Tally:
         runs: from tick 0 on.
         states: motor states.
         truths: messages on `emulator/joint_states`.
-        refused: commands that the machine did not take.
-        needless: commands said again, or on their way when a run was left.
-        lost: motor states that the bag misses.
+        commands: ticks whose voltages are those of a recorded command.
+        refused: commands that no machine would have taken.
+        lost: motor states that the bag misses; commands led past them.
         free: ticks at 0 V before the first command of a run.
         skipped: motor states of runs whose beginning is not in the bag.
     """
@@ -64,12 +65,11 @@ class Tally:
     runs: int = 0
     states: int = 0
     truths: int = 0
+    commands: int = 0
     refused: int = 0
-    needless: int = 0
     lost: int = 0
     free: int = 0
     skipped: int = 0
-    doubled: list[int] = field(default_factory=list)  # ticks with two commands that differ
 
 
 def check(path: Path, scene_name: str | None) -> int:
@@ -84,9 +84,9 @@ def check(path: Path, scene_name: str | None) -> int:
     """
     bag = Bag(path)
     topics = _topics(bag)
-    _refuse_real_time(bag, topics)
     scene = load_scene(scene_name or _scene_of(bag, topics))
-    checker = _Checker(Session(scene, "lockstep", "first_answer"), str(path))
+    lockstep = not _in_real_time(bag, topics)
+    checker = _Checker(Session(scene, "lockstep", "first_answer"), str(path), lockstep)
     tally = checker.tally
     difference: Difference | None = None
     try:
@@ -102,26 +102,28 @@ def check(path: Path, scene_name: str | None) -> int:
             f"{tally.skipped} states of later ticks",
             "record, then call emulator/reset",
         )
-    print(f"scene {scene.name}: {_told(tally, bag.complete)}")
+    clock = "" if lockstep else " in real time"
+    print(f"scene {scene.name}{clock}: {_told(tally, bag.complete)}")
     if difference is None:
         print("equal to the last bit")
         return 0
     print(f"the first difference: {difference}")
-    for hint in _hints(tally, bag, topics, scene):
+    for hint in _hints(bag, topics, scene):
         print(f"note: {hint}")
     return 1
 
 
 class _Checker:
-    """Takes the messages of a bag in the order of publication, as the machine took them."""
+    """Takes the messages of a bag in the order of publication, and does what the machine did."""
 
-    def __init__(self, session: Session, where: str) -> None:
+    def __init__(self, session: Session, where: str, lockstep: bool) -> None:
         self.tally = Tally()
         self._session = session
         self._where = where
+        self._lockstep = lockstep
+        self._commanded = JointOrder("motor_commands", session.scene.joint_names)
         self._inside = False  # a run that began at tick 0
-        self._led = False  # by commands
-        self._offered: tuple[int, bytes] | None = None
+        self._begin()
 
     def take(self, name: str, message: Any) -> None:
         {
@@ -130,51 +132,74 @@ class _Checker:
             "emulator/joint_states": self._on_truth,
         }[name](message)
 
+    def _begin(self) -> None:
+        """Forget the run before."""
+        self._session.reset()
+        self._led = False  # by commands: some voltage was not 0
+        self._commands: dict[int, list[NDArray[np.float64]]] = {}  # by the tick that they answer
+
     def _on_command(self, command: MotorCommand) -> None:
-        session = self._session
         if not self._inside:
             return
-        if command.tick == session.tick + 1 and session.answered:
-            self.tally.lost += 1  # it answers a state that the bag misses
-            self._advance()
         try:
-            session.offer(command.tick, command.joint_names, command.voltage)
-        except Needless:
-            self.tally.needless += 1
-            return
+            voltage = self._commanded.arrange(command.joint_names, command.voltage, "voltage", "V")
         except Refusal:
             self.tally.refused += 1
             return
-        self._led = True
-        offered = (command.tick, command.voltage.tobytes())
-        before, self._offered = self._offered, offered
-        if before is not None and before[0] == command.tick and before != offered:
-            self.tally.doubled.append(command.tick)
+        tick, known = int(command.tick), self._commands.get(self._session.tick)
+        if tick == self._session.tick + 1 and known and self._lockstep:
+            self.tally.lost += 1  # it answers a state that the bag misses
+            self._advance(known[-1] if self._session.powered else np.zeros_like(voltage))
+        elif tick > self._session.tick:
+            self.tally.refused += 1
+            return
+        self._commands.setdefault(tick, []).append(voltage)
 
     def _on_state(self, state: MotorState) -> None:
         session, tick = self._session, int(state.tick)
         self._same_joints("motor_states", state.joint_names)
         if tick == 0 and (not self._inside or session.tick > 0):
-            session.reset()
-            self._inside, self._led, self._offered = True, False, None
+            self._begin()
+            self._inside = True
             self.tally.runs += 1
         elif not self._inside or tick < session.tick:
             # A reset whose first state is not in the bag, or the bag begins within a run.
             self._inside = False
             self.tally.skipped += 1
             return
-        elif tick == session.tick + 1:
-            # Power is switched between ticks: this state's flag is that of the period before it.
-            session.powered = bool(state.powered)
-            self._advance()
-        elif tick > session.tick:
-            rule = f"answer tick {session.tick + 1}"
+        order = self._order(state.joint_names)
+        if tick > session.tick + 1:
+            rule = f"tell tick {session.tick + 1}"
             got = f"nothing, and the next state is that of tick {tick}"
-            raise Refusal(self._where, "motor_commands", rule, got, "a bag without gaps")
+            raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
+        if tick == session.tick + 1:
+            self._advance(self._applied(state, order))
         self.tally.states += 1
-        now, order = session.state, self._order(state.joint_names)
+        now = session.state
         self._compare("encoder_counts", order, np.array(state.encoder_counts), now.encoder_counts)
         self._compare("current", order, np.array(state.current), now.current)
+
+    def _applied(self, state: MotorState, order: list[int]) -> NDArray[np.float64]:
+        """Return the voltages of the period before this state; they must be as commanded."""
+        session = self._session
+        session.powered = bool(state.powered)  # of the period before: switched between ticks
+        self._has_values("voltage", order, len(state.voltage))
+        applied = np.array(state.voltage)[order]
+        commands = self._commands.pop(session.tick, [])
+        self._led = self._led or bool(applied.any())
+        self.tally.free += not self._led and not commands
+        # In real time a command may answer any tick, and before the first one was taken it may
+        # answer a tick that is past. Power may be switched while nothing moves.
+        if commands and self._lockstep and self._led and session.powered:
+            self.tally.commands += 1
+            if not any(_same_bits(applied, one) for one in commands):
+                joint = int(np.argmax(applied != commands[-1]))
+                raise Difference(
+                    f"run {self.tally.runs}, tick {session.tick}, "
+                    f"joint {session.scene.joint_names[joint]}, voltage: "
+                    f"commanded {commands[-1][joint].item()!r}, applied {applied[joint].item()!r}"
+                )
+        return applied
 
     def _on_truth(self, truth: JointState) -> None:
         session, now = self._session, self._session.state
@@ -187,21 +212,11 @@ class _Checker:
         self._compare("velocity", order, np.array(truth.velocity), now.v)
         self._compare("effort", order, np.array(truth.effort), now.gear_torque)
 
-    def _advance(self) -> None:
-        session = self._session
-        if not session.answered:
-            if self._led:
-                raise Refusal(
-                    self._where,
-                    "motor_commands",
-                    f"answer tick {session.tick}",
-                    "nothing, though the machine went on",
-                    "a lock-step run without gaps that was started first_answer or paused",
-                )
-            self.tally.free += 1
-        session.advance()
-        if session.fault is not None:
-            raise Difference(f"run {self.tally.runs}, {session.fault}; the recorded run went on")
+    def _advance(self, voltage: NDArray[np.float64]) -> None:
+        self._session.advance_under(voltage)
+        if self._session.fault is not None:
+            fault = self._session.fault
+            raise Difference(f"run {self.tally.runs}, {fault}; the recorded run went on")
 
     def _same_joints(self, topic: str, names: list[str]) -> None:
         expected = self._session.scene.joint_names
@@ -218,12 +233,15 @@ class _Checker:
         """Return where the message has each joint of the scene."""
         return [list(names).index(name) for name in self._session.scene.joint_names]
 
+    def _has_values(self, quantity: str, order: list[int], given: int) -> None:
+        if given != len(order):
+            rule = f"have {len(order)} values"
+            raise Refusal(self._where, quantity, rule, f"{given} values")
+
     def _compare(
         self, quantity: str, order: list[int], given: NDArray[Any], computed: NDArray[Any]
     ) -> None:
-        if len(given) != len(order):
-            rule = f"have {len(order)} values"
-            raise Refusal(self._where, quantity, rule, f"{len(given)} values")
+        self._has_values(quantity, order, len(given))
         recorded = given[order]
         # Of the bits: 0.0 and -0.0 differ, and a NaN is equal to itself.
         differ = recorded.view(np.int64) != computed.view(np.int64)
@@ -234,6 +252,10 @@ class _Checker:
                 f"joint {self._session.scene.joint_names[joint]}, {quantity}: "
                 f"recorded {recorded[joint].item()!r}, computed {computed[joint].item()!r}"
             )
+
+
+def _same_bits(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    return one.tobytes() == other.tobytes()
 
 
 def _topics(bag: Bag) -> dict[str, str]:
@@ -247,7 +269,7 @@ def _topics(bag: Bag) -> dict[str, str]:
     for name, (_, kind) in TYPES.items():
         topic = bag.topics.get(namespace + name)
         if topic is None or not topic.count:
-            if name in NEEDED:
+            if name == "motor_states":
                 raise Refusal(str(bag.path), "the bag", f"have messages on {name}", "none")
             continue
         if topic.type != kind:
@@ -270,12 +292,11 @@ def _read(bag: Bag, topics: dict[str, str], wanted: tuple[str, ...]) -> Iterator
             raise Refusal(str(bag.path), f"messages on {name}", "be readable", error) from None
 
 
-def _refuse_real_time(bag: Bag, topics: dict[str, str]) -> None:
-    for _, status in _read(bag, topics, ("emulator/status",)):
-        if status.worst_lateness > 0.0 or status.overruns:
-            rule = "hold a run in lock-step"
-            got = f"one in real time (worst lateness {status.worst_lateness:g} s)"
-            raise Refusal(str(bag.path), "the bag", rule, got)
+def _in_real_time(bag: Bag, topics: dict[str, str]) -> bool:
+    return any(
+        status.worst_lateness > 0.0 or status.overruns
+        for _, status in _read(bag, topics, ("emulator/status",))
+    )
 
 
 def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
@@ -306,10 +327,10 @@ def _told(tally: Tally, complete: bool) -> str:
         f"{tally.runs} run{'s' if tally.runs > 1 else ''}",
         f"{tally.states} motor states",
         f"{tally.truths} true joint states",
+        f"{tally.commands} commands",
     ]
     extra = {
-        "commands were refused": tally.refused,
-        "commands were not needed": tally.needless,
+        "commands answer no state": tally.refused,
         "states are missing": tally.lost,
         "ticks at 0 V before the first command": tally.free,
         "states of a run that began before the recording are left out": tally.skipped,
@@ -320,12 +341,10 @@ def _told(tally: Tally, complete: bool) -> str:
     return ", ".join(parts)
 
 
-def _hints(tally: Tally, bag: Bag, topics: dict[str, str], scene: Scene) -> Iterator[str]:
+def _hints(bag: Bag, topics: dict[str, str], scene: Scene) -> Iterator[str]:
     for _, description in _read(bag, topics, ("robot_description",)):
         if description.data != scene.urdf:
             yield f"the recorded robot_description is not that of scene {scene.name}"
         break
-    if tally.free:
-        yield "no command is recorded for the first ticks; a free run cannot be told from a gap"
-    if tally.doubled:
-        yield f"different commands answer tick {tally.doubled[0]}; the last one was taken"
+    if "emulator/status" not in topics:
+        yield "without emulator/status nobody knows whether this was lock-step, as assumed"

@@ -226,6 +226,7 @@ class EmulatorNode(Node):
         message.powered = session.powered
         message.encoder_counts = array("q", session.state.encoder_counts.tobytes())
         message.current = array("d", session.state.current.tobytes())
+        message.voltage = array("d", session.voltage.tobytes())
         self._motor_states.publish(message)
 
     def _on_repeat(self) -> None:

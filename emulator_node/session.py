@@ -169,9 +169,12 @@ class Session:
 
         After a `fault`, and only then, tick and state stay as they were.
         """
-        self.voltage = self._zero
-        if self.powered and self._commanded is not None:
-            self.voltage = self._commanded
+        commanded = self._commanded if self.powered else None
+        self.advance_under(self._zero if commanded is None else commanded)
+
+    def advance_under(self, voltage: Array) -> None:
+        """Advance by one servo period under these voltages (N,) [V], see `advance`."""
+        self.voltage = voltage
         started = time.perf_counter_ns()
         try:
             self.plant.advance(self.voltage, self.scene.steps_per_period)
