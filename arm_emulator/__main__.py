@@ -69,6 +69,10 @@ def _parser() -> argparse.ArgumentParser:
     compile_.add_argument("--into", type=Path, help="folder for the library (default: the cache)")
     compile_.set_defaults(run=_compile)
 
+    cache = commands.add_parser("cache", help="list the compiled scenes that are kept")
+    cache.add_argument("--clear", action="store_true", help="remove them")
+    cache.set_defaults(run=_cache)
+
     advise = commands.add_parser("advise", help="find the cheapest scheme and step for an error")
     _scene(advise)
     advise.add_argument(
@@ -165,6 +169,12 @@ def _compile(arguments: argparse.Namespace) -> int:
 
     print(compile_ahead(load_scene(arguments.scene), arguments.target, arguments.into))
     return 0
+
+
+def _cache(arguments: argparse.Namespace) -> int:
+    from arm_emulator.cache import clear_cache, list_cache
+
+    return clear_cache() if arguments.clear else list_cache()
 
 
 def _advise(arguments: argparse.Namespace) -> int:

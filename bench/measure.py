@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from emulator_node.compiler import find_compiler, library_of, scene_unit
+from emulator_node.compiler import library_of, scene_unit
+from emulator_node.cxx import find_compiler
 from emulator_node.scene import Scene
 
 ENOUGH = 0.01  # s of work in one repetition

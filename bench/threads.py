@@ -17,7 +17,7 @@ from bench.chains import chain
 from bench.measure import Task, compile_all, interleaved, progress
 from bench.motion import Array, sines
 from bench.reference import reference
-from emulator_node.compiler import find_compiler
+from emulator_node.cxx import find_compiler
 from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
 

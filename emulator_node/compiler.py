@@ -5,21 +5,21 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import hashlib
-import os
 import platform
-import shlex
-import shutil
-import subprocess
 import sys
-import tempfile
 import time
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 from arm_emulator.refusal import Refusal
+from emulator_node import library_cache
 from emulator_node.chain import Body, ChainJoint
-from emulator_node.library_cache import cache_folders, locked, writable_cache
+from emulator_node.core_calls import CALLS
+from emulator_node.cxx import find_compiler, run_compiler
+from emulator_node.elf import why_no_library
 from emulator_node.scene import Gear, Joint, Scene
+from emulator_node.trusted import Untrusted, read_file
 
 CORE = Path(__file__).resolve().parent / "core"
 
@@ -38,83 +38,121 @@ def library_of(scene: Scene) -> ctypes.CDLL:
     """Return the scene's compiled core, compiling it if no cached library fits.
 
     Raises:
-        Refusal: there is neither a cached library nor a working compiler.
+        Refusal: there is neither a sound cached library nor a working compiler.
     """
     unit = scene_unit(scene)
-    for folder in cache_folders():
+    for folder in library_cache.cache_folders():
         for target in ("native", *PORTABLE_TARGETS):
-            file = folder / _library_name(scene, unit, target)
-            if file.is_file() and (target == "native" or _runs_here(target)):
-                return ctypes.CDLL(str(file))
-    return ctypes.CDLL(str(compile_scene(scene, "native", writable_cache())))
-
-
-def compile_scene(scene: Scene, target: str, folder: Path) -> Path:
-    """Compile a scene's core for `target` into `folder` and return the library's path.
-
-    Several processes may do this at once: one compiles, the others wait for it.
-
-    Raises:
-        Refusal: no compiler, or it fails.
-    """
-    unit = scene_unit(scene)
-    library = folder / _library_name(scene, unit, target)
-    with locked(library.with_suffix(".lock")):
-        if library.is_file():
-            return library
-        compiler = find_compiler()
-        print(f"compiling scene {scene.name} ({len(scene.joints)} joints) ... ",
-              end="", file=sys.stderr, flush=True)  # fmt: skip
-        started = time.perf_counter()
-        with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            source, built = Path(scratch) / "scene.cpp", Path(scratch) / library.name
-            source.write_text(unit, encoding="utf-8")
-            command = [*compiler, *FLAGS, f"-march={target}", f"-I{CORE}", str(source)]
-            done = subprocess.run(
-                [*command, "-o", str(built)], capture_output=True, text=True, check=False
-            )
-            if done.returncode != 0:
-                print("failed", file=sys.stderr)
-                raise Refusal(
-                    scene.where, f"compiler {compiler[0]}", "compile the scene's core", done.stderr
-                )
-            os.replace(built, library)
-        print(f"{time.perf_counter() - started:.1f} s", file=sys.stderr)
-    return library
+            if target == "native" or _runs_here(target):
+                file = folder / _library_name(scene, unit, target)
+                try:
+                    return library_cache.load(file)
+                except FileNotFoundError:
+                    continue
+                except library_cache.Damaged as error:
+                    _say_damaged(file, error)
+    for folder in library_cache.writable_caches():
+        with _compiled(scene, unit, "native", folder) as file:
+            try:
+                return library_cache.load(file)
+            except (library_cache.Damaged, FileNotFoundError) as error:
+                _say_damaged(file, error)
+    raise AssertionError("writable_caches ends with a refusal")
 
 
 def compile_ahead(scene: Scene, target: str, folder: Path | None) -> Path:
-    """Compile for `target` into `folder` (None: the cache), for machines without a compiler.
+    """Compile for `target`, for machines without a compiler, and return the library's path.
+
+    Args:
+        scene: the scene.
+        target: "native" or one of `PORTABLE_TARGETS`.
+        folder: gets a copy of the library in the cache; None: the cache is enough.
 
     Raises:
-        Refusal: an unknown target, no compiler, or it fails.
+        Refusal: an unknown target, no compiler, it fails, or no place to write to.
     """
     targets = ("native", *PORTABLE_TARGETS)
     if target not in targets:
         raise Refusal("compile", "target", "be known", target, ", ".join(targets))
-    if folder is None:
-        folder = writable_cache()
-    folder.mkdir(parents=True, exist_ok=True)
-    return compile_scene(scene, target, folder)
+    unit = scene_unit(scene)
+    with _compiled(scene, unit, target, next(library_cache.writable_caches())) as library:
+        if folder is None:
+            return library
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            reason = library_cache.why_not_trusted(folder)
+            if reason:
+                print(f"arm_emulator: no library is loaded from {folder} as it is: {reason}",
+                      file=sys.stderr)  # fmt: skip
+            if folder.resolve() == library.parent.resolve():
+                return library
+            return library_cache.copy_into(library, folder)
+        except OSError as error:
+            raise Refusal("compile", f"the folder {folder}", "be writable", error) from None
 
 
-def find_compiler() -> list[str]:
-    """Return the C++ compiler's command: $CXX, or the first of c++, g++, clang++ on the path.
+@contextlib.contextmanager
+def _compiled(scene: Scene, unit: str, target: str, folder: Path) -> Iterator[Path]:
+    """Give the path of the scene's library in a folder of ours, compiled if it is not there.
+
+    Several processes may do this at once: one compiles, the others wait for it. As long as it is
+    held, nobody removes it.
 
     Raises:
-        Refusal: there is none.
+        Refusal: no compiler, or it fails; or the folder does not take what it makes.
     """
-    named = shlex.split(os.environ.get("CXX", ""))
-    for words in [named] if named else [["c++"], ["g++"], ["clang++"]]:
-        if shutil.which(words[0]):
-            return words
-    raise Refusal(
-        "arm_emulator",
-        "C++ compiler",
-        "be on the path, a scene is compiled when first used",
-        named[0] if named else "none of c++, g++, clang++",
-        "install one, set CXX, or compile ahead with `arm_emulator compile SCENE` elsewhere",
-    )
+    library = folder / _library_name(scene, unit, target)
+    with contextlib.ExitStack() as held:
+        try:
+            held.enter_context(library_cache.locked(library))
+            try:
+                library_cache.check(library)
+            except (library_cache.Damaged, FileNotFoundError):
+                _compile(scene, unit, target, library)
+        except OSError as error:
+            raise Refusal(scene.where, f"cache folder {folder}", "take the scene's library",
+                          f"{error.strerror} ({error.filename})") from None  # fmt: skip
+        yield library
+
+
+def _compile(scene: Scene, unit: str, target: str, library: Path) -> None:
+    compiler = find_compiler()
+    largest = library_cache.largest_size()
+    print(f"compiling scene {scene.name} ({len(scene.joints)} joints) ... ",
+          end="", file=sys.stderr, flush=True)  # fmt: skip
+    started = time.perf_counter()
+    end = "failed"
+    try:
+        with library_cache.scratch_of(library) as scratch:
+            source, built = scratch / "scene.cpp", scratch / "scene.so"
+            source.write_text(unit, encoding="utf-8")
+            command = [*compiler, *FLAGS, f"-march={target}", f"-I{CORE}"]
+            run_compiler([*command, str(source), "-o", str(built)], scratch, scene.where)
+            library_cache.store(library, _built(built, compiler[0], scene), scratch)
+            library_cache.make_room(library, largest)
+        end = f"{time.perf_counter() - started:.1f} s"
+    finally:
+        print(end, file=sys.stderr)
+
+
+def _built(file: Path, compiler: str, scene: Scene) -> bytes:
+    """Return the library that a compiler says it has made."""
+    body = b""
+    try:
+        body = read_file(file, library_cache.LARGEST_LIBRARY)
+        reason = why_no_library(body, CALLS)
+    except FileNotFoundError:
+        reason = "there is none"
+    except (OSError, Untrusted) as error:
+        reason = str(error)
+    if reason:
+        raise Refusal(scene.where, f"compiler {compiler}",
+                      "make a library, though it says nothing is wrong", reason)  # fmt: skip
+    return body
+
+
+def _say_damaged(file: Path, error: Exception) -> None:
+    library_cache.say_once(f"arm_emulator: cached library {file} is not used: {error}")
 
 
 # The scene as C++
@@ -203,11 +241,12 @@ def _number(value: float) -> str:
 
 
 def _library_name(scene: Scene, unit: str, target: str) -> str:
-    digest = hashlib.sha256(_core_digest())
+    digest = hashlib.sha256(library_cache.SEAL + _core_digest())
     for part in (unit, " ".join(FLAGS), target, _processor() if target == "native" else ""):
         digest.update(part.encode())
         digest.update(b"\0")
-    name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scene.name)
+    # A name that every file system takes, also with what stands beside a library.
+    name = "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in scene.name)[:60]
     return f"{name}-{digest.hexdigest()[:20]}.so"
 
 

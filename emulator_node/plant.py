@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.compiler import library_of
+from emulator_node.core_calls import declare
 from emulator_node.scene import Scene
 from emulator_node.stability import Attempt, attempts, what_holds
 
@@ -105,7 +106,7 @@ class Plant:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.core = _declare(library_of(scene))
+        self.core = declare(library_of(scene))
         self._N = len(scene.joints)
         self._shape = (self._N,)
         self.machine = self.core.arm_new(scene.integrator.dt, scene.cores[1])
@@ -287,32 +288,3 @@ def _check_steps(steps: int, where: str) -> None:
 
 def _pointer(array: Array) -> Any:
     return array.ctypes.data_as(ctypes.c_void_p)
-
-
-def _declare(core: ctypes.CDLL) -> ctypes.CDLL:
-    """Tell ctypes the signatures of core/abi.hpp."""
-    pointer, count = ctypes.c_void_p, ctypes.c_int64
-    for name, result, arguments in (
-        ("arm_new", pointer, [ctypes.c_double, ctypes.c_int]),
-        ("arm_delete", None, [pointer]),
-        ("arm_reset", None, [pointer] * 3),
-        ("arm_advance", ctypes.c_int, [pointer, pointer, count]),
-        ("arm_run", ctypes.c_int, [pointer, pointer, count, count, pointer]),
-        ("arm_time", ctypes.c_double, [pointer]),
-        ("arm_energy", ctypes.c_double, [pointer]),
-        ("arm_state", None, [pointer, pointer]),
-        ("arm_real_time_new", pointer, [pointer, count, count, ctypes.c_int]),
-        ("arm_real_time_delete", None, [pointer]),
-        ("arm_real_time_start", None, [pointer, count]),
-        ("arm_real_time_stop", None, [pointer]),
-        ("arm_real_time_command", None, [pointer, count, pointer]),
-        ("arm_real_time_power", None, [pointer, ctypes.c_int]),
-        ("arm_real_time_take", ctypes.c_int, [pointer, pointer]),
-        ("arm_real_time_descriptor", ctypes.c_int, [pointer]),
-        ("arm_real_time_status", None, [pointer, pointer]),
-        ("arm_real_time_clear_figures", None, [pointer]),
-        ("arm_forward_dynamics", None, [count] + [pointer] * 4),
-    ):
-        function = getattr(core, name)
-        function.restype, function.argtypes = result, arguments
-    return core

@@ -15,10 +15,10 @@ from emulator_node.compiler import (
     CORE,
     FLAGS,
     compile_ahead,
-    find_compiler,
     library_of,
     scene_unit,
 )
+from emulator_node.cxx import find_compiler
 from emulator_node.library_cache import CACHE_VARIABLE
 from emulator_node.scene import load_scene
 

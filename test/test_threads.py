@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from machines import random_chain
 
-from emulator_node.compiler import CORE, FLAGS, find_compiler, scene_unit
+from emulator_node.compiler import CORE, FLAGS, scene_unit
+from emulator_node.cxx import find_compiler
 from emulator_node.plant import Diverged, Plant
 from emulator_node.real_time import RealTimeLoop
 from emulator_node.scene import load_scene

@@ -1,0 +1,120 @@
+"""The C++ compiler of this machine: how it is found, and run so that nothing it does surprises."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import shlex
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+from arm_emulator.refusal import Refusal
+
+LONGEST_RUN = 900.0  # s; the largest scenes take a minute, on a busy machine some more
+MOST_WORDS = 65536  # bytes of what a compiler says that are kept
+
+
+def find_compiler() -> list[str]:
+    """Return the C++ compiler's command: $CXX, or the first of c++, g++, clang++ on the path.
+
+    Raises:
+        Refusal: there is none, or $CXX is no command.
+    """
+    text = os.environ.get("CXX", "")
+    try:
+        named = shlex.split(text)
+    except ValueError as error:
+        raise Refusal(
+            "arm_emulator", "CXX", "be the words of a command", f"{text} ({error})"
+        ) from None
+    for words in [named] if named else [["c++"], ["g++"], ["clang++"]]:
+        if shutil.which(words[0]):
+            return words
+    raise Refusal(
+        "arm_emulator",
+        "C++ compiler",
+        "be on the path, a scene is compiled when first used",
+        named[0] if named else "none of c++, g++, clang++",
+        "install one, set CXX, or compile ahead with `arm_emulator compile SCENE` elsewhere",
+    )
+
+
+def run_compiler(command: list[str], folder: Path, where: str) -> None:
+    """Run a compiler to its end.
+
+    Args:
+        command: its words.
+        folder: where its files are; left out of its words.
+        where: what is compiled, for refusals.
+
+    Raises:
+        Refusal: it cannot be run, fails, is killed, or does not come to an end.
+    """
+    try:
+        # In a session of its own, so that it can be ended with all that it has started.
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    except OSError as error:
+        raise _failure(where, command, error.strerror or str(error)) from None
+    try:
+        words = _listen(process)
+    except TimeoutError:
+        raise _failure(where, command, f"no end within {LONGEST_RUN:g} s") from None
+    finally:
+        if process.returncode is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        assert process.stdout is not None
+        process.stdout.close()
+    if process.returncode == 0:
+        return
+    if process.returncode < 0:
+        end = f"ended by signal {-process.returncode}"
+        with contextlib.suppress(ValueError):
+            end = f"ended by {signal.Signals(-process.returncode).name}"
+    else:
+        end = f"exit code {process.returncode}"
+    text = words.decode(errors="replace").replace(f"{folder}/", "")
+    lines = [line for line in text.splitlines() if line.strip()]
+    telling = [line for line in lines if "error" in line.lower()] or lines
+    raise _failure(where, command, ": ".join([end, *telling[:1]]))
+
+
+def _listen(process: subprocess.Popen[bytes]) -> bytes:
+    """Return the beginning of what a process says until it ends, whoever else holds its pipe."""
+    assert process.stdout is not None
+    pipe = process.stdout.fileno()
+    deadline = time.monotonic() + LONGEST_RUN
+    words = b""
+    while process.poll() is None:
+        left = deadline - time.monotonic()
+        if left <= 0.0:
+            raise TimeoutError
+        if not select.select([pipe], [], [], min(left, 0.1))[0]:
+            continue
+        heard = os.read(pipe, MOST_WORDS)
+        if not heard:  # it has closed its output; the end is near
+            try:
+                process.wait(left)
+            except subprocess.TimeoutExpired:
+                raise TimeoutError from None
+        words += heard[: MOST_WORDS - len(words)]
+    while select.select([pipe], [], [], 0.0)[0] and len(words) < MOST_WORDS:
+        heard = os.read(pipe, MOST_WORDS)
+        if not heard:
+            break
+        words += heard
+    return words
+
+
+def _failure(where: str, command: list[str], got: str) -> Refusal:
+    return Refusal(where, f"compiler {command[0]}", "compile the scene's core", got)

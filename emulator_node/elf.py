@@ -1,0 +1,73 @@
+"""Shared libraries in ELF: what can be said of one without loading it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from functools import cache
+
+# System V ABI, chapters 4 and 5, for 64 bits: the header after its 16 bytes of identification, a
+# program header, a section header, a symbol.
+HEADER = struct.Struct("<HHIQQQIHHHHHH")
+PROGRAM = struct.Struct("<IIQQQQQQ")
+SECTION = struct.Struct("<IIQQQQIIQQ")
+SYMBOL = struct.Struct("<IBBHQQ")
+IDENTIFICATION = b"\x7fELF\x02\x01\x01"  # 64 bits, little end first, version 1
+IDENTIFICATION_SIZE = 16
+SHARED_OBJECT = 3
+DYNAMIC_SYMBOLS = 11
+UNDEFINED = 0
+
+
+def why_no_library(content: bytes, functions: Iterable[str]) -> str:
+    """Return why some bytes are no shared library for this machine with these functions, or "".
+
+    What is cut short is found out, for the table of sections stands at the end.
+    """
+    if not content:
+        return "it is empty"
+    if not content.startswith(IDENTIFICATION):
+        return "it is no 64-bit ELF file"
+    try:
+        kind, machine, _, _, programs_at, sections_at, *_, programs, _, sections, _ = (
+            HEADER.unpack_from(content, IDENTIFICATION_SIZE)
+        )
+        if kind != SHARED_OBJECT:
+            return "it is no shared library"
+        if machine != _this_machine():
+            return f"it is for another machine (ELF number {machine})"
+        for index in range(programs):
+            _, _, at, _, _, size, *_ = PROGRAM.unpack_from(
+                content, programs_at + index * PROGRAM.size
+            )
+            if at + size > len(content):
+                return "it is cut short"
+        table = [
+            SECTION.unpack_from(content, sections_at + index * SECTION.size)
+            for index in range(sections)
+        ]
+        missing = set(functions) - _exported(content, table)
+    except (struct.error, IndexError):
+        return "it is cut short"
+    return f"it lacks {', '.join(sorted(missing))}" if missing else ""
+
+
+def _exported(content: bytes, table: list[tuple[int, ...]]) -> set[str]:
+    names = set()
+    for _, kind, _, _, at, size, link, *_ in table:
+        if kind != DYNAMIC_SYMBOLS:
+            continue
+        strings_at = table[link][4]
+        for symbol in range(at, at + size, SYMBOL.size):
+            name, _, _, section, *_ = SYMBOL.unpack_from(content, symbol)
+            if section != UNDEFINED:
+                begin = strings_at + name
+                names.add(content[begin : content.find(b"\0", begin)].decode(errors="replace"))
+    return names
+
+
+@cache
+def _this_machine() -> int:
+    with open("/proc/self/exe", "rb") as python:
+        machine: int = HEADER.unpack(python.read(IDENTIFICATION_SIZE + HEADER.size)[16:])[1]
+    return machine

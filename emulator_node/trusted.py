@@ -1,0 +1,123 @@
+"""Whether a folder or a file can have been changed by nobody but us and root."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import pwd
+import stat
+from pathlib import Path
+
+MOST_LINKS = 40  # as the kernel
+GROUP_OR_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
+
+class Untrusted(Exception):
+    """Somebody else may have changed it; the text says why, and what to do where that is simple."""
+
+
+def check_folder(folder: Path, make: int | None = None) -> None:
+    """Raise unless nobody but us and root can change what lies in a folder.
+
+    Every folder from / down belongs to us or to root, and neither its group nor others can write
+    to it. Above the folder itself a sticky one as /tmp will do: there nobody can replace what is
+    not theirs. A link on the way is followed if it belongs to us or to root, for nobody else can
+    make it point elsewhere; the folder itself must not be a link.
+
+    The walk is from above: when a folder is looked at, nobody else can put another into its place
+    any more, then or later. So what is found holds until the folder is used.
+
+    Args:
+        folder: which one; a relative path starts at the working folder.
+        make: mode of the folders that are missing and shall be made; None: none shall.
+
+    Raises:
+        Untrusted: see above.
+        OSError: it is not there, no folder, or cannot be made.
+    """
+    at, left = "/", os.path.abspath(folder).split("/")[:0:-1]  # the next part is the last of these
+    links = 0
+    while True:
+        try:
+            found = os.lstat(at)
+        except FileNotFoundError:
+            if make is None:
+                raise
+            with contextlib.suppress(FileExistsError):
+                os.mkdir(at, make)
+            found = os.lstat(at)
+        _check_owner(at, found)
+        if stat.S_ISLNK(found.st_mode):
+            links += 1
+            if not left:
+                raise Untrusted(f"{at} is a link (name the folder it leads to)")
+            if links > MOST_LINKS:
+                raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), at)
+            target = os.readlink(at)
+            left += [part for part in reversed(target.split("/")) if part]
+            at = "/" if target.startswith("/") else os.path.dirname(at)
+            continue
+        if not stat.S_ISDIR(found.st_mode):
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), at)
+        if not (left and found.st_mode & stat.S_ISVTX):
+            _check_mode(at, found)
+        if not left:
+            return
+        # `at` holds no links, so that its parent is what its text says.
+        part = left.pop()
+        at = os.path.normpath(os.path.join(at, part))
+
+
+def read_file(file: Path, largest: int) -> bytes:
+    """Return what a file holds that nobody but us and root can have written, and mark it as used.
+
+    Its folder must have been found good by `check_folder`.
+
+    Args:
+        file: which one.
+        largest: more than so many bytes are not read.
+
+    Raises:
+        Untrusted: it is a link, no file at all, too large, or somebody else can write to it.
+        OSError: it is not there, or cannot be read.
+    """
+    try:
+        # Without blocking: a pipe that lies there would wait for a writer for ever.
+        opened = os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENXIO):
+            raise Untrusted("it is a link or a socket") from None
+        raise
+    try:
+        found = os.fstat(opened)
+        if not stat.S_ISREG(found.st_mode):
+            raise Untrusted("it is no file")
+        _check_owner(str(file), found)
+        _check_mode(str(file), found)
+        if found.st_size > largest:
+            raise Untrusted(f"it holds {found.st_size} bytes")
+        with contextlib.suppress(OSError):  # of root, or on a read-only file system
+            os.utime(opened)
+        with open(opened, "rb", closefd=False) as handle:
+            return handle.read(largest)
+    finally:
+        os.close(opened)
+
+
+def _check_owner(at: str, found: os.stat_result) -> None:
+    if found.st_uid not in (0, os.geteuid()):
+        raise Untrusted(f"{at} belongs to {_user(found.st_uid)}")
+
+
+def _check_mode(at: str, found: os.stat_result) -> None:
+    if found.st_mode & GROUP_OR_OTHERS:
+        who = "others" if found.st_mode & stat.S_IWOTH else "its group"
+        raise Untrusted(f"{at} can be written by {who} (chmod go-w {at})")
+
+
+def _user(number: int) -> str:
+    try:
+        return f"user {pwd.getpwuid(number).pw_name}"
+    except KeyError:
+        return f"user {number}"

@@ -1,0 +1,485 @@
+"""What may lie in a cache, who may have put it there, and how much of it stays."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import stat
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import one_link_urdf, write_scene
+
+from arm_emulator.refusal import Refusal
+from emulator_node import library_cache
+from emulator_node.compiler import library_of
+from emulator_node.core_calls import CALLS
+from emulator_node.cxx import find_compiler
+from emulator_node.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
+from emulator_node.scene import Scene, load_scene
+
+SOMEBODY = 65534  # a user who is neither we nor root
+ROOT = os.geteuid() == 0
+as_root = pytest.mark.skipif(not ROOT, reason="only root can act as another user")
+
+
+@dataclass(frozen=True)
+class Sound:
+    """A scene with one joint, its library, and a compiler that gives it at once."""
+
+    file: Path
+    scene: Scene
+    name: str
+    body: bytes
+    compiler: str
+
+    @property
+    def stored(self) -> bytes:
+        """The library as it lies in a cache."""
+        return self.body + library_cache._seal(self.name, self.body)
+
+    def put(self, folder: Path) -> Path:
+        folder.mkdir(exist_ok=True)
+        file = folder / self.name
+        file.write_bytes(self.stored)
+        return file
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
+    folder = tmp_path_factory.mktemp("one_link")
+    at = write_scene(folder, one_link_urdf(), {"joint": {}})
+    scene = load_scene(at)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str(folder / "cache"))
+        library_of(scene)
+    (file,) = (folder / "cache").glob("*.so")
+    body = folder / "body.so"
+    body.write_bytes(file.read_bytes()[: -library_cache.SEAL_SIZE])
+    return Sound(
+        at, scene, file.name, body.read_bytes(), fake_compiler(folder, f'cp {body} "$out"')
+    )
+
+
+def fake_compiler(folder: Path, does: str) -> str:
+    """A compiler that `does` something with the file "$out" that it shall make."""
+    script = folder / f"fake_{len(list(folder.iterdir()))}"
+    find_out = 'for word; do [ "$last" = -o ] && out=$word; last=$word; done'
+    script.write_text(f"#!/bin/sh\n{find_out}\n{does}\n")
+    script.chmod(0o755)
+    return str(script)
+
+
+@pytest.fixture
+def cache(sound: Sound, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache, and the quick compiler."""
+    library_cache.say_once.cache_clear()
+    folder = tmp_path / "cache"
+    monkeypatch.setenv(CACHE_VARIABLE, str(folder))
+    monkeypatch.setenv("CXX", sound.compiler)
+    return folder
+
+
+# What lies there
+
+
+WAYS = [
+    *("cut", "flipped", "text", "empty", "another ELF", "under a wrong name", "no seal", "longer"),
+    *("link", "loop", "nowhere", "pipe", "socket", "folder", "writable"),
+]
+
+
+def change(rng: np.random.Generator, file: Path, sound: Sound) -> str:
+    """Spoil a cached library in a random way; returns which."""
+    whole = sound.stored
+    way = str(rng.choice(WAYS + ["somebody's"] * ROOT))
+    file.unlink()
+    if way == "cut":
+        file.write_bytes(whole[: rng.integers(1, len(whole))])
+    elif way == "flipped":
+        bits = np.frombuffer(whole, dtype=np.uint8).copy()
+        for at in rng.integers(0, len(whole), rng.integers(1, 4)):
+            bits[at] ^= 1 << rng.integers(0, 8)
+        if bits.tobytes() == whole:  # the same bit twice
+            bits[0] ^= 1
+        file.write_bytes(bits.tobytes())
+    elif way == "text":
+        file.write_bytes(rng.integers(32, 127, rng.integers(1, 10_000), dtype=np.uint8).tobytes())
+    elif way == "empty":
+        file.touch()
+    elif way == "another ELF":
+        file.write_bytes(Path(sys.executable).read_bytes()[:1_000_000])
+    elif way == "under a wrong name":
+        file.write_bytes(sound.body + library_cache._seal("another.so", sound.body))
+    elif way == "no seal":
+        file.write_bytes(sound.body)
+    elif way == "longer":
+        file.write_bytes(whole + bytes(rng.integers(1, 5000)))
+    elif way == "link":
+        file.symlink_to(sound.put(file.parent / "elsewhere"))
+    elif way == "loop":
+        file.symlink_to(file)
+    elif way == "nowhere":
+        file.symlink_to(file.parent / "nothing")
+    elif way == "pipe":
+        os.mkfifo(file)
+    elif way == "socket":
+        os.mknod(file, stat.S_IFSOCK | 0o644)
+    elif way == "folder":
+        file.mkdir()
+    else:
+        file.write_bytes(whole)
+        if way == "writable":
+            file.chmod(0o644 | int(rng.choice([0o002, 0o020, 0o022])))
+        else:
+            os.chown(file, SOMEBODY, 0)
+    return way
+
+
+def test_a_spoiled_library_is_never_loaded_but_made_anew(
+    cache: Path, sound: Sound, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Loading one that is cut short ends the process by SIGBUS."""
+    rng = np.random.default_rng(1)
+    seen = set()
+    for case in range(150):
+        os.environ[CACHE_VARIABLE] = str(cache / str(case))
+        cache.mkdir(exist_ok=True)
+        file = sound.put(cache / str(case))
+        way = change(rng, file, sound)
+        seen.add(way)
+        assert library_of(sound.scene).arm_time, way
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 2, (way, said)
+        assert said[0].startswith(f"arm_emulator: cached library {file} is not used: "), way
+        assert said[1].startswith("compiling scene one_link0 (1 joints) ... "), way
+        assert stat.S_ISREG(file.lstat().st_mode), way
+        assert file.read_bytes() == sound.stored, way
+        assert file.stat().st_uid == os.geteuid() and not file.stat().st_mode & 0o022, way
+        left = {item.name for item in file.parent.iterdir()} - {"elsewhere"}
+        assert left == {file.name}, (way, left)
+    assert len(seen) >= 15, seen
+
+
+def test_every_cut_of_a_library_is_found_out(cache: Path, sound: Sound) -> None:
+    file = sound.put(cache)
+    for size in range(0, len(sound.stored), 101):
+        file.write_bytes(sound.stored[:size])
+        with pytest.raises(library_cache.Damaged):
+            library_cache.check(file)
+
+
+def test_a_folder_in_the_place_of_a_library_is_told(cache: Path, sound: Sound) -> None:
+    cache.mkdir()
+    (cache / sound.name / "precious").mkdir(parents=True)
+    with pytest.raises(Refusal, match="take the scene's library, got Directory not empty"):
+        library_of(sound.scene)
+    assert (cache / sound.name / "precious").is_dir(), "what is not ours stays"
+
+
+def test_what_lies_in_the_place_of_a_lock_does_no_harm(cache: Path, sound: Sound) -> None:
+    """Once, a link in its place led to a file that was emptied."""
+    precious = cache.parent / "precious"
+    precious.write_text("precious")
+    for way in ("link", "nowhere", "pipe", "folder", *["somebody's"] * ROOT):
+        cache.mkdir(exist_ok=True)
+        lock = (cache / sound.name).with_suffix(".lock")
+        if way in ("link", "nowhere"):
+            lock.symlink_to(precious if way == "link" else cache / "nothing")
+        elif way == "pipe":
+            os.mkfifo(lock)
+        elif way == "folder":
+            lock.mkdir()
+        else:
+            lock.touch(0o644)
+            os.chown(lock, SOMEBODY, 0)
+        (cache / sound.name).unlink(missing_ok=True)
+        assert library_of(sound.scene).arm_time, way
+        assert precious.read_text() == "precious", way
+        assert [item.name for item in cache.iterdir()] == [sound.name], way
+
+
+# Who has put it there
+
+
+@dataclass(frozen=True)
+class Planted(Sound):
+    """A library that leaves a mark when it is loaded."""
+
+    mark: Path
+
+    def ran(self) -> bool:
+        """Whether it has been loaded since this was asked last."""
+        found = self.mark.exists()
+        self.mark.unlink(missing_ok=True)
+        return found
+
+
+@pytest.fixture(scope="module")
+def planted(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Planted:
+    folder = tmp_path_factory.mktemp("planted")
+    mark = folder / "mark"
+    source = folder / "planted.cpp"
+    functions = "".join(f"void {name}() {{}}\n" for name in CALLS)
+    source.write_text(
+        f'#include <cstdio>\nextern "C" {{\nint planted;\n{functions}}}\n'
+        f'__attribute__((constructor)) void run() {{ fclose(fopen("{mark}", "w")); }}\n'
+    )
+    built = folder / "planted.so"
+    subprocess.run(
+        [*find_compiler(), "-shared", "-fPIC", str(source), "-o", str(built)], check=True
+    )
+    return Planted(sound.file, sound.scene, sound.name, built.read_bytes(), "false", mark)
+
+
+def chain(rng: np.random.Generator, top: Path) -> tuple[Path, str]:
+    """Make a chain of folders with at most one thing wrong; returns the last, and what is wrong.
+
+    "": nothing is wrong, also where it looks odd.
+    """
+    wrong = ["group", "others", "folder sticky", "folder a link"]
+    wrong += ["somebody's", "somebody's link", "root's group"] * ROOT
+    fine = ["", "", "sticky above", "link above", "dots"]
+    way = str(rng.choice(wrong + fine))
+    parts = [f"level_{level}" for level in range(rng.integers(2, 5))]
+    folder = top.joinpath(*parts)
+    folder.mkdir(parents=True)
+    folder.chmod(0o755)
+    level = int(rng.integers(1, len(parts)))  # of an ancestor, or of the folder itself
+    above = top.joinpath(*parts[:level])
+    any_of_them = top.joinpath(*parts[: rng.integers(1, len(parts) + 1)])
+    if way in ("group", "others"):
+        any_of_them.chmod(0o775 if way == "group" else 0o757)
+    elif way == "root's group":
+        os.chown(any_of_them, 0, SOMEBODY)
+        any_of_them.chmod(0o2775)
+    elif way == "somebody's":
+        os.chown(any_of_them, SOMEBODY, 0)
+    elif way == "folder sticky":
+        folder.chmod(0o1777)
+    elif way == "sticky above":
+        above.chmod(0o1777)
+    elif way in ("folder a link", "link above", "somebody's link"):
+        which = above if way == "link above" else folder if "folder" in way else any_of_them
+        real = which.rename(which.with_name("real"))
+        which.symlink_to(real if rng.integers(2) else real.name)
+        if way == "somebody's link":
+            os.lchown(which, SOMEBODY, 0)
+    elif way == "dots":
+        folder = above / ".." / "." / folder.relative_to(above.parent)
+    return folder, "" if way in fine else way
+
+
+def test_only_a_folder_that_nobody_else_can_change_is_searched(
+    planted: Planted,
+    sound: Sound,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rng = np.random.default_rng(2)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "mine"))
+    monkeypatch.setenv("CXX", "false")
+    (tmp_path / "mine").mkdir(0o700)
+    sound.put(tmp_path / "mine" / "arm_emulator")
+    outcomes = []
+    for case in range(150):
+        folder, wrong = chain(rng, tmp_path / str(case))
+        planted.put(folder)
+        monkeypatch.setenv(CACHE_VARIABLE, str(folder))
+        core = library_of(sound.scene)
+        said = capsys.readouterr().err.splitlines()
+        assert planted.ran() == (not wrong), (folder, wrong)
+        assert hasattr(core, "planted") == (not wrong), (folder, wrong)
+        assert len(said) == bool(wrong), (folder, wrong, said)
+        if wrong:
+            assert said[0].startswith(f"arm_emulator: cache folder {folder} is passed over: ")
+        outcomes.append(wrong)
+    assert len(set(outcomes)) >= (8 if ROOT else 5), set(outcomes)
+
+
+@pytest.fixture
+def shared() -> Iterator[Path]:
+    """A folder for temporary files in which everybody may write, as /tmp."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        folder = Path(name)
+        folder.chmod(0o1777)
+        yield folder
+
+
+def victim(shared: Path, **also: str) -> dict[str, str]:
+    """The environment of somebody who has no cache but the one in the temporary folder."""
+    nowhere = shared / "a_file"
+    nowhere.touch()
+    environment = {**os.environ, "TMPDIR": str(shared), "XDG_CACHE_HOME": str(nowhere), **also}
+    environment.pop(CACHE_VARIABLE, None)
+    return environment
+
+
+LOAD = """
+import sys
+from arm_emulator.refusal import Refusal
+from emulator_node.plant import Plant
+from emulator_node.scene import load_scene
+try:
+    print(Plant(load_scene(sys.argv[1])).t)
+except Refusal as refusal:
+    sys.exit(str(refusal))
+"""
+
+
+@as_root
+def test_a_library_that_another_user_plants_in_the_temporary_folder_never_runs(
+    planted: Planted, sound: Sound, shared: Path
+) -> None:
+    """The attacker is another user indeed, and knows the name and how a library is stored."""
+    bait = shared / "bait"
+    bait.write_bytes(planted.stored)
+    bait.chmod(0o644)
+    folder = shared / f"arm_emulator-{os.getuid()}"
+    plant = f"mkdir {folder} && cp {bait} {folder}/{sound.name} && chmod 700 {folder}"
+    subprocess.run(["sh", "-c", plant], user=SOMEBODY, group=SOMEBODY, extra_groups=[], check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", LOAD, str(sound.file)],
+        env=victim(shared, CXX=sound.compiler),
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert not planted.ran()
+    said = done.stderr.splitlines()
+    assert done.returncode == 1 and len(said) == 2, done.stderr
+    assert f"{folder} is passed over: {folder} belongs to user" in said[0]
+    assert "cache folder must be writable" in said[1]
+
+
+@as_root
+def test_who_swaps_folders_while_we_look_wins_nothing(
+    planted: Planted, sound: Sound, shared: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Folder, link to ours, link to theirs, nothing: as fast as a shell can, in our temp folder."""
+    bait = shared / "bait"
+    bait.write_bytes(planted.stored)
+    bait.chmod(0o644)
+    ours = shared / "ours"
+    ours.mkdir(0o755)
+    sound.put(ours)
+    at = shared / f"arm_emulator-{os.getuid()}"
+    swap = (
+        f"cd {shared}; mkdir theirs; cp bait theirs/{sound.name}; while :; do "
+        f"ln -s ours {at}; mv theirs x; rm {at}; mv x {at}; mv {at} theirs; ln -s theirs {at};"
+        f"rm {at}; done 2> /dev/null"
+    )
+    for name, value in victim(shared, CXX=sound.compiler).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+    monkeypatch.setattr(tempfile, "tempdir", str(shared))
+    attacker = subprocess.Popen(
+        ["sh", "-c", swap], user=SOMEBODY, group=SOMEBODY, extra_groups=[], start_new_session=True
+    )
+    try:
+        tries = 0
+        until = time.monotonic() + 1.5
+        while time.monotonic() < until or tries < 100:
+            try:
+                core: ctypes.CDLL | None = library_of(sound.scene)
+            except Refusal:
+                core = None
+            assert core is None or not hasattr(core, "planted"), tries
+            tries += 1
+            with contextlib.suppress(FileNotFoundError):  # what we have made would end the race
+                if at.lstat().st_uid == 0:
+                    at.rename(shared / f"made_{tries}")
+    finally:
+        os.killpg(attacker.pid, 9)
+        attacker.wait()
+    assert not planted.ran(), tries
+
+
+# How much of it stays
+
+
+def test_the_least_recently_used_go(
+    cache: Path, sound: Sound, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Random caches: the oldest go until the sum is allowed; nothing else is touched."""
+    rng = np.random.default_rng(3)
+    for case in range(30):
+        folder = cache / str(case)
+        folder.mkdir(parents=True)
+        sizes = {}
+        for age in rng.permutation(int(rng.integers(1, 12))):  # 0: used last
+            other = folder / f"scene_{age}-{rng.bytes(10).hex()}.so"
+            other.write_bytes(bytes(rng.integers(0, 200_000)))
+            os.utime(other, (0.0, time.time() - 10.0 - age))
+            sizes[int(age), other] = other.stat().st_size
+        busy = {file for _, file in sizes if rng.random() < 0.2}
+        names = ("notes.txt", "my-library.so", "other.lock", f"{sound.name}.so", "a.building-x")
+        strangers = [folder / name for name in names]
+        for stranger in strangers:
+            stranger.write_bytes(bytes(300_000))
+        stale = folder / f"gone-{rng.bytes(10).hex()}.building-abc"
+        stale.mkdir()
+        allowed = int(rng.integers(0, 1_000_000))
+        monkeypatch.setenv(SIZE_VARIABLE, str(allowed / 1e6))
+        monkeypatch.setenv(CACHE_VARIABLE, str(folder))
+        with contextlib.ExitStack() as held:
+            for file in busy:
+                held.enter_context(library_cache.locked(file))
+            library_of(sound.scene)
+        size = len(sound.stored) + sum(sizes.values())
+        stay = {file for _, file in sizes}
+        for (_, file), its in sorted(sizes.items(), reverse=True):
+            if size > allowed and file not in busy:
+                stay.remove(file)
+                size -= its
+        kept = {*stay, *strangers, folder / sound.name}
+        assert set(folder.iterdir()) == kept, (case, allowed, sizes, busy)
+
+
+def test_what_is_used_is_not_what_goes(cache: Path, sound: Sound) -> None:
+    file = sound.put(cache)
+    os.utime(file, (0.0, 0.0))
+    library_of(sound.scene)
+    (entry,) = library_cache.entries(cache)
+    assert (entry.file, entry.scene, entry.size) == (file, "one_link0", len(sound.stored))
+    assert abs(entry.used - time.time()) < 60.0
+
+
+@pytest.mark.parametrize("size", ["-1", "nan", "much", "1e-3x"])
+def test_a_size_that_is_none_is_refused(
+    size: str, cache: Path, sound: Sound, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SIZE_VARIABLE, size)
+    with pytest.raises(Refusal, match=f"{SIZE_VARIABLE} must be a number >= 0 .MB., got {size}"):
+        library_of(sound.scene)
+
+
+def arm_emulator(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "arm_emulator", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_the_command_lists_and_clears(cache: Path, sound: Sound) -> None:
+    file = sound.put(cache)
+    (cache / "notes.txt").touch()
+    shown = arm_emulator("cache")
+    assert shown.returncode == 0, shown.stderr
+    lines = shown.stdout.splitlines()
+    assert lines[0] == f"{cache}: trusted"
+    size = f"{len(sound.stored) / 1e6:.3f}"
+    assert lines[1].split()[2:] == [size, "MB", "one_link0", file.name], lines
+    assert lines[2] == f"  1 libraries, {size} of 500 MB ({SIZE_VARIABLE})"
+    with library_cache.locked(file):
+        busy = arm_emulator("cache", "--clear")
+        assert busy.returncode == 1 and f"{file.name} stays" in busy.stdout, busy.stdout
+    assert arm_emulator("cache", "--clear").stdout == f"{cache}: 1 libraries removed\n"
+    assert [item.name for item in cache.iterdir()] == ["notes.txt"]
+    cache.chmod(0o777)
+    assert f"{cache}: not trusted" in arm_emulator("cache").stdout
