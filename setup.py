@@ -38,9 +38,9 @@ setup(
     entry_points={
         "console_scripts": [
             "arm_emulator = arm_emulator.__main__:main",
-            "emulator_node = emulator_node.node:main",
-            "motion_controller_node = motion_controller_node.node:main",
-            "servo_node = servo_node.node:main",
+            "emulator_node = arm_emulator.node_main:emulator",
+            "motion_controller_node = arm_emulator.node_main:motion_controller",
+            "servo_node = arm_emulator.node_main:servo",
         ],
     },
 )

@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+
+from arm_emulator.ctrl_c import CtrlC, end_at_once, exit_code
+
+# Commands that run until they are told to stop, or may.
+UNTIL_TOLD = ("up", "record", "replay")
+CODE = 0 if sys.argv[1:2] and sys.argv[1] in UNTIL_TOLD else None
+if __name__ == "__main__":
+    end_at_once(CODE)
+
+import argparse
 from pathlib import Path
 
 from arm_emulator.refusal import Refusal
@@ -11,12 +20,15 @@ from arm_emulator.refusal import Refusal
 
 def main() -> None:
     """Run one command; exit code 2 and one line for input that is not taken."""
+    end_at_once(CODE)
     arguments = _parser().parse_args()
-    try:
-        sys.exit(arguments.run(arguments))
-    except Refusal as refusal:
-        print(refusal, file=sys.stderr)
-        sys.exit(2)
+    with CtrlC(CODE) as ctrl_c:
+        try:
+            sys.exit(arguments.run(arguments))
+        except Refusal as refusal:
+            print(refusal, file=sys.stderr)
+            sys.exit(2)
+    sys.exit(exit_code(ctrl_c.told, CODE))
 
 
 def _parser() -> argparse.ArgumentParser:

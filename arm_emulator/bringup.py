@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
 from arm_emulator.config_files import find_config
+from arm_emulator.ctrl_c import END_SIGNALS
 
 STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine too
 _PR_SET_PDEATHSIG = 1
@@ -101,7 +104,7 @@ class Bringup:
             stdout=log,
             stderr=subprocess.STDOUT if log is not None else None,
             process_group=0,  # takes no signals from the terminal: `stop` passes them on
-            preexec_fn=_end_with_parent,  # noqa: PLW1509 - one system call, no lock
+            preexec_fn=_end_with(os.getpid()),  # noqa: PLW1509 - three system calls, no lock
         )
         if log is not None:
             log.close()
@@ -130,14 +133,21 @@ class Bringup:
             for one in alive:
                 one.process.send_signal(how)
             deadline = time.monotonic() + patience
-            for one in alive:
-                try:
+            # Another Ctrl-C means: faster.
+            with contextlib.suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
+                for one in alive:
                     one.process.wait(max(0.0, deadline - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    break
         return {one.name: one.process.returncode for one in self._running}
 
 
-def _end_with_parent() -> None:
-    """In the child: end when the parent is killed."""
-    _prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+def _end_with(parent: int) -> Callable[[], None]:
+    """Return what makes a child end when its parent is killed."""
+
+    def in_the_child() -> None:
+        # Until the node takes care of signals they wait: Python would print a traceback.
+        signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
+        _prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+        if os.getppid() != parent:  # killed before that
+            os._exit(0)
+
+    return in_the_child

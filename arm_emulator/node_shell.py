@@ -222,13 +222,12 @@ def run_node(create: Callable[[], Closable]) -> None:
     node: Any = None
     ctrl_c = CtrlC()
     try:
-        with until_shut_down():
+        with ctrl_c, until_shut_down():
             _init()
             node = create()
             ctrl_c.leave_to_rclpy()
-            LeanExecutor(node).spin()
-    except KeyboardInterrupt:
-        pass
+            if not ctrl_c.told:
+                LeanExecutor(node).spin()
     except (Refusal, ParameterException) as refusal:
         print(refusal, file=sys.stderr)
         sys.exit(2)
@@ -237,7 +236,8 @@ def run_node(create: Callable[[], Closable]) -> None:
         ctrl_c.leave_to_rclpy()
         if node is not None:
             node.close()
-            end_anyway(ENDING, code=0 if sys.exc_info()[0] is None else 1)
+        end_anyway(ENDING, code=0 if sys.exc_info()[0] is None else 1)
+        if node is not None:
             # Not left to the garbage collector: the middleware may leave its shared memory then.
             node.destroy_node()
         with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between

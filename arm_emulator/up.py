@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import time
 
 from arm_emulator.bringup import Bringup
+from arm_emulator.ctrl_c import CtrlC
 
 
 def up(scene: str, clock: str, start: str, rerun_port: int, rerun_file: str) -> int:
@@ -18,7 +18,7 @@ def up(scene: str, clock: str, start: str, rerun_port: int, rerun_file: str) -> 
     streams: dict[str, object] = {"rerun_port": rerun_port}
     if rerun_file:
         streams["rerun_file"] = rerun_file
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
+    CtrlC()
     with (
         contextlib.suppress(KeyboardInterrupt),
         Bringup(scene, clock=clock, start=start, emulator=streams) as network,

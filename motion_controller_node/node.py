@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before what takes long to import
+    from arm_emulator.ctrl_c import end_at_once
+
+    end_at_once(0)
+
 from array import array
 
 import numpy as np
