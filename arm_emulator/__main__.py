@@ -48,6 +48,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     up.add_argument("--rerun-port", type=int, default=0, help="where a Rerun viewer may connect")
     up.add_argument("--rerun-file", default="", help="Rerun recording to write")
+    up.add_argument("--namespace", default="", help="of all nodes and topics, such as /cell1")
+    up.add_argument(
+        "--use-sim-time", action="store_true", help="the nodes' own clocks follow the emulator's"
+    )
+    up.add_argument(
+        "--params-file", type=Path, help="ROS parameter file that rules over all other parameters"
+    )
     up.set_defaults(run=_up)
 
     demo = commands.add_parser("demo", help="the paper's experiment, with pictures")
@@ -160,6 +167,9 @@ def _up(arguments: argparse.Namespace) -> int:
         arguments.start,
         arguments.rerun_port,
         arguments.rerun_file,
+        namespace=arguments.namespace,
+        use_sim_time=arguments.use_sim_time,
+        params_file=arguments.params_file,
     )
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -17,10 +17,10 @@ from typing import IO
 
 from arm_emulator.config_files import find_config
 from arm_emulator.ctrl_c import END_SIGNALS
+from arm_emulator.end_with_parent import parent_environment
+from arm_emulator.refusal import Refusal
 
 STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine too
-_PR_SET_PDEATHSIG = 1
-_prctl = ctypes.CDLL(None).prctl  # found here, since a forked child should do little
 
 
 @dataclass
@@ -40,9 +40,12 @@ class Bringup:
         emulator: more parameters of the emulator, by name.
         log: folder for one log file per node; None: their words go to this process's terminal.
         only: names of the nodes to start, for who brings his own.
+        namespace: of all nodes and topics, such as "/cell1".
+        use_sim_time: whether the nodes' own clocks follow the emulator's.
+        params_file: a ROS parameter file for all nodes; it rules over all of the above.
 
     Raises:
-        Refusal: a configuration file is missing.
+        Refusal: a configuration file is missing, or a namespace that is none.
     """
 
     def __init__(
@@ -54,6 +57,9 @@ class Bringup:
         emulator: Mapping[str, object] | None = None,
         log: Path | None = None,
         only: tuple[str, ...] = ("emulator", "servo", "motion_controller"),
+        namespace: str = "",
+        use_sim_time: bool = False,
+        params_file: Path | None = None,
     ) -> None:
         file = find_config(scene, ".yaml").resolve()
         self._log = log
@@ -65,6 +71,7 @@ class Bringup:
             "servo": ("servo_node.node", "servo", {"clock": clock}),
             "motion_controller": ("motion_controller_node.node", "motion", {}),
         }
+        common = _common_arguments(namespace, use_sim_time, params_file)
         for name in only:
             module, kind, parameters = every[name]
             command = [sys.executable, "-m", module, "--ros-args"]
@@ -73,6 +80,7 @@ class Bringup:
                 command += ["--params-file", str(gains.resolve())]
             for key, value in parameters.items():
                 command += ["-p", f"{key}:={value}"]
+            command += common
             self._commands[name] = command
 
     def __enter__(self) -> Bringup:
@@ -104,7 +112,8 @@ class Bringup:
             stdout=log,
             stderr=subprocess.STDOUT if log is not None else None,
             process_group=0,  # takes no signals from the terminal: `stop` passes them on
-            preexec_fn=_end_with(os.getpid()),  # noqa: PLW1509 - three system calls, no lock
+            preexec_fn=_hold_signals_back,  # noqa: PLW1509 - one system call, no lock
+            env={**os.environ, **parent_environment()},
         )
         if log is not None:
             log.close()
@@ -140,14 +149,25 @@ class Bringup:
         return {one.name: one.process.returncode for one in self._running}
 
 
-def _end_with(parent: int) -> Callable[[], None]:
-    """Return what makes a child end when its parent is killed."""
+def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | None) -> list[str]:
+    """Return ROS arguments for every node; the last ones rule."""
+    arguments = []
+    if namespace:
+        full = f"/{namespace.strip('/')}"
+        if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", full) or "__" in full:
+            rule = "be names of letters, digits and _, with / between them"
+            raise Refusal("arm_emulator", "the namespace", rule, namespace, "cell1, /line2/cell1")
+        arguments += ["-r", f"__ns:={full}"]
+    if use_sim_time:
+        # Followers of time listen to /clock; the emulator tells it within its namespace.
+        arguments += ["-p", "use_sim_time:=true", "-r", "/clock:=clock"]
+    if params_file is not None:
+        if not params_file.is_file():
+            raise Refusal("arm_emulator", f"file {params_file}", "exist", "no such file")
+        arguments += ["--params-file", str(params_file.resolve())]
+    return arguments
 
-    def in_the_child() -> None:
-        # Until the node takes care of signals they wait: Python would print a traceback.
-        signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
-        _prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
-        if os.getppid() != parent:  # killed before that
-            os._exit(0)
 
-    return in_the_child
+def _hold_signals_back() -> None:
+    """In the child: signals wait until the node takes care of them; Python alone would complain."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)

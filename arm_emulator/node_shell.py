@@ -21,6 +21,7 @@ from rclpy.timer import Timer
 
 from arm_emulator.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.end_anyway import end_anyway
+from arm_emulator.end_with_parent import end_with_parent
 from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked
 from arm_emulator.refusal import Refusal
@@ -221,6 +222,7 @@ def run_node(create: Callable[[], Closable]) -> None:
     """Run one node until it is told to stop; exit code 2 and one line if its set-up is refused."""
     node: Any = None
     ctrl_c = CtrlC()
+    end_with_parent()
     try:
         with ctrl_c, until_shut_down():
             _init()

@@ -3,12 +3,16 @@
 ros2 launch arm_emulator bringup.launch.py scene:=ur5 clock:=realtime rerun:=9876
 """
 
+from pathlib import Path
+
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from arm_emulator.config_files import find_config
+from arm_emulator.end_with_parent import parent_environment
+from arm_emulator.refusal import Refusal
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -31,12 +35,26 @@ ARGUMENTS = [
         default_value="",
         description="Where to show the arm: a file to write (.rrd), or a port for a Rerun viewer",
     ),
+    DeclareLaunchArgument(
+        "namespace", default_value="", description="Of all nodes and topics, such as /cell1"
+    ),
+    DeclareLaunchArgument(
+        "use_sim_time",
+        default_value="false",
+        choices=["true", "false"],
+        description="Whether the nodes' own clocks follow the emulator's",
+    ),
+    DeclareLaunchArgument(
+        "params_file",
+        default_value="",
+        description="ROS parameter file that rules over all other parameters",
+    ),
 ]
 
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the three nodes, with the parameter files of the chosen scene."""
-    scene, clock, start, rerun = (
+    scene, clock, start, rerun, namespace, use_sim_time, params_file = (
         LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
     )
     file = find_config(scene, ".yaml").resolve()
@@ -48,12 +66,22 @@ def nodes(context: LaunchContext) -> list[Node]:
     elif rerun:
         emulator["rerun_file"] = rerun
 
+    every = {"use_sim_time": use_sim_time == "true"}
+    if params_file and not Path(params_file).is_file():
+        raise Refusal("bringup", f"file {params_file}", "exist", "no such file")
+    chosen = [str(Path(params_file).resolve())] if params_file else []
+
     def node(name: str, *parameters: dict | str) -> Node:
         return Node(
             package="arm_emulator",
             executable=f"{name}_node",
             name=name,
-            parameters=list(parameters),
+            namespace=namespace,
+            parameters=[*parameters, every, *chosen],
+            # Followers of time listen to /clock; the emulator tells it within its namespace.
+            remappings=[("/clock", "clock")],
+            # `ros2 launch` leaves its nodes alone when it is ended by SIGTERM, or killed.
+            additional_env=parent_environment(),
             output="screen",
             on_exit=Shutdown(reason=f"{name} ended"),
         )

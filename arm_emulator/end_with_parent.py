@@ -1,0 +1,41 @@
+"""A node ends when the program that started it is gone, however that came about.
+
+`ros2 launch` that is ended by SIGTERM leaves its nodes alone, and nobody who is killed can take his
+with him. So a launcher names itself to its nodes, and they ask the system to be told.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+
+VARIABLE = "ARM_EMULATOR_PARENT"
+_PR_SET_PDEATHSIG = 1
+
+
+def parent_environment() -> dict[str, str]:
+    """Return what a launcher adds to the environment of its nodes."""
+    return {VARIABLE: str(os.getpid())}
+
+
+def end_with_parent() -> None:
+    """End this process as Ctrl-C does when the launcher named in its environment ends."""
+    launcher = os.environ.pop(VARIABLE, "")
+    if not launcher.isdecimal():
+        return
+    if os.getppid() == int(launcher):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+    if not _runs(int(launcher)):  # it ended before that
+        sys.exit(0)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
