@@ -139,7 +139,8 @@ def _built(file: Path, compiler: str, scene: Scene) -> bytes:
     """Return the library that a compiler says it has made."""
     body = b""
     try:
-        body = read_file(file, library_cache.LARGEST_LIBRARY)
+        # It lies in a folder that is closed to others, whatever the umask has made of its mode.
+        body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
         reason = why_no_library(body, CALLS)
     except FileNotFoundError:
         reason = "there is none"
