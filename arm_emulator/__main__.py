@@ -118,6 +118,11 @@ def _parser() -> argparse.ArgumentParser:
     record = commands.add_parser("record", help="record the network into a rosbag2 bag")
     record.add_argument("out", type=Path, help="folder of the new bag")
     _topics(record)
+    record.add_argument(
+        "--from-start",
+        action="store_true",
+        help="reset a machine that runs already: `check` needs a run from tick 0 on",
+    )
     record.set_defaults(run=_record)
 
     replay = commands.add_parser("replay", help="publish what a bag holds, at the recorded times")
@@ -226,9 +231,13 @@ def _check_scene(arguments: argparse.Namespace) -> int:
 
 
 def _record(arguments: argparse.Namespace) -> int:
-    from arm_emulator.record import record
+    from arm_emulator.recorder_presence import RecorderPresence
 
-    return record(arguments.out, arguments.topics)
+    # Before anything that takes time: an emulator that is started together with this command waits.
+    with RecorderPresence(arguments.topics) as presence:
+        from arm_emulator.record import record
+
+        return record(arguments.out, arguments.topics, arguments.from_start, presence)
 
 
 def _replay(arguments: argparse.Namespace) -> int:

@@ -29,10 +29,12 @@ from arm_emulator.refusal import Refusal
 # Commands: nothing is lost, and the newest wins. Who receives them reads them all: in a depth of 1
 # a bad command would take the place of a good one that is not read yet. States: a reliable
 # publisher serves reliable and best-effort subscribers alike. Descriptions: late-comers get the
-# last one.
-COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+# last one. Publishers keep what a reliable listener, such as a recorder, has not taken yet: what is
+# more than `KEPT` behind is lost to it, and nobody is told.
+KEPT = 1000  # messages: seconds of a busy machine, and ten times what an emulator runs ahead
+COMMAND_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
 COMMAND_SUB_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-STATE_PUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+STATE_PUB_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
 STATE_SUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 DESCRIPTION_QOS = QoSProfile(
     depth=1,

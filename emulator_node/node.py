@@ -11,6 +11,7 @@ import threading
 import time
 from array import array
 from dataclasses import dataclass
+from functools import partial
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
@@ -23,6 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 from arm_emulator.node_shell import (
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
+    KEPT,
     NANOSECONDS,
     STATE_PUB_QOS,
     Diagnostics,
@@ -34,10 +36,12 @@ from arm_emulator.node_shell import (
     wall_timer,
 )
 from arm_emulator.parameters import parameter
+from arm_emulator.recorder_presence import recorders_of
 from arm_emulator.refusal import Refusal
-from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState, RecorderReport
 from emulator_node.plant import Diverged
 from emulator_node.real_time import RealTimeSession
+from emulator_node.recorders import Recorders
 from emulator_node.rerun_stream import RerunStream
 from emulator_node.scene import example_robot_data, load_scene
 from emulator_node.session import CLOCKS, STARTS, Needless, Phase, Session
@@ -114,6 +118,11 @@ class EmulatorNode(Node):
 
         self.create_subscription(MotorCommand, "motor_commands", self._on_command, COMMAND_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
+        self._recorders = Recorders(partial(recorders_of, self._motor_states.topic_name))
+        self._waited_for = ""  # the recorder that has to catch up before the machine goes on
+        self.create_subscription(
+            RecorderReport, "emulator/recorders", self._on_recorder, COMMAND_SUB_QOS
+        )
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -161,14 +170,41 @@ class EmulatorNode(Node):
             except Refusal as reason:
                 self._diagnostics.refuse("motor_commands", reason)
                 return
-            if self._session.lockstep and self._session.may_advance:
-                self._advance()
+            if self._session.lockstep:
+                self._go_on()
+
+    def _go_on(self) -> None:
+        """Leave this tick in lock-step if that is allowed, and every recorder has kept up."""
+        if self._session.may_advance and not self._recorder_behind():
+            self._advance()
+
+    def _recorder_behind(self) -> bool:
+        session, recorders = self._session, self._recorders
+        self._waited_for = ""
+        if session.lockstep:
+            self._waited_for = recorders.behind(session.tick == 0, time.monotonic())
+        for sentence in recorders.news:
+            self.get_logger().warn(sentence)
+            self._diagnostics.values["newest of recorders"] = sentence
+        recorders.news.clear()
+        return bool(self._waited_for)
+
+    def _on_recorder(self, report: RecorderReport) -> None:
+        with self._lock:
+            try:
+                self._recorders.report(report.recorder, report.written, report.leaving)
+            except Refusal as reason:
+                self._diagnostics.refuse("emulator/recorders", reason)
+                return
+            self._diagnostics.values["recorders"] = len(self._recorders.names)
+            if self._waited_for and self._session.answered:
+                self._go_on()
 
     def _on_free_run(self) -> None:
         """Pace the free run of lock-step."""
         with self._lock:
             if self._session.phase is Phase.FREE_RUNNING:
-                self._advance()
+                self._go_on()
 
     def _tell_ticks(self, session: RealTimeSession) -> None:
         """Tell the ticks of real time as they come, in a thread of its own."""
@@ -207,13 +243,8 @@ class EmulatorNode(Node):
         session, state = self._session, self._session.state
         self._say_motor_state()
         if session.tick % self._report_ticks == 0:
-            truth = self._truth
-            truth.header.stamp = stamp(session.logical_ns)
-            truth.position = array("d", state.q.tobytes())
-            truth.velocity = array("d", state.v.tobytes())
-            truth.effort = array("d", state.gear_torque.tobytes())
-            self._truths.publish(truth)
-            self._clocks.publish(Clock(clock=truth.header.stamp))
+            self._say_truth()
+            self._clocks.publish(Clock(clock=stamp(session.logical_ns)))
         self._stream.offer(
             session.logical_ns,
             state.q,
@@ -224,6 +255,14 @@ class EmulatorNode(Node):
             (state.encoder_counts + 0.5) * session.plant.link_angle_per_count,
         )
 
+    def _say_truth(self) -> None:
+        state, truth = self._session.state, self._truth
+        truth.header.stamp = stamp(self._session.logical_ns)
+        truth.position = array("d", state.q.tobytes())
+        truth.velocity = array("d", state.v.tobytes())
+        truth.effort = array("d", state.gear_torque.tobytes())
+        self._truths.publish(truth)
+
     def _say_motor_state(self) -> None:
         session, message = self._session, self._motor_state
         message.header.stamp = stamp(session.logical_ns)
@@ -232,6 +271,7 @@ class EmulatorNode(Node):
         message.encoder_counts = array("q", session.state.encoder_counts.tobytes())
         message.current = array("d", session.state.current.tobytes())
         message.voltage = array("d", session.voltage.tobytes())
+        self._recorders.published += 1
         self._motor_states.publish(message)
 
     def _on_repeat(self) -> None:
@@ -242,10 +282,22 @@ class EmulatorNode(Node):
     def _repeat(self) -> None:
         session, now = self._session, time.monotonic()
         unanswered = session.phase in (Phase.WAITING, Phase.PAUSED) and not session.answered
-        if unanswered and now - self._repeated_at >= REPEAT_AFTER:
+        if session.lockstep and (self._waited_for or session.tick == 0):
+            # A recorder may have ended meanwhile, or have come to a machine that is paused.
+            if self._recorder_behind():
+                unanswered = unanswered or session.tick == 0  # to whom it has not been said yet
+            elif session.answered:
+                self._go_on()
+        if unanswered and now - self._repeated_at >= REPEAT_AFTER and not self._without_room():
             self._repeated_at = now
             self._say_motor_state()
+            if session.tick == 0:
+                self._say_truth()
         self._say_health(waited=now - self._told_at)
+
+    def _without_room(self) -> str:
+        """Return the recorder that would lose one more motor state, empty if none would."""
+        return self._recorders.without_room(KEPT) if self._session.lockstep else ""
 
     def _say_health(self, waited: float) -> None:
         session, say = self._session, self._diagnostics
@@ -260,6 +312,11 @@ class EmulatorNode(Node):
             say.warn(
                 f"waiting for the motor command that answers tick {session.tick}, "
                 f"for {waited:.0f} s"
+            )
+        elif self._waited_for and waited > self._config.timeout:
+            say.warn(
+                f"waiting for recorder {self._waited_for} to write what led to tick "
+                f"{session.tick}, for {waited:.0f} s"
             )
         elif not session.powered:
             say.warn("the drives' power is off, motors at 0 V")
@@ -318,13 +375,13 @@ class EmulatorNode(Node):
                 self._catch_up(session)  # ticks that were reached before the pause
             response.success = True
             response.message = f"{'paused' if request.data else 'going on'} at tick {session.tick}"
-            if session.lockstep and session.answered and session.may_advance:
-                self._advance()
+            if session.lockstep and session.answered:
+                self._go_on()
             return response
 
     def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            response.message = self._session.step()
+            response.message = self._step()
             response.success = not response.message
             if response.success:
                 self._tell()
@@ -332,9 +389,18 @@ class EmulatorNode(Node):
             self._report_fault()
             return response
 
+    def _step(self) -> str:
+        if self._session.paused:
+            at_start = self._session.tick == 0 and self._recorder_behind()
+            behind = self._waited_for if at_start else self._without_room()
+            if behind:
+                return f"recorder {behind} has to catch up first, step again then"
+        return self._session.step()
+
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
             self._session.reset()
+            self._recorders.begin()
             self._status_mark = (time.monotonic_ns(), 0, 0)
             self._diagnostics.ok("reset")
             self._tell()
