@@ -125,6 +125,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     record.set_defaults(run=_record)
 
+    repair = commands.add_parser("repair", help="make a whole bag of a killed recorder's")
+    repair.add_argument("bag", type=Path)
+    repair.set_defaults(run=_repair)
+
     replay = commands.add_parser("replay", help="publish what a bag holds, at the recorded times")
     replay.add_argument("bag", type=Path)
     _topics(replay)
@@ -238,6 +242,18 @@ def _record(arguments: argparse.Namespace) -> int:
         from arm_emulator.record import record
 
         return record(arguments.out, arguments.topics, arguments.from_start, presence)
+
+
+def _repair(arguments: argparse.Namespace) -> int:
+    from arm_emulator.bag import Bag, repair
+
+    try:
+        mended = repair(arguments.bag)
+    except OSError as error:
+        raise Refusal("repair", str(arguments.bag), "be writable", error.strerror) from None
+    count = sum(topic.count for topic in Bag(arguments.bag).topics.values())
+    print(f"{arguments.bag}: {count} messages, {'mended' if mended else 'was whole already'}")
+    return 0
 
 
 def _replay(arguments: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ reads them, and what `ros2 bag record` writes is read here.
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import re
 import struct
@@ -36,13 +37,18 @@ try:
     from mcap.stream_reader import StreamReader
     from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
     from zstandard import ZstdError
+
+    from arm_emulator.mcap_end import give_end
 except ImportError as error:  # a stock ROS 2 machine has none
     raise Refusal(
         "bags", "Python package mcap", "be installed", error, "pip install mcap"
     ) from None
 
+METADATA = "metadata.yaml"
+UNFINISHED = "metadata.yaml.tmp"
 METADATA_VERSION = 9  # of rosbag2 in Jazzy
 CHUNK_SIZE = 2**18  # bytes: what is not yet in a chunk is lost in a crash
+METADATA_ROOM = 2**16  # bytes: kept free for metadata.yaml, should the disk become full
 NANOSECONDS = 1_000_000_000
 
 # How reading a damaged file fails, beside McapError.
@@ -106,14 +112,15 @@ class BagWriter:
         self._begin, self._end = 2**63 - 1, 0
         try:
             folder.mkdir(parents=True)
+            (folder / UNFINISHED).write_bytes(bytes(METADATA_ROOM))
             self._stream = self._file.open("xb")
+            self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)
+            self._mcap.start("ros2", "arm_emulator")
+            self.flush()
         except FileExistsError:
             raise Refusal("record", f"folder {folder}", "be new", "one that exists") from None
         except OSError as error:
             raise Refusal("record", f"folder {folder}", "be writable", error.strerror) from None
-        self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)
-        self._mcap.start("ros2", "arm_emulator")
-        self.flush()
 
     def __enter__(self) -> BagWriter:
         return self
@@ -167,50 +174,114 @@ class BagWriter:
         self._mcap.flush()
 
     def close(self) -> None:
-        """Write indices and metadata; without them only readers that scan can read the bag."""
+        """Write indices and metadata; without them only readers that scan can read the bag.
+
+        Raises:
+            OSError: the disk did not take all, now or before. The bag is whole all the same, with
+                what it took.
+        """
         if self._stream.closed:
             return
-        metadata = self._metadata()
-        self._mcap.flush()
-        self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(metadata)})
-        self._mcap.finish()
-        self._stream.close()
-        text = yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False)
-        unfinished = self.folder / "metadata.yaml.tmp"
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(self.folder / "metadata.yaml")
+        try:
+            count = sum(topic.count for topic in self.topics)
+            span = Span(self._file.name, self._begin, self._end, count)
+            metadata = _metadata(self.topics, [span])
+            self._mcap.flush()
+            self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(metadata)})
+            self._mcap.finish()
+            self._stream.close()
+            _write_metadata(self.folder, metadata)
+        except OSError:
+            with contextlib.suppress(OSError):  # what it cannot write; it is closed all the same
+                self._stream.close()
+            repair(self.folder)
+            kept = Bag(self.folder).topics
+            for topic in self.topics:
+                topic.count = kept[topic.name].count if topic.name in kept else 0
+            raise
 
-    def _metadata(self) -> dict[str, Any]:
-        count = sum(topic.count for topic in self.topics)
-        span = {
-            "duration": {"nanoseconds": max(0, self._end - self._begin)},
-            "starting_time": {"nanoseconds_since_epoch": self._begin if count else 0},
+
+class Span(NamedTuple):
+    """What one file of a bag holds."""
+
+    file: str
+    begin: int  # wall time [ns] of the first message
+    end: int  # and of the last
+    messages: int
+
+
+def repair(path: Path) -> bool:
+    """Make a whole bag of one whose recorder was killed; return False if it is whole already.
+
+    Raises:
+        Refusal: no bag, or a damaged one.
+        OSError: it cannot be written.
+    """
+    files = _files(path)
+    given = [give_end(file) for file in files]
+    if path.is_dir() and (any(given) or not (path / METADATA).exists()):
+        bag = Bag(path)
+        _write_metadata(path, _metadata(list(bag.topics.values()), bag.spans))
+        return True
+    return any(given)
+
+
+def _files(path: Path) -> list[Path]:
+    """Return the files of a bag, in their order."""
+    if not path.exists():
+        raise Refusal(str(path), "the bag", "exist", "no such file or folder")
+    files = sorted(path.glob("*.mcap"), key=_place) if path.is_dir() else [path]
+    if not files:
+        raise Refusal(str(path), "the bag", "hold *.mcap files", "none", "storage mcap")
+    return files
+
+
+def _write_metadata(folder: Path, metadata: dict[str, Any]) -> None:
+    text = yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False)
+    unfinished = folder / UNFINISHED
+    # Written over what is there: its room is needed where the disk is full.
+    with unfinished.open("r+b" if unfinished.exists() else "xb") as stream:
+        stream.write(text.encode())
+        stream.truncate()
+    unfinished.replace(folder / METADATA)
+
+
+def _metadata(topics: Collection[Topic], spans: Collection[Span]) -> dict[str, Any]:
+    filled = [span for span in spans if span.messages]
+    begin = min((span.begin for span in filled), default=0)
+    end = max((span.end for span in filled), default=0)
+
+    def told(begin: int, end: int, count: int) -> dict[str, Any]:
+        return {
+            "duration": {"nanoseconds": end - begin if count else 0},
+            "starting_time": {"nanoseconds_since_epoch": begin if count else 0},
             "message_count": count,
         }
-        return {
-            "version": METADATA_VERSION,
-            "storage_identifier": "mcap",
-            **span,
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": {
-                        "name": topic.name,
-                        "type": topic.type,
-                        "serialization_format": "cdr",
-                        "offered_qos_profiles": [_qos_to_yaml(q) for q in topic.offered],
-                        "type_description_hash": topic.type_hash,
-                    },
-                    "message_count": topic.count,
-                }
-                for topic in self.topics
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [self._file.name],
-            "files": [{"path": self._file.name, **span}],
-            "custom_data": None,
-            "ros_distro": "jazzy",
-        }
+
+    return {
+        "version": METADATA_VERSION,
+        "storage_identifier": "mcap",
+        **told(begin, end, sum(span.messages for span in spans)),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [_qos_to_yaml(q) for q in topic.offered],
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": topic.count,
+            }
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [span.file for span in spans],
+        "files": [{"path": s.file, **told(s.begin, s.end, s.messages)} for s in spans],
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
 
 
 class Bag:
@@ -219,6 +290,7 @@ class Bag:
     Attributes:
         topics: by name.
         complete: False for a bag whose recorder was killed; what it had flushed is there.
+        spans: of its files.
 
     Args:
         path: a bag's folder, or one MCAP file.
@@ -231,20 +303,22 @@ class Bag:
         self.path = path
         self.topics: dict[str, Topic] = {}
         self.complete = True
-        if path.is_dir():
-            self._files = sorted(path.glob("*.mcap"), key=_place)
-        else:
-            self._files = [path]
-        if not path.exists():
-            raise Refusal(str(path), "the bag", "exist", "no such file or folder")
-        if not self._files:
-            raise Refusal(str(path), "the bag", "hold *.mcap files", "none", "storage mcap")
-        for message in self.messages():
-            self.topics[message.topic].count += 1
+        self._files = _files(path)
+        self.spans = [self._scan(file) for file in self._files]
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
-        """Yield the messages of some topics, or all, in the order of the file: as received."""
-        for file in self._files:
+    def _scan(self, file: Path) -> Span:
+        begin, end, count = 2**63 - 1, 0, 0
+        for message in self.messages(files=[file]):
+            self.topics[message.topic].count += 1
+            begin, end = min(begin, message.received), max(end, message.received)
+            count += 1
+        return Span(file.name, begin, end, count)
+
+    def messages(
+        self, topics: Collection[str] | None = None, files: Collection[Path] | None = None
+    ) -> Iterator[BagMessage]:
+        """Yield the messages of some topics, or all, in the order of the files: as received."""
+        for file in self._files if files is None else files:
             try:
                 with file.open("rb") as stream:
                     try:
@@ -293,10 +367,11 @@ class Bag:
 def _cut_off(stream: IO[bytes]) -> bool:
     """Whether reading failed because the file ends too early: its recorder was killed."""
     at_end = not stream.read(1)
-    size = stream.seek(0, SEEK_END)
-    stream.seek(max(0, size - len(MCAP0_MAGIC)))
-    begins = size > len(MCAP0_MAGIC)
-    return at_end and begins and stream.read() != MCAP0_MAGIC
+    size, length = stream.seek(0, SEEK_END), len(MCAP0_MAGIC)
+    stream.seek(0)
+    begins = MCAP0_MAGIC.startswith(stream.read(length))
+    stream.seek(max(0, size - length))
+    return at_end and begins and (size <= length or stream.read() != MCAP0_MAGIC)
 
 
 def _place(file: Path) -> tuple[int, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import re
 import signal
@@ -57,16 +58,15 @@ def record(
         signal.signal(number, lambda *_: told.set())
     node: _Recorder | None = None
     bag = BagWriter(out)
+    failure: OSError | None = None
     try:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        node = _Recorder(bag, topics, presence.recorder, from_start, told)
-        LeanExecutor(node).spin()
-    except _Ended:
-        pass
+        with bag, contextlib.suppress(_Ended):
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            node = _Recorder(bag, topics, presence.recorder, from_start, told)
+            LeanExecutor(node).spin()
     except OSError as error:
-        raise Refusal("record", f"folder {out}", "take what is recorded", error) from None
+        failure = error
     finally:
-        bag.close()
         if node is not None:
             node.leave()
             node.destroy_node()
@@ -78,6 +78,8 @@ def record(
         f"{out}: {count} messages on {len(said)} topics in {bag.seconds:.1f} s"
         + (f"; lost: {lost}" if lost else "")
     )
+    if failure is not None:
+        raise Refusal("record", f"folder {out}", "take what is recorded", failure)
     return 1 if lost else 0
 
 
