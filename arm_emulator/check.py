@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator.bag import Bag
+from arm_emulator.bound import VOLTAGE
 from arm_emulator.config_files import config_folder
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.node_shell import nanoseconds_of
@@ -142,7 +143,7 @@ class _Checker:
         if not self._inside:
             return
         try:
-            voltage = self._commanded.arrange(command.joint_names, command.voltage, "voltage", "V")
+            voltage = self._commanded.arrange(command.joint_names, command.voltage, VOLTAGE)
         except Refusal:
             self.tally.refused += 1
             return

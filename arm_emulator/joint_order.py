@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.bound import Bound
 from arm_emulator.refusal import Refusal
 
 
@@ -24,18 +25,26 @@ class JointOrder:
         self._index = {name: index for index, name in enumerate(self.names)}
 
     def arrange(
-        self, names: Sequence[str], values: Sequence[float], quantity: str, unit: str
+        self, names: Sequence[str], values: Sequence[float], bound: Bound
     ) -> NDArray[np.float64]:
         """Return `values`, given one per entry of `names`, in the receiver's order (N,).
 
+        Args:
+            names: of joints, in any order.
+            values: one per name.
+            bound: of the values, in the receiver's order.
+
         Raises:
             Refusal: other names than the receiver's, another number of values, or one that is not
-                finite.
+                finite or too large.
         """
         if len(names) != len(values):
             rule = f"have one value per joint name ({len(names)})"
-            raise Refusal(self.topic, quantity, rule, f"{len(values)} values")
-        array = np.array(values, dtype=np.float64)
+            raise Refusal(self.topic, bound.quantity, rule, f"{len(values)} values")
+        array = np.array(bound.numbers(self.topic, values))
+        if array.ndim != 1:
+            rule = "have one number per joint name"
+            raise Refusal(self.topic, bound.quantity, rule, values)
         if list(names) != self.names:
             if sorted(names) != sorted(self.names):
                 raise Refusal(
@@ -47,6 +56,5 @@ class JointOrder:
                 )
             given, array = array, np.empty_like(array)
             array[[self._index[name] for name in names]] = given
-        if not np.isfinite(array).all():
-            raise Refusal(self.topic, quantity, f"be finite [{unit}]", array.tolist())
+        bound.check(self.topic, array.tolist())
         return array

@@ -18,6 +18,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from arm_emulator.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.end_anyway import end_anyway
@@ -54,6 +55,36 @@ def stamp(nanoseconds: int) -> Time:
 def nanoseconds_of(stamp: Time) -> int:
     """Return the logical time [ns] of a message's time stamp."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def time_of(where: str, stamp: Time) -> int:
+    """Return the logical time [ns] of a stamp that came from outside.
+
+    Raises:
+        Refusal: a time before 0, or one that is not well-formed.
+    """
+    if stamp.sec < 0 or stamp.nanosec >= NANOSECONDS:
+        got = f"{stamp.sec} s and {stamp.nanosec} ns"
+        raise Refusal(where, "header.stamp", "be a logical time >= 0 s, with less than 1e9 ns", got)
+    return nanoseconds_of(stamp)
+
+
+def guard_clock(node: Node, refuse: Callable[[str, Refusal], None]) -> None:
+    """Refuse times on `clock` that rclpy's own subscription (`use_sim_time`) would fail at."""
+    source = node._time_source
+    follow = source.clock_callback
+
+    def on_clock(message: ClockMessage) -> None:
+        try:
+            time_of("clock", message.clock)
+        except Refusal as reason:
+            refuse("clock", reason)
+            return
+        follow(message)
+
+    source.clock_callback = on_clock  # type: ignore[method-assign, assignment]
+    if source._clock_sub is not None:  # made before, with the method as it was
+        source._clock_sub.callback = on_clock
 
 
 class Closable(Protocol):
@@ -148,6 +179,7 @@ class Diagnostics:
         self._newest_refusal = ""
         self._level, self._message = DiagnosticStatus.OK, "starting"
         self.values: dict[str, object] = {}
+        guard_clock(node, self.refuse)
         # With `use_sim_time` too: health is asked for when logical time stands still.
         wall_timer(node, 1.0, self.publish)
 

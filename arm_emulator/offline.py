@@ -6,6 +6,7 @@ numbers, so that the motor states are the same to the last bit.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.bound import Bound
 from arm_emulator.config_files import find_config
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.refusal import Refusal
@@ -93,7 +95,8 @@ def _same(one: str, value: float, other: str, expected: float) -> None:
 
 def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> slice | list[int]:
     """Return what to index an array in the order `given` with, to get it in the order `wanted`."""
-    places = JointOrder(topic, wanted).arrange(given, range(len(given)), "joint", "")
+    place = Bound("place", "", math.inf)
+    places = JointOrder(topic, wanted).arrange(given, range(len(given)), place)
     order = [int(place) for place in places]
     return slice(None) if order == list(range(len(order))) else order
 

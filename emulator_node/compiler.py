@@ -139,8 +139,7 @@ def _built(file: Path, compiler: str, scene: Scene) -> bytes:
     """Return the library that a compiler says it has made."""
     body = b""
     try:
-        # It lies in a folder that is closed to others, whatever the umask has made of its mode.
-        body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
+        body = read_file(file, library_cache.LARGEST_LIBRARY)
         reason = why_no_library(body, CALLS)
     except FileNotFoundError:
         reason = "there is none"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.bound import LARGEST_COUNT, POSITION
 from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.compiler import library_of
@@ -22,9 +23,6 @@ from emulator_node.stability import Attempt, attempts, what_holds
 # What a joint without an encoder reports, since encoder counts are whole numbers.
 IDEAL_COUNTS_PER_TURN = 2**20
 
-# Beyond, less than six digits of a joint's motion would be left, and encoder counts would overflow.
-LARGEST_POSITION = 1e6  # rad or m
-LARGEST_COUNT = 2.0**52
 LARGEST_STEPS = 10**15
 NOT_FINITE = -2  # what the core answers to a voltage that is not
 
@@ -147,7 +145,7 @@ class Plant:
         speed = (
             np.zeros(self._N) if v is None else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
         )
-        largest = np.minimum(LARGEST_POSITION, LARGEST_COUNT * self.link_angle_per_count)
+        largest = np.minimum(POSITION.largest, LARGEST_COUNT * self.link_angle_per_count)
         if (np.abs(at) > largest).any():
             raise Refusal("Plant.reset", "q", f"be at most {largest.min():g} rad or m", at)
         self._reset_to = at, speed

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.bound import TOOL_POSITION
 from arm_emulator.refusal import Refusal
 from emulator_node.rerun_batches import QUANTITIES, RerunBatches
 from emulator_node.sample_queue import Array, SampleQueue
@@ -175,10 +176,10 @@ class RerunStream:
         """
         if self._open:
             try:
-                x, y, z = p_WT
+                x, y, z = TOOL_POSITION.vector("Rerun", p_WT, 3).tolist()
                 start = max(int(time_ns), self._queue.newest)
-                self._targets.append((start, (float(x), float(y), float(z))))
-            except (TypeError, ValueError, OverflowError):
+                self._targets.append((start, (x, y, z)))
+            except (TypeError, ValueError, OverflowError):  # a Refusal among them
                 self._lost += 1
 
     def close(self, timeout: float = 5.0) -> bool:

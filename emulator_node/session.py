@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from arm_emulator.bound import VOLTAGE
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
@@ -136,7 +137,7 @@ class Session:
         Raises:
             Needless: the same bits once more for one of the two ticks answered last, or an answer
                 that was on its way when the run before was left.
-            Refusal: wrong tick, names, length, or a voltage that is not finite.
+            Refusal: wrong tick, names, length, or a voltage that is not finite or too large.
         """
         if tick > self.tick:
             rule, got = f"be at most {self.tick}", f"{tick} (future)"
@@ -147,10 +148,10 @@ class Session:
         if (self.lockstep and self._commanded is not None and tick < self.tick) or tick < newest:
             at_least = self.tick if self.lockstep else newest
             rule = f"be at least {at_least}"
-            if self._is_repeated(tick, self._order.arrange(joint_names, voltage, "voltage", "V")):
+            if self._is_repeated(tick, self._order.arrange(joint_names, voltage, VOLTAGE)):
                 raise Needless("repeated", rule, f"{tick}")
             raise Refusal("motor_commands", "tick", rule, f"{tick} (stale)")
-        command = self._order.arrange(joint_names, voltage, "voltage", "V")
+        command = self._order.arrange(joint_names, voltage, VOLTAGE)
         if tick == newest and self._is_repeated(tick, command):
             raise Needless("repeated", "be answered once", f"{tick}")
         if tick != newest:

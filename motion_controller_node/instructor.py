@@ -4,17 +4,34 @@ from __future__ import annotations
 
 import bisect
 
+import numpy as np
+
+from arm_emulator.bound import POSITION
+from arm_emulator.refusal import Refusal
 from motion_controller_node.jacobian import FloatArray, JacobianController
 from motion_controller_node.pose import Pose
+
+MOST_TARGETS = 10_000  # that wait for their time
+_Q = POSITION.named("q")
+_Q_TARGET = POSITION.named("q_target")
 
 
 class Instructor:
     """Answers joint angles with joint targets.
 
     Until a tool target holds these are the angles at first; then those of eq. (6).
+
+    What it computes is checked. If it is not finite, or beyond the bound of joint positions, the
+    instructor forgets everything and holds the arm where it is.
+
+    Attributes:
+        restarts: how often that happened.
+        trouble: why, the last time, in words.
     """
 
     def __init__(self) -> None:
+        self.restarts = 0
+        self.trouble = ""
         self.start_over()
 
     def start_over(self) -> None:
@@ -32,8 +49,18 @@ class Instructor:
         """Take a tool target that holds from a logical time [ns] on, until the next one does.
 
         Of two with the same time the newer wins; a time that is past means at once.
+
+        Raises:
+            Refusal: more targets wait for their time than are taken.
         """
-        bisect.insort(self._coming, (time_ns, target), key=lambda item: item[0])
+        place = bisect.bisect_left(self._coming, time_ns, key=lambda item: item[0])
+        if place < len(self._coming) and self._coming[place][0] == time_ns:
+            self._coming[place] = (time_ns, target)
+            return
+        if len(self._coming) >= MOST_TARGETS:
+            rule = f"be one of at most {MOST_TARGETS} that wait for their time"
+            raise Refusal("tool_target", "the target", rule, "one more")
+        self._coming.insert(place, (time_ns, target))
 
     def instruct(self, controller: JacobianController, time_ns: int, q: FloatArray) -> FloatArray:
         """Return the joint targets (N,) [rad] at a logical time [ns].
@@ -44,8 +71,22 @@ class Instructor:
             q: measured joint angles (N,) [rad].
 
         Raises:
-            Refusal: see `JacobianController.update`.
+            Refusal: q is not finite or too large; nothing has changed then.
         """
+        _Q.check("motion_controller", q.tolist())
+        try:
+            q_target = self._instruct(controller, time_ns, q)
+            _Q_TARGET.check("motion_controller", q_target.tolist())
+        except (Refusal, ArithmeticError, np.linalg.LinAlgError) as error:
+            # q is within its bound, the targets were checked when they came: what is left is this
+            # object's state, or a robot description that cannot be computed with.
+            self.start_over()
+            self._hold = q_target = q
+            self.restarts += 1
+            self.trouble = str(error)
+        return q_target
+
+    def _instruct(self, controller: JacobianController, time_ns: int, q: FloatArray) -> FloatArray:
         while self._coming and self._coming[0][0] <= time_ns:
             self._tool_target = self._coming.pop(0)[1]
         if self._tool_target is None:

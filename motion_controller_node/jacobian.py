@@ -15,12 +15,18 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from arm_emulator.bound import POSITION, TOOL_POSITION, Bound
 from arm_emulator.refusal import Refusal
 from motion_controller_node.pose import Pose
 
 __all__ = ["JacobianController", "Pose"]
 
 FloatArray = npt.NDArray[np.float64]
+
+_Q = POSITION.named("q")
+_TARGET_POSITION = TOOL_POSITION.named("the pose")
+_REACH = TOOL_POSITION.named("the length of the arm")
+_TARGET_ROTATION = Bound("the rotation", "", 1.001)  # no entry is larger, but for rounding
 
 POSITION_ROWS = 3
 POSE_ROWS = 6
@@ -83,6 +89,12 @@ class JacobianController:
         self._lower, self._upper = self._limits()
         self.reach = self._reach()
         """Length of the chain from its first joint to the tool [m]."""
+        _REACH.check("robot_description", [self.reach])
+        neutral = pin.neutral(self.model)
+        pin.framesForwardKinematics(self.model, self._data, neutral)
+        R_WT, p_WT = self._data.oMf[self._frame].rotation, self._data.oMf[self._frame].translation
+        TOOL_POSITION.named("tool").check("robot_description", p_WT.tolist())
+        _TARGET_ROTATION.check("robot_description", np.ravel(R_WT).tolist())
         self.base = _base(self.model)
         """Link that stands in the world, in whose frame poses are given."""
         self._scale = np.ones(self.rows)
@@ -135,11 +147,26 @@ class JacobianController:
             q_target (N,) [rad or m]. `error` and `notices` tell how it came about.
 
         Raises:
-            Refusal: q or target of a wrong length or not finite. Nothing has changed then.
+            Refusal: q or target of a wrong length, not finite or too large. Nothing has changed
+                then.
+            ArithmeticError: the robot description holds numbers that q_target cannot be computed
+                from. Nothing has changed then.
         """
         q = self._vector(q)
-        if not (np.isfinite(target.p_WT).all() and np.isfinite(target.R_WT).all()):
-            raise Refusal("tool_target", "the pose", "be finite", target)
+        _TARGET_POSITION.vector("tool_target", target.p_WT, POSITION_ROWS)
+        _TARGET_ROTATION.vector("tool_target", np.ravel(target.R_WT), 9)
+        with np.errstate(all="ignore"):  # what came of it is checked
+            try:
+                q_target, error, notices = self._step(q, target)
+            except np.linalg.LinAlgError:  # the Jacobian is not finite
+                q_target = np.full_like(q, math.nan)
+        if not np.isfinite(q_target).all():
+            raise ArithmeticError(f"the joint targets of eq. (6) are not finite at q = {q}")
+        self.error, self.notices = error, tuple(notices)
+        return q_target
+
+    def _step(self, q: FloatArray, target: Pose) -> tuple[FloatArray, FloatArray, list[str]]:
+        """Return q_target, the tool's error, and what limited the step in words."""
         error = self.tool_error(q, target)
         U, s, Vt = np.linalg.svd(self.jacobian(q) * self._scale[:, None], full_matrices=False)
         notices = []
@@ -153,9 +180,7 @@ class JacobianController:
         if longest > self.step_limit:
             step *= self.step_limit / longest
             notices.append(f"step of {longest:.3g} rad shortened to {self.step_limit:g} rad")
-        q_target = self._within_limits(q, q + step, notices)
-        self.error, self.notices = error, tuple(notices)
-        return q_target
+        return self._within_limits(q, q + step, notices), error, notices
 
     def _inverse(self, s: FloatArray) -> FloatArray:
         """Return 1/s, damped where s is small."""
@@ -176,12 +201,7 @@ class JacobianController:
         return limited
 
     def _vector(self, q: npt.ArrayLike) -> FloatArray:
-        vector = np.asarray(q, dtype=np.float64)
-        if vector.shape != (len(self.joint_names),):
-            raise Refusal("motion_controller", "q", f"have {len(self.joint_names)} values", q)
-        if not np.isfinite(vector).all():
-            raise Refusal("motion_controller", "q", "be finite", q)
-        return vector
+        return _Q.vector("motion_controller", q, len(self.joint_names))
 
     def _configuration(self, q: npt.ArrayLike) -> FloatArray:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""
@@ -209,10 +229,10 @@ class JacobianController:
 
     def _reach(self) -> float:
         frame = self.model.frames[self._frame]
-        length = float(np.linalg.norm(frame.placement.translation))
+        length = math.hypot(*frame.placement.translation)
         joint = frame.parentJoint
         while self.model.parents[joint] > 0:
-            length += float(np.linalg.norm(self.model.jointPlacements[joint].translation))
+            length += math.hypot(*self.model.jointPlacements[joint].translation)
             joint = self.model.parents[joint]
         return length or 1.0
 

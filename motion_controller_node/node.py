@@ -14,7 +14,9 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
+from arm_emulator.bound import POSITION
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.node_shell import (
     COMMAND_QOS,
@@ -27,6 +29,7 @@ from arm_emulator.node_shell import (
     nanoseconds_of,
     refuse_other_parameters,
     run_node,
+    time_of,
 )
 from arm_emulator.refusal import Refusal
 from motion_controller_node.instructor import Instructor
@@ -58,6 +61,7 @@ class MotionControllerNode(Node):
         self.create_subscription(String, "robot_description", self._on_description, DESCRIPTION_QOS)
         self.create_subscription(JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
+        self.create_service(Trigger, "~/reset", self._on_reset)
 
     def close(self) -> None:
         """Nothing to let go of."""
@@ -85,6 +89,7 @@ class MotionControllerNode(Node):
     def _on_tool_target(self, message: PoseStamped) -> None:
         p, o = message.pose.position, message.pose.orientation
         try:
+            time_ns = time_of("tool_target", message.header.stamp)
             bases = list(dict.fromkeys(("world", *self._root())))
             if message.header.frame_id not in ("", *bases):
                 raise Refusal(
@@ -95,22 +100,24 @@ class MotionControllerNode(Node):
                     ", ".join(bases),
                 )
             pose = Pose.from_quaternion((p.x, p.y, p.z), (o.x, o.y, o.z, o.w))
+            self._instructor.add(time_ns, pose)
         except Refusal as reason:
             self._diagnostics.refuse("tool_target", reason)
             return
-        self._instructor.add(nanoseconds_of(message.header.stamp), pose)
         accepted = self._diagnostics.values["tool targets"]
         assert isinstance(accepted, int)
         self._diagnostics.values["tool targets"] = accepted + 1
         self._diagnostics.publish()
 
     def _on_joint_states(self, message: JointState) -> None:
-        now = nanoseconds_of(message.header.stamp)
         controller = self._controller
-        if controller is None or now % self._period_ns != 0:
+        if controller is None:
             return
         try:
-            q = self._order.arrange(message.name, message.position, "position", "rad")
+            now = time_of("joint_states", message.header.stamp)
+            if now % self._period_ns != 0:
+                return
+            q = self._order.arrange(message.name, message.position, POSITION)
         except Refusal as reason:
             self._diagnostics.refuse("joint_states", reason)
             return
@@ -121,6 +128,7 @@ class MotionControllerNode(Node):
             self._start_over()
         q_target = self._instructor.instruct(controller, now, q)
         self._tell(controller)
+        # What is published is within the bounds: the instructor sees to that.
         answer = JointState(name=controller.joint_names)
         answer.header.stamp = message.header.stamp
         answer.position = array("d", q_target.tobytes())
@@ -128,6 +136,11 @@ class MotionControllerNode(Node):
         self._targets.publish(answer)
 
     def _tell(self, controller: JacobianController) -> None:
+        restarts = self._instructor.restarts
+        if restarts != self._diagnostics.values.get("began anew", 0):
+            self._diagnostics.values["began anew"] = restarts
+            self._diagnostics.error(f"{self._instructor.trouble}; began anew, the arm is held")
+            return
         if self._instructor.holding:
             self._diagnostics.ok("holding, no tool target yet")
             return
@@ -136,6 +149,12 @@ class MotionControllerNode(Node):
         else:
             self._diagnostics.ok("moving the tool to its target")
         self._diagnostics.values["tool error [m]"] = f"{np.linalg.norm(controller.error[:3]):.2e}"
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._start_over()
+        response.success = True
+        response.message = "all tool targets are forgotten, the arm is held where it is"
+        return response
 
     def _root(self) -> tuple[str, ...]:
         return (self._controller.base,) if self._controller is not None else ()

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.bound import TOOL_POSITION, Bound
 from arm_emulator.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
 
 # A quaternion this far from length 1 is rounding of its sender; farther, it is a mistake.
 _UNIT_TOLERANCE = 1e-3
+_ORIENTATION = Bound("orientation", "", math.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +39,12 @@ class Pose:
             where: name of the source, for refusals.
 
         Raises:
-            Refusal: not finite, a wrong length, or a quaternion whose length is not 1.
+            Refusal: not finite, too far away, a wrong length, or a quaternion whose length is
+                not 1.
         """
-        p = _vector(position, 3, where, "position")
-        q = _vector(quaternion, 4, where, "orientation")
-        length = float(np.linalg.norm(q))
+        p = TOOL_POSITION.vector(where, position, 3).copy()
+        q = _ORIENTATION.vector(where, quaternion, 4)
+        length = math.hypot(*q.tolist())  # of numbers of any size
         if abs(length - 1.0) > _UNIT_TOLERANCE:
             raise Refusal(
                 where, "orientation", f"be a quaternion of length 1 +- {_UNIT_TOLERANCE}", length
@@ -73,12 +77,3 @@ class Pose:
         q: FloatArray = outer[:, int(np.argmax(np.diag(outer)))]
         q = q / np.linalg.norm(q)
         return -q if q[3] < 0.0 else q
-
-
-def _vector(values: npt.ArrayLike, size: int, where: str, quantity: str) -> FloatArray:
-    vector = np.array(values, dtype=np.float64)
-    if vector.shape != (size,):
-        raise Refusal(where, quantity, f"have {size} values", values)
-    if not np.isfinite(vector).all():
-        raise Refusal(where, quantity, "be finite", values)
-    return vector

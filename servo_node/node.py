@@ -16,6 +16,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from arm_emulator.bound import CURRENT, EFFORT, POSITION, VELOCITY, encoder_counts
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.node_shell import (
     COMMAND_QOS,
@@ -28,6 +29,7 @@ from arm_emulator.node_shell import (
     nanoseconds_of,
     run_node,
     stamp,
+    time_of,
     wall_timer,
 )
 from arm_emulator.parameters import ROS_PARAMETERS, parameter
@@ -97,6 +99,7 @@ class ServoNode(Node):
         names = self._config.joint_names
         self._states_order = JointOrder("motor_states", names)
         self._targets_order = JointOrder("joint_targets", names)
+        self._counts = encoder_counts([joint.count_angle for joint in self._config.joints])
         self._drives = Drives(self._config)
         self._diagnostics = Diagnostics(self, "servo drives")
         self._heard_at = time.monotonic()
@@ -130,8 +133,8 @@ class ServoNode(Node):
             now = _Measurement(
                 int(message.tick),
                 nanoseconds_of(message.header.stamp),
-                self._states_order.arrange(names, message.encoder_counts, "encoder_counts", ""),
-                self._states_order.arrange(names, message.current, "current", "A"),
+                self._states_order.arrange(names, message.encoder_counts, self._counts),
+                self._states_order.arrange(names, message.current, CURRENT),
                 bool(message.powered),
             )
         except Refusal as reason:
@@ -160,7 +163,7 @@ class ServoNode(Node):
             self._answer(now)
 
     def _check_time(self, message: MotorState) -> None:
-        time_ns, tick = nanoseconds_of(message.header.stamp), int(message.tick)
+        time_ns, tick = time_of("motor_states", message.header.stamp), int(message.tick)
         if time_ns != tick * self._period_ns:
             raise Refusal(
                 "motor_states",
@@ -184,11 +187,11 @@ class ServoNode(Node):
 
     def _read_target(self, message: JointState) -> Target:
         arrange, names = self._targets_order.arrange, message.name
-        time_ns = nanoseconds_of(message.header.stamp)
+        time_ns = time_of("joint_targets", message.header.stamp)
         target = Target(
-            arrange(names, message.position, "position", "rad"),
-            arrange(names, message.velocity, "velocity", "rad/s") if message.velocity else None,
-            arrange(names, message.effort, "effort", "N m") if message.effort else None,
+            arrange(names, message.position, POSITION),
+            arrange(names, message.velocity, VELOCITY) if message.velocity else None,
+            arrange(names, message.effort, EFFORT) if message.effort else None,
         )
         if self._lockstep and self._motion_ticks and time_ns != self._cycle_ns:
             raise Refusal(
@@ -205,7 +208,11 @@ class ServoNode(Node):
         """Compute and say the voltages for the servo period that begins with `now`."""
         drives = self._drives
         voltage = drives.voltage(now.powered)
-        if drives.state is WatchdogState.OK:
+        restarts = drives.servo.restarts
+        if restarts != self._diagnostics.values.get("began anew", 0):
+            self._diagnostics.values["began anew"] = restarts
+            self._diagnostics.error("the servo's state was no longer finite and began anew")
+        elif drives.state is WatchdogState.OK:
             self._diagnostics.ok("following")
         elif drives.state is WatchdogState.HOLD:
             self._diagnostics.warn(f"holding: {drives.reason}")

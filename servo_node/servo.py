@@ -25,12 +25,17 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.bound import CURRENT, EFFORT, POSITION, VELOCITY, Bound, encoder_counts
 from arm_emulator.refusal import Refusal
 from servo_node.servo_config import JointServo, ServoConfig, load_servo_config
 
 __all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
 
 FloatArray = npt.NDArray[np.float64]
+
+_Q_TARGET = POSITION.named("q_target")
+_V_TARGET = VELOCITY.named("v_target")
+_TAU = EFFORT.named("tau_feedforward")
 
 
 class Servo:
@@ -39,14 +44,24 @@ class Servo:
     Arrays are (N,) in the order of ``config.joints``. Call once in every servo period `update`, or
     its two halves: `observe` when the measurement is there, `control` when the target is.
 
+    A joint whose observer or integral is no longer finite begins anew where the motor stands, gets
+    0 V for that period, and is counted in `restarts`. Within the bounds of arm_emulator/bound.py
+    only a data sheet of impossible numbers can lead there.
+
     Args:
         config: data-sheet values, gains and limits.
+
+    Raises:
+        Refusal: numbers of a data sheet that cannot be computed with.
     """
 
     def __init__(self, config: ServoConfig) -> None:
         self.config = config
-        self._axes = [_Axis(joint, config.period, config.supply_voltage) for joint in config.joints]
+        self._axes = [_axis(joint, config.period, config.supply_voltage) for joint in config.joints]
         self._zeros = [0.0] * len(self._axes)
+        self._counts = encoder_counts([j.count_angle for j in config.joints]).named("counts")
+        self.restarts = 0
+        """How often the state of a joint was no longer finite, and began anew."""
 
     def reset(self) -> None:
         """Forget everything; the next measurement starts the observer where the motor stands."""
@@ -74,7 +89,8 @@ class Servo:
         """Return the voltages for the period that begins now: `observe`, then `control`.
 
         Raises:
-            Refusal: a wrong length or a value that is not finite. Nothing has changed then.
+            Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
+                then.
         """
         measured = self._measurement(counts, current)
         wanted = self._targets(q_target, v_target, tau_feedforward)
@@ -89,7 +105,8 @@ class Servo:
             current: motor currents, (N,) [A].
 
         Raises:
-            Refusal: a wrong length or a value that is not finite. Nothing has changed then.
+            Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
+                then.
         """
         self._observe(*self._measurement(counts, current))
 
@@ -110,8 +127,8 @@ class Servo:
             Motor voltages, (N,) [V], within the supply voltage.
 
         Raises:
-            Refusal: a wrong length or a value that is not finite, or nothing was measured yet.
-                Nothing has changed then.
+            Refusal: a wrong length, a value that is not finite or too large, or nothing was
+                measured yet. Nothing has changed then.
         """
         wanted = self._targets(q_target, v_target, tau_feedforward)
         if math.isnan(self._axes[0].theta):
@@ -126,16 +143,25 @@ class Servo:
     def _observe(self, counts: list[float], current: list[float]) -> None:
         for axis, count, amps in zip(self._axes, counts, current, strict=True):
             axis.observe(count, amps)
+            if not math.isfinite(axis.theta + axis.omega + axis.load):
+                self._begin_anew(axis)
 
     def _control(self, q: list[float], v: list[float], tau: list[float]) -> FloatArray:
-        return np.array(
-            [axis.control(*row) for axis, *row in zip(self._axes, q, v, tau, strict=True)]
-        )
+        voltages = [axis.control(*row) for axis, *row in zip(self._axes, q, v, tau, strict=True)]
+        for j, axis in enumerate(self._axes):
+            if not math.isfinite(voltages[j] + axis.integral):
+                self._begin_anew(axis)
+                voltages[j] = 0.0
+        return np.array(voltages)
+
+    def _begin_anew(self, axis: _Axis) -> None:
+        axis.start(axis.current if math.isfinite(axis.current) else 0.0)
+        self.restarts += 1
 
     def _measurement(
         self, counts: npt.ArrayLike, current: npt.ArrayLike
     ) -> tuple[list[float], list[float]]:
-        return self._vector(counts, "counts"), self._vector(current, "current")
+        return self._vector(counts, self._counts), self._vector(current, CURRENT)
 
     def _targets(
         self,
@@ -144,22 +170,28 @@ class Servo:
         tau_feedforward: npt.ArrayLike | None,
     ) -> tuple[list[float], list[float], list[float]]:
         return (
-            self._vector(q_target, "q_target"),
-            self._zeros if v_target is None else self._vector(v_target, "v_target"),
-            self._zeros
-            if tau_feedforward is None
-            else self._vector(tau_feedforward, "tau_feedforward"),
+            self._vector(q_target, _Q_TARGET),
+            self._zeros if v_target is None else self._vector(v_target, _V_TARGET),
+            self._zeros if tau_feedforward is None else self._vector(tau_feedforward, _TAU),
         )
 
-    def _vector(self, values: npt.ArrayLike, quantity: str) -> list[float]:
-        """Return `values` as N finite Python floats."""
+    def _vector(self, values: npt.ArrayLike, bound: Bound) -> list[float]:
+        """Return `values` as N Python floats within the bound."""
         # Python floats: for N below about 20 a loop over them beats NumPy's call overhead.
-        result: list[float] = np.asarray(values, dtype=np.float64).tolist()
-        if not isinstance(result, list) or len(result) != len(self._axes):
-            raise Refusal("servo", quantity, f"have {len(self._axes)} values", values)
-        if not math.isfinite(sum(result)):  # a sum of finite values of any sense is finite
-            raise Refusal("servo", quantity, "be finite", values)
+        result: list[float] = bound.vector("servo", values, len(self._axes)).tolist()
         return result
+
+
+def _axis(joint: JointServo, period: float, supply_voltage: float) -> _Axis:
+    """Return a joint whose coefficients are all finite."""
+    try:
+        axis = _Axis(joint, period, supply_voltage)
+        if all(math.isfinite(value) for value in axis.coefficients()):
+            return axis
+    except ArithmeticError:
+        pass
+    rule = "have data that finite coefficients of the control law follow from"
+    raise Refusal("servo", f"joint {joint.name}", rule, joint)
 
 
 class _Axis:
@@ -218,6 +250,23 @@ class _Axis:
         self.omega_gain = 1.5 * (1.0 - p**2) * (1.0 - p) / period
         self.load_gain = (1.0 - p) ** 3 / period**2 * self.inertia
         self.reset()
+
+    def coefficients(self) -> tuple[float, ...]:
+        """Return what the law multiplies and divides by."""
+        return (
+            self.ratio,
+            1.0 / self.ratio,
+            self.omega_limit,
+            self.velocity_gain,
+            self.reset_rate,
+            self.current_gain,
+            1.0 / (self.resistance + self.current_gain),
+            self.theta_gain,
+            self.omega_gain,
+            self.load_gain,
+            1.0 / self.inertia,
+            1.0 / self.torque_constant,
+        )
 
     def reset(self) -> None:
         """Forget the past."""

@@ -126,6 +126,8 @@ class ServoConfig:
         return cls(**scalars, joints=joints)
 
 
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6  # s
+
 _SCALARS = {
     "period": _positive("s")["rule"],
     "motion_period": _not_negative("s")["rule"],
@@ -227,6 +229,12 @@ def _joint(name: str, table: Any, where: str) -> JointServo:
 
 def _check_periods(scalars: Mapping[str, float], where: str) -> None:
     period, motion_period = scalars["period"], scalars["motion_period"]
+    if not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
+        rule = f"be a number from {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g} s"
+        raise Refusal(where, "period", rule, period)
+    if motion_period > _LONGEST_PERIOD:
+        rule = f"be a number from 0 to {_LONGEST_PERIOD:g} s"
+        raise Refusal(where, "motion_period", rule, motion_period)
     cycles = motion_period / period
     if abs(cycles - round(cycles)) > 1e-9 * max(1.0, cycles):
         raise Refusal(

@@ -1,0 +1,179 @@
+"""The three nodes in this process, their topics and services wired without a middleware.
+
+Nothing runs by itself but the threads of a machine in real time: a test delivers messages one by
+one, in the order in which they were said, and may put its own in between.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from typing import Any
+
+import rclpy
+from network import bits_of
+from rclpy.serialization import deserialize_message, serialize_message
+from std_srvs.srv import SetBool, Trigger
+
+from arm_emulator.config_files import find_config
+from arm_emulator.ros_domain import own_domain
+from arm_emulator_msgs.msg import MotorState
+from emulator_node.node import EmulatorNode
+from motion_controller_node.node import MotionControllerNode
+from servo_node.node import ServoNode
+
+
+class Wires:
+    """Topics and services by name."""
+
+    def __init__(self) -> None:
+        self.waiting: deque[tuple[str, type, bytes]] = deque()  # said, not delivered yet
+        self.listeners: dict[str, list[Callable[[Any], None]]] = defaultdict(list)
+        self.services: dict[str, Callable[[Any, Any], Any]] = {}
+        self.timers: list[Callable[[], None]] = []
+        self.newest: dict[str, Any] = {}  # what was said last on each topic
+
+    def join(self, kind: type) -> Any:
+        """Return a node of that kind on these wires."""
+        wires = self
+
+        class Wired(kind):  # type: ignore[misc]
+            def create_publisher(self, kind: type, topic: str, *more: Any, **named: Any) -> Any:
+                if topic.startswith("/"):  # rclpy's own
+                    return super().create_publisher(kind, topic, *more, **named)
+                return Publisher(wires, kind, topic)
+
+            def create_subscription(
+                self, kind: type, topic: str, callback: Any, *more: Any, **named: Any
+            ) -> None:
+                wires.listeners[topic].append(callback)
+
+            def create_service(self, kind: type, name: str, callback: Any, **named: Any) -> Any:
+                if not name.startswith("~/"):  # rclpy's own
+                    return super().create_service(kind, name, callback, **named)
+                wires.services[f"{self.get_name()}/{name[2:]}"] = callback
+                return None
+
+            def create_timer(self, period: float, callback: Any, **named: Any) -> None:
+                wires.timers.append(callback)
+
+        return Wired()
+
+
+class Publisher:
+    """Says messages onto the wires."""
+
+    def __init__(self, wires: Wires, kind: type, topic: str) -> None:
+        self._wires, self._kind, self._topic = wires, kind, topic
+
+    def publish(self, message: Any) -> None:
+        self._wires.newest[self._topic] = deepcopy(message)
+        if self._topic in self._wires.listeners:
+            self._wires.waiting.append((self._topic, self._kind, serialize_message(message)))
+
+    def get_subscription_count(self) -> int:
+        return len(self._wires.listeners[self._topic])
+
+
+class InProcess:
+    """The three nodes, and what a user of their topics does.
+
+    Attributes:
+        states: bits of counts and currents by tick, of the newest run.
+        nodes: by name.
+    """
+
+    def __init__(self) -> None:
+        self._wires = Wires()
+        self.states: dict[int, bytes] = {}
+        self.tick = -1
+        self._wires.listeners["motor_states"].append(self._on_state)
+        # The emulator last: it says tick 0, and its description, at once.
+        kinds = {"servo": ServoNode, "motion_controller": MotionControllerNode}
+        self.nodes = {name: self._wires.join(kind) for name, kind in kinds.items()}
+        self.nodes["emulator"] = self._wires.join(EmulatorNode)
+
+    def close(self) -> None:
+        for node in self.nodes.values():
+            node.close()
+            node.destroy_node()
+
+    def deliver(self) -> bool:
+        """Deliver the message that was said first; False if there is none."""
+        if not self._wires.waiting:
+            return False
+        topic, kind, data = self._wires.waiting.popleft()
+        for listener in self._wires.listeners[topic]:
+            listener(deserialize_message(data, kind))
+        return True
+
+    def run_to(self, tick: int, between: Callable[[], None] = lambda: None) -> None:
+        """Deliver until that tick was told; `between` any two messages do something else."""
+        while self.tick < tick:
+            between()
+            assert self.deliver(), f"nobody says anything any more at tick {self.tick} of {tick}"
+
+    def say(self, topic: str, message: Any) -> None:
+        """Deliver a message of one's own at once, to the nodes alone."""
+        data = serialize_message(message)
+        for listener in self._wires.listeners[topic]:
+            if listener != self._on_state:
+                listener(deserialize_message(data, type(message)))
+
+    def forget(self) -> None:
+        """Begin a new recording."""
+        self.states.clear()
+        self.tick = -1
+
+    def call(self, name: str, request: bool | None = None) -> Any:
+        """Call a service: True or False for SetBool, None for Trigger."""
+        kind = Trigger if request is None else SetBool
+        message = kind.Request() if request is None else kind.Request(data=request)
+        return self._wires.services[name](message, kind.Response())
+
+    def timers(self) -> None:
+        """Call every timer of every node once."""
+        for callback in list(self._wires.timers):
+            callback()
+
+    @property
+    def said(self) -> dict[str, Any]:
+        """What the nodes said last on each topic."""
+        return self._wires.newest
+
+    def refused(self, node: str) -> int:
+        """Return how many messages a node has refused."""
+        return int(self.nodes[node]._diagnostics.refused)
+
+    def _on_state(self, message: MotorState) -> None:
+        self.tick = int(message.tick)
+        if self.tick == 0:
+            self.states.clear()
+        self.states[self.tick] = bits_of(message.encoder_counts, message.current)
+
+
+@contextmanager
+def in_process(clock: str = "lockstep", scene: str = "three_axis") -> Iterator[InProcess]:
+    """Run the three nodes of a scene in this process, from the first answer on."""
+    arguments = ["--ros-args"]
+    for kind in ("servo", "motion"):
+        arguments += ["--params-file", str(find_config(scene, ".yaml", kind))]
+    for node, name, value in (
+        ("emulator", "scene", scene),
+        ("emulator", "start", "first_answer"),
+        ("emulator", "clock", clock),
+        ("servo", "clock", clock),
+    ):
+        arguments += ["-p", f"{node}:{name}:={value}"]
+    with own_domain():
+        rclpy.init(args=arguments)
+        try:
+            one = InProcess()
+            try:
+                yield one
+            finally:
+                one.close()
+        finally:
+            rclpy.try_shutdown()

@@ -1,0 +1,137 @@
+"""No number that comes from outside ends a node, spoils its state, or passes silently."""
+
+from __future__ import annotations
+
+import random
+import time
+
+import numpy as np
+import pytest
+from in_process import InProcess, in_process
+from network import JOINTS, assert_same_bits, offline_states
+from random_messages import RECEIVER, TOPICS, bad_message, random_message
+
+from arm_emulator.offline import OfflineRun, load_offline_run
+from motion_controller_node.pose import Pose
+
+# A warning of NumPy's would be printed among what the nodes say.
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
+TICKS = 400
+AIM_NS = 100_000_000
+
+
+@pytest.fixture(scope="module")
+def reference() -> dict[int, bytes]:
+    """An undisturbed run: the tool goes aside from 0.1 s on."""
+    run = load_offline_run("three_axis")
+    run.instructor.add(AIM_NS, aside(run))
+    return offline_states(run, TICKS)
+
+
+def aside(run: OfflineRun) -> Pose:
+    _, p_WT = run.controller.forward(run.session.scene.start)
+    return Pose(p_WT + np.array([0.0, 0.02, 0.0]), np.eye(3))
+
+
+def aim(nodes: InProcess) -> None:
+    """Give the tool target of the reference."""
+    from geometry_msgs.msg import PoseStamped
+
+    target, p_WT = PoseStamped(), aside(load_offline_run("three_axis")).p_WT
+    p = target.pose.position
+    p.x, p.y, p.z = map(float, p_WT)
+    target.pose.orientation.w = 1.0
+    target.header.stamp.nanosec = AIM_NS
+    nodes.say("tool_target", target)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bad_messages_leave_every_bit_of_a_run(seed: int, reference: dict[int, bytes]) -> None:
+    rng, said = random.Random(seed), dict.fromkeys(RECEIVER.values(), 0)
+    with in_process() as nodes:
+        nodes.run_to(1)  # the motion controller knows its robot
+        aim(nodes)
+
+        def abuse() -> None:
+            topic = rng.choice(TOPICS)
+            name = RECEIVER[topic]
+            message = bad_message(rng, topic, JOINTS, nodes.tick + rng.randrange(3))
+            nodes.say(topic, message)
+            said[name] += 1
+            assert nodes.refused(name) == said[name], f"not refused on {topic}: {message}"
+
+        nodes.run_to(TICKS, abuse)
+        assert sum(said.values()) > TICKS
+        assert_same_bits(nodes.states, reference, TICKS)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bad_messages_do_not_stop_a_run_in_real_time(seed: int) -> None:
+    rng, said = random.Random(seed), dict.fromkeys(RECEIVER.values(), 0)
+    with in_process("realtime") as nodes:
+        while nodes.tick < 1:
+            nodes.deliver()
+        for _ in range(1000):
+            topic = rng.choice(TOPICS)
+            name = RECEIVER[topic]
+            message = bad_message(rng, topic, JOINTS, 10**6 + nodes.tick)
+            nodes.say(topic, message)
+            said[name] += 1
+            assert nodes.refused(name) == said[name], f"not refused on {topic}: {message}"
+            nodes.deliver()
+        before = nodes.tick
+        assert before > 0 and min(said.values()) > 0
+        deadline = time.monotonic() + 30.0
+        while nodes.tick < before + 20 and time.monotonic() < deadline:
+            nodes.deliver()
+        assert nodes.tick >= before + 20, "the machine stands"
+        assert nodes.nodes["servo"]._drives.servo.restarts == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_after_any_messages_a_reset_gives_every_bit_of_a_run(
+    seed: int, reference: dict[int, bytes]
+) -> None:
+    """Sound ones among them may be taken; what they led to is forgotten with the resets."""
+    rng = random.Random(seed)
+    with in_process() as nodes:
+        any_messages(nodes, rng, 2000)
+        begin_anew(nodes)
+        nodes.run_to(TICKS)
+        assert_same_bits(nodes.states, reference, TICKS)
+
+
+def test_after_any_messages_in_real_time_the_nodes_still_work() -> None:
+    with in_process("realtime") as nodes:
+        any_messages(nodes, random.Random(5), 2000)
+        begin_anew(nodes)
+        deadline = time.monotonic() + 30.0
+        while nodes.tick < TICKS and time.monotonic() < deadline:
+            nodes.deliver()
+        assert nodes.tick >= TICKS, f"the machine stands at tick {nodes.tick}"
+        assert nodes.nodes["servo"]._drives.reason == "targets and states come"
+
+
+def any_messages(nodes: InProcess, rng: random.Random, count: int) -> None:
+    for turn in range(count):
+        topic = rng.choice(TOPICS)
+        nodes.say(topic, random_message(rng, topic, JOINTS, max(0, nodes.tick + 1)))
+        nodes.deliver()
+        if turn % 100 == 0:
+            nodes.timers()
+    for name in nodes.nodes:
+        assert nodes.refused(name) > 0, f"{name} took everything"
+
+
+def begin_anew(nodes: InProcess) -> None:
+    """Reset all three, and give them back their robot and the tool target of the reference."""
+    assert nodes.call("emulator/pause", True).success
+    while nodes.deliver():
+        pass
+    nodes.say("robot_description", nodes.said["robot_description"])
+    for name in ("servo", "motion_controller"):
+        assert nodes.call(f"{name}/reset").success
+    aim(nodes)
+    nodes.forget()
+    assert nodes.call("emulator/reset").success
