@@ -19,7 +19,7 @@ from emulator_node.core_calls import CALLS
 from emulator_node.cxx import find_compiler, run_compiler
 from emulator_node.elf import why_no_library
 from emulator_node.scene import Gear, Joint, Scene
-from emulator_node.trusted import Untrusted, read_file
+from emulator_node.trusted import Untrusted, check_folder, read_file
 
 CORE = Path(__file__).resolve().parent / "core"
 
@@ -79,16 +79,19 @@ def compile_ahead(scene: Scene, target: str, folder: Path | None) -> Path:
         if folder is None:
             return library
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            reason = library_cache.why_not_trusted(folder)
-            if reason:
+            try:
+                check_folder(folder, make=0o755)
+            except Untrusted as reason:  # it may be on its way to another place
                 print(f"arm_emulator: no library is loaded from {folder} as it is: {reason}",
                       file=sys.stderr)  # fmt: skip
+                folder.mkdir(parents=True, exist_ok=True)
             if folder.resolve() == library.parent.resolve():
                 return library
             return library_cache.copy_into(library, folder)
         except OSError as error:
-            raise Refusal("compile", f"the folder {folder}", "be writable", error) from None
+            raise Refusal(
+                "compile", f"the folder {folder}", "be writable", error.strerror
+            ) from None
 
 
 @contextlib.contextmanager
@@ -139,7 +142,8 @@ def _built(file: Path, compiler: str, scene: Scene) -> bytes:
     """Return the library that a compiler says it has made."""
     body = b""
     try:
-        body = read_file(file, library_cache.LARGEST_LIBRARY)
+        # It lies in a folder that is closed to others, whatever the umask has made of its mode.
+        body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
         reason = why_no_library(body, CALLS)
     except FileNotFoundError:
         reason = "there is none"

@@ -47,7 +47,7 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
             for index in range(sections)
         ]
         missing = set(functions) - _exported(content, table)
-    except (struct.error, IndexError):
+    except (struct.error, IndexError, OverflowError):
         return "it is cut short"
     return f"it lacks {', '.join(sorted(missing))}" if missing else ""
 

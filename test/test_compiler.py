@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import ctypes.util
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from fake_compiler import fake_compiler
 from machines import random_chain
 
 from arm_emulator.refusal import Refusal
+from emulator_node import cxx
 from emulator_node.compiler import (
     CORE,
     FLAGS,
@@ -96,11 +102,110 @@ def test_a_library_compiled_ahead_serves_a_machine_without_a_compiler(
         compile_ahead(scene, "z80", cache)
 
 
-def test_a_failing_compiler_is_told(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CXX", "false")
-    with pytest.raises(Refusal, match="compiler false must compile the scene's core"):
+# What compilers do, and the end of the one line that tells it.
+MISCHIEF = {
+    "CXX=false": "compile the scene's core, got exit code 1",
+    "CXX=cat": "compile the scene's core, got exit code 1",  # waits for input if it is given any
+    "CXX=true": "make a library, though it says nothing is wrong, got there is none",
+    "CXX='unclosed": "be the words of a command, got 'unclosed (No closing quotation)",
+    "CXX='' -O2": "be on the path, a scene is compiled when first used",
+    "CXX=/nowhere/c++ -O2": "be on the path, a scene is compiled when first used",
+    "CXX=/tmp": "be on the path, a scene is compiled when first used",
+    "> $out": "got it is empty",
+    "mkdir $out": "got it is no file",
+    "ln -s /bin/sh $out": "got it is a link or a socket",
+    "mkfifo $out": "got it is no file",
+    "echo junk > $out": "got it is no 64-bit ELF file",
+    "cp /bin/sh $out": "got it lacks arm_",
+    "truncate -s 1G $out": "got it holds 1073741824 bytes",
+    "printf '\\377\\376 error: \\200' >&2; exit 3": "got exit code 3: \ufffd\ufffd error: \ufffd",
+    "echo first; echo scene.cpp: error: why >&2; exit 1": "got exit code 1: scene.cpp: error: why",
+    "printf '\\n\\n'; exit 1": "got exit code 1",
+    "kill -9 $$": "got ended by SIGKILL",
+    "kill -64 $$": "got ended by",
+    "sleep 60 & sleep 60": "got no end within 0.5 s",
+    "while :; do echo words; done": "got no end within 0.5 s",
+    "exec > /dev/null 2>&1; sleep 60": "got no end within 0.5 s",
+    "rm -r $(dirname $out)": "got there is none",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("does", MISCHIEF)
+def test_whatever_a_compiler_does_ends_in_one_line(
+    does: str,
+    cache: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    named = does.removeprefix("CXX=")
+    monkeypatch.setenv("CXX", named if named != does else fake_compiler(tmp_path, does))
+    monkeypatch.setattr(cxx, "LONGEST_RUN", 0.5 if "no end" in MISCHIEF[does] else 60.0)
+    with pytest.raises(Refusal) as refusal:
         library_of(load_scene("three_axis"))
-    assert list(cache.glob("*.so")) == []
+    assert MISCHIEF[does] in str(refusal.value)
+    assert len(str(refusal.value).splitlines()) == 1
+    assert [line[-6:] for line in capsys.readouterr().err.splitlines()] in ([], ["failed"])
+    assert not cache.exists() or list(cache.iterdir()) == []
+
+
+def test_random_output_of_a_compiler_is_never_loaded(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Junk, junk that begins as a library does, libraries cut short, other machines' libraries."""
+    scene = load_scene("three_axis")
+    whole = Path(ctypes.util.find_library("c") or "libc.so.6")
+    whole = next(Path(line.split()[-1]) for line in Path("/proc/self/maps").read_text().splitlines()
+                 if whole.name in line)  # fmt: skip
+    library = whole.read_bytes()
+    monkeypatch.setattr(ctypes, "CDLL", lambda file: pytest.fail("it was loaded"))
+    made = tmp_path / "made"
+    monkeypatch.setenv("CXX", fake_compiler(tmp_path, f'cp {made} "$out"'))
+    rng = np.random.default_rng(4)
+    for case in range(60):
+        length = int(rng.integers(0, 3000))
+        body = [
+            rng.bytes(length),
+            library[: int(rng.integers(0, 64))] + rng.bytes(length),
+            library[: int(rng.integers(64, len(library)))],
+            library[:18] + rng.bytes(2) + library[20:],
+        ][case % 4]
+        made.write_bytes(body)
+        with pytest.raises(Refusal, match="make a library, though it says nothing is wrong"):
+            library_of(scene)
+        assert list(cache.iterdir()) == [], case
+
+
+def test_a_compiler_that_leaves_somebody_behind_is_not_waited_for(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CXX", fake_compiler(tmp_path, "sleep 20 & echo $! > pid; exit 1"))
+    monkeypatch.chdir(tmp_path)
+    started = time.monotonic()
+    with pytest.raises(Refusal, match="exit code 1"):
+        library_of(load_scene("three_axis"))
+    assert time.monotonic() - started < 15.0
+    os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
+
+
+def test_a_full_disk_is_told(cache: Path, tmp_path: Path) -> None:
+    """No file may grow beyond some bytes, as where a disk or a quota is full."""
+    for most in (100, 10_000):
+        code = f"""
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, ({most}, {most}))
+sys.argv[1:] = ["compile", "three_axis"]
+from arm_emulator.__main__ import main
+main()
+"""
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False
+        )
+        assert done.returncode == 2, done.stderr
+        lines = done.stderr.splitlines()
+        assert len(lines) == 2 and lines[0].endswith("failed"), done.stderr
+        assert "three_axis.yaml: " in lines[1], done.stderr
+        assert list(cache.iterdir()) == []
 
 
 def test_two_processes_at_once_share_one_compilation(cache: Path) -> None:

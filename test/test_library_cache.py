@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_compiler import fake_compiler
 from machines import one_link_urdf, write_scene
 
 from arm_emulator.refusal import Refusal
 from emulator_node import library_cache
-from emulator_node.compiler import library_of
+from emulator_node.compiler import compile_ahead, library_of
 from emulator_node.core_calls import CALLS
 from emulator_node.cxx import find_compiler
 from emulator_node.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
@@ -67,15 +68,6 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     return Sound(
         at, scene, file.name, body.read_bytes(), fake_compiler(folder, f'cp {body} "$out"')
     )
-
-
-def fake_compiler(folder: Path, does: str) -> str:
-    """A compiler that `does` something with the file "$out" that it shall make."""
-    script = folder / f"fake_{len(list(folder.iterdir()))}"
-    find_out = 'for word; do [ "$last" = -o ] && out=$word; last=$word; done'
-    script.write_text(f"#!/bin/sh\n{find_out}\n{does}\n")
-    script.chmod(0o755)
-    return str(script)
 
 
 @pytest.fixture
@@ -400,6 +392,55 @@ def test_who_swaps_folders_while_we_look_wins_nothing(
         os.killpg(attacker.pid, 9)
         attacker.wait()
     assert not planted.ran(), tries
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o002, 0o022, 0o027, 0o077])
+def test_what_we_make_is_ours_alone_whatever_the_umask(
+    umask: int, cache: Path, sound: Sound, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.environ[CACHE_VARIABLE] = str(cache / "a" / "b")
+    before = os.umask(umask)
+    try:
+        library_of(sound.scene)
+        capsys.readouterr()
+        library_of(sound.scene)
+    finally:
+        os.umask(before)
+    assert capsys.readouterr().err == "", "it is found, and trusted"
+    for folder in (cache, cache / "a", cache / "a" / "b"):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700, folder
+    assert stat.S_IMODE((cache / "a" / "b" / sound.name).stat().st_mode) == 0o644 & ~umask
+
+
+def test_a_library_compiled_into_a_folder_is_found_there(
+    cache: Path,
+    sound: Sound,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = os.umask(0o002)
+    try:
+        file = compile_ahead(sound.scene, "native", tmp_path / "a" / "b")
+    finally:
+        os.umask(before)
+    assert file == tmp_path / "a" / "b" / sound.name and file.read_bytes() == sound.stored
+    monkeypatch.setenv(CACHE_VARIABLE, str(file.parent))
+    monkeypatch.setenv("CXX", "false")
+    assert library_of(sound.scene).arm_time
+    assert len(capsys.readouterr().err.splitlines()) == 1  # of the compilation
+
+    monkeypatch.setenv(CACHE_VARIABLE, str(cache))
+    open_to_all = tmp_path / "open"
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+    file = compile_ahead(sound.scene, "native", open_to_all / "c")
+    assert file.read_bytes() == sound.stored
+    said = capsys.readouterr().err
+    assert f"no library is loaded from {file.parent} as it is: {open_to_all} can be wr" in said
+    for nowhere in (file, file / "below"):
+        with pytest.raises(Refusal, match=r"compile: the folder .* be writable, got (File|Not a)"):
+            compile_ahead(sound.scene, "native", nowhere)
 
 
 # How much of it stays
