@@ -107,4 +107,4 @@ def encoder_counts(count_angle: npt.ArrayLike) -> Bound:
     with np.errstate(over="ignore", divide="ignore"):
         counts = np.floor(POSITION.largest / np.abs(np.asarray(count_angle, dtype=np.float64)))
     # One less: the position is taken as the middle of the count.
-    return Bound("encoder_counts", "", np.minimum(LARGEST_COUNT, counts - 1.0))
+    return Bound("encoder_counts", "", np.minimum(LARGEST_COUNT, counts) - 1.0)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from copy import deepcopy
 from typing import Any
 
 import rclpy
@@ -33,7 +32,7 @@ class Wires:
         self.listeners: dict[str, list[Callable[[Any], None]]] = defaultdict(list)
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
         self.timers: list[Callable[[], None]] = []
-        self.newest: dict[str, Any] = {}  # what was said last on each topic
+        self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was said last on each topic
 
     def join(self, kind: type) -> Any:
         """Return a node of that kind on these wires."""
@@ -67,11 +66,13 @@ class Publisher:
 
     def __init__(self, wires: Wires, kind: type, topic: str) -> None:
         self._wires, self._kind, self._topic = wires, kind, topic
+        self.topic_name = f"/{topic}"
 
     def publish(self, message: Any) -> None:
-        self._wires.newest[self._topic] = deepcopy(message)
+        said = self._topic, self._kind, serialize_message(message)
+        self._wires.newest[self._topic] = said
         if self._topic in self._wires.listeners:
-            self._wires.waiting.append((self._topic, self._kind, serialize_message(message)))
+            self._wires.waiting.append(said)
 
     def get_subscription_count(self) -> int:
         return len(self._wires.listeners[self._topic])
@@ -138,10 +139,10 @@ class InProcess:
         for callback in list(self._wires.timers):
             callback()
 
-    @property
-    def said(self) -> dict[str, Any]:
-        """What the nodes said last on each topic."""
-        return self._wires.newest
+    def newest(self, topic: str) -> Any:
+        """Return what the nodes said last on a topic."""
+        _, kind, data = self._wires.newest[topic]
+        return deserialize_message(data, kind)
 
     def refused(self, node: str) -> int:
         """Return how many messages a node has refused."""

@@ -1,0 +1,348 @@
+"""The plain libraries and extreme finite numbers: refused, and every state as before."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import random
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from random_messages import huge, number
+
+from arm_emulator.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound, encoder_counts
+from arm_emulator.config_files import find_config
+from arm_emulator.offline import OfflineRun, load_offline_run
+from arm_emulator.refusal import Refusal
+from emulator_node.scene import load_scene
+from emulator_node.session import Session
+from motion_controller_node.instructor import MOST_TARGETS, Instructor
+from motion_controller_node.jacobian import JacobianController, moving_joints
+from motion_controller_node.pose import Pose
+from servo_node.drives import Drives, Target
+from servo_node.servo import Servo, ServoConfig, load_servo_config
+
+# A warning of NumPy's would be printed among what the nodes say.
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
+SCENES = ("three_axis", "ur5")
+NO_NUMBERS: tuple[Any, ...] = (
+    "x",
+    None,
+    [None],
+    [[1.0], [2.0, 3.0]],
+    ["1", "2", "3"],
+    [1j] * 3,
+    {},
+)
+
+
+def servo_config(scene: str) -> ServoConfig:
+    return load_servo_config(find_config(scene, ".yaml", "servo"))
+
+
+# The bound itself
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bound_takes_exactly_what_is_within(seed: int) -> None:
+    rng = random.Random(seed)
+    for _ in range(2000):
+        N = rng.randint(1, 9)
+        limits = [10.0 ** rng.uniform(-3, 300) for _ in range(N)]
+        largest = np.array(limits) if rng.random() < 0.5 else limits[0]
+        values = [limit * rng.choice((0.0, 0.5, -0.9, 1.0, -1.0, 1.0001)) for limit in limits]
+        if rng.random() < 0.3:
+            values[rng.randrange(N)] = number(rng)
+        within = all(abs(x) <= y for x, y in zip(values, np.broadcast_to(largest, N), strict=True))
+        bound = Bound("q", "rad", largest)
+        if within:
+            assert bound.vector("here", values, N).tolist() == values
+        else:
+            with pytest.raises(
+                Refusal, match=r"^here: q must be (finite|within \+-\S+) \[rad\], got"
+            ):
+                bound.vector("here", values, N)
+
+
+@pytest.mark.parametrize("values", NO_NUMBERS)
+def test_what_is_no_number_is_refused(values: Any) -> None:
+    with pytest.raises(Refusal, match=r"^here: q must "):
+        POSITION.named("q").vector("here", values, 3)
+
+
+def test_encoder_counts_keep_the_joint_and_the_hold_of_it_within_its_position() -> None:
+    for seed in range(100):
+        angle = 10.0 ** random.Random(seed).uniform(-15, 2)
+        largest = float(encoder_counts([angle]).largest)  # type: ignore[arg-type]
+        assert (largest + 0.5) * angle <= POSITION.largest
+        assert largest + 0.5 != largest + 1.0, "half a count must not be lost"
+
+
+# Servo
+
+
+def state_of(servo: Servo) -> list[tuple[float, ...]]:
+    return [
+        tuple(getattr(axis, name) for name in ("theta", "omega", "load", "current", "integral"))
+        for axis in servo._axes
+    ]
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_servo_refuses_extreme_numbers_and_stays_as_it_was(scene: str) -> None:
+    rng, config = random.Random(scene), servo_config(scene)
+    N = len(config.joints)
+    servo = Servo(config)
+    counts, zero = [10.0] * N, [0.0] * N
+
+    def wrong(bound: Bound) -> list[float]:
+        values = [rng.uniform(-1.0, 1.0) for _ in range(N)]
+        values[rng.randrange(N)] = rng.choice((huge(rng), math.nan, math.inf, 1.01 * bound.largest))
+        return values
+
+    for _ in range(50):
+        servo.update(counts, zero, [0.1] * N)
+    largest_count = Bound("counts", "", 2.0**53)
+    ways: list[Callable[[], Any]] = [
+        lambda: servo.observe(wrong(largest_count), zero),
+        lambda: servo.observe(counts, wrong(CURRENT)),
+        lambda: servo.control(wrong(POSITION)),
+        lambda: servo.control(zero, wrong(VELOCITY)),
+        lambda: servo.control(zero, zero, wrong(EFFORT)),
+        lambda: servo.update(counts, zero, zero, wrong(VELOCITY)),
+        lambda: servo.observe(rng.choice(NO_NUMBERS), zero),
+    ]
+    before = state_of(servo)
+    for turn in range(700):
+        with pytest.raises(Refusal, match=r"^servo: "):
+            ways[turn % len(ways)]()
+        assert state_of(servo) == before, "a refused number has changed the state"
+    assert servo.restarts == 0
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_servo_stays_finite_within_the_bounds(scene: str) -> None:
+    """Any sequence of numbers that are taken gives finite voltages; a reset forgets all of them."""
+    rng, config = random.Random(scene), servo_config(scene)
+    N = len(config.joints)
+    servo = Servo(config)
+    counts_bound = encoder_counts([joint.count_angle for joint in config.joints]).largest
+
+    def within(largest: Any) -> Any:
+        return np.array([rng.choice((-1.0, 0.0, 1e-300, 0.3, 1.0)) for _ in range(N)]) * largest
+
+    for _ in range(2000):
+        voltage = servo.update(
+            np.floor(within(counts_bound)),
+            within(CURRENT.largest),
+            within(POSITION.largest),
+            within(VELOCITY.largest),
+            within(EFFORT.largest),
+        )
+        assert (np.abs(voltage) <= config.supply_voltage).all()
+    assert servo.restarts == 0
+    fresh = Servo(config)
+    servo.reset()
+    for tick in range(20):
+        now = [tick] * N, [0.1] * N, [0.2] * N
+        assert servo.update(*now).tobytes() == fresh.update(*now).tobytes(), f"tick {tick}"
+
+
+@pytest.mark.parametrize("part", ["theta", "omega", "load", "current", "integral"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_servo_that_is_not_finite_begins_anew_by_itself(part: str, value: float) -> None:
+    config = servo_config("three_axis")
+    drives = Drives(config)
+    drives.aim(Target(np.zeros(3)))
+    for tick in range(20):
+        drives.measure(tick * 1_000_000, [5, 5, 5], [0.1, 0.1, 0.1])
+        drives.voltage(True)
+    setattr(drives.servo._axes[1], part, value)
+    for tick in range(20, 23):
+        drives.measure(tick * 1_000_000, [5, 5, 5], [0.1, 0.1, 0.1])
+        assert np.isfinite(drives.voltage(True)).all()
+    assert drives.servo.restarts == (0 if part == "theta" and math.isnan(value) else 1)
+    assert np.isfinite(state_of(drives.servo)).all()
+
+
+def test_any_finite_data_sheet_is_refused_or_computed_with() -> None:
+    """Numbers that no machine has, in every place of a servo's parameters."""
+    rng = random.Random(1)
+    good = servo_config("three_axis")
+    joint = dataclasses.asdict(good.joints[0])
+    joint.pop("name")
+    refused = 0
+    for _ in range(3000):
+        sheet = dict(joint)
+        scalars = {
+            name: getattr(good, name)
+            for name in ("period", "motion_period", "hold_after", "cut_after", "supply_voltage")
+        }
+        for _ in range(rng.randint(1, 3)):
+            table = rng.choice((sheet, sheet, scalars))
+            table[rng.choice(list(table))] = abs(number(rng))
+        try:
+            config = ServoConfig.from_mapping(
+                {**scalars, "joint_names": ["one"], "joints": {"one": sheet}}, "sheet"
+            )
+            servo = Servo(config)
+        except Refusal as refusal:
+            refused += 1
+            assert "\n" not in str(refusal), "a refusal is one line"
+            continue
+        for count in (0, 1, 5, -300):
+            try:
+                voltage = servo.update([count], [rng.uniform(-50, 50)], [rng.uniform(-3, 3)], [1.0])
+            except Refusal:  # a count is more than a joint may turn
+                continue
+            assert np.isfinite(voltage).all(), f"{config}"
+    assert 0 < refused < 3000, f"{refused} refused: the draws are one-sided"
+
+
+# Motion controller
+
+
+def controller_of(scene: str) -> JacobianController:
+    run = load_offline_run(scene)
+    return run.controller
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_motion_controller_refuses_extreme_numbers_and_stays_as_it_was(scene: str) -> None:
+    rng, run = random.Random(scene), load_offline_run(scene)
+    controller, start = run.controller, run.session.scene.start
+    R_WT, p_WT = controller.forward(start)
+    target = Pose(p_WT + 0.01, R_WT)
+    expected = controller.update(start, target)
+    for turn in range(300):
+        values = [number(rng) for _ in range(4)]
+        values[rng.randrange(3)] = huge(rng)
+        with pytest.raises(Refusal):
+            if turn % 4 == 0:
+                Pose.from_quaternion(values[:3], [0.0, 0.0, 0.0, 1.0])
+            elif turn % 4 == 1:
+                Pose.from_quaternion([0.0, 0.0, 0.0], values)
+            elif turn % 4 == 2:
+                controller.update(np.array([*values[:3], *start[3:]]), target)
+            else:
+                controller.update(start, dataclasses.replace(target, p_WT=np.array(values[:3])))
+        assert np.array_equal(controller.update(start, target), expected)
+
+
+@pytest.mark.parametrize("size", [0.0, 5e-324, 1e-300, 1e-160, 1e155, 1e300, 1.7e308])
+def test_quaternions_of_any_other_length_are_refused(size: float) -> None:
+    for seed in range(50):
+        direction = np.random.default_rng(seed).normal(size=4)
+        quaternion = (direction / np.abs(direction).max() * size).tolist()
+        with pytest.raises(Refusal, match="orientation must be a quaternion of length 1"):
+            Pose.from_quaternion([0.0, 0.0, 0.0], quaternion)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_every_target_that_is_taken_gives_targets_that_a_servo_takes(scene: str) -> None:
+    rng, run = random.Random(scene), load_offline_run(scene)
+    controller, N = run.controller, len(run.session.scene.start)
+    for _ in range(500):
+        q = [rng.choice((0.0, 1.0, -1e6, 1e6, rng.uniform(-3, 3))) for _ in range(N)]
+        p = [rng.choice((0.0, 5e-324, -1e6, 1e6, rng.uniform(-1, 1))) for _ in range(3)]
+        direction = np.random.default_rng(rng.getrandbits(32)).normal(size=4)
+        pose = Pose.from_quaternion(p, direction / np.linalg.norm(direction))
+        instructor = Instructor()
+        instructor.add(0, pose)
+        POSITION.check("test", instructor.instruct(controller, 0, np.array(q)))
+
+
+def test_an_instructor_that_is_not_finite_begins_anew_by_itself() -> None:
+    run = load_offline_run("three_axis")
+    q, R_WT = run.session.scene.start, np.eye(3)
+    for poison in (
+        lambda one: setattr(one, "_hold", np.full(3, math.nan)),
+        lambda one: setattr(one, "_tool_target", Pose(np.full(3, math.nan), R_WT)),
+        lambda one: one._coming.append((0, Pose(np.full(3, 1e308), R_WT))),
+    ):
+        one = Instructor()
+        poison(one)
+        assert np.array_equal(one.instruct(run.controller, 0, q), q), "the arm is not held"
+        assert one.restarts == 1 and one.trouble
+        assert np.array_equal(one.instruct(run.controller, 50_000_000, q + 1e-3), q)
+        assert one.restarts == 1, "it has begun anew once"
+
+
+def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
+    run = load_offline_run("three_axis")
+    target = Pose(np.zeros(3), np.eye(3))
+    one = Instructor()
+    for time_ns in range(MOST_TARGETS):
+        one.add(10**18 + time_ns, target)
+    with pytest.raises(Refusal, match=f"one of at most {MOST_TARGETS} that wait"):
+        one.add(0, target)
+    one.add(10**18, target)  # in place of the one for the same time
+    one.instruct(run.controller, 10**18, run.session.scene.start)
+    one.add(0, target)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int) -> None:
+    rng = random.Random(seed)
+    from random_messages import _urdf
+
+    names, taken = ["a", "b", "c"], 0
+    for _ in range(200):
+        urdf = _urdf(rng, names, lambda: number(rng) if rng.random() < 0.2 else 0.3)
+        try:
+            controller = JacobianController(urdf, moving_joints(urdf), "tool")
+        except Refusal as refusal:
+            assert "\n" not in str(refusal), "a refusal is one line"
+            continue
+        taken += 1
+        one, q = Instructor(), np.array([0.1, 0.2, 0.3])
+        one.add(0, Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)))
+        POSITION.check("test", one.instruct(controller, 0, q))
+    assert taken > 0
+
+
+# Session and offline run
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_a_session_refuses_extreme_numbers_and_stays_as_it_was(clock: str) -> None:
+    scene, rng = load_scene("three_axis"), random.Random(clock)
+    one, other = (Session(scene, clock, "first_answer") for _ in range(2))
+    names = list(scene.joint_names)
+    for tick in range(100):
+        for _ in range(5):
+            voltage = [rng.gauss(0.0, 1.0) for _ in names]
+            voltage[rng.randrange(3)] = rng.choice((huge(rng), math.nan, 1.01 * VOLTAGE.largest))
+            with pytest.raises(Refusal):
+                one.offer(tick, names, voltage)
+            with pytest.raises(Refusal):
+                one.offer(rng.choice((tick + 1, 2**63 - 1, 2**64)), names, [0.0] * 3)
+            with pytest.raises(Refusal):
+                one.offer(tick, names, rng.choice(([None] * 3, ["x"] * 3, [10**400] * 3)))
+        for session in (one, other):
+            # As much as there may be: the drives apply the supply voltage.
+            session.offer(tick, names, [1.0, -2.0, VOLTAGE.largest if tick % 7 else 0.0])
+            session.advance()
+        assert one.state.q.tobytes() == other.state.q.tobytes(), f"tick {tick}"
+
+
+def test_a_target_that_an_offline_run_refuses_leaves_it_as_it_was() -> None:
+    def run(disturb: Callable[[OfflineRun], None]) -> bytes:
+        one = load_offline_run("three_axis")
+        for _ in range(10):
+            disturb(one)
+            one.advance(10)
+        return one.session.state.q.tobytes()
+
+    rng = random.Random(3)
+
+    def disturb(one: OfflineRun) -> None:
+        with pytest.raises(Refusal):
+            one.instructor.add(0, Pose.from_quaternion([huge(rng), 0.0, 0.0], [0, 0, 0, 1]))
+        with pytest.raises(Refusal):
+            one.drives.measure(0, [2**62] * 3, [0.0] * 3)
+
+    assert run(disturb) == run(lambda _: None)
