@@ -4,28 +4,52 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.refusal import Refusal
+from arm_emulator.urdf_text import complete_limits
 
 Array = NDArray[np.float64]
 
 MOVING_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+FREE_KINDS = ("floating", "planar")  # no joints of an arm, but they may be locked at 0
+
+MOST_JOINTS = 200  # more are no arm, and would compile for hours
+# Beyond these a number in a URDF is a slip, and what is computed from it may overflow.
+LARGEST_MASS = 1e9  # kg
+LARGEST_LENGTH = 1e6  # m
+LARGEST_INERTIA = 1e15  # kg m2
+LARGEST_ANGLE = 1e6  # rad
+# Below these, moved by a joint, what is divided by them may overflow.
+SMALLEST_MASS = 1e-12  # kg
+SMALLEST_INERTIA = 1e-24  # kg m2
+
+
+def _constant(values: object) -> Array:
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
+
+
+_ZERO = _constant(np.zeros(3))
+_X = _constant([1.0, 0.0, 0.0])
+_EYE = _constant(np.eye(3))  # recognised, so that the many frames without a turn cost little
 
 
 @dataclass(frozen=True)
 class Frame:
     """A frame seen from another: rotation `R` (3, 3) and origin `p` (3,) [m]."""
 
-    R: Array = field(default_factory=lambda: np.eye(3))
-    p: Array = field(default_factory=lambda: np.zeros(3))
+    R: Array = field(default_factory=lambda: _EYE)
+    p: Array = field(default_factory=lambda: _ZERO)
 
     def __matmul__(self, other: Frame) -> Frame:
-        return Frame(_clean(self.R @ other.R), self.R @ other.p + self.p)
+        R = self.R if other.R is _EYE else _clean(self.R @ other.R)
+        return Frame(R, self.R @ other.p + self.p)
 
 
 @dataclass(frozen=True)
@@ -39,7 +63,7 @@ class Body:
     @classmethod
     def from_center(cls, mass: float, com: Array, inertia: Array) -> Body:
         """Return the body of `mass` whose `inertia` is given about its centre of mass `com`."""
-        return cls(mass, mass * com, inertia - mass * _cross(com) @ _cross(com))
+        return Bodies.from_center(np.array([mass]), com[None], inertia[None]).one(0)
 
     def __add__(self, other: Body) -> Body:
         return Body(
@@ -48,10 +72,48 @@ class Body:
 
     def seen_from(self, frame: Frame) -> Body:
         """Return this body in the frame from which its own is seen as `frame`."""
-        R, p = frame.R, frame.p
-        h = R @ self.moment
-        shift = _cross(p) @ _cross(h) + _cross(h) @ _cross(p) + self.mass * _cross(p) @ _cross(p)
-        return Body(self.mass, h + self.mass * p, R @ self.inertia @ R.T - shift)
+        mass, moment = np.array([self.mass]), self.moment[None]
+        alone = Bodies(mass, moment, self.inertia[None])
+        return alone.seen_from(frame.R[None], frame.p[None]).one(0)
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Many bodies (K of them) side by side, since a URDF may have thousands of links."""
+
+    mass: Array
+    moment: Array
+    inertia: Array
+
+    @classmethod
+    def from_center(cls, mass: Array, com: Array, inertia: Array) -> Bodies:
+        """Return the bodies whose `inertia` (K, 3, 3) is given about their `com` (K, 3)."""
+        c, m = _cross(com), mass[:, None, None]
+        return cls(mass, mass[:, None] * com, inertia - m * c @ c)
+
+    def seen_from(self, R: Array, p: Array) -> Bodies:
+        """Return them in frames from which their own are seen as R (K, 3, 3), p (K, 3)."""
+        h = (R @ self.moment[:, :, None])[:, :, 0]
+        p_x, h_x = _cross(p), _cross(h)
+        shift = p_x @ h_x + h_x @ p_x + self.mass[:, None, None] * p_x @ p_x
+        inertia = R @ self.inertia @ R.transpose(0, 2, 1) - shift
+        return Bodies(self.mass, h + self.mass[:, None] * p, inertia)
+
+    def one(self, index: int) -> Body:
+        """Return one of them."""
+        return Body(float(self.mass[index]), self.moment[index], self.inertia[index])
+
+    def some(self, indices: list[int]) -> Bodies:
+        """Return those at `indices`."""
+        return Bodies(self.mass[indices], self.moment[indices], self.inertia[indices])
+
+    def sum(self) -> Body:
+        """Return all of them as one, added one after the other."""
+        return Body(
+            float(self.mass.cumsum()[-1]),
+            self.moment.cumsum(axis=0)[-1],
+            self.inertia.cumsum(axis=0)[-1],
+        )
 
 
 @dataclass(frozen=True)
@@ -95,30 +157,33 @@ class _UrdfJoint:
 
 
 def read_chain(
-    urdf: str,
+    robot: ET.Element,
     where: str,
     *,
     locked: Mapping[str, float],
     tool: str,
     payload: Body | None = None,
 ) -> Chain:
-    """Read the chain of moving joints from a URDF text, fixed and locked joints merged.
+    """Read the chain of moving joints from a URDF, fixed and locked joints merged.
 
     Args:
-        urdf: the URDF's XML text.
+        robot: the URDF's root element.
         where: what to call it in refusals.
         locked: joints held at a position [rad or m].
         tool: the link that carries `payload`, which is given in that link's frame.
         payload: a body to add at the tool.
 
     Raises:
-        Refusal: the text is no URDF, or its machine is no serial chain with sound inertias.
+        Refusal: it is no URDF, or its machine is no serial chain with sound inertias.
     """
-    bodies, joints = _parse(urdf, where)
+    links = _names_of(robot, "link", where)
+    joints = _read_joints(robot, links, where)
+    known = {joint.name for joint in joints}
     for name in locked:
-        if name not in {joint.name for joint in joints}:
+        if name not in known:
             raise Refusal(where, f"locked.{name}", "be a joint of the URDF", name, _names(joints))
     for joint in joints:
+        _check_kind(joint, locked, where)
         if joint.mimic and joint.name not in locked:
             raise Refusal(
                 where,
@@ -127,112 +192,165 @@ def read_chain(
                 "a mimic joint",
                 "lock it in the scene: locked: {" + joint.name + ": 0.0}",
             )
-    if tool not in bodies:
-        raise Refusal(where, "tool", "be a link of the URDF", tool, ", ".join(bodies))
-    if payload is not None:
-        bodies[tool] = bodies[tool] + payload
-    root = _root(bodies, joints, where)
-    return _assemble(_moving_joints(root, bodies, joints, locked, where), where)
+    if tool not in links:
+        raise Refusal(where, "tool", "be a link of the URDF", tool, ", ".join(links))
+    moving = _moving_joints(_root(links, joints, where), links, joints, locked, where)
+    bodies = _read_bodies(robot, where)
+    for one in moving:
+        one.body = (
+            bodies.some([links[link] for link in one.links])
+            .seen_from(
+                np.array([frame.R for frame in one.frames]),
+                np.array([frame.p for frame in one.frames]),
+            )
+            .sum()
+        )
+        if payload is not None and tool in one.links:
+            one.body += payload.seen_from(one.frames[one.links.index(tool)])
+    return _assemble(moving, where)
 
 
-def lock_joints(urdf: str, locked: Mapping[str, float]) -> str:
-    """Return the URDF text with the `locked` joints made fixed at their positions."""
-    if not locked:
-        return urdf
-    robot = ET.fromstring(urdf)
-    for element in robot.iter("joint"):
-        name = element.get("name") or ""
-        if name not in locked:
-            continue
-        joint = _read_joint(element, "")
-        held = _moved(joint, locked[name])
+def _check_kind(joint: _UrdfJoint, locked: Mapping[str, float], where: str) -> None:
+    """Refuse a joint that an arm cannot move, and tell how it can be held."""
+    if joint.kind not in FREE_KINDS:
+        return
+    held = "locked: {" + joint.name + ": 0.0}"
+    if joint.name not in locked:
+        raise Refusal(
+            where, f"joint {joint.name}: type", "be one the emulator knows", joint.kind,
+            f"revolute, continuous, prismatic, fixed, or held where it is in the scene: {held}",
+        )  # fmt: skip
+    if locked[joint.name] != 0.0:
+        rule = f"be 0, where a {joint.kind} joint is held"
+        raise Refusal(where, f"locked.{joint.name}", rule, locked[joint.name])
+
+
+def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> bool:
+    """Make the `locked` joints fixed at their positions, and joints without limits unlimited.
+
+    Returns:
+        Whether anything was changed.
+    """
+    elements = [e for e in robot.findall("joint") if e.get("name") in locked]
+    for element, joint in zip(elements, _parsed_joints(elements, where), strict=True):
+        held = _moved(joint, locked[joint.name])
         for tag in ("origin", "axis", "limit", "mimic", "dynamics", "safety_controller"):
             for old in element.findall(tag):
                 element.remove(old)
         element.set("type", "fixed")
         xyz, rpy = (" ".join(map(repr, map(float, a))) for a in (held.p, _rpy(held.R)))
         ET.SubElement(element, "origin", xyz=xyz, rpy=rpy)
-    return ET.tostring(robot, encoding="unicode")
+    return complete_limits(robot, where) or bool(locked)
 
 
-# Reading the XML
+# Reading the XML: numbers are collected first, then turned into frames and bodies all at once
 
 
-def _parse(urdf: str, where: str) -> tuple[dict[str, Body], list[_UrdfJoint]]:
-    try:
-        robot = ET.fromstring(urdf)
-    except ET.ParseError as error:
-        raise Refusal(where, "file", "be well-formed XML", error) from None
-    if robot.tag != "robot":
-        raise Refusal(where, "root element", "be <robot>", f"<{robot.tag}>")
-    bodies: dict[str, Body] = {}
-    for element in robot.findall("link"):
+def _names_of(robot: ET.Element, tag: str, where: str) -> dict[str, int]:
+    """Return the names of the robot's links or joints, with their places."""
+    names: dict[str, int] = {}
+    for place, element in enumerate(robot.findall(tag)):
         name = element.get("name") or ""
-        if not name or name in bodies:
-            raise Refusal(where, "link name", "be given and unique", repr(name))
-        bodies[name] = _read_body(element, f"link {name}", where)
-    joints: list[_UrdfJoint] = []
-    for element in robot.findall("joint"):
-        joint = _read_joint(element, where)
-        if not joint.name or joint.name in {other.name for other in joints}:
-            raise Refusal(where, "joint name", "be given and unique", repr(joint.name))
+        if not name or name in names:
+            raise Refusal(where, f"{tag} name", "be given and unique", repr(name))
+        if not name.isprintable():
+            raise Refusal(where, f"{tag} name", "have printable letters only", repr(name))
+        names[name] = place
+    return names
+
+
+def _read_joints(robot: ET.Element, links: Mapping[str, int], where: str) -> list[_UrdfJoint]:
+    _names_of(robot, "joint", where)
+    joints = _parsed_joints(robot.findall("joint"), where)
+    for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
-            if link not in bodies:
-                raise Refusal(
-                    where, f"joint {joint.name}: {role}", "be a link of the URDF", repr(link)
-                )
-        joints.append(joint)
-    return bodies, joints
+            if link not in links:
+                rule = "be a link of the URDF"
+                raise Refusal(where, f"joint {joint.name}: {role}", rule, repr(link))
+    return joints
 
 
-def _read_joint(element: ET.Element, where: str) -> _UrdfJoint:
-    name = element.get("name") or ""
-    kind = element.get("type") or ""
-    what = f"joint {name}"
-    if kind != "fixed" and kind not in MOVING_KINDS:
-        raise Refusal(
-            where, f"{what}: type", "be one the emulator knows", kind or "nothing",
-            "revolute, continuous, prismatic, fixed",
-        )  # fmt: skip
-    axis = _triple(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"{what}: axis", where)
+def _parsed_joints(elements: list[ET.Element], where: str) -> list[_UrdfJoint]:
+    whats = [f"joint {element.get('name')}" for element in elements]
+    placements = _frames([e.find("origin") for e in elements], whats, "origin", where)
+    joints = []
+    for element, what, placement in zip(elements, whats, placements, strict=True):
+        kind = element.get("type") or ""
+        if kind not in ("fixed", *MOVING_KINDS, *FREE_KINDS):
+            raise Refusal(
+                where, f"{what}: type", "be one the emulator knows", kind or "nothing",
+                "revolute, continuous, prismatic, fixed",
+            )  # fmt: skip
+        axis = _X if kind == "fixed" else _axis(element.find("axis"), f"{what}: axis", where)
+        parent, child = element.find("parent"), element.find("child")
+        joints.append(
+            _UrdfJoint(
+                name=element.get("name") or "",
+                kind=kind,
+                parent="" if parent is None else parent.get("link") or "",
+                child="" if child is None else child.get("link") or "",
+                placement=placement,
+                axis=axis,
+                mimic=kind != "fixed" and element.find("mimic") is not None,
+            )
+        )
+    return joints
+
+
+def _axis(element: ET.Element | None, what: str, where: str) -> Array:
+    if element is None:
+        return _X
+    axis = np.array(_numbers(element.get("xyz", "1 0 0"), 3, f"{what} xyz", where))
+    _check_size(axis[None], LARGEST_LENGTH, [what], "xyz", where)
     length = float(np.linalg.norm(axis))
-    if kind != "fixed" and length < 1e-6:
-        raise Refusal(where, f"{what}: axis", "have a direction", tuple(map(float, axis)))
-    links = []
-    for role in ("parent", "child"):
-        found = element.find(role)
-        links.append("" if found is None else found.get("link") or "")
-    return _UrdfJoint(
-        name=name,
-        kind=kind,
-        parent=links[0],
-        child=links[1],
-        placement=_read_origin(element.find("origin"), f"{what}: origin", where),
-        axis=axis / length if length > 0.0 else axis,
-        mimic=element.find("mimic") is not None,
-    )
+    if length < 1e-6:
+        raise Refusal(where, what, "have a direction", tuple(map(float, axis)))
+    return axis / length
 
 
-def _read_body(link: ET.Element, what: str, where: str) -> Body:
-    inertial = link.find("inertial")
-    if inertial is None:
-        return Body()
-    mass_element, tensor_element = inertial.find("mass"), inertial.find("inertia")
-    if mass_element is None or tensor_element is None:
-        raise Refusal(where, f"{what}: inertial", "hold <mass> and <inertia>", "only a part")
-    mass = _number(mass_element.get("value"), f"{what}: mass", where)
-    if mass < 0.0:
-        raise Refusal(where, f"{what}: mass", "be >= 0 kg", mass)
-    xx, yy, zz, xy, xz, yz = (
-        _number(tensor_element.get(key), f"{what}: {key}", where)
-        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+def _read_bodies(robot: ET.Element, where: str) -> Bodies:
+    """Return the bodies of all links, in their order; without an inertial a link has none."""
+    links = robot.findall("link")
+    rows, whats, origins, places = [], [], [], []
+    for place, link in enumerate(links):
+        inertial = link.find("inertial")
+        if inertial is None:
+            continue
+        what = f"link {link.get('name')}"
+        mass, tensor = inertial.find("mass"), inertial.find("inertia")
+        if mass is None or tensor is None:
+            raise Refusal(where, f"{what}: inertial", "hold <mass> and <inertia>", "only a part")
+        texts = [mass.get("value"), *map(tensor.get, _TENSOR)]
+        try:
+            rows.append([float(text) for text in texts])  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            for key, text in zip(("mass", *_TENSOR), texts, strict=True):
+                _numbers(text, 1, f"{what}: {key}", where)
+        whats.append(what)
+        origins.append(inertial.find("origin"))
+        places.append(place)
+    values = np.array(rows).reshape(-1, 7)
+    _check_size(values[:, :1], LARGEST_MASS, whats, "mass", where)
+    _check_size(values[:, 1:], LARGEST_INERTIA, whats, "inertia", where)
+    for place in np.flatnonzero(values[:, 0] < 0.0).tolist():
+        raise Refusal(where, f"{whats[place]}: mass", "be >= 0 kg", float(values[place, 0]))
+    frames = _frames(origins, whats, "inertial origin", where)
+    everywhere = Bodies(
+        np.zeros(len(links)), np.zeros((len(links), 3)), np.zeros((len(links), 3, 3))
     )
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if mass == 0.0 and not inertia.any():
-        return Body()  # a mere frame, as published descriptions write it
-    check_inertia(inertia, f"{what}: inertia", where)
-    frame = _read_origin(inertial.find("origin"), f"{what}: inertial origin", where)
-    return Body.from_center(mass, frame.p, frame.R @ inertia @ frame.R.T)
+    if not places:
+        return everywhere
+    R = np.array([frame.R for frame in frames])
+    inertia = R @ values[:, 1:][:, _FULL_TENSOR] @ R.transpose(0, 2, 1)
+    bodies = Bodies.from_center(values[:, 0], np.array([frame.p for frame in frames]), inertia)
+    everywhere.mass[places] = bodies.mass
+    everywhere.moment[places] = bodies.moment
+    everywhere.inertia[places] = bodies.inertia
+    return everywhere
+
+
+_TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_FULL_TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of the entries above
 
 
 def check_inertia(inertia: Array, what: str, where: str) -> None:
@@ -245,43 +363,50 @@ def check_inertia(inertia: Array, what: str, where: str) -> None:
         )
 
 
-def _read_origin(element: ET.Element | None, what: str, where: str) -> Frame:
-    zero = (0.0, 0.0, 0.0)
-    p = _triple(element, "xyz", zero, what, where)
-    roll, pitch, yaw = _triple(element, "rpy", zero, what, where)
-    return Frame(_clean(_turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)), p)
+def _frames(
+    origins: list[ET.Element | None], whats: list[str], name: str, where: str
+) -> list[Frame]:
+    """Return the frames that elements <origin> say."""
+    rows = []
+    for origin, what in zip(origins, whats, strict=True):
+        if origin is None:
+            rows.append([0.0] * 6)
+            continue
+        xyz, rpy = origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0")
+        row = _numbers(xyz, 3, f"{what}: {name} xyz", where)
+        rows.append(row + _numbers(rpy, 3, f"{what}: {name} rpy", where))
+    values = np.array(rows).reshape(-1, 6)
+    _check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
+    _check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
+    roll, pitch, yaw = values[:, 3:].T
+    R = _clean(_turns(2, yaw) @ _turns(1, pitch) @ _turns(0, roll))
+    turned = (values[:, 3:] != 0.0).any(axis=1).tolist()
+    p = values[:, :3].copy()
+    return [Frame(R[k] if turned[k] else _EYE, p[k]) for k in range(len(rows))]
 
 
-def _triple(
-    element: ET.Element | None,
-    key: str,
-    default: tuple[float, float, float],
-    what: str,
-    where: str,
-) -> Array:
-    text = None if element is None else element.get(key)
-    if text is None:
-        return np.array(default)
-    words = text.split()
-    if len(words) != 3:
-        raise Refusal(where, f"{what} {key}", "be three numbers", repr(text))
-    return np.array([_number(word, f"{what} {key}", where) for word in words])
-
-
-def _number(text: str | None, what: str, where: str) -> float:
+def _numbers(text: str | None, count: int, what: str, where: str) -> list[float]:
+    words = (text or "").split() if count > 1 else [text or ""]
+    if len(words) != count:
+        raise Refusal(where, what, "be three numbers", repr(text))
     try:
-        value = float(text or "")
+        return [float(word) for word in words]
     except ValueError:
         raise Refusal(where, what, "be a number", repr(text)) from None
-    if not math.isfinite(value):
-        raise Refusal(where, what, "be finite", text)
-    return value
+
+
+def _check_size(values: Array, largest: float, whats: list[str], name: str, where: str) -> None:
+    """Refuse rows (K, ...) of which an entry is not finite or too large."""
+    for row, column in np.argwhere(~(np.abs(values) <= largest)).tolist():
+        value = float(values[row, column])
+        rule = f"be from {-largest:g} to {largest:g}" if math.isfinite(value) else "be finite"
+        raise Refusal(where, f"{whats[row]}: {name}", rule, value)
 
 
 # From the tree to the chain
 
 
-def _root(bodies: Mapping[str, Body], joints: list[_UrdfJoint], where: str) -> str:
+def _root(links: Mapping[str, int], joints: list[_UrdfJoint], where: str) -> str:
     parents: dict[str, str] = {}
     for joint in joints:
         if joint.child in parents:
@@ -292,7 +417,7 @@ def _root(bodies: Mapping[str, Body], joints: list[_UrdfJoint], where: str) -> s
                 f"joints {parents[joint.child]} and {joint.name}",
             )
         parents[joint.child] = joint.name
-    roots = [name for name in bodies if name not in parents]
+    roots = [name for name in links if name not in parents]
     if len(roots) != 1:
         rule = "have one base link that no joint moves"
         got = ", ".join(roots) if roots else "none (a loop)"
@@ -302,31 +427,37 @@ def _root(bodies: Mapping[str, Body], joints: list[_UrdfJoint], where: str) -> s
 
 @dataclass
 class _Moving:
-    """A moving joint, its placement in the frame of the last moving link, and its merged body."""
+    """A moving joint, its placement in the frame of the last moving link, and what it moves."""
 
     joint: _UrdfJoint
     placement: Frame
-    body: Body
+    links: list[str]  # its child and all that is fixed to it
+    frames: list[Frame]  # of the links, in that of the child
+    body: Body  # of all of them
 
 
 def _moving_joints(
     root: str,
-    bodies: Mapping[str, Body],
+    links: Mapping[str, int],
     joints: list[_UrdfJoint],
     locked: Mapping[str, float],
     where: str,
 ) -> list[_Moving]:
+    below: dict[str, list[_UrdfJoint]] = {}
+    for joint in joints:
+        below.setdefault(joint.parent, []).append(joint)
     moving: list[_Moving] = []
     reached = {root}
     branch = [(root, Frame(), -1)]  # link, its frame in the carrying link's, the carrier's index
     while branch:
         link, frame, carrier = branch.pop()
-        for joint in (j for j in joints if j.parent == link):
+        for joint in below.get(link, []):
             reached.add(joint.child)
             if joint.kind == "fixed" or joint.name in locked:
                 at = frame @ _moved(joint, locked.get(joint.name, 0.0))
                 if carrier >= 0:
-                    moving[carrier].body += bodies[joint.child].seen_from(at)
+                    moving[carrier].links.append(joint.child)
+                    moving[carrier].frames.append(at)
                 branch.append((joint.child, at, carrier))
                 continue
             if carrier != len(moving) - 1:
@@ -337,19 +468,22 @@ def _moving_joints(
                     f"a branch beside joint {moving[carrier + 1].joint.name}",
                     "lock one of the branches in the scene",
                 )
-            moving.append(_Moving(joint, frame @ joint.placement, bodies[joint.child]))
+            moving.append(_Moving(joint, frame @ joint.placement, [joint.child], [Frame()], Body()))
             branch.append((joint.child, Frame(), len(moving) - 1))
-    lost = [name for name in bodies if name not in reached]
+    lost = [name for name in links if name not in reached]
     if lost:
         raise Refusal(where, f"link {lost[0]}", "hang on the base (it is in a loop)", lost[0])
     if not moving:
         raise Refusal(where, "robot", "have a moving joint", "none")
+    if len(moving) > MOST_JOINTS:
+        rule = f"have at most {MOST_JOINTS} moving joints that are not locked"
+        raise Refusal(where, "robot", rule, len(moving))
     return moving
 
 
 def _moved(joint: _UrdfJoint, position: float) -> Frame:
     """Return the child's frame in the parent's with the joint at `position`."""
-    if joint.kind == "fixed":
+    if joint.kind == "fixed" or joint.kind in FREE_KINDS:
         return joint.placement
     if joint.kind == "prismatic":
         return joint.placement @ Frame(p=position * joint.axis)
@@ -367,10 +501,7 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
     nothing else, as in the convention of Denavit, Hartenberg and Khalil.
     """
     for one in moving:
-        if one.body.mass <= 0.0:
-            raise Refusal(
-                where, f"mass moved by joint {one.joint.name}", "be > 0 kg", one.body.mass
-            )
+        _check_body(one, where)
     # E: rotation of each link's core frame in its URDF frame, at gamma = 0.
     E = [_frame_with_z(one.joint.axis) for one in moving]
     gammas: list[float] = []
@@ -405,6 +536,33 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
     return Chain(tuple(joints), R_WB.T)
 
 
+def _check_body(one: _Moving, where: str) -> None:
+    """Refuse a joint's whole moved body if the equations of motion are not solvable with it.
+
+    The mass matrix is positive definite in every pose if no body has a negative principal moment
+    and each has inertia about its own joint's axis (mass, along the axis of a prismatic one). So a
+    thin rod or a point mass may be moved, though not a rod about its own length.
+    """
+    body, what = one.body, f"moved by joint {one.joint.name} (links {', '.join(one.links)})"
+    if not body.mass >= SMALLEST_MASS:
+        rule = "be > 0 kg" if body.mass <= 0.0 else f"be >= {SMALLEST_MASS:g} kg"
+        raise Refusal(where, f"mass {what}", rule, body.mass)
+    com_x = _cross(body.moment / body.mass)
+    moments = np.linalg.eigvalsh(body.inertia + body.mass * com_x @ com_x)
+    rounding = 1e-12 * np.abs(body.inertia).max()
+    thin = moments[0] <= 1e-9 * moments[2] + rounding
+    shown = "(" + ", ".join(f"{moment:.3g}" for moment in moments) + ")"
+    if moments[0] < -1e-9 * moments[2] - rounding:
+        raise Refusal(where, f"inertia {what}", "have principal moments >= 0 kg m2", shown)
+    if thin and moments[2] - moments[1] > 1e-3 * moments[2] + rounding:
+        rule = "be positive definite (of a thin rod: with two equal principal moments)"
+        raise Refusal(where, f"inertia {what}", rule, shown)
+    about = float(one.joint.axis @ body.inertia @ one.joint.axis)
+    least = max(SMALLEST_INERTIA, float(rounding))
+    if MOVING_KINDS[one.joint.kind] == "revolute" and about < least:
+        raise Refusal(where, f"inertia about the axis {what}", f"be >= {least:.2g} kg m2", about)
+
+
 def _frame_with_z(axis: Array) -> Array:
     """Return a rotation whose third column is `axis`, made of zeros and ones where possible."""
     z = axis
@@ -419,10 +577,17 @@ def _exact_atan2(y: float, x: float) -> float:
 
 
 def _turn(axis: int, angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    R = np.eye(3)
+    R: Array = _turns(axis, [angle])[0]
+    return R
+
+
+def _turns(axis: int, angles: Iterable[float]) -> Array:
+    """Return rotations (K, 3, 3) about one axis."""
+    # By `math`: NumPy's cosine may round differently on another processor.
+    c, s = (np.array([f(angle) for angle in angles]) for f in (math.cos, math.sin))
+    R = np.tile(np.eye(3), (len(c), 1, 1))
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
+    R[:, i, i], R[:, i, j], R[:, j, i], R[:, j, j] = c, -s, s, c
     return _clean(R)
 
 
@@ -439,12 +604,17 @@ def _clean(R: Array) -> Array:
 
     Zeros are what the compiler folds; the threshold is a few units of the last place.
     """
-    nearest = np.round(R)
+    nearest = np.rint(R)
     return np.where(np.abs(R - nearest) < 1e-15, nearest, R) + 0.0
 
 
 def _cross(a: Array) -> Array:
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+    """Return the matrix (..., 3, 3) that takes the cross product with a (..., 3)."""
+    out = np.zeros((*a.shape, 3))
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
+    return out
 
 
 def _names(joints: list[_UrdfJoint]) -> str:

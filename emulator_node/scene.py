@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 
 from arm_emulator.config_files import find_config
 from arm_emulator.refusal import Refusal
+from arm_emulator.urdf_text import parse_urdf, read_urdf
 from arm_emulator.yaml_file import read_yaml
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 
@@ -140,7 +142,8 @@ def _build(root: _Section, file: Path) -> Scene:
     where = file.name
     name = root.text("name")
     urdf_file = _find_urdf(root.text("urdf"), file)
-    urdf = urdf_file.read_text(encoding="utf-8", errors="replace")
+    urdf = read_urdf(urdf_file)
+    robot = parse_urdf(urdf, urdf_file.name)
     tool = root.text("tool")
     gravity = root.vector("gravity", "m/s2", bound=1000.0)
     payload = root.section("payload")
@@ -149,12 +152,14 @@ def _build(root: _Section, file: Path) -> Scene:
     if locked_section is not None:
         locked = {key: locked_section.number(key, "rad or m") for key in locked_section.keys()}
     chain = read_chain(
-        urdf,
+        robot,
         urdf_file.name,
         locked=locked,
         tool=tool,
         payload=None if payload is None else _payload(payload),
     )
+    if lock_joints(robot, locked, urdf_file.name):
+        urdf = ET.tostring(robot, encoding="unicode")
     supply_voltage = root.number("supply_voltage", "V", above=0.0, at_most=1e5)
     joints = _joints(root, chain, urdf_file.name)
     integrator_section = root.section("integrator", required=True)
@@ -175,7 +180,7 @@ def _build(root: _Section, file: Path) -> Scene:
     return Scene(
         name=name,
         where=where,
-        urdf=lock_joints(urdf, locked),
+        urdf=urdf,
         tool=tool,
         gravity=gravity,
         supply_voltage=supply_voltage,

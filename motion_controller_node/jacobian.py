@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from arm_emulator.bound import POSITION, TOOL_POSITION, Bound
 from arm_emulator.refusal import Refusal
+from motion_controller_node.kinematics_model import JOINT, LINK, link_names, whole_model
 from motion_controller_node.pose import Pose
 
 __all__ = ["JacobianController", "Pose"]
@@ -81,9 +82,11 @@ class JacobianController:
         self.step_limit = _within(step_limit, "step_limit", "be a number > 0 rad", math.inf)
         self.singular_below = _within(singular_below, "singular_below", "be in (0, 1]", 1.0)
         self.rows = _rows(task, len(self.joint_names))
-        self.model = _model(urdf_xml, self.joint_names)
+        self.model = _model(urdf_xml, self.joint_names, tool)
         self._data = self.model.createData()
-        self._joints = [self.model.joints[self.model.getJointId(n)] for n in self.joint_names]
+        self._joints = [
+            self.model.joints[self.model.getJointId(JOINT + n)] for n in self.joint_names
+        ]
         self._columns = [joint.idx_v for joint in self._joints]
         self._frame = _frame(self.model, tool)
         self._lower, self._upper = self._limits()
@@ -243,7 +246,7 @@ def moving_joints(urdf_xml: str) -> tuple[str, ...]:
     Raises:
         Refusal: not a robot description, or one that Pinocchio does not take.
     """
-    return tuple(_whole_model(urdf_xml).names)[1:]
+    return _moving(whole_model(urdf_xml))
 
 
 def _within(value: Any, quantity: str, rule: str, high: float) -> float:
@@ -265,10 +268,14 @@ def _rows(task: str, joints: int) -> int:
     return tasks[task]
 
 
-def _model(urdf_xml: str, joint_names: tuple[str, ...]) -> Any:
+def _moving(model: Any) -> tuple[str, ...]:
+    return tuple(name.removeprefix(JOINT) for name in list(model.names)[1:])
+
+
+def _model(urdf_xml: str, joint_names: tuple[str, ...], tool: str) -> Any:
     """Return the Pinocchio model whose moving joints are exactly `joint_names`."""
-    model = _whole_model(urdf_xml)
-    moving = list(model.names)[1:]
+    model = whole_model(urdf_xml, tool)
+    moving = _moving(model)
     for name in joint_names:
         if name not in moving:
             raise Refusal(
@@ -280,36 +287,31 @@ def _model(urdf_xml: str, joint_names: tuple[str, ...]) -> Any:
             )
     if not joint_names or len(set(joint_names)) != len(joint_names):
         raise Refusal("motion_controller", "joint_names", "be different names", joint_names)
-    locked = [model.getJointId(name) for name in moving if name not in joint_names]
+    locked = [model.getJointId(JOINT + name) for name in moving if name not in joint_names]
     model = pin.buildReducedModel(model, locked, pin.neutral(model))
     for name in joint_names:
-        if model.joints[model.getJointId(name)].nv != 1:
+        if model.joints[model.getJointId(JOINT + name)].nv != 1:
             raise Refusal("motion_controller", name, "have one degree of freedom", "more")
     return model
 
 
-def _whole_model(urdf_xml: str) -> Any:
-    try:
-        return pin.buildModelFromXML(urdf_xml)
-    except (ValueError, RuntimeError) as error:
-        raise Refusal("robot_description", "the text", "be a URDF", error) from error
-
-
 def _frame(model: Any, tool: str) -> int:
     """Return the index of the link (or other frame) `tool`."""
-    for kind in (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.FIXED_JOINT):
-        if model.existFrame(tool, kind):
-            return int(model.getFrameId(tool, kind))
-    links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+    for name, kind in (
+        (LINK + tool, pin.FrameType.BODY),
+        (JOINT + tool, pin.FrameType.FIXED_JOINT),
+    ):
+        if model.existFrame(name, kind):
+            return int(model.getFrameId(name, kind))
     raise Refusal(
         "motion_controller",
         "tool",
         "be a link of the robot description",
         tool,
-        ", ".join(links),
+        ", ".join(link_names(model)),
     )
 
 
 def _base(model: Any) -> str:
     """Return the name of the root link."""
-    return next(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
+    return link_names(model)[0]

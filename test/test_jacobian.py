@@ -323,8 +323,8 @@ def test_bad_poses_are_refused(position: list[float], quaternion: list[float], w
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"urdf_xml": "<robot"}, "robot_description: the text must be a URDF"),
-        ({"urdf_xml": ""}, "robot_description: the text must be a URDF"),
+        ({"urdf_xml": "<robot"}, "robot_description: file must be well-formed XML"),
+        ({"urdf_xml": ""}, "robot_description: file must be well-formed XML"),
         (
             {"joint_names": ["waist", "hip"]},
             "moving joints of the robot description, got hip; valid",

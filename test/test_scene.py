@@ -77,9 +77,18 @@ BAD_URDFS: list[tuple[tuple[str, str], str]] = [
     (('mass value="6"', 'mass value="-6"'), "link upper_arm: mass must be >= 0 kg, got -6"),
     (('mass value="6"', 'mass value="six"'), "link upper_arm: mass must be a number, got 'six'"),
     (('mass value="6"', 'mass value="nan"'), "link upper_arm: mass must be finite, got nan"),
-    (('ixx="0.04875"', 'ixx="0"'), "link upper_arm: inertia must be positive definite"),
-    (('ixx="0.04875" iyy="0.04875"', 'ixx="0.0" iyy="-1"'), "must be positive definite, principal moments"),
-    (('name="elbow" type="continuous"', 'name="elbow" type="floating"'), "joint elbow: type must be one the emulator knows, got floating; valid: revolute"),
+    (('ixx="0.04875"', 'ixx="0"'), "inertia moved by joint shoulder (links upper_arm) must be positive definite (of a thin rod: with two equal principal moments), got (0, 0.0075, 0.0487)"),
+    (('ixx="0.04875" iyy="0.04875"', 'ixx="0.0" iyy="-1"'), "inertia moved by joint shoulder (links upper_arm) must have principal moments >= 0 kg m2, got (-1, 0, 0.0075)"),
+    (('mass value="6"', 'mass value="1e200"'), "link upper_arm: mass must be from -1e+09 to 1e+09, got 1e+200"),
+    (('ixx="0.04875"', 'ixx="1e300"'), "link upper_arm: inertia must be from -1e+15 to 1e+15, got 1e+300"),
+    (('<origin xyz="0 0 0.3"/>', '<origin xyz="0 0 1e200"/>'), "joint shoulder: origin xyz must be from -1e+06 to 1e+06, got 1e+200"),
+    (('name="elbow" type="continuous">', 'name="elbow" type="revolute"><limit lower="1" upper="-1"/>'), "joint elbow: limit must have lower <= upper, got 1 > -1"),
+    (('name="elbow" type="continuous">', 'name="elbow" type="revolute"><limit lower="a" upper="1"/>'), "joint elbow: limit lower must be a number, got 'a'"),
+    (('joint name="elbow"', 'joint name="el&#10;bow"'), "joint name must have printable letters only, got 'el\\nbow'"),
+    (('<robot ', '<!DOCTYPE robot [<!ENTITY a "b">]><robot '), "file must have no document type"),
+    (('</robot>', '<xacro:arm/></robot>'), "file must be a URDF, not a xacro source, got <xacro:arm>"),
+    (('</robot>', 70 * "<a>" + 70 * "</a>" + "</robot>"), "file must nest at most 64 levels, got more"),
+    (('name="elbow" type="continuous"', 'name="elbow" type="floating"'), "joint elbow: type must be one the emulator knows, got floating; valid: revolute, continuous, prismatic, fixed, or held where it is in the scene: locked: {elbow: 0.0}"),
     (('name="elbow" type="continuous">', 'name="elbow" type="continuous"><mimic joint="waist"/>'), "joint elbow must move on its own, got a mimic joint; valid: lock it"),
     (("</robot>", f"{LOOP}</robot>"), "link column must hang on one joint (closed loops"),
     (("</robot>", f"{EXTRA}</robot>"), "must follow the chain (the emulator moves serial arms)"),
@@ -138,9 +147,13 @@ def test_massless_links_are_frames_but_cannot_be_moved_alone(tmp_path: Path) -> 
     start = URDF.index("<inertial>", URDF.index('<link name="forearm">'))
     end = URDF.index("</inertial>", start) + len("</inertial>")
     (tmp_path / "urdf" / "three_axis.urdf").write_text(URDF[:start] + URDF[end:])
-    with pytest.raises(Refusal, match="mass moved by joint elbow must be > 0 kg, got 0"):
+    with pytest.raises(
+        Refusal, match=r"mass moved by joint elbow \(links forearm, tool\) must be > 0 kg, got 0"
+    ):
         load_scene(file)
-    load_scene(file, overrides={"payload": {"mass": 1.0}, "tool": "forearm"})
+    with pytest.raises(Refusal, match=r"inertia about the axis moved by joint elbow"):
+        load_scene(file, overrides={"payload": {"mass": 1.0}, "tool": "forearm"})
+    load_scene(file, overrides={"payload": {"mass": 1.0}})
 
 
 @pytest.mark.parametrize(
