@@ -71,6 +71,10 @@ class CtrlC:
         """From now on only the context is shut down."""
         self._breaks_off = False
 
+    def break_off_again(self) -> None:
+        """From now on as before `leave_to_rclpy`."""
+        self._breaks_off = True
+
     def __enter__(self) -> CtrlC:
         return self
 

@@ -42,6 +42,8 @@ DESCRIPTION_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+# Who comes late learns at once who is there.
+DIAGNOSTICS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 NANOSECONDS = 1_000_000_000
 ENDING = 5.0  # s, wall: what the middleware is given to end
@@ -167,18 +169,26 @@ def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer
 class Diagnostics:
     """The node's health in words, on `diagnostics`: every second, and at once when it changes.
 
-    Refused input is counted by kind, and the newest refusal is told in full.
+    Refused input is counted by kind, and the newest refusal is told in full. Stamps are of the
+    node's clock: wall time, or logical time with `use_sim_time`.
+
+    Attributes:
+        values: more to tell, by name.
+        doubles: what to tell, and to warn of, while another node does the same.
     """
 
     def __init__(self, node: Node, hardware_id: str) -> None:
-        self._name = node.get_name()
-        self._hardware_id = hardware_id
+        # Several arms may tell of their health on one topic: names begin with the namespace.
+        self._name = node.get_fully_qualified_name().strip("/")
+        namespace = node.get_namespace().strip("/")
+        self._hardware_id = f"{namespace}/{hardware_id}" if namespace else hardware_id
         self._clock = node.get_clock()
-        self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", DIAGNOSTICS_QOS)
         self._refused: Counter[str] = Counter()
         self._newest_refusal = ""
         self._level, self._message = DiagnosticStatus.OK, "starting"
         self.values: dict[str, object] = {}
+        self.doubles: dict[str, str] = {}
         guard_clock(node, self.refuse)
         # With `use_sim_time` too: health is asked for when logical time stands still.
         wall_timer(node, 1.0, self.publish)
@@ -219,7 +229,7 @@ class Diagnostics:
     def publish(self) -> None:
         """Publish now."""
         level = self._level
-        if level == DiagnosticStatus.OK and self._refused:
+        if level == DiagnosticStatus.OK and (self._refused or self.doubles):
             level = DiagnosticStatus.WARN
         values = {f"refused {topic}": count for topic, count in self._refused.items()}
         if self._newest_refusal:
@@ -231,7 +241,7 @@ class Diagnostics:
             hardware_id=self._hardware_id,
             values=[
                 KeyValue(key=key, value=str(value))
-                for key, value in {**values, **self.values}.items()
+                for key, value in {**values, **self.values, **self.doubles}.items()
             ],
         )
         array = DiagnosticArray(status=[status])
@@ -242,6 +252,10 @@ class Diagnostics:
         if (level, message) != (self._level, self._message):
             self._level, self._message = level, message
             self.publish()
+
+
+class StartAnew(Exception):
+    """A node is to let go of all that it holds, and to begin again."""
 
 
 def _init() -> None:
@@ -260,10 +274,16 @@ def run_node(create: Callable[[], Closable]) -> None:
     try:
         with ctrl_c, until_shut_down():
             _init()
-            node = create()
-            ctrl_c.leave_to_rclpy()
-            if not ctrl_c.told:
-                LeanExecutor(node).spin()
+            while not ctrl_c.told:
+                node = create()
+                ctrl_c.leave_to_rclpy()
+                try:
+                    LeanExecutor(node).spin()
+                except StartAnew:
+                    node.close()
+                    node.destroy_node()
+                    node = None
+                    ctrl_c.break_off_again()
     except (Refusal, ParameterException) as refusal:
         print(refusal, file=sys.stderr)
         sys.exit(2)

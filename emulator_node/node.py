@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from arm_emulator.doubles import STARTED, Doubles
 from arm_emulator.node_shell import (
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
@@ -85,6 +86,11 @@ class EmulatorNode(Node):
         self._config = declare_parameters(self, EmulatorParameters)
         refuse_other_parameters(self, self._config)
         scene = load_scene(self._config.scene)
+        self._diagnostics = Diagnostics(self, scene.name)
+        self._doubles = Doubles(
+            self, self._diagnostics, "emulator", "motor_states", "the one started first rules"
+        )
+        self._doubles.wait_until_first("emulator/status")
         self._session = (
             RealTimeSession(scene, self._config.start)
             if self._config.clock == "realtime"
@@ -104,10 +110,9 @@ class EmulatorNode(Node):
             port=self._config.rerun_port or None,
         )
         self._report_ticks = max(1, round(self._config.report_period / scene.servo_period))
-        self._diagnostics = Diagnostics(self, scene.name)
 
         names = list(scene.joint_names)
-        self._motor_state = MotorState(joint_names=names)
+        self._motor_state = MotorState(joint_names=names, machine=STARTED)
         self._truth = JointState(name=names)
         self._motor_states = self.create_publisher(MotorState, "motor_states", STATE_PUB_QOS)
         self._truths = self.create_publisher(JointState, "emulator/joint_states", STATE_PUB_QOS)
@@ -162,6 +167,9 @@ class EmulatorNode(Node):
 
     def _on_command(self, command: MotorCommand) -> None:
         with self._lock:
+            if command.machine not in (0, STARTED):
+                self._diagnostics.count("motor_commands for another emulator")
+                return
             try:
                 self._session.offer(command.tick, command.joint_names, command.voltage)
             except Needless as reason:

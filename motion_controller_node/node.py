@@ -17,6 +17,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from arm_emulator.bound import POSITION
+from arm_emulator.doubles import Doubles
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.node_shell import (
     COMMAND_QOS,
@@ -51,6 +52,13 @@ class MotionControllerNode(Node):
         refuse_other_parameters(self, self._config)
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._diagnostics = Diagnostics(self, "motion controller")
+        self._doubles = Doubles(
+            self,
+            self._diagnostics,
+            "motion controller",
+            "joint_targets",
+            "the servo takes the first targets that come",
+        )
         self._diagnostics.values["tool targets"] = 0
         self._diagnostics.warn("waiting for robot_description")
         self._urdf = ""

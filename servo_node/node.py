@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from arm_emulator.bound import CURRENT, EFFORT, POSITION, VELOCITY, encoder_counts
+from arm_emulator.doubles import Doubles
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.node_shell import (
     COMMAND_QOS,
@@ -41,6 +42,9 @@ from servo_node.servo_config import ServoConfig, rule_of
 from servo_node.watchdog import WatchdogState
 
 SILENCE_CHECK = 0.1  # s, wall
+MACHINE_SILENCE = (
+    1.0  # s, wall: an emulator that says nothing for so long may be followed by another
+)
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,15 @@ class ServoNode(Node):
         self._counts = encoder_counts([joint.count_angle for joint in self._config.joints])
         self._drives = Drives(self._config)
         self._diagnostics = Diagnostics(self, "servo drives")
+        self._doubles = Doubles(
+            self,
+            self._diagnostics,
+            "servo",
+            "motor_commands",
+            "the emulator takes the first answer to each tick",
+        )
         self._heard_at = time.monotonic()
+        self._machine = 0  # which emulator is served, 0 for any
         self._start_over()
 
         self._command = MotorCommand(joint_names=names)
@@ -137,6 +149,7 @@ class ServoNode(Node):
                 self._states_order.arrange(names, message.current, CURRENT),
                 bool(message.powered),
             )
+            self._check_machine(int(message.machine))
         except Refusal as reason:
             self._diagnostics.refuse("motor_states", reason)
             return
@@ -161,6 +174,23 @@ class ServoNode(Node):
             self._say_joint_states(now.time_ns)
         if not self._waiting:
             self._answer(now)
+
+    def _check_machine(self, machine: int) -> None:
+        """Stay with the emulator that was started first, while it speaks."""
+        if machine in (0, self._machine):
+            return
+        silence = time.monotonic() - self._heard_at
+        if 0 < self._machine < machine and silence < MACHINE_SILENCE:
+            raise Refusal(
+                "motor_states",
+                "machine",
+                f"be {self._machine}, the emulator that was started first",
+                machine,
+            )
+        if self._newest is not None:
+            self._diagnostics.ok("the emulator began anew")
+            self._start_over()
+        self._machine = machine
 
     def _check_time(self, message: MotorState) -> None:
         time_ns, tick = time_of("motor_states", message.header.stamp), int(message.tick)
@@ -221,6 +251,7 @@ class ServoNode(Node):
         command = self._command
         command.header.stamp = stamp(now.time_ns)
         command.tick = now.tick
+        command.machine = self._machine
         command.voltage = array("d", voltage.tobytes())
         self._commands.publish(command)
 

@@ -60,6 +60,7 @@ class User:
         self._executor.add_node(self.node)
         self._raw_states: list[bytes] = []
         self.tick = -1  # newest tick recorded, -1 for none
+        self.machine = 0  # the emulator whose states are recorded, 0 for any
         self._own_states: set[bytes] = set()  # what was sent as a motor state, by this user
         self._gone: set[bytes] = set()  # listeners whose process was killed
         self.status: EmulatorStatus | None = None
@@ -235,12 +236,15 @@ class User:
 
     def said(self, node: str, words: str) -> list[str]:
         """Return what a node said in its diagnostics that begins with these words."""
-        return [message for message in self.words[node] if message.startswith(words)]
+        return [message for message in self.words.get(node, []) if message.startswith(words)]
 
     def _on_state(self, raw: bytes) -> None:
         if any(raw[: len(raw) - padding] in self._own_states for padding in range(4)):
             return
-        tick = int(deserialize_message(raw, MotorState).tick)
+        state = deserialize_message(raw, MotorState)
+        if self.machine not in (0, state.machine):
+            return
+        tick = int(state.tick)
         if tick == 0 and self.tick > 0:  # a new run; what is still on its way is of the old one
             self._raw_states.clear()
         self.tick = tick
