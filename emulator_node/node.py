@@ -45,7 +45,7 @@ from emulator_node.real_time import RealTimeSession
 from emulator_node.recorders import Recorders
 from emulator_node.rerun_stream import RerunStream
 from emulator_node.scene import example_robot_data, load_scene
-from emulator_node.session import CLOCKS, STARTS, Needless, Phase, Session
+from emulator_node.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Session
 
 STATUS_PERIOD = 0.5  # s, wall
 REPEAT_AFTER = (
@@ -135,7 +135,7 @@ class EmulatorNode(Node):
 
         self._told_at = time.monotonic()  # when this tick's state was first told
         self._repeated_at = self._told_at
-        self._reported: Diverged | None = None  # the fault that was told last
+        self._reported: Diverged | EndOfTime | None = None  # the fault that was told last
         self._status_mark = (time.monotonic_ns(), 0, 0)
         wall_timer(self, REPEAT_AFTER, self._on_repeat)
         wall_timer(self, STATUS_PERIOD, self._on_status)

@@ -20,6 +20,7 @@ from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene
 
 CLOCKS = ("lockstep", "realtime")
+END_OF_TIME = 2**31 * 10**9  # ns
 STARTS = ("free_run", "first_answer", "paused")
 
 
@@ -43,6 +44,13 @@ class Needless(Refusal):
     def __init__(self, kind: str, rule: str, got: str) -> None:
         super().__init__("motor_commands", "tick", rule, f"{got} ({kind})")
         self.kind = kind
+
+
+class EndOfTime(RuntimeError):
+    """Logical time has come as far as the time stamps of messages go."""
+
+    def __init__(self) -> None:
+        super().__init__("logical time ends at 2**31 s, the largest that a message can tell")
 
 
 class Session:
@@ -78,7 +86,7 @@ class Session:
         self._left_tick = self.tick  # where the run before was
         self.tick = 0
         self.paused = self._start == "paused"
-        self.fault: Diverged | None = None
+        self.fault: Diverged | EndOfTime | None = None
         self.voltage = self._zero  # applied now
         self.step_wall_ns = 0
         self._commanded: Array | None = None  # newest accepted command
@@ -175,6 +183,9 @@ class Session:
 
     def advance_under(self, voltage: Array) -> None:
         """Advance by one servo period under these voltages (N,) [V], see `advance`."""
+        if self.logical_ns + self.period_ns >= END_OF_TIME:
+            self.fault = EndOfTime()
+            return
         self.voltage = voltage
         started = time.perf_counter_ns()
         try:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import random
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
 from in_process import InProcess, in_process
 from network import JOINTS, assert_same_bits, offline_states
-from random_messages import RECEIVER, TOPICS, bad_message, random_message
+from random_messages import RECEIVER, TOPICS, bad_message, huge, random_message
+from rosgraph_msgs.msg import Clock
 
 from arm_emulator.offline import OfflineRun, load_offline_run
+from emulator_node.rerun_stream import RerunStream
 from motion_controller_node.pose import Pose
 
 # A warning of NumPy's would be printed among what the nodes say.
@@ -36,8 +42,6 @@ def aside(run: OfflineRun) -> Pose:
 
 def aim(nodes: InProcess) -> None:
     """Give the tool target of the reference."""
-    from geometry_msgs.msg import PoseStamped
-
     target, p_WT = PoseStamped(), aside(load_offline_run("three_axis")).p_WT
     p = target.pose.position
     p.x, p.y, p.z = map(float, p_WT)
@@ -87,6 +91,73 @@ def test_bad_messages_do_not_stop_a_run_in_real_time(seed: int) -> None:
             nodes.deliver()
         assert nodes.tick >= before + 20, "the machine stands"
         assert nodes.nodes["servo"]._drives.servo.restarts == 0
+
+
+def test_no_time_on_the_clock_ends_a_node_that_follows_it() -> None:
+    rng = random.Random(2)
+    with in_process() as nodes:
+        servo = nodes.nodes["servo"]
+        follow = servo._time_source.clock_callback  # as rclpy calls it with `use_sim_time`
+        follow(Clock(clock=Time(sec=5)))
+        for count in range(1, 500):
+            follow(bad_message(rng, "clock", JOINTS, 0))
+            assert servo._diagnostics.refused == count
+            assert servo._time_source._last_time_set.nanoseconds == 5 * 10**9
+        for _ in range(500):
+            follow(random_message(rng, "clock", JOINTS, 0))
+            servo._diagnostics.publish()
+
+
+def test_the_viewer_is_shown_no_target_beyond_the_bound(tmp_path: Path) -> None:
+    rng, run = random.Random(4), load_offline_run("three_axis")
+    scene = run.session.scene
+    stream = RerunStream(scene.urdf, scene.joint_names, tool=scene.tool, file=tmp_path / "a.rrd")
+    for count in range(1, 200):
+        stream.offer_target(rng.randrange(2**61), (0.1, huge(rng), 0.1))
+        assert stream.dropped == count
+    state = run.session.state
+    for tick in range(3):
+        stream.offer_target(tick, (1e6, -1e6, 5e-324))
+        stream.offer(tick * 10**6, state.q, state.v, state.gear_torque, state.current, state.v)
+    assert stream.close(), stream.trouble
+    assert stream.trouble is None and stream.dropped == count
+
+
+@pytest.mark.parametrize("name", ["servo", "motion_controller"])
+def test_a_controller_that_is_not_finite_says_so_and_begins_anew(
+    name: str, reference: dict[int, bytes]
+) -> None:
+    with in_process() as nodes:
+        nodes.run_to(20)
+        if name == "servo":
+            nodes.nodes["servo"]._drives.servo._axes[0].integral = math.nan
+        else:
+            nodes.nodes[name]._instructor._hold = np.full(3, math.nan)
+        said = ""
+        while nodes.tick < 60 and "began anew" not in said:
+            nodes.deliver()
+            said = nodes.nodes[name]._diagnostics._message
+        assert "finite" in said and "began anew" in said and "\n" not in said
+        nodes.run_to(120)
+        assert nodes.nodes[name]._diagnostics.values["began anew"] == 1
+        assert "began anew" not in nodes.nodes[name]._diagnostics._message, "it works again"
+        assert np.isfinite(nodes.nodes["emulator"]._session.voltage).all()
+        begin_anew(nodes)
+        nodes.run_to(TICKS)
+        assert_same_bits(nodes.states, reference, TICKS)
+
+
+def test_the_motion_controller_forgets_its_targets_when_it_is_reset() -> None:
+    still = offline_states(load_offline_run("three_axis"), TICKS)
+    with in_process() as nodes:
+        nodes.run_to(1)
+        aim(nodes)
+        nodes.run_to(60)
+        reset = nodes.call("motion_controller/reset")
+        assert reset.success
+        assert reset.message == "all tool targets are forgotten, the arm is held where it is"
+        nodes.run_to(TICKS)
+        assert_same_bits(nodes.states, still, TICKS)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -202,6 +202,22 @@ def test_reset_begins_anew() -> None:
     assert np.array_equal(one.state.q, first) and one.plant.t == 0.0
 
 
+def test_logical_time_ends_where_the_stamps_of_messages_end() -> None:
+    one = session()
+    one.tick = 2**31 * 1000 - 3  # servo periods of 1 ms
+    for tick in range(one.tick, one.tick + 2):
+        one.offer(tick, NAMES, [1.0, 0.0, 0.0])
+        one.advance()
+    before = one.state.q.copy()
+    one.offer(one.tick, NAMES, [1.0, 0.0, 0.0])
+    one.advance()
+    assert one.phase is Phase.STOPPED and one.logical_ns < 2**31 * 10**9
+    assert np.array_equal(one.state.q, before), "the machine has moved without time"
+    assert str(one.fault).startswith("logical time ends at 2**31 s")
+    one.reset()
+    assert one.may_advance
+
+
 def test_a_diverged_machine_stops_until_reset() -> None:
     overrides = {"integrator.scheme": "paper", "integrator.dt": 1e-2, "servo_period": 1e-2}
     one = Session(load_scene("three_axis", overrides=overrides), "realtime", "free_run")
