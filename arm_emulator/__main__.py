@@ -226,11 +226,10 @@ def _bench(arguments: argparse.Namespace) -> int:
 
 
 def _check_scene(arguments: argparse.Namespace) -> int:
-    from emulator_node.scene import load_scene
+    from arm_emulator.check_scene import check_scene
 
     for name in arguments.scenes:
-        scene = load_scene(name)
-        print(f"{scene.where}: valid, {len(scene.joints)} joints: {', '.join(scene.joint_names)}")
+        print(check_scene(name))
     return 0
 
 

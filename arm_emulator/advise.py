@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from arm_emulator.config_files import find_config
+from arm_emulator.config_files import find_scene
+from arm_emulator.demo_plan import NANOSECONDS, DemoPlan
+from arm_emulator.gains import load_gains
 from arm_emulator.offline import OfflineRun
 from arm_emulator.refusal import Refusal
 from arm_emulator.yaml_file import read_yaml
 from emulator_node.advice import Motion, Setting, advise, write_integrator
 from emulator_node.plant import Diverged
 from emulator_node.scene import Scene, load_scene
-from motion_controller_node.motion_config import load_motion_config
 from motion_controller_node.pose import Pose
-from servo_node.servo_config import load_servo_config
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def advise_scene(scene_name: str, error: float, write: bool) -> int:
         Exit code: 1 if no setting reaches the error.
     """
     console = Console(highlight=False)
-    file = find_config(scene_name, ".yaml")
+    file = find_scene(scene_name)
     scene = load_scene(file)
     voltages, what = record(scene, file)
     motion = Motion(scene, voltages)
@@ -67,7 +67,7 @@ def advise_scene(scene_name: str, error: float, write: bool) -> int:
 def record(scene: Scene, file: Path) -> tuple[Array, str]:
     """Return voltages (K, N) [V] of the scene's own motion, a row per servo period, and its name.
 
-    With gains and a motion of the scene's name under config/: its demo, in closed loop, recorded
+    With gains and a demo beside the scene: its demo, in closed loop, recorded
     once on the finely integrated machine. Played back open loop, errors are those of the
     integration, and not what the control made of them. Else sines of a quarter of the supply.
     """
@@ -80,16 +80,14 @@ def record(scene: Scene, file: Path) -> tuple[Array, str]:
     )
     rows: list[Array] = []
     try:
-        servo = load_servo_config(find_config(file.stem, ".yaml", "servo"))
-        controller = load_motion_config(find_config(file.stem, ".yaml", "motion"))
-        plan = read_yaml(find_config(file.stem, ".yaml", "demo"))
-        run = OfflineRun(fine, servo, controller)
+        gains = load_gains(file)
+        plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
+        run = OfflineRun(fine, gains.servo, gains.motion)
     except Refusal:
         return _sines(scene), "sines of a quarter of the supply voltage for 1 s (it has no demo)"
     R_WT, p_WT = run.controller.forward(scene.start)
-    cycle = controller.period
-    settle = cycle * round(float(plan["settle"]) / cycle)
-    run.instructor.add(round(settle * 1e9), Pose(p_WT + np.array(plan["displacement"]), R_WT))
+    settle = plan.settle_ns / NANOSECONDS
+    run.instructor.add(plan.settle_ns, Pose(p_WT + plan.displacement, R_WT))
     try:
         for _ in range(round((settle + SECONDS) / scene.servo_period)):
             run.advance(1)

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from arm_emulator.config_files import find_config
+from arm_emulator.config_files import find_beside, find_scene
 from arm_emulator.ctrl_c import END_SIGNALS
 from arm_emulator.end_with_parent import parent_environment
 from arm_emulator.refusal import Refusal
@@ -33,8 +33,8 @@ class Bringup:
     """Starts emulator, servo and motion controller; use it in a `with` block.
 
     Args:
-        scene: a scene file, or the name of a scene that comes along. Gains are taken from the
-            files of the same name under config/servo and config/motion.
+        scene: a scene file, or the name of a scene that comes along. Gains are those that belong
+            to it, see `find_beside`.
         clock: "lockstep" or "realtime".
         start: see the emulator's parameter.
         emulator: more parameters of the emulator, by name.
@@ -61,7 +61,7 @@ class Bringup:
         use_sim_time: bool = False,
         params_file: Path | None = None,
     ) -> None:
-        file = find_config(scene, ".yaml").resolve()
+        file = find_scene(scene)
         self._log = log
         self._running: list[_NodeProcess] = []
         self._commands: dict[str, list[str]] = {}
@@ -76,8 +76,7 @@ class Bringup:
             module, kind, parameters = every[name]
             command = [sys.executable, "-m", module, "--ros-args"]
             if kind is not None:
-                gains = find_config(file.stem, ".yaml", kind)
-                command += ["--params-file", str(gains.resolve())]
+                command += ["--params-file", str(find_beside(file, kind))]
             for key, value in parameters.items():
                 command += ["-p", f"{key}:={value}"]
             command += common

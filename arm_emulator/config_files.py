@@ -1,9 +1,14 @@
-"""Where the configuration files are that come with the emulator."""
+"""Where configuration files are: scenes, and what lies beside them or comes with the emulator."""
 
 import os
 from pathlib import Path
 
 from arm_emulator.refusal import Refusal
+from arm_emulator.text_file import why_no_file
+from arm_emulator.yaml_file import read_yaml
+
+# What a scene may have beside it: parameters of the servo and of the motion controller, and a demo.
+BESIDE = ("servo", "motion", "demo")
 
 
 def config_folder() -> Path:
@@ -36,12 +41,56 @@ def find_config(name: str, ending: str, kind: str = ".") -> Path:
         Refusal: there is no such file.
     """
     path = Path(name)
-    if path.is_file():
+    reason = why_no_file(path)
+    if reason is None:
         return path
     folder = config_folder() / kind
-    if path.name == name:
-        file = folder / f"{name.removesuffix(ending)}{ending}"
-        if file.is_file():
-            return file
+    shipped = _shipped(name, ending, kind)
+    if shipped is not None:
+        return shipped
     known = ", ".join(sorted(file.stem for file in folder.glob(f"*{ending}")))
-    raise Refusal("arm_emulator", f"file {name}", "exist", "no such file", known or None)
+    raise Refusal("arm_emulator", f"file {name}", "exist", reason, known or None)
+
+
+def find_scene(name: str | Path) -> Path:
+    """Return the absolute path of the scene that `name` means; links in it stay what they are.
+
+    Raises:
+        Refusal: there is no such file.
+    """
+    return Path(os.path.abspath(find_config(str(name), ".yaml")))
+
+
+def find_beside(scene: Path, kind: str) -> Path:
+    """Return the file that belongs to a scene: the one rule for every command and launch file.
+
+    The scene's key `kind` names it, relative to the scene file, or by the name of one that comes
+    with the emulator. Without the key it is ``KIND/NAME.yaml`` beside ``NAME.yaml``.
+
+    Args:
+        scene: the scene file.
+        kind: one of `BESIDE`.
+
+    Raises:
+        Refusal: there is no such file; it says where it was looked for and what to write.
+    """
+    named = read_yaml(scene).get(kind)
+    if named is not None and (not isinstance(named, str) or not named):
+        raise Refusal(scene.name, kind, "be the name of a file", repr(named))
+    file = scene.parent / (named or f"{kind}/{scene.stem}.yaml")
+    reason = why_no_file(file)
+    if reason is None:
+        return file
+    shipped = _shipped(named, ".yaml", kind) if named else None
+    if shipped is not None:
+        return shipped
+    valid = f"write that file, or name one in the scene: `{kind}: FILE`"
+    raise Refusal(scene.name, f"{kind} parameters", f"be in {file}", reason, valid)
+
+
+def _shipped(name: str, ending: str, kind: str) -> Path | None:
+    """Return the file of a bare name that comes with the emulator, if there is one."""
+    if Path(name).name != name:
+        return None
+    file = config_folder() / kind / f"{name.removesuffix(ending)}{ending}"
+    return file if why_no_file(file) is None else None

@@ -25,8 +25,10 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from arm_emulator.bringup import Bringup
-from arm_emulator.config_files import find_config
+from arm_emulator.config_files import find_scene
+from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.fig4 import draw_fig4
+from arm_emulator.gains import Gains, check_fit, load_gains
 from arm_emulator.node_shell import (
     COMMAND_QOS,
     NANOSECONDS,
@@ -36,34 +38,15 @@ from arm_emulator.node_shell import (
 )
 from arm_emulator.refusal import Refusal
 from arm_emulator.ros_domain import own_domain
-from arm_emulator.yaml_file import read_yaml
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.scene import Scene, load_scene
 from motion_controller_node.jacobian import JacobianController
-from motion_controller_node.motion_config import load_motion_config
 from motion_controller_node.pose import Pose
 from motion_controller_node.predicted_residual import PredictedResidual, predicted_residual
-from servo_node.servo_config import load_servo_config
 
 Array = NDArray[np.float64]
 
 PATIENCE = 120.0  # s, wall: for what the nodes do within a second or two on an idle machine
-
-
-@dataclass(frozen=True)
-class DemoPlan:
-    """What the demo does with a scene; from config/demo."""
-
-    displacement: Array  # m (3,), of the tool in the world
-    settle_ns: int  # logical time before the target holds, a multiple of the motion period
-    instructions: int
-
-    @classmethod
-    def load(cls, scene: str, period_ns: int) -> DemoPlan:
-        """Read config/demo/<scene>.yaml."""
-        data = read_yaml(find_config(scene, ".yaml", "demo"))
-        periods = round(float(data["settle"]) * NANOSECONDS / period_ns)
-        return cls(np.array(data["displacement"]), periods * period_ns, int(data["instructions"]))
 
 
 @dataclass(frozen=True)
@@ -80,8 +63,11 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
     """Run the experiment, leave its pictures in `out`, and say how it went."""
     console = Console()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    file = find_scene(scene_name)
+    scene, gains = load_scene(file), load_gains(file)
+    check_fit(scene, gains.servo, gains.motion)
+    plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
     out.mkdir(parents=True, exist_ok=True)
-    scene = load_scene(scene_name)
     # A domain of its own, so that a network that runs already is left alone.
     with own_domain(unless_named=True) as domain:
         title = f"{scene.name}, {clock}, ROS_DOMAIN_ID {domain}"
@@ -95,7 +81,7 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
                 emulator={"rerun_file": (out / "demo.rrd").resolve()},
                 log=out / "log",
             ) as network:
-                result = _run(scene, network, console)
+                result = _run(scene, gains, plan, network, console)
                 codes = network.stop()
         finally:
             rclpy.try_shutdown()
@@ -106,12 +92,12 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
     return 1 if unclean else 0
 
 
-def _run(scene: Scene, network: Bringup, console: Console) -> DemoResult:
-    motion = load_motion_config(find_config(scene.name, ".yaml", "motion"))
-    servo = load_servo_config(find_config(scene.name, ".yaml", "servo"))
+def _run(
+    scene: Scene, gains: Gains, plan: DemoPlan, network: Bringup, console: Console
+) -> DemoResult:
+    motion, servo = gains.motion, gains.servo
     controller = JacobianController(scene.urdf, scene.joint_names, **motion.controller_arguments())
     period_ns = round(motion.period * NANOSECONDS)
-    plan = DemoPlan.load(scene.name, period_ns)
     R_WT, p_WT = controller.forward(scene.start)
     target = Pose(p_WT + plan.displacement, R_WT)
     observer = _Observer(controller, target, period_ns, plan)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.bound import Bound
-from arm_emulator.config_files import find_config
+from arm_emulator.config_files import find_scene
+from arm_emulator.gains import check_fit, load_gains
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.refusal import Refusal
 from emulator_node.plant import Diverged
@@ -23,10 +23,10 @@ from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
 from motion_controller_node.instructor import Instructor
 from motion_controller_node.jacobian import JacobianController, moving_joints
-from motion_controller_node.motion_config import MotionConfig, load_motion_config
+from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.pose import Pose
 from servo_node.drives import Drives, Target
-from servo_node.servo_config import ServoConfig, load_servo_config
+from servo_node.servo_config import ServoConfig
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -51,14 +51,13 @@ class OfflineRun:
     """
 
     def __init__(self, scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
+        check_fit(scene, servo, motion)
         self.session = Session(scene, "lockstep", "first_answer")
         self.drives = Drives(servo)
         self.controller = JacobianController(
             scene.urdf, moving_joints(scene.urdf), **motion.controller_arguments()
         )
         self.instructor = Instructor()
-        _same("servo.period", servo.period, "the scene's servo_period", scene.servo_period)
-        _same("servo.motion_period", servo.motion_period, "motion_controller.period", motion.period)
         self.motion_ticks = round(motion.period / servo.period)
         self._servo_names = list(servo.joint_names)
         # Places of one's joints in the other's arrays; an empty slice where the order is the same.
@@ -88,11 +87,6 @@ class OfflineRun:
                 raise session.fault
 
 
-def _same(one: str, value: float, other: str, expected: float) -> None:
-    if round(value * 1e9) != round(expected * 1e9):
-        raise Refusal("offline run", one, f"be {other}, {expected:g} s", f"{value:g} s")
-
-
 def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> slice | list[int]:
     """Return what to index an array in the order `given` with, to get it in the order `wanted`."""
     place = Bound("place", "", math.inf)
@@ -102,16 +96,14 @@ def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> slic
 
 
 def load_offline_run(scene_name: str) -> OfflineRun:
-    """Return a run of a scene with the gains of the same name under config/.
+    """Return a run of a scene with the gains that belong to it.
 
     Raises:
-        Refusal: a file that is missing or not taken.
+        Refusal: a file that is missing or not taken, or gains that do not fit.
     """
-    scene = load_scene(scene_name)
-    stem = Path(find_config(scene_name, ".yaml")).stem
-    servo = load_servo_config(find_config(stem, ".yaml", "servo"))
-    motion = load_motion_config(find_config(stem, ".yaml", "motion"))
-    return OfflineRun(scene, servo, motion)
+    file = find_scene(scene_name)
+    scene, gains = load_scene(file), load_gains(file)
+    return OfflineRun(scene, gains.servo, gains.motion)
 
 
 def run(scene_name: str, seconds: float, displacement: list[float] | None) -> int:

@@ -6,16 +6,16 @@ import dataclasses
 
 import numpy as np
 
-from arm_emulator.config_files import find_config
-from arm_emulator.yaml_file import read_yaml
+from arm_emulator.config_files import find_scene
+from arm_emulator.demo_plan import NANOSECONDS, DemoPlan
+from arm_emulator.gains import load_gains
 from bench.motion import Array
 from emulator_node.plant import IDEAL_COUNTS_PER_TURN, Plant
 from emulator_node.scene import Scene
 from motion_controller_node.jacobian import JacobianController
-from motion_controller_node.motion_config import load_motion_config
 from motion_controller_node.pose import Pose
 from servo_node.servo import Servo
-from servo_node.servo_config import ServoConfig, load_servo_config
+from servo_node.servo_config import ServoConfig
 
 
 class DemoMotion:
@@ -27,18 +27,19 @@ class DemoMotion:
     """
 
     def __init__(self, scene: Scene) -> None:
-        motion = load_motion_config(find_config(scene.name, ".yaml", "motion"))
-        plan = read_yaml(find_config(scene.name, ".yaml", "demo"))
-        self._config = load_servo_config(find_config(scene.name, ".yaml", "servo"))
+        file = find_scene(scene.name)
+        gains = load_gains(file)
+        motion, self._config = gains.motion, gains.servo
+        plan = DemoPlan.load(file, round(motion.period * NANOSECONDS))
         self._names = scene.joint_names
         self._controller = JacobianController(
             scene.urdf, self._names, **motion.controller_arguments()
         )
         self._cycle = round(motion.period / scene.servo_period)
-        self.settle = round(float(plan["settle"]) / scene.servo_period)
+        self.settle = round(plan.settle_ns / NANOSECONDS / scene.servo_period)
         self.periods = self.settle + round(1.0 / scene.servo_period)
         R_WT, p_WT = self._controller.forward(scene.start)
-        self._target = Pose(p_WT + np.array(plan["displacement"]), R_WT)
+        self._target = Pose(p_WT + plan.displacement, R_WT)
 
     def run(self, scene: Scene) -> tuple[Array, Array]:
         """Move the machine of `scene`.

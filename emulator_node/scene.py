@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.config_files import find_config
+from arm_emulator.config_files import BESIDE, find_config
 from arm_emulator.refusal import Refusal
 from arm_emulator.urdf_text import parse_urdf, read_urdf
 from arm_emulator.yaml_file import read_yaml
@@ -176,6 +176,9 @@ def _build(root: _Section, file: Path) -> Scene:
         rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
         raise root.refusal("threads", rule, 2, "2 with another scheme")
     cores = _cores(root)
+    for key in BESIDE:
+        if root.has(key):
+            root.text(key)
     root.finish()
     return Scene(
         name=name,
@@ -391,6 +394,9 @@ class _Section:
 
     def keys(self) -> list[str]:
         return [str(key) for key in self._data]
+
+    def has(self, key: str) -> bool:
+        return key in self._data
 
     def refusal(self, key: str, rule: str, got: object, valid: str | None = None) -> Refusal:
         return Refusal(self.where, self._name(key), rule, got, valid)

@@ -10,7 +10,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from arm_emulator.config_files import find_config
+from arm_emulator.config_files import find_beside, find_scene
 from arm_emulator.end_with_parent import parent_environment
 from arm_emulator.refusal import Refusal
 
@@ -57,8 +57,8 @@ def nodes(context: LaunchContext) -> list[Node]:
     scene, clock, start, rerun, namespace, use_sim_time, params_file = (
         LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
     )
-    file = find_config(scene, ".yaml").resolve()
-    gains = {kind: str(find_config(file.stem, ".yaml", kind)) for kind in ("servo", "motion")}
+    file = find_scene(scene)
+    gains = {kind: str(find_beside(file, kind)) for kind in ("servo", "motion")}
 
     emulator = {"scene": str(file), "clock": clock, "start": start}
     if rerun.isdecimal():

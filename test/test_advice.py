@@ -15,6 +15,7 @@ import pytest
 from machines import CONFIG
 
 from arm_emulator.advise import record
+from arm_emulator.config_files import BESIDE
 from arm_emulator.refusal import Refusal
 from bench.reference import reference
 from emulator_node.advice import ORDERS, Motion, advise, round_numbers, write_integrator
@@ -106,6 +107,12 @@ def scene_copy(folder: Path, **replaced: str) -> Path:
     return file
 
 
+def add_demo(file: Path) -> None:
+    """Name what comes along for three_axis in a scene elsewhere."""
+    named = "".join(f"{kind}: three_axis\n" for kind in BESIDE)
+    file.write_text(named + file.read_text())
+
+
 def test_writing_changes_two_values_and_nothing_else(tmp_path: Path) -> None:
     file = scene_copy(tmp_path)
     before = file.read_text().splitlines()
@@ -168,6 +175,7 @@ def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess
 
 def test_command_shows_the_estimate_beside_the_reference_and_writes(tmp_path: Path) -> None:
     file = scene_copy(tmp_path)
+    add_demo(file)
     done = run(str(file), "--error", "1e-5", "--write")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()

@@ -12,7 +12,8 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from arm_emulator.demo import DemoPlan
+from arm_emulator.config_files import find_scene
+from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.offline import load_offline_run
 from arm_emulator.ros_domain import own_domain
 from emulator_node.scene import example_robot_data
@@ -29,7 +30,7 @@ def expected_deviations(scene_name: str) -> np.ndarray:
     session, forward = run.session, run.controller.forward
     R_WT, p_WT = forward(session.scene.start)
     period_ns = session.period_ns * run.motion_ticks
-    plan = DemoPlan.load(session.scene.name, period_ns)
+    plan = DemoPlan.load(find_scene(session.scene.name), period_ns)
     target = Pose(p_WT + plan.displacement, R_WT)
     orientation = target.quaternion()
     run.instructor.add(plan.settle_ns, Pose.from_quaternion(target.p_WT, orientation))

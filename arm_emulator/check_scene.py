@@ -1,0 +1,40 @@
+"""`arm_emulator check-scene`: whether a scene is valid, and what lies beside it."""
+
+from __future__ import annotations
+
+from arm_emulator.config_files import find_beside, find_scene
+from arm_emulator.gains import check_fit, load_gains
+from arm_emulator.refusal import Refusal
+from emulator_node.scene import load_scene
+
+
+def check_scene(name: str) -> str:
+    """Return in one line what is there; gains that are there are held against the scene.
+
+    Raises:
+        Refusal: the scene or what lies beside it is not valid, or they do not fit together.
+    """
+    file = find_scene(name)
+    scene = load_scene(file)
+    line = f"{scene.where}: valid, {len(scene.joints)} joints: {', '.join(scene.joint_names)}"
+    missing = []
+    for kind in ("servo", "motion"):
+        try:
+            line += f"; {kind}: {find_beside(file, kind)}"
+        except Refusal as reason:
+            missing.append(f"no {kind} parameters: they must {reason.rule}")
+    if missing:
+        return "; ".join((line, *missing))
+    gains = load_gains(file)
+    check_fit(scene, gains.servo, gains.motion)
+    _check_controller(scene.urdf, scene.joint_names, gains.motion.controller_arguments())
+    return line
+
+
+def _check_controller(
+    urdf: str, joint_names: tuple[str, ...], arguments: dict[str, object]
+) -> None:
+    # Pinocchio, which is slow to import, only where there is a motion controller to check.
+    from motion_controller_node.jacobian import JacobianController
+
+    JacobianController(urdf, joint_names, **arguments)  # type: ignore[arg-type]

@@ -1,0 +1,54 @@
+"""The servo's and the motion controller's parameters of a scene, and whether they fit it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from arm_emulator.config_files import find_beside
+from arm_emulator.refusal import Refusal
+from emulator_node.scene import Scene
+from motion_controller_node.motion_config import MotionConfig, load_motion_config
+from servo_node.servo_config import ServoConfig, load_servo_config
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Parameters of servo and motion controller."""
+
+    servo: ServoConfig
+    motion: MotionConfig
+
+
+def load_gains(file: Path) -> Gains:
+    """Return the gains that belong to a scene file.
+
+    Raises:
+        Refusal: a file that is missing or not taken.
+    """
+    return Gains(
+        load_servo_config(find_beside(file, "servo")),
+        load_motion_config(find_beside(file, "motion")),
+    )
+
+
+def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
+    """Refuse gains that are those of another scene.
+
+    Raises:
+        Refusal: other joints than the scene's, or other periods.
+    """
+    where = scene.where
+    if sorted(servo.joint_names) != sorted(scene.joint_names):
+        rule = "name every moving joint of the scene once"
+        got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
+        raise Refusal(where, "servo.joint_names", rule, got, valid)
+    period = scene.servo_period
+    _same(where, "servo.period", servo.period, "the scene's servo_period", period)
+    other = "motion_controller.period"
+    _same(where, "servo.motion_period", servo.motion_period, other, motion.period)
+
+
+def _same(where: str, one: str, value: float, other: str, expected: float) -> None:
+    if round(value * 1e9) != round(expected * 1e9):
+        raise Refusal(where, one, f"be {other}, {expected:g} s", f"{value:g} s")
