@@ -1,4 +1,4 @@
-"""What belongs to a scene is found beside it by every command, from any folder, installed or not."""
+"""What belongs to a scene is found beside it by every command, from any folder."""
 
 from __future__ import annotations
 
