@@ -19,12 +19,15 @@ import numpy as np
 
 from arm_emulator.config_files import BESIDE, find_config
 from arm_emulator.refusal import Refusal
+from arm_emulator.text_file import why_no_file
 from arm_emulator.urdf_text import parse_urdf, read_urdf
 from arm_emulator.yaml_file import read_yaml
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 
 SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
 EXCHANGES = ("predict", "lag")
+# Numbers beyond these are slips, and what is computed from several of them may overflow.
+SMALLEST, LARGEST = 1e-15, 1e15  # of numbers above 0, and of all, where no other bound is given
 LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
 
 
@@ -140,7 +143,7 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
 
 def _build(root: _Section, file: Path) -> Scene:
     where = file.name
-    name = root.text("name")
+    name = root.text("name", most_bytes=100)
     urdf_file = _find_urdf(root.text("urdf"), file)
     urdf = read_urdf(urdf_file)
     robot = parse_urdf(urdf, urdf_file.name)
@@ -150,7 +153,10 @@ def _build(root: _Section, file: Path) -> Scene:
     locked_section = root.section("locked")
     locked = {}
     if locked_section is not None:
-        locked = {key: locked_section.number(key, "rad or m") for key in locked_section.keys()}
+        locked = {
+            key: locked_section.number(key, "rad or m", at_least=-1e4, at_most=1e4)
+            for key in locked_section.keys()
+        }
     chain = read_chain(
         robot,
         urdf_file.name,
@@ -254,7 +260,23 @@ def _joint(name: str, one: _Section) -> Joint:
     for part in (encoder, one):
         if part is not None:
             part.finish()
+    if joint.motor is not None:
+        _check_reflected(joint, joint.motor, one)
     return joint
+
+
+def _check_reflected(joint: Joint, motor: Motor, one: _Section) -> None:
+    """Refuse a gear that makes of sound numbers unsound ones at the link."""
+    ratio = joint.gear.ratio
+    reflected = {
+        "rotor inertia": motor.rotor_inertia / ratio**2,
+        "torque per current": motor.torque_constant / ratio,
+        "voltage per speed": motor.back_emf_constant / ratio,
+    }
+    for what, value in reflected.items():
+        if value > LARGEST:
+            rule = f"make the {what} at the link at most {LARGEST:g}"
+            raise one.refusal("gear.ratio", rule, f"{value:.3g} with {ratio:g}")
 
 
 def _motor(section: _Section) -> Motor:
@@ -351,36 +373,61 @@ def _find_urdf(text: str, scene_file: Path) -> Path:
                 "no such package",
                 "install it with `make robots` or `pip install example-robot-data`",
             )
-        file = folder / rest
+        inside = os.path.normpath(rest)
+        if os.path.isabs(inside) or inside.split(os.sep)[0] == "..":
+            rule = "be a file below robots/ of the package example-robot-data"
+            raise Refusal(scene_file.name, "urdf", rule, text)
+        file = folder / inside
     else:
         file = scene_file.parent / text
-    if not file.is_file():
-        raise Refusal(scene_file.name, "urdf", "be a file", text)
+    reason = why_no_file(file)
+    if reason is not None:
+        raise Refusal(scene_file.name, "urdf", "be a file", f"{text} ({reason})")
     return file
 
 
 def _override(data: dict[str, Any], dotted: str, value: object, where: str) -> None:
-    *path, last = dotted.split(".")
-    places = [data]
-    for step in path:
-        below: list[dict[str, Any]] = []
-        for place in places:
-            for key in list(place) if step == "*" else [step]:
-                # A copy, since YAML anchors make several joints share one mapping.
-                child = place.get(key)
-                if child is None:
-                    child = {}
-                if not isinstance(child, dict):
-                    raise Refusal(where, f"override {dotted}", "lead through sections", child)
-                place[key] = dict(child)
-                below.append(place[key])
-        places = below
-    for place in places:
-        for key in list(place) if last == "*" else [last]:
-            if value is None:
-                place.pop(key, None)
-            else:
-                place[key] = value
+    places: list[tuple[dict[str, Any], list[str]]] = [(data, dotted.split("."))]
+    while places:
+        place, steps = places.pop()
+        for key, rest in _keys(place, steps):
+            if not rest:
+                if value is None:
+                    place.pop(key, None)
+                else:
+                    place[key] = value
+                continue
+            # A copy, since YAML anchors make several joints share one mapping.
+            child = place.get(key)
+            if child is None:
+                child = {}
+            if not isinstance(child, dict):
+                raise Refusal(where, f"override {dotted}", "lead through sections", child)
+            place[key] = dict(child)
+            below = [".".join(rest)] if key == "locked" and place is data else rest
+            places.append((place[key], below))
+
+
+def _keys(place: dict[str, Any], steps: list[str]) -> list[tuple[str, list[str]]]:
+    """Return the keys that the first steps of a dotted path mean, with the steps that remain.
+
+    Names of joints may have dots: the longest key that is there is meant.
+    """
+    if steps[0] == "*":
+        return [(key, steps[1:]) for key in list(place)]
+    for count in range(len(steps), 1, -1):
+        key = ".".join(steps[:count])
+        if key in place:
+            return [(key, steps[count:])]
+    return [(steps[0], steps[1:])]
+
+
+def _as_float(value: float) -> float:
+    """Return a number as a float; a whole number that is too large for one is infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 class _Section:
@@ -412,10 +459,14 @@ class _Section:
             raise self.refusal(key, rule, "nothing" if value is None else repr(value))
         return _Section(value, self.where, self._name(key))
 
-    def text(self, key: str) -> str:
+    def text(self, key: str, most_bytes: int = 4096) -> str:
         value = self._take(key)
         if not isinstance(value, str) or not value:
             raise self.refusal(key, "be a text", "nothing" if value is None else repr(value))
+        if not value.isprintable():
+            raise self.refusal(key, "have printable letters only", repr(value))
+        if len(value.encode()) > most_bytes:
+            raise self.refusal(key, f"be at most {most_bytes} bytes long", repr(value))
         return value
 
     def choice(self, key: str, choices: tuple[str, ...], default: str) -> str:
@@ -439,7 +490,11 @@ class _Section:
     ) -> float:
         rules: list[tuple[str, Callable[[float], bool]]] = []
         if above is not None:
+            least = above or SMALLEST
             rules.append((f"be > {above:g} {unit}", lambda x: x > above))
+            rules.append((f"be >= {least:g} {unit}", lambda x: x >= least))
+        if at_most is None:
+            at_most = LARGEST
         if at_least is not None:
             rules.append((f"be >= {at_least:g} {unit}", lambda x: x >= at_least))
         if at_most is not None:
@@ -450,19 +505,20 @@ class _Section:
         if isinstance(value, bool) or not isinstance(value, int | float):
             rule = f"be a number [{unit}]"
             raise self.refusal(key, rule, "nothing" if value is None else repr(value))
+        value = _as_float(value)
         for rule, holds in [(f"be finite [{unit}]", math.isfinite), *rules]:
             if not holds(value):
                 raise self.refusal(key, rule, value)
-        return float(value)
+        return value
 
     def integer(self, key: str, *, default: int | None = None, at_least: int, at_most: int) -> int:
         value = self._take(key)
         if value is None and default is not None and key not in self._data:
             return default
         rule = f"be a whole number from {at_least} to {at_most}"
-        if isinstance(value, bool) or not isinstance(value, int | float) or value != int(value):
+        if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.refusal(key, rule, "nothing" if value is None else repr(value))
-        if not at_least <= value <= at_most:
+        if not at_least <= value <= at_most or value != int(value):
             raise self.refusal(key, rule, value)
         return int(value)
 
@@ -476,7 +532,7 @@ class _Section:
         for entry in value:
             if isinstance(entry, bool) or not isinstance(entry, int | float):
                 raise self.refusal(key, rule, repr(value))
-            if not abs(entry) <= bound:
+            if not abs(_as_float(entry)) <= bound:
                 raise self.refusal(key, rule, value)
         return tuple(float(entry) for entry in value)
 

@@ -111,14 +111,26 @@ class ServoConfig:
         Raises:
             Refusal: an unknown, missing or impossible value.
         """
-        tree = _nested(mapping, where)
-        for name in ROS_PARAMETERS:
-            tree.pop(name, None)
-        names = _joint_names(tree.pop("joint_names", None), where)
-        tables = tree.pop("joints", None)
+        given = _dotted(mapping, where)
+        for name in given:
+            if any(name.startswith(f"{other}.") for other in _SCALARS if other in given):
+                raise Refusal(where, name, "be given once", given[name])
+        for name in list(given):
+            if name.split(".")[0] in ROS_PARAMETERS:
+                del given[name]
+        names = _joint_names(given.pop("joint_names", None), where)
+        # A joint's name may have dots, a field has none.
+        tables: dict[str, dict[str, Any]] = {}
+        for key in [key for key in given if key.startswith("joints.")]:
+            name, _, field_name = key.removeprefix("joints.").rpartition(".")
+            if not name:
+                raise Refusal(where, key, "be a mapping", given[key])
+            tables.setdefault(name, {})[field_name] = given.pop(key)
+        if "joints" in given:
+            raise Refusal(where, "joints", "be a mapping", given["joints"])
         _check_keys(tables, names, where, "joints")
-        _check_keys(tree, _SCALARS, where, "")
-        scalars = {name: _number(tree[name], rule, where, name) for name, rule in _SCALARS.items()}
+        _check_keys(given, _SCALARS, where, "")
+        scalars = {name: _number(given[name], rule, where, name) for name, rule in _SCALARS.items()}
         _check_periods(scalars, where)
         joints = tuple(_joint(name, tables[name], where) for name in names)
         for joint in joints:
@@ -155,23 +167,19 @@ def load_servo_config(path: str | Path) -> ServoConfig:
     return ServoConfig.from_mapping(ros_parameters(path, "servo"), path.name)
 
 
-def _nested(mapping: object, where: str) -> dict[str, Any]:
-    """Return `mapping` with every dotted key unfolded into nested mappings."""
+def _dotted(mapping: object, where: str, path: str = "") -> dict[str, Any]:
+    """Return nested mappings as one of dotted names, as ROS has them."""
     if not isinstance(mapping, Mapping):
-        raise Refusal(where, "the parameters", "be a mapping", mapping)
-    tree: dict[str, Any] = {}
+        raise Refusal(where, path or "the parameters", "be a mapping", mapping)
+    flat: dict[str, Any] = {}
     for key, value in mapping.items():
-        *parents, leaf = str(key).split(".")
-        branch = tree
-        for parent in parents:
-            branch = branch.setdefault(parent, {})
-            if not isinstance(branch, dict):
-                raise Refusal(where, str(key), "be given once", value)
-        value = _nested(value, where) if isinstance(value, Mapping) else value
-        if isinstance(value, dict) and isinstance(branch.get(leaf), dict):
-            value = {**branch[leaf], **value}
-        branch[leaf] = value
-    return tree
+        name = f"{path}.{key}" if path else str(key)
+        below = _dotted(value, where, name) if isinstance(value, Mapping) else {name: value}
+        for one in below:
+            if one in flat:
+                raise Refusal(where, one, "be given once", value)
+        flat |= below
+    return flat
 
 
 def _joint_names(value: object, where: str) -> tuple[str, ...]:
