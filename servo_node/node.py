@@ -293,6 +293,7 @@ class ServoNode(Node):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._start_over()
+        self._machine = 0
         response.success, response.message = True, "servo and watchdog start over"
         return response
 

@@ -12,11 +12,12 @@ import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from in_process import InProcess, in_process
-from network import JOINTS, assert_same_bits, offline_states
+from network import JOINTS, assert_same_bits, logs, network, offline_states
 from random_messages import RECEIVER, TOPICS, bad_message, huge, random_message
 from rosgraph_msgs.msg import Clock
 
 from arm_emulator.offline import OfflineRun, load_offline_run
+from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.rerun_stream import RerunStream
 from motion_controller_node.pose import Pose
 
@@ -206,3 +207,49 @@ def begin_anew(nodes: InProcess) -> None:
     aim(nodes)
     nodes.forget()
     assert nodes.call("emulator/reset").success
+
+
+# ---------------------------------------------------------------------------- among processes
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_bad_messages_do_not_disturb_three_processes(
+    clock: str, tmp_path: Path, reference: dict[int, bytes]
+) -> None:
+    rng = random.Random(clock)
+    with network(tmp_path, clock=clock) as (user, _):
+        publish = {
+            "motor_commands": user.commands,
+            "joint_targets": user.targets,
+            "motor_states": user.states,
+            "tool_target": user.tool_targets,
+            "joint_states": user.measured,
+        }
+        user.wait("the nodes to meet", lambda: user.status and user.status.answered)
+        p_WT = aside(load_offline_run("three_axis")).p_WT
+        user.send_tool_target(tuple(map(float, p_WT)), at=AIM_NS / 1e9)
+        user.wait("it", lambda: user.value("motion_controller", "tool targets") == "1")
+        for publisher in publish.values():
+            user.await_listener(publisher)
+        assert user.call("emulator/pause", False).success
+        while user.tick < TICKS:
+            for topic, publisher in publish.items():
+                message = bad_message(rng, topic, JOINTS, 10**6 + max(0, user.tick))
+                user.publish(publisher, message)
+            user.spin(0.005)
+        # Not all are read: where they come faster than that, the newest ten are kept.
+        for topic in publish:
+            name = RECEIVER[topic]
+            user.wait(f"{topic} refused", lambda n=name, t=topic: user.refused(n, t) > 0)
+        user.wait("the tool target to hold", lambda: user.said("motion_controller", "moving"))
+        assert user.value("motion_controller", "tool targets") == "1"
+        if clock == "lockstep":
+            assert_same_bits(user.motor_states(), reference, TICKS)
+        else:
+            user.wait(
+                "the servo to follow", lambda: user.diagnostics["servo"].message == "following"
+            )
+            assert user.status.phase == EmulatorStatus.PHASE_RUNNING
+        for name in ("servo", "motion_controller"):
+            assert user.value(name, "began anew") == "", f"{name} had lost its state"
+    assert "Traceback" not in logs(tmp_path) and "Warning" not in logs(tmp_path)
