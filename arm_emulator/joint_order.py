@@ -38,20 +38,18 @@ class JointOrder:
             Refusal: other names than the receiver's, another number of values, or one that is not
                 finite or too large.
         """
-        if len(names) != len(values):
-            rule = f"have one value per joint name ({len(names)})"
-            raise Refusal(self.topic, bound.quantity, rule, f"{len(values)} values")
         array = np.array(bound.numbers(self.topic, values))
-        if array.ndim != 1:
-            rule = "have one number per joint name"
-            raise Refusal(self.topic, bound.quantity, rule, values)
+        if array.shape != (len(names),):
+            rule = f"have one value per joint name ({len(names)})"
+            got = f"{len(array)} values" if array.ndim == 1 else values
+            raise Refusal(self.topic, bound.quantity, rule, got)
         if list(names) != self.names:
-            if sorted(names) != sorted(self.names):
+            if sorted(map(str, names)) != sorted(self.names):
                 raise Refusal(
                     self.topic,
                     "joint names",
                     "name every joint once",
-                    ", ".join(names) or "none",
+                    ", ".join(map(str, names)) or "none",
                     ", ".join(self.names),
                 )
             given, array = array, np.empty_like(array)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from arm_emulator.bound import Bound
 from arm_emulator.config_files import find_scene
+from arm_emulator.count import check_count
 from arm_emulator.gains import check_fit, load_gains
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.refusal import Refusal
@@ -69,8 +70,10 @@ class OfflineRun:
         """Go on by so many servo periods.
 
         Raises:
+            Refusal: no such count.
             Diverged: the machine did; it stays at the last state before.
         """
+        check_count("OfflineRun.advance", "ticks", ticks)
         session, drives, names = self.session, self.drives, self._servo_names
         to_servo, motion_ticks = self._to_servo, self.motion_ticks
         for _ in range(ticks):

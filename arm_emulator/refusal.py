@@ -30,7 +30,10 @@ class Refusal(ValueError):
 
 def _one_line(value: object, longest: int) -> str:
     """Return `value` on one line of at most `longest` printable characters."""
-    text = str(value)
+    try:
+        text = str(value)
+    except Exception:  # whatever it is, the refusal is what has to be told
+        text = f"a value of type {type(value).__name__} that cannot be shown"
     text = " ".join(text[: 8 * longest].split()) or repr(text[:longest])
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
     return text if len(text) <= longest else f"{text[: longest - 3]}..."

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.bound import LARGEST_COUNT, POSITION
+from arm_emulator.bound import LARGEST_COUNT, POSITION, VELOCITY
+from arm_emulator.count import check_count
 from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.compiler import library_of
@@ -23,7 +24,10 @@ from emulator_node.stability import Attempt, attempts, what_holds
 # What a joint without an encoder reports, since encoder counts are whole numbers.
 IDEAL_COUNTS_PER_TURN = 2**20
 
-LARGEST_STEPS = 10**15
+LARGEST_STEPS = 10**15  # of one call
+# Steps after which a long call looks whether Ctrl-C was pressed; so that the core's checks of its
+# state stay where they are, a multiple of their distance (core/machine.hpp, kCheckEvery).
+PIECE = 2**20
 NOT_FINITE = -2  # what the core answers to a voltage that is not
 
 
@@ -148,6 +152,9 @@ class Plant:
         largest = np.minimum(POSITION.largest, LARGEST_COUNT * self.link_angle_per_count)
         if (np.abs(at) > largest).any():
             raise Refusal("Plant.reset", "q", f"be at most {largest.min():g} rad or m", at)
+        if (np.abs(speed) > VELOCITY.largest).any():
+            rule = f"be at most {VELOCITY.largest:g} rad/s or m/s"
+            raise Refusal("Plant.reset", "v", rule, speed)
         self._reset_to = at, speed
         self.core.arm_reset(self.machine, _pointer(at), _pointer(speed))
 
@@ -157,13 +164,13 @@ class Plant:
         Args:
             voltage: (N,) [V], clamped to the supply voltage as the drives do; a joint without a
                 motor takes no notice.
-            steps: number of steps of `scene.integrator.dt`, >= 0.
+            steps: number of steps of `scene.integrator.dt`, 0 to 1e15.
 
         Raises:
-            Refusal: wrong shape, not finite, or a negative count; the state is as before.
+            Refusal: wrong shape, not finite, or no such count; the state is as before.
             Diverged: the integration failed; the state is the last one within bounds.
         """
-        _check_steps(steps, "Plant.advance")
+        check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
         # This is called every servo period: an array that fits is looked at by the core alone.
         if not (isinstance(voltage, np.ndarray) and voltage.shape == self._shape):
             voltage = self._vector(voltage, "Plant.advance", "voltage", "V")
@@ -171,37 +178,52 @@ class Plant:
             np.copyto(self._voltage, voltage, casting="same_kind")
         except TypeError:
             raise Refusal("Plant.advance", "voltage", "be numbers [V]", voltage) from None
-        joint = self.core.arm_advance(self.machine, self._voltage_pointer, steps)
+        joint = self._take(min(steps, PIECE))
         if joint == NOT_FINITE:
             raise Refusal("Plant.advance", "voltage", "be finite [V]", voltage)
+        while joint < 0 and steps > PIECE:
+            steps -= PIECE
+            joint = self._take(min(steps, PIECE))
         self._check(joint)
+
+    def _take(self, steps: int) -> int:
+        joint: int = self.core.arm_advance(self.machine, self._voltage_pointer, steps)
+        return joint
 
     def run(self, voltages: ArrayLike, steps: int) -> Array:
         """Apply rows of voltages one after the other, without coming back to Python in between.
 
         Args:
             voltages: (K, N) [V].
-            steps: integration steps under each row, >= 0.
+            steps: integration steps under each row, >= 0; with all rows at most 1e15.
 
         Returns:
             Link positions after each row, (K, N) [rad or m].
 
         Raises:
-            Refusal: wrong shape, not finite, or a negative count; the state is as before.
+            Refusal: wrong shape, not finite, or no such count; the state is as before.
             Diverged: as `advance`.
         """
-        rows = np.array(voltages, dtype=np.float64, ndmin=2, order="C")
+        rows = np.atleast_2d(_numbers(voltages, "Plant.run", "voltages", "V"))
         if rows.ndim != 2 or rows.shape[1] != self._N:
             raise Refusal("Plant.run", "voltages", f"have shape (K, {self._N})", rows.shape)
         if not np.isfinite(rows).all():
             raise Refusal("Plant.run", "voltages", "be finite [V]", rows)
-        _check_steps(steps, "Plant.run")
+        check_count("Plant.run", "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
         q = np.zeros_like(rows)
-        began = self.t
-        joint = self.core.arm_run(self.machine, _pointer(rows), len(rows), steps, _pointer(q))
-        if joint >= 0:
-            done = int((self.t - began) / (steps * self.scene.integrator.dt) + 1e-6)
-            self._check(joint, rows[min(done, len(rows) - 1)])
+        if steps > PIECE:
+            for row, after in zip(rows, q, strict=True):
+                self.advance(row, steps)
+                after[:] = self.state.q
+            return q
+        at_once = max(1, PIECE // max(1, steps))
+        for first in range(0, len(rows), at_once):
+            some, began = rows[first : first + at_once], self.t
+            pointers = _pointer(some), len(some), steps, _pointer(q[first:])
+            joint = self.core.arm_run(self.machine, *pointers)
+            if joint >= 0:
+                done = int((self.t - began) / (steps * self.scene.integrator.dt) + 1e-6)
+                self._check(joint, some[min(done, len(some) - 1)])
         return q
 
     def fault(
@@ -243,11 +265,22 @@ class Plant:
         """The state now, as a copy."""
         self.core.arm_state(self.machine, self._buffer_pointer)
         current, theta_m, omega_m, q, v, gear_torque = self._buffer.copy()
-        counts = self.encoder_counts(theta_m)
+        counts = self._counts(theta_m)
         return PlantState(self.t, current, theta_m, omega_m, q, v, gear_torque, counts)
 
-    def encoder_counts(self, theta_m: Array) -> NDArray[np.int64]:
-        """Return what the encoders show at the motor angles (N,) [rad]."""
+    def encoder_counts(self, theta_m: ArrayLike) -> NDArray[np.int64]:
+        """Return what the encoders show at the motor angles (N,) [rad].
+
+        Raises:
+            Refusal: wrong shape, not finite, or more counts than there are.
+        """
+        at = self._vector(theta_m, "Plant.encoder_counts", "theta_m", "rad")
+        if (np.abs(at * self._counts_per_rad) > LARGEST_COUNT).any():
+            rule = f"be at most {LARGEST_COUNT:g} counts"
+            raise Refusal("Plant.encoder_counts", "theta_m", rule, at)
+        return self._counts(at)
+
+    def _counts(self, theta_m: Array) -> NDArray[np.int64]:
         return np.floor(theta_m * self._counts_per_rad).astype(np.int64)
 
     def link_accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
@@ -257,17 +290,35 @@ class Plant:
             q: (K, N) or (N,) positions [rad or m].
             v: speeds, of the same shape.
             tau: joint torques [N m or N], of the same shape.
+
+        Raises:
+            Refusal: different or wrong shapes, not finite, q too far away, or so large that a is
+                not finite.
         """
-        q, v, tau = (np.ascontiguousarray(x, dtype=np.float64) for x in (q, v, tau))
-        a = np.empty_like(q)
-        self.core.arm_forward_dynamics(q.size // self._N, *map(_pointer, (q, v, tau, a)))
+        where = "Plant.link_accelerations"
+        rows: list[Array] = []
+        for values, quantity, unit in (
+            (q, "q", "rad or m"), (v, "v", "rad/s or m/s"), (tau, "tau", "N m or N")
+        ):  # fmt: skip
+            array = _numbers(values, where, quantity, unit)
+            if array.ndim not in (1, 2) or array.shape[-1] != self._N:
+                rule = f"have shape (K, {self._N}) or ({self._N},)"
+                raise Refusal(where, quantity, rule, array.shape)
+            if rows and array.shape != rows[0].shape:
+                raise Refusal(where, quantity, f"have the shape of q, {rows[0].shape}", array.shape)
+            if not np.isfinite(array).all():
+                raise Refusal(where, quantity, f"be finite [{unit}]", array)
+            rows.append(array)
+        if (np.abs(rows[0]) > POSITION.largest).any():
+            raise Refusal(where, "q", f"be at most {POSITION.largest:g} rad or m", rows[0])
+        a = np.empty_like(rows[0])
+        self.core.arm_forward_dynamics(a.size // self._N, *map(_pointer, (*rows, a)))
+        if not np.isfinite(a).all():
+            raise Refusal(where, "what v and tau lead to", "be finite [rad/s2 or m/s2]", a)
         return a
 
     def _vector(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
-        try:
-            array = np.array(values).astype(np.float64, casting="same_kind")
-        except (TypeError, ValueError):
-            raise Refusal(where, quantity, f"be numbers [{unit}]", values) from None
+        array = _numbers(values, where, quantity, unit)
         if array.shape != (self._N,):
             raise Refusal(where, quantity, f"have shape ({self._N},)", array.shape)
         if not np.isfinite(array).all():
@@ -275,13 +326,12 @@ class Plant:
         return array
 
 
-def _check_steps(steps: int, where: str) -> None:
-    if not isinstance(steps, int | np.integer):
-        raise Refusal(where, "steps", "be a whole number", repr(steps))
-    if steps < 0:
-        raise Refusal(where, "steps", "be >= 0", steps)
-    if steps > LARGEST_STEPS:
-        raise Refusal(where, "steps", f"be at most {LARGEST_STEPS:g}", steps)
+def _numbers(values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
+    """Return a copy of `values` as numbers, row by row."""
+    try:
+        return np.array(values).astype(np.float64, order="C", casting="same_kind")
+    except (TypeError, ValueError):
+        raise Refusal(where, quantity, f"be numbers [{unit}]", values) from None
 
 
 def _pointer(array: Array) -> Any:

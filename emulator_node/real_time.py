@@ -10,10 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.bound import VOLTAGE
+from arm_emulator.count import LARGEST, check_count
 from emulator_node.chain import Array
-from emulator_node.plant import Plant, PlantState
+from emulator_node.plant import LARGEST_STEPS, Plant, PlantState
 from emulator_node.scene import Scene
 from emulator_node.session import Session
+
+LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
+LARGEST_CORE = 1023
 
 
 @dataclass(frozen=True)
@@ -39,9 +44,19 @@ class RealTimeLoop:
         period_ns: servo period [ns].
         steps: integration steps in a period.
         core: processor core for the thread, -1 for any.
+
+    Raises:
+        Refusal: no such counts.
     """
 
     def __init__(self, plant: Plant, period_ns: int, steps: int, core: int) -> None:
+        for quantity, value, least, largest in (
+            ("period_ns", period_ns, 1, LONGEST_PERIOD),
+            ("steps", steps, 1, LARGEST_STEPS),
+            ("core", core, -1, LARGEST_CORE),
+        ):
+            check_count("RealTimeLoop", quantity, value, least, largest)
+        self._period_ns = period_ns
         self._plant = plant  # must outlive the loop
         self._core = plant.core
         self._loop = self._core.arm_real_time_new(plant.machine, period_ns, steps, core)
@@ -63,7 +78,12 @@ class RealTimeLoop:
             self._core.arm_real_time_delete(loop)
 
     def start(self, tick: int) -> None:
-        """Run from `tick` on, until `stop` or a fault."""
+        """Run from `tick` on, until `stop` or a fault.
+
+        Raises:
+            Refusal: no count.
+        """
+        check_count("RealTimeLoop.start", "tick", tick, 0, LARGEST // (2 * self._period_ns))
         self._core.arm_real_time_start(self._loop, tick)
 
     def stop(self) -> None:
@@ -71,7 +91,15 @@ class RealTimeLoop:
         self._core.arm_real_time_stop(self._loop)
 
     def command(self, answered: int, voltage: Array) -> None:
-        """Set the voltages (N,) [V] for the periods to come; -1 answers no tick."""
+        """Set the voltages (N,) [V] for the periods to come; -1 answers no tick.
+
+        Raises:
+            Refusal: wrong shape, not finite, or no count.
+        """
+        where = "RealTimeLoop.command"
+        check_count(where, "answered", answered, -1)
+        voltage = VOLTAGE.vector(where, voltage, len(self._plant.scene.joints))
+        voltage = np.ascontiguousarray(voltage)
         self._core.arm_real_time_command(
             self._loop, answered, voltage.ctypes.data_as(ctypes.c_void_p)
         )

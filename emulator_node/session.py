@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from arm_emulator.bound import VOLTAGE
+from arm_emulator.count import LARGEST, check_count
 from arm_emulator.joint_order import JointOrder
 from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
@@ -65,9 +66,15 @@ class Session:
         start: what goes on until the first command: "free_run" runs at zero voltage,
             "first_answer" stands still at tick 0, "paused" stands still until `paused` is set to
             False and then runs free.
+
+    Raises:
+        Refusal: another clock or start than these.
     """
 
     def __init__(self, scene: Scene, clock: str, start: str) -> None:
+        for quantity, value, known in (("clock", clock, CLOCKS), ("start", start, STARTS)):
+            if value not in known:
+                raise Refusal("Session", quantity, "be known", value, ", ".join(known))
         self.scene = scene
         self.plant = Plant(scene)
         self.lockstep = clock == "lockstep"
@@ -147,6 +154,7 @@ class Session:
                 that was on its way when the run before was left.
             Refusal: wrong tick, names, length, or a voltage that is not finite or too large.
         """
+        check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST)
         if tick > self.tick:
             rule, got = f"be at most {self.tick}", f"{tick} (future)"
             if self._commanded is None and tick <= self._left_tick:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.scene import SCHEMES, Integrator, Scene
 
@@ -186,7 +187,7 @@ def what_holds(plant: Plant, q: Array, v: Array) -> str:
             )
         growth = motions.growth(now.scheme, now.dt)
         steps = {scheme: motions.largest_step(scheme) for scheme in SCHEMES}
-    except np.linalg.LinAlgError:  # numbers so far apart that the eigenvalues overflow
+    except (np.linalg.LinAlgError, Refusal):  # numbers so far apart that something overflows
         return "a smaller step or another scheme may hold, which could not be examined"
     found = [
         f"{scheme} at no dt" if dt is None else f"{scheme} up to dt = {dt:.3g} s"

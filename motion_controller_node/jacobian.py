@@ -25,7 +25,6 @@ __all__ = ["JacobianController", "Pose"]
 FloatArray = npt.NDArray[np.float64]
 
 _Q = POSITION.named("q")
-_TARGET_POSITION = TOOL_POSITION.named("the pose")
 _REACH = TOOL_POSITION.named("the length of the arm")
 _TARGET_ROTATION = Bound("the rotation", "", 1.001)  # no entry is larger, but for rounding
 
@@ -150,14 +149,11 @@ class JacobianController:
             q_target (N,) [rad or m]. `error` and `notices` tell how it came about.
 
         Raises:
-            Refusal: q or target of a wrong length, not finite or too large. Nothing has changed
-                then.
+            Refusal: q of a wrong length, not finite or too large. Nothing has changed then.
             ArithmeticError: the robot description holds numbers that q_target cannot be computed
                 from. Nothing has changed then.
         """
         q = self._vector(q)
-        _TARGET_POSITION.vector("tool_target", target.p_WT, POSITION_ROWS)
-        _TARGET_ROTATION.vector("tool_target", np.ravel(target.R_WT), 9)
         with np.errstate(all="ignore"):  # what came of it is checked
             try:
                 q_target, error, notices = self._step(q, target)

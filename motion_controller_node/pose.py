@@ -13,8 +13,10 @@ from arm_emulator.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
 
-# A quaternion this far from length 1 is rounding of its sender; farther, it is a mistake.
+# A quaternion this far from length 1, and a matrix this far from a rotation, is rounding of its
+# sender; farther, it is a mistake.
 _UNIT_TOLERANCE = 1e-3
+_ROTATION = Bound("R_WT", "", 1.0 + _UNIT_TOLERANCE)  # no entry of a rotation is larger
 _ORIENTATION = Bound("orientation", "", math.inf)
 
 
@@ -26,6 +28,27 @@ class Pose:
     """Position (3,) [m]."""
     R_WT: FloatArray
     """Rotation matrix (3, 3)."""
+
+    def __post_init__(self) -> None:
+        """Keep copies of both.
+
+        Raises:
+            Refusal: a wrong shape, not finite, too far away, or a matrix that is no rotation.
+        """
+        p = TOOL_POSITION.vector("Pose", self.p_WT, 3).copy()
+        R = np.array(_ROTATION.numbers("Pose", self.R_WT))
+        if R.shape != (3, 3):
+            raise Refusal("Pose", "R_WT", "have shape (3, 3)", R.shape)
+        _ROTATION.check("Pose", R.ravel().tolist())
+        off = float(np.abs(R @ R.T - np.eye(3)).max())
+        if off > _UNIT_TOLERANCE:
+            rule = f"be a rotation, R R' = 1 +- {_UNIT_TOLERANCE}"
+            raise Refusal("Pose", "R_WT", rule, f"one off by {off:.3g}")
+        if np.linalg.det(R) < 0.0:
+            raise Refusal("Pose", "R_WT", "be a rotation", "a reflection")
+        for name, array in (("p_WT", p), ("R_WT", R)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
 
     @classmethod
     def from_quaternion(

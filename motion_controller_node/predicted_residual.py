@@ -7,11 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.bound import LARGEST_COUNT, POSITION
 from arm_emulator.refusal import Refusal
 from motion_controller_node.jacobian import POSITION_ROWS, JacobianController
 from motion_controller_node.pose import Pose
 
 FloatArray = npt.NDArray[np.float64]
+
+_Q = POSITION.named("q")
+_COUNT = POSITION.named("count_angle")
+_WIND_UP = POSITION.named("wind_up")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +92,20 @@ def predicted_residual(
     Raises:
         Refusal: values of a wrong length or sign, or a singular pose, where no bound exists.
     """
-    q = np.asarray(q, dtype=np.float64)
+    q = _Q.vector("predicted_residual", q, len(controller.joint_names))
     smallest = float(controller.singular_values(q)[-1])
     if smallest < controller.singular_below:
         rule = f"be away from singular poses (singular value >= {controller.singular_below:g})"
         raise Refusal("predicted_residual", "q", rule, f"one of {smallest:.2g}")
-    count = _vector(count_angle, q.shape, "count_angle")
-    if (count < 0.0).any() or held_within < 0.0:
-        raise Refusal("predicted_residual", "count_angle and held_within", "be >= 0", count_angle)
-    wound = np.zeros_like(q) if wind_up is None else _vector(wind_up, q.shape, "wind_up")
+    count = _COUNT.vector("predicted_residual", count_angle, len(q))
+    if (count < 0.0).any() or not 0.0 <= held_within <= LARGEST_COUNT:
+        got = f"{count} and {held_within}"
+        raise Refusal("predicted_residual", "count_angle and held_within", "be >= 0", got)
+    wound = (
+        np.zeros_like(q)
+        if wind_up is None
+        else _WIND_UP.vector("predicted_residual", wind_up, len(q))
+    )
     off = count * (held_within / controller.weight + 0.5)
     second = np.full(controller.rows, off.sum() * (0.5 * off.sum() + np.abs(wound).sum()))
     second[:POSITION_ROWS] *= controller.reach
@@ -104,12 +114,3 @@ def predicted_residual(
         encoder=np.abs(controller.jacobian(q)) @ off + second,
         wind_up=controller.tool_error(q, Pose(p_WT, R_WT)),
     )
-
-
-def _vector(values: npt.ArrayLike, shape: tuple[int, ...], quantity: str) -> FloatArray:
-    vector = np.asarray(values, dtype=np.float64)
-    if vector.shape != shape:
-        raise Refusal("predicted_residual", quantity, f"have {shape[0]} values", values)
-    if not np.isfinite(vector).all():
-        raise Refusal("predicted_residual", quantity, "be finite", values)
-    return vector
