@@ -48,6 +48,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     up.add_argument("--rerun-port", type=int, default=0, help="where a Rerun viewer may connect")
     up.add_argument("--rerun-file", default="", help="Rerun recording to write")
+    up.add_argument(
+        "--record",
+        type=Path,
+        metavar="FOLDER",
+        help="new bag, written by the emulator itself: complete whatever the network does",
+    )
     up.add_argument("--namespace", default="", help="of all nodes and topics, such as /cell1")
     up.add_argument(
         "--use-sim-time", action="store_true", help="the nodes' own clocks follow the emulator's"
@@ -176,6 +182,7 @@ def _up(arguments: argparse.Namespace) -> int:
         arguments.start,
         arguments.rerun_port,
         arguments.rerun_file,
+        record=arguments.record,
         namespace=arguments.namespace,
         use_sim_time=arguments.use_sim_time,
         params_file=arguments.params_file,

@@ -93,7 +93,7 @@ class Closable(Protocol):
     """A node that lets go of what it holds when its process ends."""
 
     def close(self) -> None:
-        """Let go."""
+        """Let go; a `Refusal` is told, and makes the exit code 1."""
 
 
 def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
@@ -175,6 +175,7 @@ class Diagnostics:
     Attributes:
         values: more to tell, by name.
         doubles: what to tell, and to warn of, while another node does the same.
+        say: what publishes; a node that records itself puts its own in place.
     """
 
     def __init__(self, node: Node, hardware_id: str) -> None:
@@ -183,7 +184,8 @@ class Diagnostics:
         namespace = node.get_namespace().strip("/")
         self._hardware_id = f"{namespace}/{hardware_id}" if namespace else hardware_id
         self._clock = node.get_clock()
-        self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", DIAGNOSTICS_QOS)
+        self.publisher = node.create_publisher(DiagnosticArray, "diagnostics", DIAGNOSTICS_QOS)
+        self.say: Callable[[DiagnosticArray], None] = self.publisher.publish
         self._refused: Counter[str] = Counter()
         self._newest_refusal = ""
         self._level, self._message = DiagnosticStatus.OK, "starting"
@@ -246,7 +248,7 @@ class Diagnostics:
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._clock.now().to_msg()
-        self._publisher.publish(array)
+        self.say(array)
 
     def _say(self, level: bytes, message: str) -> None:
         if (level, message) != (self._level, self._message):
@@ -290,11 +292,18 @@ def run_node(create: Callable[[], Closable]) -> None:
     finally:
         # A second Ctrl-C, from the terminal beside the launcher's, must not break off the ending.
         ctrl_c.leave_to_rclpy()
+        code = 0 if sys.exc_info()[0] is None else 1
         if node is not None:
-            node.close()
-        end_anyway(ENDING, code=0 if sys.exc_info()[0] is None else 1)
+            try:
+                node.close()
+            except Refusal as refusal:  # what it leaves behind is not as it was asked for
+                print(refusal, file=sys.stderr)
+                code = 1
+        end_anyway(ENDING, code=code)
         if node is not None:
             # Not left to the garbage collector: the middleware may leave its shared memory then.
             node.destroy_node()
         with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between
             rclpy.try_shutdown()
+    if code:
+        sys.exit(code)

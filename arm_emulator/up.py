@@ -8,6 +8,7 @@ from pathlib import Path
 
 from arm_emulator.bringup import Bringup
 from arm_emulator.ctrl_c import CtrlC
+from arm_emulator.refusal import Refusal
 
 
 def up(
@@ -17,11 +18,14 @@ def up(
     rerun_port: int,
     rerun_file: str,
     *,
+    record: Path | None = None,
     namespace: str = "",
     use_sim_time: bool = False,
     params_file: Path | None = None,
 ) -> int:
     """Run the network and return the exit code; see `Bringup` for the arguments.
+
+    `record` is the folder of a new bag, written by the emulator.
 
     It is that of the node that ended first (128 + the signal's number if a signal ended it), and 0
     on Ctrl-C or SIGTERM.
@@ -29,10 +33,13 @@ def up(
     streams: dict[str, object] = {"rerun_port": rerun_port}
     if rerun_file:
         streams["rerun_file"] = rerun_file
+    if record is not None:
+        if record.exists():
+            raise Refusal("up", f"folder {record}", "be new", "one that exists")
+        streams["record"] = record.resolve()
     CtrlC()
-    with (
-        contextlib.suppress(KeyboardInterrupt),
-        Bringup(
+    with contextlib.suppress(KeyboardInterrupt):
+        network = Bringup(
             scene,
             clock=clock,
             start=start,
@@ -40,13 +47,15 @@ def up(
             namespace=namespace,
             use_sim_time=use_sim_time,
             params_file=params_file,
-        ) as network,
-    ):
-        while True:
-            ended = network.ended()
-            if ended is not None:
-                name, code = ended
-                print(f"{name} ended with exit code {code}; ending the others")
-                return code if code >= 0 else 128 - code
-            time.sleep(0.1)
+        )
+        with contextlib.suppress(KeyboardInterrupt), network:
+            while True:
+                ended = network.ended()
+                if ended is not None:
+                    name, code = ended
+                    print(f"{name} ended with exit code {code}; ending the others")
+                    return code if code >= 0 else 128 - code
+                time.sleep(0.1)
+        if record is not None:
+            return max(0, network.stop().get("emulator", 0))  # 1: its record is not complete
     return 0

@@ -10,12 +10,17 @@ if __name__ == "__main__":  # before what takes long to import
 import threading
 import time
 from array import array
+from collections import deque
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -47,6 +52,10 @@ from emulator_node.rerun_stream import RerunStream
 from emulator_node.scene import example_robot_data, load_scene
 from emulator_node.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Session
 
+if TYPE_CHECKING:
+    from emulator_node.run_record import RunRecord
+
+AT_ONCE = 10  # messages of a recorded run in real time, published before it is looked for more
 STATUS_PERIOD = 0.5  # s, wall
 REPEAT_AFTER = (
     0.2  # s, wall: a state that nobody answers is said again, for partners that come late
@@ -72,6 +81,7 @@ class EmulatorParameters:
         minimum=0.0,
         maximum=10.0,
     )
+    record: str = parameter("", "folder of a new bag for what the emulator says, none if empty")
     rerun_file: str = parameter("", "Rerun recording to write, none if empty")
     rerun_port: int = parameter(
         0, "local port where a Rerun viewer may connect, 0 for none", minimum=0, maximum=65535
@@ -119,7 +129,6 @@ class EmulatorNode(Node):
         self._clocks = self.create_publisher(Clock, "clock", STATE_PUB_QOS)
         self._statuses = self.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
         self._descriptions = self.create_publisher(String, "robot_description", DESCRIPTION_QOS)
-        self._descriptions.publish(String(data=scene.urdf))
 
         self.create_subscription(MotorCommand, "motor_commands", self._on_command, COMMAND_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
@@ -128,6 +137,12 @@ class EmulatorNode(Node):
         self.create_subscription(
             RecorderReport, "emulator/recorders", self._on_recorder, COMMAND_SUB_QOS
         )
+        self._record: RunRecord | None = None
+        self._unpublished: deque[tuple[Publisher, bytes]] = deque()  # of the teller
+        self._teller: threading.Thread | None = None
+        if self._config.record:
+            self._begin_record(Path(self._config.record))
+        self._publish(self._descriptions, String(data=scene.urdf))
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -146,7 +161,6 @@ class EmulatorNode(Node):
             f"clock {self._config.clock}"
         )
         self._closing = False
-        self._teller: threading.Thread | None = None
         if isinstance(self._session, RealTimeSession):
             self._teller = threading.Thread(
                 target=self._tell_ticks, args=(self._session,), name="teller"
@@ -162,6 +176,8 @@ class EmulatorNode(Node):
             self._teller.join()
         self._session.close()
         self._stream.close()
+        if self._record is not None:
+            self._record.close()
 
     # Time
 
@@ -178,6 +194,8 @@ class EmulatorNode(Node):
             except Refusal as reason:
                 self._diagnostics.refuse("motor_commands", reason)
                 return
+            if self._record is not None:
+                self._record.put(self._commands, serialize_message(command))
             if self._session.lockstep:
                 self._go_on()
 
@@ -226,9 +244,15 @@ class EmulatorNode(Node):
 
     def _catch_up(self, session: RealTimeSession) -> None:
         with self._lock:
-            while session.take():
-                self._tell()
-            self._report_fault()
+            while True:
+                while session.take():
+                    self._tell()
+                self._report_fault()
+                if not self._unpublished:
+                    return
+                for _ in range(min(AT_ONCE, len(self._unpublished))):
+                    publisher, data = self._unpublished.popleft()
+                    publisher.publish(data)
 
     def _advance(self) -> None:
         self._session.advance()
@@ -245,6 +269,42 @@ class EmulatorNode(Node):
 
     # Telling
 
+    def _begin_record(self, folder: Path) -> None:
+        # Not without need: a stock ROS 2 machine may have no package for bags.
+        from arm_emulator.bag import Topic
+        from arm_emulator.record import definition_of
+        from emulator_node.run_record import RunRecord
+
+        said = (
+            self._motor_states, self._truths, self._clocks, self._statuses, self._descriptions,
+            self._diagnostics.publisher,
+        )  # fmt: skip
+        publishers = [
+            (one.topic_name, self.get_publishers_info_by_topic(one.topic_name)) for one in said
+        ]
+        self._commands = self.resolve_topic_name("motor_commands")
+        taken = (self._commands, self.get_subscriptions_info_by_topic(self._commands))
+        topics = []
+        for name, known in (*publishers, taken):
+            kind, offered = known[0].topic_type, tuple(one.qos_profile for one in known)
+            kind_hash = str(known[0].topic_type_hash)
+            topics.append(Topic(name, kind, definition_of(kind), offered, kind_hash))
+        self._record = RunRecord(folder, topics, self._session.lockstep)
+        self._diagnostics.say = partial(self._publish, self._diagnostics.publisher)
+
+    def _publish(self, publisher: Publisher, message: Any) -> None:
+        """Publish a message, and write it into the emulator's own record."""
+        if self._record is None:
+            publisher.publish(message)
+            return
+        data = serialize_message(message)
+        self._record.put(publisher.topic_name, data)
+        if threading.current_thread() is self._teller:
+            # The next ticks are written first: to publish takes ten times as long.
+            self._unpublished.append((publisher, data))
+        else:
+            publisher.publish(data)
+
     def _tell(self) -> None:
         """Tell the world this tick's state."""
         self._told_at = self._repeated_at = time.monotonic()
@@ -252,7 +312,7 @@ class EmulatorNode(Node):
         self._say_motor_state()
         if session.tick % self._report_ticks == 0:
             self._say_truth()
-            self._clocks.publish(Clock(clock=stamp(session.logical_ns)))
+            self._publish(self._clocks, Clock(clock=stamp(session.logical_ns)))
         self._stream.offer(
             session.logical_ns,
             state.q,
@@ -269,7 +329,7 @@ class EmulatorNode(Node):
         truth.position = array("d", state.q.tobytes())
         truth.velocity = array("d", state.v.tobytes())
         truth.effort = array("d", state.gear_torque.tobytes())
-        self._truths.publish(truth)
+        self._publish(self._truths, truth)
 
     def _say_motor_state(self) -> None:
         session, message = self._session, self._motor_state
@@ -280,7 +340,9 @@ class EmulatorNode(Node):
         message.current = array("d", session.state.current.tobytes())
         message.voltage = array("d", session.voltage.tobytes())
         self._recorders.published += 1
-        self._motor_states.publish(message)
+        if self._record is not None:
+            self._record.count(session.tick)
+        self._publish(self._motor_states, message)
 
     def _on_repeat(self) -> None:
         """Say an unanswered state again; report a partner that stays silent."""
@@ -326,6 +388,8 @@ class EmulatorNode(Node):
                 f"waiting for recorder {self._waited_for} to write what led to tick "
                 f"{session.tick}, for {waited:.0f} s"
             )
+        elif self._record is not None and self._record.trouble:
+            say.warn(f"the record is not complete: {self._record.trouble}")
         elif not session.powered:
             say.warn("the drives' power is off, motors at 0 V")
         else:
@@ -371,7 +435,7 @@ class EmulatorNode(Node):
             status.p99_lateness = figures.p99_lateness / NANOSECONDS
             status.real_time_priority = bool(figures.fifo)
             status.memory_locked = bool(figures.locked)
-        self._statuses.publish(status)
+        self._publish(self._statuses, status)
 
     # Services
 

@@ -36,6 +36,9 @@ ARGUMENTS = [
         description="Where to show the arm: a file to write (.rrd), or a port for a Rerun viewer",
     ),
     DeclareLaunchArgument(
+        "record", default_value="", description="New bag that the emulator writes, a folder"
+    ),
+    DeclareLaunchArgument(
         "namespace", default_value="", description="Of all nodes and topics, such as /cell1"
     ),
     DeclareLaunchArgument(
@@ -54,7 +57,7 @@ ARGUMENTS = [
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Return the three nodes, with the parameter files of the chosen scene."""
-    scene, clock, start, rerun, namespace, use_sim_time, params_file = (
+    scene, clock, start, rerun, record, namespace, use_sim_time, params_file = (
         LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
     )
     file = find_scene(scene)
@@ -65,6 +68,9 @@ def nodes(context: LaunchContext) -> list[Node]:
         emulator["rerun_port"] = int(rerun)
     elif rerun:
         emulator["rerun_file"] = rerun
+
+    if record:
+        emulator["record"] = str(Path(record).resolve())
 
     every = {"use_sim_time": use_sim_time == "true"}
     if params_file and not Path(params_file).is_file():

@@ -1,0 +1,342 @@
+"""Recordings lose nothing in lock-step, whatever becomes of a recorder, and count in real time."""
+
+from __future__ import annotations
+
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from network import PATIENCE, User, network, user
+from rclpy.serialization import deserialize_message
+
+from arm_emulator.bag import Bag, BagWriter, Topic, repair
+from arm_emulator.bringup import Bringup
+from arm_emulator.check import check
+from arm_emulator.recorded_runs import Numbered
+from arm_emulator.recorder_presence import RecorderPresence, recorders_of
+from arm_emulator.refusal import Refusal
+from arm_emulator_msgs.msg import MotorState
+from emulator_node import run_record
+from emulator_node.recorders import AHEAD, Recorders
+from emulator_node.recorders import PATIENCE as RECORDER_PATIENCE
+from emulator_node.run_record import RunRecord
+
+
+@contextmanager
+def recorder(out: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "arm_emulator", "record", str(out), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def end(process: subprocess.Popen[str], how: signal.Signals = signal.SIGINT) -> tuple[int, str]:
+    process.send_signal(how)
+    said, _ = process.communicate(timeout=PATIENCE)
+    return process.returncode, said
+
+
+def await_words(process: subprocess.Popen[str], words: str) -> str:
+    """Return the line with these words."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if words in line:
+            return line
+    raise AssertionError(f"ended without saying {words}")
+
+
+def ticks_in(bag: Path) -> list[int]:
+    return [
+        int(deserialize_message(m.data, MotorState).tick)
+        for m in Bag(bag).messages(["/motor_states"])
+    ]
+
+
+def assert_every_tick(bag: Path, at_least: int) -> None:
+    """Each tick from 0 on is there, and `check` finds the run equal."""
+    ticks = ticks_in(bag)
+    missing = set(range(max(ticks))) - set(ticks)
+    assert not missing, f"{len(missing)} of {max(ticks)} ticks are missing, first {min(missing)}"
+    assert max(ticks) >= at_least, "ticks that the test waited for"
+    assert check(bag, "three_axis") == 0, "check"
+
+
+def away(process: subprocess.Popen[str], seconds: float) -> None:
+    """Keep a process from running for a while."""
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(seconds)
+    process.send_signal(signal.SIGCONT)
+
+
+def await_ticks(one: User, count: int) -> None:
+    at = one.tick
+    one.wait(f"{count} ticks more", lambda: one.tick > at + count)
+
+
+@pytest.fixture(scope="module")
+def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path, str]:
+    """One run with three records: of a recorder that is often away, of one that is killed, its own.
+
+    Returns the three bags, and what the first recorder said.
+    """
+    folder = tmp_path_factory.mktemp("lockstep")
+    slow_bag, killed_bag, own_bag = (folder / name for name in ("slow", "killed", "own"))
+    draw = random.Random(4)
+    with (
+        user() as one,
+        recorder(slow_bag) as slow,
+        recorder(killed_bag) as killed,
+        network_of(one, folder / "log", record=own_bag, start="first_answer"),
+    ):
+        # As late as a busy machine may make them; the machine must not leave tick 0 before.
+        for process in (slow, killed):
+            process.send_signal(signal.SIGSTOP)
+        time.sleep(draw.uniform(0.5, 2.0))
+        for process in (slow, killed):
+            process.send_signal(signal.SIGCONT)
+        one.wait("the run", lambda: one.tick > 100)
+        for _ in range(3):
+            away(slow, draw.uniform(0.2, 1.0))
+            await_ticks(one, 50)
+        killed.kill()
+        await_ticks(one, 300)
+        said = one.wait("word of it", lambda: one.value("emulator", "newest of recorders"))
+        assert "has ended; its bag may need `repair`" in said
+        assert one.call("emulator/pause", True).success
+        code, words = end(slow)
+        assert code == 0, f"the recorder says that something is missing: {words}"
+    return slow_bag, killed_bag, own_bag, words
+
+
+@contextmanager
+def network_of(one: User, log: Path, **options: Any) -> Iterator[None]:
+    """Run a network in the domain of a user who is there already."""
+    clock, start = options.pop("clock", "lockstep"), options.pop("start")
+    with Bringup("three_axis", clock=clock, start=start, emulator=options, log=log) as nodes:
+        yield
+        codes = nodes.stop()
+        assert set(codes.values()) == {0}, f"exit codes {codes}"
+
+
+def test_a_recorder_that_is_often_away_misses_nothing(
+    lockstep_bags: tuple[Path, Path, Path, str],
+) -> None:
+    bag, _, _, said = lockstep_bags
+    assert_every_tick(bag, at_least=500)
+    assert "lost" not in said
+
+
+def test_a_killed_recorder_has_every_tick_before_it(
+    lockstep_bags: tuple[Path, Path, Path, str],
+) -> None:
+    _, bag, _, _ = lockstep_bags
+    assert repair(bag)
+    assert_every_tick(bag, at_least=1)
+
+
+def test_the_emulators_own_record_is_complete(
+    lockstep_bags: tuple[Path, Path, Path, str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    slow, _, bag, _ = lockstep_bags
+    assert Bag(bag).complete
+    assert_every_tick(bag, at_least=max(ticks_in(slow)))
+    # Every voltage is compared with a command: those that were taken are all there.
+    told = re.search(
+        r"(\d+) motor states, \d+ true joint states, (\d+) commands", capfd.readouterr().out
+    )
+    assert told is not None and int(told[2]) > 400, told
+    for topic in ("/robot_description", "/diagnostics", "/emulator/status", "/clock"):
+        assert Bag(bag).topics[topic].count > 0, topic
+
+
+def test_a_late_recorder_says_so_or_resets_on_request(tmp_path: Path) -> None:
+    with network(tmp_path / "log", start="first_answer") as (one, _):
+        one.wait("the run", lambda: one.tick > 200)
+        with recorder(tmp_path / "late") as late:
+            said = await_words(late, "the machine is at tick")
+            assert re.search(r"at tick \d+ already, and `check` needs a run from tick 0 on", said)
+            assert "--from-start" in said
+            with recorder(tmp_path / "reset", "--from-start") as again:
+                one.wait("the reset", lambda: 0 <= one.tick < 100)
+                await_ticks(one, 300)
+                assert one.call("emulator/pause", True).success
+                code, words = end(again, signal.SIGTERM)
+    assert code == 0 and "it is reset now" in words, words
+    ticks = ticks_in(tmp_path / "reset")
+    run = ticks[ticks.index(0) :]
+    assert set(run) == set(range(max(run) + 1)), "ticks from the reset on"
+    assert check(tmp_path / "reset", None) == 0
+
+
+def test_what_is_lost_in_real_time_is_counted_and_its_own_record_is_complete(
+    tmp_path: Path,
+) -> None:
+    """A recorder that is away for longer than publishers keep messages."""
+    with (
+        user() as one,
+        recorder(tmp_path / "away") as process,
+        network_of(
+            one, tmp_path / "log", clock="realtime", start="first_answer", record=tmp_path / "own"
+        ),
+    ):
+        one.wait("the run", lambda: one.tick > 100)
+        process.send_signal(signal.SIGSTOP)
+        await_ticks(one, 3000)  # more than publishers keep
+        process.send_signal(signal.SIGCONT)
+        await_words(process, "lost so far")  # while recording
+        code, said = end(process)
+    assert code == 1, said
+    told = re.search(r"; lost: .*?(\d+) ticks of /motor_states", said)
+    assert told is not None, said
+    ticks = ticks_in(tmp_path / "away")
+    span = range(min(ticks), max(ticks))
+    assert int(told[1]) == len(set(span) - set(ticks)) > 1000, said
+    assert_every_tick(tmp_path / "own", at_least=3000)
+
+
+# Without a network
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
+    """One publisher: to the message. Several: none without a loss, however they interleave."""
+    draw = random.Random(seed)
+    one = Numbered(lambda: 1)
+    first = draw.randrange(1, 1000)
+    kept = sorted(draw.sample(range(first, first + 500), 300))
+    for number in kept:
+        one.take(number)
+    assert one.lost == kept[-1] - kept[0] + 1 - len(kept)
+    assert one.newest == kept[-1]
+
+    publishers = draw.randrange(2, 5)
+    several = Numbered(lambda: publishers)
+    next_numbers = [draw.randrange(1, 1000) for _ in range(publishers)]
+    for _ in range(2000):
+        which = draw.randrange(publishers)
+        several.take(next_numbers[which])
+        next_numbers[which] += 1
+    assert several.lost == 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_recorder_is_ever_further_behind_than_it_may_be(seed: int) -> None:
+    """Recorders write at random speeds, and are killed or stay away at random moments."""
+    draw = random.Random(seed)
+    names = [f"{k}.{draw.randrange(16**8):08x}" for k in range(3)]
+    here, written, now = set(names), dict.fromkeys(names, 0), 0.0
+    one = Recorders(lambda: set(here))
+    one.begin()
+    one.published, tick = 1, 0
+    gone, asleep = names[0], names[1]
+    gone_at, asleep_at = draw.randrange(50, 2000), draw.randrange(50, 2000)
+    for step in range(6000):
+        now += 0.01
+        if step == gone_at:
+            here.discard(gone)
+        for name in names:
+            silent = (name == gone and step >= gone_at) or (name == asleep and step >= asleep_at)
+            if not silent and draw.random() < 0.3:
+                written[name] = min(one.published, written[name] + draw.randrange(40))
+                one.report(name, written[name], False)
+        if not one.behind(tick == 0, now):
+            if tick == 0:
+                assert min(written.values()) >= 1, "tick 0 was left before all had written it"
+            tick += 1
+            one.published += 1
+        kept = [w for name, w in written.items() if name in one.names]
+        assert one.published - min(kept, default=one.published) <= AHEAD + 1
+    assert one.names == [names[2]], "who is gone, or writes nothing, is let go"
+    said = " ".join(one.news)
+    assert f"recorder {gone} has ended" in said
+    assert f"recorder {asleep} has written nothing for {RECORDER_PATIENCE:g} s" in said
+    assert tick > 1000, "the machine went on"
+
+
+def test_reports_that_no_recorder_wrote_stop_nothing() -> None:
+    one = Recorders(set)
+    one.published = 10
+    for name in ("", "x" * 300, "1.xyz", "1.00000000\n"):
+        with pytest.raises(Refusal, match="be a recorder's name"):
+            one.report(name, 5, False)
+    one.report("1.00000000", 2**63, False)
+    assert one.names == []
+
+
+def test_recorders_are_known_before_the_network_tells_of_them(monkeypatch: Any) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "93")
+    with RecorderPresence(None) as every, RecorderPresence(["cell1/motor_states", "clock"]) as some:
+        with RecorderPresence(["clock"]):
+            assert recorders_of("/cell1/motor_states") == {every.recorder, some.recorder}
+        assert recorders_of("/motor_states") == {every.recorder}
+        monkeypatch.setenv("ROS_DOMAIN_ID", "94")
+        assert recorders_of("/motor_states") == set()
+        monkeypatch.setenv("ROS_DOMAIN_ID", "93")
+    assert recorders_of("/cell1/motor_states") == set()
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_a_slow_disk_makes_lockstep_wait_and_real_time_count(
+    waits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_record, "CAPACITY", 50)
+    monkeypatch.setattr(BagWriter, "write", _slow_write(BagWriter.write))
+    record = RunRecord(tmp_path / "bag", [Topic("/talk", "std_msgs/msg/String")], waits)
+    for k in range(1000):
+        record.put("/talk", k.to_bytes(4, "little"))
+    if waits:
+        record.close()
+    else:
+        with pytest.raises(Refusal, match=r"\d+ messages were dropped, the disk is too slow"):
+            record.close()
+    kept = [int.from_bytes(m.data, "little") for m in Bag(tmp_path / "bag").messages()]
+    assert Bag(tmp_path / "bag").complete
+    assert len(kept) + record.dropped == 1000, "what is neither kept nor counted"
+    assert (record.dropped == 0) == waits
+    assert kept == sorted(kept)
+
+
+def _slow_write(write: Callable[..., None]) -> Callable[..., None]:
+    def slow(self: BagWriter, *arguments: Any) -> None:
+        time.sleep(1e-4)
+        write(self, *arguments)
+
+    return slow
+
+
+def test_a_full_disk_stops_no_machine_and_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_record, "CAPACITY", 50)
+    write, left = BagWriter.write, 300
+
+    def full(self: BagWriter, *arguments: Any) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise OSError(28, "No space left on device")
+        write(self, *arguments)
+
+    monkeypatch.setattr(BagWriter, "write", full)
+    record = RunRecord(tmp_path / "bag", [Topic("/talk", "std_msgs/msg/String")], waits=True)
+    for k in range(1000):
+        record.put("/talk", k.to_bytes(4, "little"))
+    with pytest.raises(Refusal, match="the disk takes no more: No space left on device"):
+        record.close()
+    assert Bag(tmp_path / "bag").complete
+    assert Bag(tmp_path / "bag").topics["/talk"].count == 300
