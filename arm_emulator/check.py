@@ -306,9 +306,10 @@ def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
     for _, array in _read(bag, topics, ("diagnostics",)):
         for status in array.status:
             if status.name.split("/")[-1] == "emulator" and status.hardware_id:
-                if (folder / f"{status.hardware_id}.yaml").is_file():
-                    return str(status.hardware_id)
-                got = f"none, and {status.hardware_id} does not come along"
+                name = status.hardware_id.split("/")[-1]  # after the namespace
+                if (folder / f"{name}.yaml").is_file():
+                    return str(name)
+                got = f"none, and {name} does not come along"
                 raise Refusal("check", "--scene", "name the scene's file", got)
     _, state = next(_read(bag, topics, ("motor_states",)))
     fitting = [

@@ -55,7 +55,8 @@ from emulator_node.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Se
 if TYPE_CHECKING:
     from emulator_node.run_record import RunRecord
 
-AT_ONCE = 10  # messages of a recorded run in real time, published before it is looked for more
+AT_ONCE = 10  # messages in real time that are published before new ticks are looked for
+UNPUBLISHED = 1000  # messages in real time that may wait: who controls needs the newest ones
 STATUS_PERIOD = 0.5  # s, wall
 REPEAT_AFTER = (
     0.2  # s, wall: a state that nobody answers is said again, for partners that come late
@@ -140,6 +141,7 @@ class EmulatorNode(Node):
         self._record: RunRecord | None = None
         self._unpublished: deque[tuple[Publisher, bytes]] = deque()  # of the teller
         self._teller: threading.Thread | None = None
+        self._too_late = 0  # messages of the teller that gave way to newer ones
         if self._config.record:
             self._begin_record(Path(self._config.record))
         self._publish(self._descriptions, String(data=scene.urdf))
@@ -294,16 +296,21 @@ class EmulatorNode(Node):
 
     def _publish(self, publisher: Publisher, message: Any) -> None:
         """Publish a message, and write it into the emulator's own record."""
-        if self._record is None:
+        if self._record is None and self._teller is None:
             publisher.publish(message)
             return
         data = serialize_message(message)
-        self._record.put(publisher.topic_name, data)
-        if threading.current_thread() is self._teller:
-            # The next ticks are written first: to publish takes ten times as long.
-            self._unpublished.append((publisher, data))
-        else:
+        if self._record is not None:
+            self._record.put(publisher.topic_name, data)
+        if threading.current_thread() is not self._teller:
             publisher.publish(data)
+            return
+        # The next ticks are taken and written first: to publish takes longer.
+        if len(self._unpublished) >= UNPUBLISHED:
+            self._unpublished.popleft()
+            self._too_late += 1
+            self._diagnostics.values["messages too late to publish"] = self._too_late
+        self._unpublished.append((publisher, data))
 
     def _tell(self) -> None:
         """Tell the world this tick's state."""

@@ -134,8 +134,8 @@ class RealTime {
   }
 
  private:
-  static constexpr int kRing = 1024;  // s of backlog at 1 kHz
-  static constexpr int kBins = 4096;  // lateness by the microsecond, the last bin is "more"
+  static constexpr int kRing = 16384;  // 16 s of backlog at 1 kHz: a busy machine may let us wait
+  static constexpr int kBins = 4096;   // lateness by the microsecond, the last bin is "more"
   static constexpr std::int64_t kOldAfter = 2;  // servo periods
 
   void run() {
