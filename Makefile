@@ -11,6 +11,8 @@ help:
 	@echo 'make setup              prepare .venv/ and install/; every command below does it by itself'
 	@echo 'make demo [SCENE=ur5]   three nodes move an arm: three_axis, ur5, panda, or a scene file'
 	@echo 'make test               run the tests'
+	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
+	@echo 'make fuzz               random scenes, messages and machines, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
 	@echo 'make lint               check style and types'
 	@echo 'make format             put the sources into shape'
@@ -129,6 +131,15 @@ demo: setup $(ROBOTS)
 test: setup .venv/.robots
 	@$(RUN) && pytest $(ARGS)
 
+# Those that start processes.
+NETWORK_TESTS := $(addprefix test/test_,lockstep.py network.py launch.py bags.py examples.py)
+
+test-under-load: setup .venv/.robots
+	@$(RUN) && python -m bench.under_load $(ARGS) -- pytest -q $(NETWORK_TESTS)
+
+fuzz: setup .venv/.robots
+	@$(RUN) && PYTHONPATH=test:$$PYTHONPATH python -m fuzz $(ARGS)
+
 bench: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m arm_emulator bench $(ARGS)
 
@@ -149,4 +160,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup demo test bench lint format clean distclean FORCE
+.PHONY: help setup demo test test-under-load fuzz bench lint format clean distclean FORCE

@@ -79,7 +79,7 @@ class MotionControllerNode(Node):
         self._instructor.start_over()
 
     def _on_description(self, message: String) -> None:
-        if message.data == self._urdf:
+        if self._controller is not None and message.data == self._urdf:
             return
         try:
             controller = JacobianController(

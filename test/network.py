@@ -61,7 +61,7 @@ class User:
         self._raw_states: list[bytes] = []
         self.tick = -1  # newest tick recorded, -1 for none
         self.machine = 0  # the emulator whose states are recorded, 0 for any
-        self._own_states: set[bytes] = set()  # what was sent as a motor state, by this user
+        self.own_states: set[bytes] = set()  # what was sent as a motor state, by this user
         self._gone: set[bytes] = set()  # listeners whose process was killed
         self.status: EmulatorStatus | None = None
         self.truth: JointState | None = None
@@ -169,7 +169,7 @@ class User:
         self.await_listener(publisher)
         data = message if isinstance(message, bytes) else serialize_message(message)
         if publisher is self.states:
-            self._own_states.add(data)
+            self.own_states.add(data)
         publisher.publish(data)
 
     def await_listener(self, publisher: Any) -> None:
@@ -239,7 +239,7 @@ class User:
         return [message for message in self.words.get(node, []) if message.startswith(words)]
 
     def _on_state(self, raw: bytes) -> None:
-        if any(raw[: len(raw) - padding] in self._own_states for padding in range(4)):
+        if any(raw[: len(raw) - padding] in self.own_states for padding in range(4)):
             return
         state = deserialize_message(raw, MotorState)
         if self.machine not in (0, state.machine):

@@ -167,6 +167,8 @@ def _sound(
         p, o = target.pose.position, target.pose.orientation
         p.x, p.y, p.z = (rng.uniform(-0.5, 0.5) for _ in range(3))
         quaternion = [rng.gauss(0.0, 1.0) for _ in range(4)]
+        if not any(quaternion):
+            quaternion[3] = 1.0
         length = math.hypot(*quaternion)
         o.x, o.y, o.z, o.w = (x / length for x in quaternion)
         target.header.stamp = _time(tick * period_ns)

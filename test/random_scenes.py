@@ -381,7 +381,7 @@ def _inertial(rng: Rng, link: ET.Element, tidy: bool) -> None:
     if rng.random() < 0.7:
         ET.SubElement(inertial, "origin", xyz=_three(rng, tidy), rpy=_three(rng, tidy))
     mass = rng.uniform(0.1, 5.0) if tidy else abs(number(rng))
-    A = rng.normal(size=(3, 3)) if tidy else np.full((3, 3), number(rng))
+    A = rng.normal(size=(3, 3)) if tidy else np.full((3, 3), float(number(rng)))
     with np.errstate(all="ignore"):
         I = A @ A.T  # noqa: E741
     shape = rng.integers(5)

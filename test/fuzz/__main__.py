@@ -1,0 +1,236 @@
+"""`make fuzz`: python -m fuzz [--minutes 10] [--seed 1] [--scenes N] [--messages N] [--machines N].
+
+Without numbers, scenes and machines share the time that messages leave. What fails is told with the
+command that shows it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import selectors
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from fuzz.cores import environment
+from fuzz.line import FAILED, REFUSED, TAKEN
+
+WORKERS = 2
+MESSAGES_PER_MINUTE = 1000  # of the time for all, where no number is asked for
+HANGS = {"scenes": 20.0, "cores": 300.0, "messages": 120.0}  # s without a word; a compiler may take
+OUT = Path("out/fuzz")
+
+
+@dataclass
+class Worker:
+    """A process that tries cases FIRST, FIRST + STEP, ... of a part; it goes on after a crash."""
+
+    part: str
+    arguments: list[str]
+    first: int = 0
+    environment: dict[str, str] | None = None
+    case: int = -1
+    heard: float = 0.0
+    rest: bytes = b""
+    process: subprocess.Popen[bytes] = field(init=False)
+
+    def start(self) -> None:
+        """Start, or go on with the case `first`."""
+        words = [str(self.first), str(WORKERS)] if self.part != "messages" else []
+        seed, *more = self.arguments
+        self.errors = tempfile.TemporaryFile()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", f"fuzz.{self.part}", seed, *more, *words],
+            stdout=subprocess.PIPE,
+            stderr=self.errors,
+            env=self.environment,
+        )
+        self.heard = time.monotonic()
+
+    def lines(self) -> Iterator[dict[str, Any]]:
+        """Return what it has told since."""
+        assert self.process.stdout is not None
+        data = os.read(self.process.stdout.fileno(), 1 << 16)
+        self.heard = time.monotonic()
+        *whole, self.rest = (self.rest + data).split(b"\n")
+        for one in whole:
+            with contextlib.suppress(json.JSONDecodeError):  # what a library prints
+                yield json.loads(one)
+
+    def stop(self) -> None:
+        """End it."""
+        self.process.kill()
+        self.process.wait()
+        self.errors.close()
+
+    def last_words(self) -> str:
+        """Return the end of what it wrote to standard error."""
+        self.errors.seek(0)
+        return self.errors.read().decode(errors="replace")[-4000:]
+
+
+class Fuzzer:
+    """Runs workers and counts what came of their cases."""
+
+    def __init__(self, seed: int, progress: Progress, console: Console) -> None:
+        self.seed = seed
+        self.counts: dict[str, Counter[str]] = {}
+        self.seconds: Counter[str] = Counter()
+        self._progress, self._console = progress, console
+
+    def run(self, part: str, workers: list[Worker], cases: int | None, until: float) -> None:
+        """Run the workers until so many cases are done, or `until`, a time.monotonic()."""
+        started = time.monotonic()
+        name = part if workers[0].part != "messages" else f"{part}, {workers[0].arguments[1]}"
+        count = self.counts.setdefault(name, Counter())
+        total = cases if cases is not None else max(1.0, until - started)
+        bar = self._progress.add_task(name, total=total, words="")
+        done = 0
+        with selectors.DefaultSelector() as selector:
+
+            def watch(worker: Worker) -> None:
+                worker.start()
+                selector.register(worker.process.stdout, selectors.EVENT_READ, worker)  # type: ignore[arg-type]
+
+            for worker in workers:
+                watch(worker)
+            running = list(workers)
+            while running and (cases is None or done < cases):
+                if cases is None and time.monotonic() > until:
+                    break
+                for key, _ in selector.select(timeout=0.5):
+                    worker = key.data
+                    for line in worker.lines():
+                        done += self._take(name, worker, count, line)
+                for worker in list(running):
+                    silent = time.monotonic() - worker.heard > HANGS[worker.part]
+                    if worker.process.poll() is None and not silent:
+                        continue
+                    for line in worker.lines() if not silent else ():
+                        done += self._take(name, worker, count, line)
+                    selector.unregister(worker.process.stdout)  # type: ignore[arg-type]
+                    code = worker.process.poll()
+                    if code != 0:
+                        what = f"hangs for {HANGS[worker.part]:g} s" if silent else f"exit {code}"
+                        self._fail(name, worker, count, f"{what}\n{worker.last_words()}")
+                        done += 1
+                    worker.stop()
+                    if worker.part == "messages":
+                        running.remove(worker)
+                    else:
+                        worker.first = worker.case + WORKERS
+                        watch(worker)
+                now = done if cases is not None else time.monotonic() - started
+                words = ", ".join(f"{what} {number}" for what, number in sorted(count.items()))
+                self._progress.update(bar, completed=min(now, total), words=words)
+            for worker in running:
+                worker.stop()
+        self.seconds[name] += round(time.monotonic() - started)
+
+    def _take(self, name: str, worker: Worker, count: Counter[str], line: dict[str, Any]) -> int:
+        """Note a line; return how many cases it ends."""
+        if "begin" in line:
+            worker.case = line["begin"]
+        elif "sent" in line:
+            return int(line["sent"])
+        elif line.get("outcome") == FAILED:
+            self._fail(name, worker, count, line["what"])
+            return 1
+        elif "outcome" in line:
+            count[line["outcome"]] += line["count"]
+            return int(worker.part == "scenes")
+        return int(worker.part == "cores" and "done" in line)
+
+    def _fail(self, name: str, worker: Worker, count: Counter[str], what: str) -> None:
+        count[FAILED] += 1
+        OUT.mkdir(parents=True, exist_ok=True)
+        words = "-".join([worker.part, *worker.arguments[:2], str(worker.case)])
+        file = OUT / f"{words}.txt"
+        file.write_text(f"{what}\n", errors="replace")
+        last = what.strip().splitlines()[-1][:160] if what.strip() else ""
+        self._console.print(f"{name}, case {worker.case}: {last} ({file})", markup=False)
+
+
+def properties(examples: int, seed: int) -> Counter[str]:
+    """Let Hypothesis look for messages that break a node; what it finds, it keeps."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    log = OUT / "hypothesis.txt"
+    command = [sys.executable, "-m", "pytest", "-q", f"--hypothesis-seed={seed}", "-k", "_message_"]
+    with log.open("w") as out:
+        done = subprocess.run(
+            [*command, "test/test_fuzz.py"],
+            env={**os.environ, "FUZZ_EXAMPLES": str(examples)},
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            check=False,
+        )
+    failed = int(done.returncode != 0)
+    return Counter({TAKEN: 2 * examples * (1 - failed), FAILED: failed})
+
+
+def main() -> None:
+    """Fuzz, show a table, exit with code 1 if anything failed."""
+    parser = argparse.ArgumentParser(prog="make fuzz", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0, help="where no number is asked for")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--scenes", type=int, help="how many scenes and URDFs")
+    parser.add_argument("--messages", type=int, help="how many messages, half in each clock")
+    parser.add_argument("--machines", type=int, help="how many machines, compiled with sanitizers")
+    arguments = parser.parse_args()
+    console = Console(highlight=False)
+    numbered = (arguments.scenes, arguments.messages, arguments.machines)
+    bounded = any(number is not None for number in numbered)
+    messages = arguments.messages
+    if messages is None and not bounded:
+        messages = round(MESSAGES_PER_MINUTE * arguments.minutes)
+    deadline = time.monotonic() + 60.0 * arguments.minutes
+    seed = str(arguments.seed)
+    progress = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[words]}"),
+        TimeElapsedColumn(),
+        console=console,
+    )
+    with progress, tempfile.TemporaryDirectory(prefix="fuzz-cache-") as cache:
+        fuzzer = Fuzzer(arguments.seed, progress, console)
+        for clock in ("lockstep", "realtime") if messages else ():
+            share = str(messages // 2)
+            fuzzer.run("messages", [Worker("messages", [seed, clock, share])], None, deadline + 1e9)
+        if not bounded:
+            started = time.monotonic()
+            name = "messages, Hypothesis"
+            fuzzer.counts[name] = properties(round(200 * arguments.minutes), arguments.seed)
+            fuzzer.seconds[name] = round(time.monotonic() - started)
+        now = time.monotonic()
+        half = now + max(0.0, deadline - now) / 2
+        if arguments.scenes is not None or not bounded:
+            workers = [Worker("scenes", [seed], first) for first in range(WORKERS)]
+            fuzzer.run("scenes", workers, arguments.scenes, half)
+        if arguments.machines is not None or not bounded:
+            sanitized = environment(Path(cache))
+            workers = [Worker("cores", [seed], first, sanitized) for first in range(WORKERS)]
+            fuzzer.run("machines", workers, arguments.machines, deadline)
+    table = Table("part", TAKEN, REFUSED, FAILED, "seconds")
+    for name, count in fuzzer.counts.items():
+        figures = (count[TAKEN], count[REFUSED], count[FAILED], fuzzer.seconds[name])
+        table.add_row(name, *map(str, figures))
+    console.print(table)
+    sys.exit(any(count[FAILED] for count in fuzzer.counts.values()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,233 @@
+"""Random machines whose compiled core watches itself: AddressSanitizer and UBSan.
+
+python -m fuzz.cores SEED FIRST STEP: machine FIRST, FIRST + STEP, ... of a seed, until it is ended.
+
+Whatever is asked of a machine, it answers, refuses or tells a divergence; what it refuses changes
+nothing, and its state is always finite.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from machines import random_chain_urdf, write_scene
+
+from arm_emulator.refusal import Refusal
+from emulator_node.plant import Diverged, Plant
+from emulator_node.real_time import RealTimeSession
+from emulator_node.scene import SCHEMES, Scene, load_scene
+from fuzz.line import FAILED, REFUSED, TAKEN, tell
+
+HERE = Path(__file__).resolve().parent
+CALLS = 200  # of one machine
+LARGEST = 1.7e308
+
+
+def environment(cache: Path) -> dict[str, str]:
+    """Return the environment of a process whose machines are compiled by `sanitizing_cxx`."""
+    libraries = [
+        subprocess.run(
+            [os.environ.get("SANITIZED_CXX", "c++"), f"-print-file-name={name}"],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+        for name in ("libasan.so", "libubsan.so")
+    ]
+    return {
+        **os.environ,
+        "CXX": str(HERE / "sanitizing_cxx"),
+        "ARM_EMULATOR_CACHE": str(cache),  # apart from the machines that people use
+        "LD_PRELOAD": " ".join(libraries),
+        "ASAN_OPTIONS": "detect_leaks=0",  # Python's
+        "UBSAN_OPTIONS": "print_stacktrace=1",
+    }
+
+
+def size(rng: np.random.Generator, ordinary: float) -> float:
+    """Return a number > 0, mostly near an ordinary one, now and then far away from it."""
+    span = 1.0 if rng.random() < 0.8 else 8.0
+    return float(ordinary * 10.0 ** rng.uniform(-span, span))
+
+
+def random_joint(rng: np.random.Generator) -> dict[str, Any]:
+    """Return a random section of a joint."""
+    joint: dict[str, Any] = {"start": float(rng.normal())}
+    if rng.random() < 0.85:
+        joint["motor"] = {
+            "resistance": size(rng, 1.0),
+            "torque_constant": size(rng, 0.05),
+            "back_emf_constant": size(rng, 0.05),
+            "rotor_inertia": size(rng, 1e-4),
+            **({"inductance": size(rng, 1e-3)} if rng.random() < 0.6 else {}),
+            **({"current_limit": size(rng, 10.0)} if rng.random() < 0.4 else {}),
+        }
+        if rng.random() < 0.8:
+            joint["gear"] = {"ratio": float(min(size(rng, 0.01), 1000.0))}
+            if rng.random() < 0.7:
+                joint["gear"] |= {"stiffness": size(rng, 1e4), "damping": size(rng, 10.0)}
+        if rng.random() < 0.7:
+            joint["encoder"] = {"counts_per_turn": int(rng.integers(1, 100_000))}
+    if rng.random() < 0.5:
+        joint["friction"] = {"viscous": size(rng, 0.1)}
+        if rng.random() < 0.5:
+            joint["friction"]["coulomb"] = size(rng, 0.5)
+    return joint
+
+
+def random_machine(rng: np.random.Generator, folder: Path, joints: int) -> Path:
+    """Write a random scene of so many joints and return its path."""
+    urdf = random_chain_urdf(rng, joints)
+    names = [
+        line.split('"')[1]
+        for line in urdf.splitlines()
+        if "<joint" in line and 'type="fixed"' not in line
+    ]
+    scheme = str(rng.choice(SCHEMES))
+    dt = float(rng.choice([1e-3, 5e-4, 1e-4, 2e-5]))
+    keys: dict[str, Any] = {"integrator": {"scheme": scheme, "dt": dt}}
+    if scheme != "rosenbrock" and rng.random() < 0.4:
+        keys["threads"] = 2
+        keys["integrator"]["exchange"] = str(rng.choice(["predict", "lag"]))
+    if rng.random() < 0.7:
+        keys["gravity"] = [0.0, 0.0, -9.81]
+    if rng.random() < 0.3:
+        keys["payload"] = {"mass": size(rng, 1.0)}
+    folder.mkdir(parents=True)
+    return write_scene(folder, urdf, {name: random_joint(rng) for name in names}, **keys)
+
+
+def numbers(rng: np.random.Generator, count: int, ordinary: float) -> Any:
+    """Return numbers as somebody may give them: mostly sound, now and then absurd."""
+    values = rng.normal(0.0, ordinary, count)
+    kind = rng.random()
+    if kind < 0.15:
+        at = rng.integers(count)
+        values[at] = rng.choice([LARGEST, -LARGEST, 1e200, -1e160, 5e-324, -0.0, 1e18, 2.0**63])
+    elif kind < 0.25:
+        values[rng.integers(count)] = rng.choice([math.nan, math.inf, -math.inf])
+    elif kind < 0.3:
+        return rng.normal(size=int(rng.integers(0, 2 * count + 2)))
+    elif kind < 0.33:
+        return rng.choice(np.array([None, "one", [[]]], dtype=object))
+    return values
+
+
+def steps(rng: np.random.Generator) -> int:
+    """Return a number of steps, now and then an absurd one."""
+    if rng.random() < 0.1:
+        return int(rng.choice(np.array([-1, 2**62, 2**63, 2**64, -(2**63)], dtype=object)))
+    return int(rng.choice([0, 1, 2, 10, 300]))
+
+
+def ask(rng: np.random.Generator, plant: Plant) -> None:
+    """Ask anything of a machine."""
+    N = len(plant.scene.joints)
+    what = rng.random()
+    if what < 0.55:
+        plant.advance(numbers(rng, N, 30.0), steps(rng))
+    elif what < 0.7:
+        plant.run([numbers(rng, N, 30.0) for _ in range(int(rng.integers(0, 6)))], steps(rng))
+    elif what < 0.85:
+        plant.reset(numbers(rng, N, 1.0), numbers(rng, N, 1.0) if rng.random() < 0.5 else None)
+    elif what < 0.9:
+        plant.reset()
+    else:
+        plant.link_accelerations(*rng.normal(size=(3, int(rng.integers(1, 5)), N)))
+
+
+def bits(plant: Plant) -> bytes:
+    """Return the whole state."""
+    state = plant.state
+    arrays = (state.current, state.theta_m, state.omega_m, state.q, state.v, state.gear_torque)
+    return b"".join(array.tobytes() for array in (np.float64(state.t), *arrays))
+
+
+def drive(rng: np.random.Generator, scene: Scene) -> dict[str, int]:
+    """Ask a machine many things; return how often it answered and refused."""
+    plant = Plant(scene)
+    count = {TAKEN: 0, REFUSED: 0}
+    for _ in range(CALLS):
+        before = bits(plant)
+        try:
+            ask(rng, plant)
+        except Refusal as refusal:
+            count[REFUSED] += 1
+            assert bits(plant) == before, f"refused, and yet the state changed: {refusal}"
+            assert "\n" not in str(refusal), f"more than one line: {refusal}"
+        except Diverged:
+            count[REFUSED] += 1
+        else:
+            count[TAKEN] += 1
+        state = plant.state
+        values = np.concatenate((state.current, state.omega_m, state.q, state.v))
+        assert np.isfinite(values).all(), f"a state that is not finite: {state}"
+        assert not math.isnan(plant.energy), f"energy {plant.energy} in state {state}"
+    return count
+
+
+def drive_in_real_time(rng: np.random.Generator, scene: Scene) -> None:
+    """Let the real-time loop run for a moment, under commands, power cuts, pauses and resets."""
+    session = RealTimeSession(scene, "free_run")
+    names = scene.joint_names
+    try:
+        end = time.monotonic() + 0.1
+        while time.monotonic() < end:
+            session.wait(timeout=0.005)
+            while session.take():
+                pass
+            try:
+                session.offer(session.tick, names, rng.normal(0.0, 30.0, len(names)).tolist())
+            except Refusal:
+                pass
+            if rng.random() < 0.2:
+                session.powered = bool(rng.integers(2))
+            if rng.random() < 0.1:
+                session.paused = bool(rng.integers(2))
+            if rng.random() < 0.05:
+                session.reset()
+    finally:
+        session.close()
+
+
+def case(seed: int, number: int, folder: Path, largest: int = 4) -> dict[str, int]:
+    """Make and drive machine `number` of a seed; return how often it answered and refused."""
+    rng = np.random.default_rng([seed, number])
+    path = random_machine(rng, folder, int(rng.integers(1, largest + 1)))
+    try:
+        scene = load_scene(path)
+    except Refusal:
+        return {TAKEN: 0, REFUSED: 1}
+    count = drive(rng, scene)
+    drive_in_real_time(rng, scene)
+    return count
+
+
+def main() -> None:
+    """Tell of each machine before and after it."""
+    seed, first, step = map(int, sys.argv[1:])
+    with tempfile.TemporaryDirectory(prefix="fuzz-cores-") as scratch:
+        for number in itertools.count(first, step):
+            tell(begin=number)
+            try:
+                count = case(seed, number, Path(scratch, str(number)))
+            except Exception:  # whatever it is, it is what is looked for
+                tell(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
+            else:
+                for outcome, much in count.items():
+                    tell(outcome=outcome, count=much)
+                tell(done=1)
+
+
+if __name__ == "__main__":
+    main()

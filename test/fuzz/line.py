@@ -1,0 +1,14 @@
+"""What the parts of the fuzzer tell the one that runs them: one JSON object per line."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+# What a line may count.
+TAKEN, REFUSED, FAILED = "taken", "refused", "failed"
+
+
+def tell(**words: Any) -> None:
+    """Print one line: `begin` with the case, or `outcome` with `count`, and what else there is."""
+    print(json.dumps(words), flush=True)

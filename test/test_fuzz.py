@@ -1,0 +1,119 @@
+"""A short part of `make fuzz`, and all that ever broke (test/corpus/)."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from doors import Doors, doors
+from fuzz import cores, messages, scenes
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.database import DirectoryBasedExampleDatabase
+from random_messages import RECEIVER, TOPICS, bad_message, random_message
+from random_scenes import verdict
+
+CORPUS = Path(__file__).resolve().parent / "corpus"
+# `make fuzz` asks for more.
+LONG = "FUZZ_EXAMPLES" in os.environ
+examples = settings(
+    max_examples=int(os.environ.get("FUZZ_EXAMPLES", "100")),
+    derandomize=not LONG,
+    # What fails once is tried first from then on.
+    database=DirectoryBasedExampleDatabase(CORPUS / "hypothesis") if LONG else None,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
+randoms = st.randoms(use_true_random=False)
+topics = st.sampled_from(TOPICS)
+
+
+@pytest.mark.parametrize("number", range(60))
+def test_a_random_scene_is_taken_or_refused_in_one_line(number: int, tmp_path: Path) -> None:
+    scenes.case(0, number, tmp_path / "case")
+
+
+@pytest.mark.parametrize("folder", sorted((CORPUS / "scenes").iterdir()), ids=lambda f: f.name)
+def test_a_scene_that_broke_something_is_taken_or_refused(folder: Path) -> None:
+    verdict(folder / "scene.yaml")
+
+
+@pytest.fixture(scope="module")
+def at_the_doors() -> Iterator[Doors]:
+    with doors() as one:
+        yield one
+
+
+@given(rng=randoms, topic=topics, tick=st.integers(0, 10**6))
+@examples
+def test_a_bad_message_is_refused_and_changes_nothing(
+    at_the_doors: Doors, rng: Any, topic: str, tick: int
+) -> None:
+    node = RECEIVER[topic]
+    message = bad_message(rng, topic, at_the_doors.joint_names, 1000 + tick)
+    state, refused = at_the_doors.state(node), at_the_doors.refused(node)
+    at_the_doors.give(node, topic, message)
+    assert at_the_doors.refused(node) == refused + 1, f"{node} has not refused {message}"
+    after = at_the_doors.state(node)
+    changed = {name: (state[name], after[name]) for name in state if state[name] != after[name]}
+    assert not changed, f"{node} refused {topic} and changed {changed}"
+
+
+@given(rng=randoms, topic=topics, tick=st.integers(0, 10**6))
+@examples
+def test_any_message_is_taken_or_refused(
+    at_the_doors: Doors, rng: Any, topic: str, tick: int
+) -> None:
+    message = random_message(rng, topic, at_the_doors.joint_names, tick)
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        at_the_doors.give(RECEIVER[topic], topic, message)
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_a_network_survives_random_messages(clock: str, tmp_path: Path) -> None:
+    count = messages.fuzz(0, clock, 480, tmp_path)
+    assert count["refused"] > 100, f"of bad messages, hardly one was refused: {count}"
+
+
+@pytest.mark.parametrize("number", range(2))
+def test_a_random_machine_answers_or_refuses(number: int, tmp_path: Path) -> None:
+    cores.case(0, number, tmp_path / "case", largest=2)
+
+
+SANITIZED = """
+import sys
+from pathlib import Path
+from fuzz import cores
+cores.case(0, 0, Path(sys.argv[1]), largest=1)
+"""
+
+
+def test_the_core_is_clean_under_its_sanitizers(tmp_path: Path) -> None:
+    """One machine of one joint: a compiler takes long with sanitizers."""
+    environment = cores.environment(tmp_path)
+    environment["PYTHONPATH"] = ":".join(sys.path)
+    command = [sys.executable, "-c", SANITIZED, str(tmp_path / "case")]
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=300.0, check=False
+    )
+    assert done.returncode == 0, done.stderr[-5000:]
+
+
+def test_the_sanitizers_find_what_they_look_for(tmp_path: Path) -> None:
+    """The compiler that is used is one that would tell."""
+    unit, library = tmp_path / "unit.cpp", tmp_path / "unit.so"
+    unit.write_text('extern "C" int f(int i) { int a[3] = {1, 2, 3}; return a[i]; }')
+    environment = cores.environment(tmp_path)
+    command = [environment["CXX"], "-shared", "-fPIC", str(unit), "-o", str(library)]
+    subprocess.run(command, check=True)
+    code = f"import ctypes; ctypes.CDLL({str(library)!r}).f(3)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode != 0 and "out of bounds" in done.stderr, done.stderr
