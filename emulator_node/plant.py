@@ -170,25 +170,23 @@ class Plant:
             Refusal: wrong shape, not finite, or no such count; the state is as before.
             Diverged: the integration failed; the state is the last one within bounds.
         """
-        check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
-        # This is called every servo period: an array that fits is looked at by the core alone.
+        # This is called every servo period: what fits is not looked at twice.
+        if type(steps) is not int or not 0 <= steps <= PIECE:
+            check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
         if not (isinstance(voltage, np.ndarray) and voltage.shape == self._shape):
             voltage = self._vector(voltage, "Plant.advance", "voltage", "V")
         try:
             np.copyto(self._voltage, voltage, casting="same_kind")
         except TypeError:
             raise Refusal("Plant.advance", "voltage", "be numbers [V]", voltage) from None
-        joint = self._take(min(steps, PIECE))
+        advance, machine, pointer = self.core.arm_advance, self.machine, self._voltage_pointer
+        joint = advance(machine, pointer, min(steps, PIECE))
         if joint == NOT_FINITE:
             raise Refusal("Plant.advance", "voltage", "be finite [V]", voltage)
         while joint < 0 and steps > PIECE:
             steps -= PIECE
-            joint = self._take(min(steps, PIECE))
+            joint = advance(machine, pointer, min(steps, PIECE))
         self._check(joint)
-
-    def _take(self, steps: int) -> int:
-        joint: int = self.core.arm_advance(self.machine, self._voltage_pointer, steps)
-        return joint
 
     def run(self, voltages: ArrayLike, steps: int) -> Array:
         """Apply rows of voltages one after the other, without coming back to Python in between.
