@@ -6,16 +6,22 @@ import contextlib
 import dataclasses
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -24,7 +30,7 @@ from arm_emulator.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.end_anyway import end_anyway
 from arm_emulator.end_with_parent import end_with_parent
 from arm_emulator.lean_executor import LeanExecutor
-from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked
+from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked, perhaps
 from arm_emulator.refusal import Refusal
 
 # Commands: nothing is lost, and the newest wins. Who receives them reads them all: in a depth of 1
@@ -115,7 +121,7 @@ def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
         descriptor = ParameterDescriptor(
             description=field.metadata["description"],
             additional_constraints=f"one of {', '.join(choices)}" if choices else "",
-            read_only=True,
+            read_only=not field.metadata["settable"],
             dynamic_typing=True,
         )
         _set_range(descriptor, field)
@@ -135,30 +141,70 @@ def refuse_other_parameters(node: Node, config: object) -> None:
     for name in node.get_parameters_by_prefix(""):
         if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
             where = f"node {node.get_name()}"
-            raise Refusal(
-                where, f"parameter {name}", "be a known one", "an unknown one", ", ".join(known)
-            )
+            got = f"an unknown one{perhaps(name, known)}"
+            raise Refusal(where, f"parameter {name}", "be a known one", got, ", ".join(known))
+
+
+def accept_changes(
+    node: Node, prepare: Callable[[Mapping[str, Any]], Any], take: Callable[[Any], None]
+) -> None:
+    """Let parameters be set while the node runs: all of a request that fit together, or none.
+
+    Args:
+        node: whose parameters are declared; read-only ones are refused before.
+        prepare: returns what the node will work with, given what changes; a Refusal is the answer.
+        take: is given that when nobody refuses.
+    """
+
+    def changes(parameters: list[RosParameter]) -> dict[str, Any]:
+        own = (one for one in parameters if one.name.split(".")[0] not in ROS_PARAMETERS)
+        return {one.name: one.value for one in own}
+
+    def check(parameters: list[RosParameter]) -> SetParametersResult:
+        try:
+            prepare(changes(parameters))
+        except Refusal as reason:
+            return SetParametersResult(successful=False, reason=str(reason))
+        return SetParametersResult(successful=True)
+
+    def on_change(parameters: list[RosParameter]) -> None:
+        if given := changes(parameters):
+            take(prepare(given))
+
+    node.add_on_set_parameters_callback(check)
+    node.add_post_set_parameters_callback(on_change)
+
+
+def replaced(node: Node, config: Parameters, changes: Mapping[str, Any]) -> Parameters:
+    """Return the parameters of a node with some changed.
+
+    Raises:
+        Refusal: a value of the wrong type or out of its range.
+    """
+    fields = {field.name: field for field in dataclasses.fields(config)}  # type: ignore[arg-type]
+    where = f"node {node.get_name()}"
+    given = {name: checked(value, fields[name], where) for name, value in changes.items()}
+    return dataclasses.replace(config, **given)  # type: ignore[type-var]
 
 
 def _set_range(descriptor: ParameterDescriptor, field: dataclasses.Field[Any]) -> None:
     low, high = field.metadata["minimum"], field.metadata["maximum"]
-    if low is None and high is None:
-        return
-    if isinstance(field.default, float):
-        descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=-1e300 if low is None else float(low),
-                to_value=1e300 if high is None else float(high),
-            )
-        ]
+    if low is not None or high is not None:
+        set_range(descriptor, low, high, whole=isinstance(field.default, int))
+
+
+def set_range(
+    descriptor: ParameterDescriptor, low: float | None, high: float | None, *, whole: bool
+) -> None:
+    """Tell ROS tools between which values a number lies; None: as far as numbers go."""
+    if whole:
+        first = -(2**62) if low is None else int(low)
+        last = 2**62 if high is None else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=first, to_value=last, step=1)]
     else:
-        descriptor.integer_range = [
-            IntegerRange(
-                from_value=-(2**62) if low is None else int(low),
-                to_value=2**62 if high is None else int(high),
-                step=1,
-            )
-        ]
+        lowest = -sys.float_info.max if low is None else float(low)
+        highest = sys.float_info.max if high is None else float(high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=lowest, to_value=highest)]
 
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,8 +26,12 @@ def parameter(
     minimum: float | None = None,
     maximum: float | None = None,
     choices: tuple[str, ...] = (),
+    settable: bool = False,
 ) -> Any:
-    """Return a dataclass field with all that a parameter is: default, unit, range, choices."""
+    """Return a dataclass field with all that a parameter is: default, unit, range, choices.
+
+    `settable` ones can be set while the node runs, the others are read once at its start.
+    """
     return dataclasses.field(
         default=default,
         metadata={
@@ -34,6 +39,7 @@ def parameter(
             "minimum": minimum,
             "maximum": maximum,
             "choices": choices,
+            "settable": settable,
         },
     )
 
@@ -49,7 +55,8 @@ def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters
     for name, value in given.items():
         if name not in fields:
             known = ", ".join(fields)
-            raise Refusal(path.name, f"parameter {name}", "be known", repr(value), known)
+            got = f"{value!r}{perhaps(name, fields)}"
+            raise Refusal(path.name, f"parameter {name}", "be known", got, known)
         given[name] = checked(value, fields[name], path.name)
     return kind(**given)
 
@@ -68,6 +75,12 @@ def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
     rule = f"hold the parameters of the node {node}"
     valid = f"{node}: ros__parameters:"
     raise Refusal(path.name, "the file", rule, ", ".join(map(str, document)), valid)
+
+
+def perhaps(name: str, known: Iterable[str]) -> str:
+    """Return a hint at the known name that comes nearest to an unknown one, empty if none does."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f", perhaps for {near[0]}" if near else ""
 
 
 def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:

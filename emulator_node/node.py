@@ -11,6 +11,7 @@ import threading
 import time
 from array import array
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -34,9 +35,11 @@ from arm_emulator.node_shell import (
     NANOSECONDS,
     STATE_PUB_QOS,
     Diagnostics,
+    accept_changes,
     declare_parameters,
     nanoseconds_of,
     refuse_other_parameters,
+    replaced,
     run_node,
     stamp,
     wall_timer,
@@ -65,7 +68,7 @@ REPEAT_AFTER = (
 
 @dataclass(frozen=True)
 class EmulatorParameters:
-    """Parameters of the node, read once."""
+    """Parameters of the node."""
 
     scene: str = parameter("three_axis", "scene file, or name of a scene that comes along")
     clock: str = parameter("lockstep", "who owns time", choices=CLOCKS)
@@ -73,7 +76,12 @@ class EmulatorParameters:
         "free_run", "what the machine does until the first motor command", choices=STARTS
     )
     timeout: float = parameter(
-        2.0, "wall time without an answer that is reported", unit="s", minimum=0.1, maximum=3600.0
+        2.0,
+        "wall time without an answer that is reported",
+        unit="s",
+        minimum=0.1,
+        maximum=3600.0,
+        settable=True,
     )
     report_period: float = parameter(
         0.01,
@@ -96,6 +104,7 @@ class EmulatorNode(Node):
         super().__init__("emulator", automatically_declare_parameters_from_overrides=True)
         self._config = declare_parameters(self, EmulatorParameters)
         refuse_other_parameters(self, self._config)
+        accept_changes(self, self._changed, self._take_parameters)
         scene = load_scene(self._config.scene)
         self._diagnostics = Diagnostics(self, scene.name)
         self._doubles = Doubles(
@@ -170,6 +179,12 @@ class EmulatorNode(Node):
             self._teller.start()
         else:
             wall_timer(self, scene.servo_period, self._on_free_run)
+
+    def _changed(self, changes: Mapping[str, Any]) -> EmulatorParameters:
+        return replaced(self, self._config, changes)
+
+    def _take_parameters(self, config: EmulatorParameters) -> None:
+        self._config = config
 
     def close(self) -> None:
         """Stop the machine and finish the Rerun recording."""
@@ -418,10 +433,11 @@ class EmulatorNode(Node):
         new_ticks = max(0, session.tick - ticks)
         steps = new_ticks * session.scene.steps_per_period
         self._status_mark = (now, session.tick, session.step_wall_ns)
-        waiting = session.phase is Phase.WAITING
+        # In lock-step every tick waits a moment for its answer; a machine that goes on is running.
+        phase = Phase.RUNNING if session.phase is Phase.WAITING and new_ticks else session.phase
         status = EmulatorStatus(
             tick=session.tick,
-            phase=int(session.phase),
+            phase=int(phase),
             answered=session.answered,
             powered=session.powered,
             logical_time=session.logical_ns / NANOSECONDS,
@@ -430,7 +446,7 @@ class EmulatorNode(Node):
             energy=session.energy,
             commands_refused=self._diagnostics.refused,
             samples_dropped=self._stream.dropped,
-            waiting_time=time.monotonic() - self._told_at if waiting else 0.0,
+            waiting_time=time.monotonic() - self._told_at if phase is Phase.WAITING else 0.0,
         )
         status.header.stamp = stamp(session.logical_ns)
         if isinstance(session, RealTimeSession):

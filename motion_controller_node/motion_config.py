@@ -11,23 +11,32 @@ from arm_emulator.parameters import load_parameters, parameter
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """Parameters of the motion controller, read once."""
+    """Parameters of the motion controller."""
 
     tool: str = parameter("tool", "link of the robot description that is the tool")
     period: float = parameter(
         0.05, "logical time between joint targets", unit="s", minimum=1e-4, maximum=10.0
     )
-    weight: float = parameter(0.5, "w of eq. (6)", minimum=1e-6, maximum=1.0)
+    weight: float = parameter(0.5, "w of eq. (6)", minimum=1e-6, maximum=1.0, settable=True)
     task: str = parameter(
         "auto",
         "what the target rules; auto: position below 6 joints, else pose",
         choices=("auto", "position", "pose"),
     )
     step_limit: float = parameter(
-        0.2, "largest joint step per instruction", unit="rad", minimum=1e-6, maximum=100.0
+        0.2,
+        "largest joint step per instruction",
+        unit="rad",
+        minimum=1e-6,
+        maximum=100.0,
+        settable=True,
     )
     singular_below: float = parameter(
-        0.02, "singular values of the Jacobian below this are damped", minimum=1e-9, maximum=1.0
+        0.02,
+        "singular values of the Jacobian below this are damped",
+        minimum=1e-9,
+        maximum=1.0,
+        settable=True,
     )
 
     def controller_arguments(self) -> dict[str, Any]:

@@ -8,6 +8,8 @@ if __name__ == "__main__":  # before what takes long to import
     end_at_once(0)
 
 from array import array
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -26,9 +28,11 @@ from arm_emulator.node_shell import (
     NANOSECONDS,
     STATE_SUB_QOS,
     Diagnostics,
+    accept_changes,
     declare_parameters,
     nanoseconds_of,
     refuse_other_parameters,
+    replaced,
     run_node,
     time_of,
 )
@@ -50,6 +54,7 @@ class MotionControllerNode(Node):
         super().__init__("motion_controller", automatically_declare_parameters_from_overrides=True)
         self._config = declare_parameters(self, MotionConfig)
         refuse_other_parameters(self, self._config)
+        accept_changes(self, self._changed, self._take_parameters)
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._diagnostics = Diagnostics(self, "motion controller")
         self._doubles = Doubles(
@@ -70,6 +75,17 @@ class MotionControllerNode(Node):
         self.create_subscription(JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
+
+    def _changed(self, changes: Mapping[str, Any]) -> MotionConfig:
+        return replaced(self, self._config, changes)
+
+    def _take_parameters(self, config: MotionConfig) -> None:
+        """Work with other parameters from the next motion period on."""
+        self._config = config
+        if self._controller is not None:
+            self._controller.weight = config.weight
+            self._controller.step_limit = config.step_limit
+            self._controller.singular_below = config.singular_below
 
     def close(self) -> None:
         """Nothing to let go of."""

@@ -50,6 +50,16 @@ class Drives:
         self._target: Target | None = None
         self._hold: FloatArray | None = None
 
+    def retune(self, config: ServoConfig) -> None:
+        """Go on with other gains, limits and patience. Between two ticks.
+
+        Raises:
+            Refusal: see `Servo.retune`. Nothing has changed then.
+        """
+        self.servo.retune(config)
+        self._watchdog.hold_after = config.hold_after
+        self._watchdog.cut_after = config.cut_after
+
     def measure(self, time_ns: int, counts: npt.ArrayLike, current: npt.ArrayLike) -> None:
         """Take this period's measurement: logical time [ns], encoder counts, currents [A].
 

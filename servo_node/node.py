@@ -9,7 +9,9 @@ if __name__ == "__main__":  # before what takes long to import
 
 import time
 from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
@@ -26,9 +28,11 @@ from arm_emulator.node_shell import (
     STATE_PUB_QOS,
     STATE_SUB_QOS,
     Diagnostics,
+    accept_changes,
     declare_parameters,
     nanoseconds_of,
     run_node,
+    set_range,
     stamp,
     time_of,
     wall_timer,
@@ -37,10 +41,11 @@ from arm_emulator.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.refusal import Refusal
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 from servo_node.drives import Drives, Target
-from servo_node.servo import FloatArray
-from servo_node.servo_config import ServoConfig, rule_of
+from servo_node.servo import FloatArray, Servo
+from servo_node.servo_config import SETTABLE, ServoConfig, describe
 from servo_node.watchdog import WatchdogState
 
+PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall
 MACHINE_SILENCE = (
     1.0  # s, wall: an emulator that says nothing for so long may be followed by another
@@ -82,20 +87,29 @@ class ServoNode(Node):
     def __init__(self) -> None:
         super().__init__("servo", automatically_declare_parameters_from_overrides=True)
         own = declare_parameters(self, ServoNodeParameters)
-        not_the_servos = (*ROS_PARAMETERS, *vars(own))
-        given = {
-            name: p.value
-            for name, p in self._parameters.items()
-            if name.split(".")[0] not in not_the_servos
-        }
-        self._config = ServoConfig.from_mapping(given, "parameters of node servo")
+        self._own = tuple(vars(own))
+        given = self._servo_parameters({})
+        if not given:
+            raise Refusal(
+                "node servo",
+                "its parameters",
+                "come from a file",
+                "no file",
+                "--ros-args --params-file config/servo/three_axis.yaml, or that of your arm",
+            )
+        self._config = ServoConfig.from_mapping(given, PARAMETERS)
         for name in given:
+            about = describe(name)
             descriptor = ParameterDescriptor(
-                description=f"{name.rsplit('.', 1)[-1].replace('_', ' ')}: {rule_of(name)}",
-                read_only=True,
+                description=about.words,
+                read_only=name.rsplit(".", 1)[-1] not in SETTABLE,
                 dynamic_typing=True,
             )
+            if about.low is not None:
+                set_range(descriptor, about.low, None, whole=about.whole)
             self.set_descriptor(name, descriptor)
+        self._next_config: ServoConfig | None = None  # from the next tick on
+        accept_changes(self, self._changed, self._take_parameters)
         self._lockstep = own.clock == "lockstep"
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._joint_states_ticks = max(1, round(own.joint_states_period / self._config.period))
@@ -125,6 +139,24 @@ class ServoNode(Node):
         self.create_subscription(JointState, "joint_targets", self._on_target, COMMAND_SUB_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
         wall_timer(self, SILENCE_CHECK, self._on_silence_check)
+
+    def _servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters that are the servo's, with some changed."""
+        others = (*ROS_PARAMETERS, *self._own)
+        declared = {name: one.value for name, one in self._parameters.items()}
+        return {
+            name: value
+            for name, value in {**declared, **changes}.items()
+            if name.split(".")[0] not in others
+        }
+
+    def _changed(self, changes: Mapping[str, Any]) -> ServoConfig:
+        config = ServoConfig.from_mapping(self._servo_parameters(changes), PARAMETERS)
+        Servo(config)  # which says no to what it cannot compute with
+        return config
+
+    def _take_parameters(self, config: ServoConfig) -> None:
+        self._next_config = config
 
     def close(self) -> None:
         """Nothing to let go of."""
@@ -166,6 +198,9 @@ class ServoNode(Node):
                 self._start_over()
         self._newest = now
         self._silent = False
+        if self._next_config is not None:
+            self._config, self._next_config = self._next_config, None
+            self._drives.retune(self._config)
         self._drives.measure(now.time_ns, now.counts, now.current)
         begins = self._lockstep and self._motion_ticks > 0 and now.tick % self._motion_ticks == 0
         if begins:

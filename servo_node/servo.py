@@ -68,6 +68,18 @@ class Servo:
         for axis in self._axes:
             axis.reset()
 
+    def retune(self, config: ServoConfig) -> None:
+        """Go on with other gains and limits; what was observed and the integrals stay.
+
+        Raises:
+            Refusal: as the constructor. Nothing has changed then.
+        """
+        axes = [_axis(joint, config.period, config.supply_voltage) for joint in config.joints]
+        for new, old in zip(axes, self._axes, strict=True):
+            for name in _Axis.STATE:
+                setattr(new, name, getattr(old, name))
+        self.config, self._axes = config, axes
+
     @property
     def q_measured(self) -> FloatArray:
         """Link angles by the encoders, the middle of the count, (N,) [rad]; NaN before any."""
@@ -222,6 +234,8 @@ class _Axis:
         "velocity_gain",
         "voltage_limit",
     )
+
+    STATE = ("theta_measured", "theta", "omega", "load", "current", "integral")
 
     def __init__(self, joint: JointServo, period: float, supply_voltage: float) -> None:
         self.period = period

@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.parameters import ROS_PARAMETERS, ros_parameters
+from arm_emulator.parameters import ROS_PARAMETERS, perhaps, ros_parameters
 from arm_emulator.refusal import Refusal
 
 
@@ -20,6 +20,12 @@ class _Rule:
     low: float
     open: bool = True
     integer: bool = False
+
+    @property
+    def interval(self) -> str:
+        """The same in short: ``number in (0, inf)``."""
+        number, bracket = "whole number" if self.integer else "number", "[("[self.open]
+        return f"{number} in {bracket}{self.low:g}, inf)"
 
     def refuses(self, value: float) -> bool:
         return value <= self.low if self.open else value < self.low
@@ -150,11 +156,40 @@ _SCALARS = {
 _FIELDS = {f.name: f for f in fields(JointServo) if f.name != "name"}
 
 
-def rule_of(name: str) -> str:
-    """Return in words what the parameter of a dotted name may be, empty if there is no rule."""
+# What can be set while the servo runs: not the data sheet.
+SETTABLE = (
+    "hold_after",
+    "cut_after",
+    "velocity_limit",
+    "current_limit",
+    "position_gain",
+    "velocity_gain",
+    "integral_time",
+    "observer_bandwidth",
+)
+
+
+@dataclass(frozen=True)
+class ParameterDescription:
+    """A parameter of the servo, for ROS tools."""
+
+    words: str
+    low: float | None = None
+    """Smallest value; None: not a number."""
+    whole: bool = False
+
+
+def describe(name: str) -> ParameterDescription:
+    """Return what the parameter of a dotted name may be."""
     leaf = name.rsplit(".", 1)[-1]
+    words = leaf.replace("_", " ")
     rule = _FIELDS[leaf].metadata["rule"] if leaf in _FIELDS else _SCALARS.get(leaf)
-    return rule.words.removeprefix("be ") if rule is not None else ""
+    if rule is None:
+        return ParameterDescription(words)
+    unit = rule.words.partition(f" {rule.low:g}")[2].strip()
+    words = f"{words}: {rule.interval}" + (f" [{unit}]" if unit else "")
+    low = math.nextafter(rule.low, math.inf) if rule.open else rule.low
+    return ParameterDescription(words, low, rule.integer)
 
 
 def load_servo_config(path: str | Path) -> ServoConfig:
@@ -201,7 +236,8 @@ def _check_keys(table: object, allowed: Any, where: str, path: str) -> None:
     valid = ", ".join(allowed)
     for key in table:
         if key not in allowed:
-            raise Refusal(where, f"{prefix}{key}", "be a known key", "an unknown one", valid)
+            got = f"an unknown one{perhaps(str(key), allowed)}"
+            raise Refusal(where, f"{prefix}{key}", "be a known key", got, valid)
     for key in allowed:
         if key not in table:
             raise Refusal(where, f"{prefix}{key}", "be given", "nothing")

@@ -34,11 +34,13 @@ REFUSED_NODES = [
     ),
     (
         ("emulator_node.node", "-p", "timout:=3.0"),
-        "node emulator: parameter timout must be a known one, got an unknown one; valid: scene, ",
+        "node emulator: parameter timout must be a known one, got an unknown one, "
+        "perhaps for timeout; valid: scene, ",
     ),
     (
         ("servo_node.node",),
-        "parameters of node servo: joint_names must be a list of different joint names, got None",
+        "node servo: its parameters must come from a file, got no file; valid: --ros-args "
+        "--params-file config/servo/three_axis.yaml",
     ),
     ((*SERVO, "-p", "speed:=3.0"), "parameters of node servo: speed must be a known key"),
     (

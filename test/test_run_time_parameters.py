@@ -1,0 +1,150 @@
+"""Gains, weight and timeout are set while the network runs: as a whole, between two ticks."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from network import User, assert_same_bits, network, offline_states
+from rcl_interfaces.msg import ParameterType
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from test_network import go, pause_at
+
+from arm_emulator.offline import load_offline_run
+from motion_controller_node.pose import Pose
+from servo_node.servo_config import SETTABLE, JointServo
+
+JOINTS = ("waist", "shoulder", "elbow")
+GAINS = ("position_gain", "velocity_gain", "integral_time", "observer_bandwidth")
+BAD = (0.0, -1.0, math.nan, math.inf, -math.inf, 1e308, "fast", True, [1.0])
+
+
+class Parameters:
+    """What `ros2 param` does."""
+
+    def __init__(self, user: User) -> None:
+        self._user = user
+        self._clients: dict[str, AsyncParameterClient] = {}
+
+    def _client(self, node: str) -> AsyncParameterClient:
+        if node not in self._clients:
+            client = self._clients[node] = AsyncParameterClient(self._user.node, node)
+            self._user.wait(f"parameter services of {node}", client.services_are_ready)
+        return self._clients[node]
+
+    def _answer(self, future: Any) -> Any:
+        self._user.wait("an answer about parameters", future.done)
+        return future.result()
+
+    def set(self, node: str, **values: Any) -> str:
+        """Set parameters at once, __ for dots; return why not, empty if they were set."""
+        given = [Parameter(name.replace("__", "."), value=v) for name, v in values.items()]
+        result = self._answer(self._client(node).set_parameters_atomically(given)).result
+        assert result.successful != bool(result.reason), result
+        return str(result.reason)
+
+    def get(self, node: str, name: str) -> Any:
+        values = self._answer(self._client(node).get_parameters([name])).values
+        return values[0].double_value
+
+    def describe(self, node: str, names: list[str]) -> dict[str, Any]:
+        answer = self._answer(self._client(node).describe_parameters(names))
+        return {one.name: one for one in answer.descriptors}
+
+    def names(self, node: str) -> list[str]:
+        return list(self._answer(self._client(node).list_parameters()).result.names)
+
+
+def test_parameters_are_set_as_a_whole_between_two_ticks_or_refused(tmp_path: Path) -> None:
+    rng = random.Random(os.environ.get("SEED", "4"))
+    run = load_offline_run("three_axis")
+    R_WT, p_WT = run.controller.forward(run.session.scene.start)
+    target = Pose(np.add(p_WT, [0.0, 0.01, 0.0]), R_WT)
+    with network(tmp_path) as (user, _):
+        parameters = Parameters(user)
+        x, y, z, w = map(float, target.quaternion())
+        user.send_tool_target(tuple(map(float, target.p_WT)), 0.1, (x, y, z, w))
+        user.wait("it", lambda: user.value("motion_controller", "tool targets") == "1")
+        run.instructor.add(
+            100_000_000, Pose.from_quaternion(tuple(map(float, target.p_WT)), (x, y, z, w))
+        )
+        go(user)
+        tick = pause_at(user, rng.randint(120, 180))
+        states = offline_states(run, tick + 1)  # this tick is answered already
+
+        refused_bad_values(parameters, rng)
+        joint, gain = rng.choice(JOINTS), rng.choice(GAINS)
+        name = f"joints__{joint}__{gain}"
+        old = parameters.get("servo", name.replace("__", "."))
+        # One that is bad takes the good one with it.
+        assert "hold_after" in parameters.set("servo", **{name: 0.7 * old}, cut_after=1e-3)
+        assert parameters.get("servo", name.replace("__", ".")) == old
+        new = (1.5 if gain == "integral_time" else 0.8) * old
+        weight = rng.uniform(0.1, 1.0)
+        assert parameters.set("servo", **{name: new}) == ""
+        assert parameters.set("motion_controller", weight=weight) == ""
+        assert parameters.set("emulator", timeout=7) == ""
+        joints = tuple(
+            dataclasses.replace(one, **{gain: new}) if one.name == joint else one
+            for one in run.drives.servo.config.joints
+        )
+        run.drives.retune(dataclasses.replace(run.drives.servo.config, joints=joints))
+        run.controller.weight = weight
+        states |= offline_states(run, tick + 200)
+        assert user.call("emulator/pause", False).success
+        user.wait("the run", lambda: user.tick >= tick + 200)
+        assert_same_bits(user.motor_states(), states, tick + 200)
+
+
+def refused_bad_values(parameters: Parameters, rng: random.Random) -> None:
+    """Draw values that are not taken: nothing is half applied, and the reason is one line."""
+    settable = {
+        "servo": [f"joints.{rng.choice(JOINTS)}.{gain}" for gain in GAINS] + ["hold_after"],
+        "motion_controller": ["weight", "step_limit", "singular_below"],
+        "emulator": ["timeout"],
+    }
+    for node, names in settable.items():
+        before = {name: parameters.get(node, name) for name in names}
+        for name in names:
+            bad = rng.choice(BAD)
+            if bad == 1e308 and name.endswith("velocity_gain"):
+                bad = 0.0  # which would be an absurd gain, but a number
+            reason = parameters.set(node, **{name.replace(".", "__"): bad})
+            assert name.rsplit(".", 1)[-1] in reason and "\n" not in reason, (name, bad, reason)
+        assert before == {name: parameters.get(node, name) for name in names}, node
+    for node, name, value in (
+        ("servo", "period", 0.002),
+        ("servo", "joints__elbow__resistance", 1.0),
+        ("motion_controller", "period", 0.1),
+        ("emulator", "scene", "ur5"),
+    ):
+        assert "read-only" in parameters.set(node, **{name: value})
+
+
+def test_every_number_has_a_range_and_words(tmp_path: Path) -> None:
+    floats, wholes = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER
+    with network(tmp_path, start="paused") as (user, _):
+        parameters = Parameters(user)
+        for node in ("emulator", "servo", "motion_controller"):
+            names = [n for n in parameters.names(node) if not n.startswith("qos_")]
+            about = parameters.describe(node, names)
+            assert set(about) == set(names), node
+            for name, one in about.items():
+                if name in ("use_sim_time", "start_type_description_service"):
+                    continue
+                assert one.description, (node, name)
+                if one.type in (floats, wholes):
+                    ranges = [*one.floating_point_range, *one.integer_range]
+                    assert len(ranges) == 1 and ranges[0].from_value < ranges[0].to_value, name
+        about = parameters.describe("servo", ["joints.elbow.gear_ratio", "joints.elbow.resistance"])
+        words = {name: one.description for name, one in about.items()}
+        assert words["joints.elbow.gear_ratio"] == "gear ratio: number in (0, inf)"
+        assert words["joints.elbow.resistance"] == "resistance: number in (0, inf) [ohm]"
+        assert set(SETTABLE) > {f.name for f in dataclasses.fields(JointServo)} & set(GAINS)
+        user.wait("the nodes to meet", lambda: user.status and user.status.answered)
