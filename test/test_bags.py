@@ -103,13 +103,7 @@ def begin_anew(user: User, bag: Path) -> None:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A run of three processes with a stop of the power, in a bag; and the recorder's words."""
-    for _ in range(5):
-        bag, said = record_one(tmp_path_factory.mktemp("recording"))
-        kept = {m.tick for m in messages(bag) if isinstance(m, MotorState)}
-        # On a busy machine a recorder may miss a message, see docs/bags.md.
-        if kept >= set(range(max(kept))):
-            break
-    return bag, said
+    return record_one(tmp_path_factory.mktemp("recording"))
 
 
 def record_one(folder: Path) -> tuple[Path, str]:
