@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes.util
 import os
 import signal
@@ -240,3 +241,34 @@ def test_no_place_for_a_cache_is_told(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
     with pytest.raises(Refusal, match=f"cache folder must be writable.*set {CACHE_VARIABLE}"):
         library_of(load_scene("three_axis"))
+
+
+def running(group: int) -> list[str]:
+    """Return what runs in a process group; what has ended and waits to be fetched does not."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            text = process.read_text()
+            state, _, its_group = text[text.rindex(")") + 2 :].split()[:3]
+            if int(its_group) == group and state != "Z":
+                found.append(text)
+    return found
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_compiler_ends_with_the_command_that_started_it(
+    number: signal.Signals, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pid = tmp_path / "pid"
+    slow = fake_compiler(tmp_path, f"echo $$ > {pid}.new; mv {pid}.new {pid}; sleep 100")
+    monkeypatch.setenv("CXX", slow)
+    command = [sys.executable, "-m", "arm_emulator", "compile", "three_axis"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        until = time.monotonic() + 60.0
+        while not pid.exists() and time.monotonic() < until:
+            time.sleep(0.01)
+        process.send_signal(number)
+        said = process.communicate(timeout=60)[1]
+    assert (process.returncode, said.count("\n")) == (128 + number, 1), said
+    assert running(int(pid.read_text())) == [], "of the compiler's group"
+    assert list(cache.iterdir()) == [], "nothing half made stays"
