@@ -71,6 +71,7 @@ def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
     for name in (node, f"/{node}", f"/**/{node}", "/**"):
         section = document.get(name)
         if isinstance(section, Mapping) and isinstance(section.get("ros__parameters"), Mapping):
+            _check_keys(section["ros__parameters"], path.name)
             return dict(section["ros__parameters"])
     rule = f"hold the parameters of the node {node}"
     valid = f"{node}: ros__parameters:"
@@ -81,6 +82,17 @@ def perhaps(name: str, known: Iterable[str]) -> str:
     """Return a hint at the known name that comes nearest to an unknown one, empty if none does."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f", perhaps for {near[0]}" if near else ""
+
+
+def _check_keys(parameters: Mapping[str, Any], where: str) -> None:
+    """Refuse a section whose name has dots: ROS's own reader takes what follows for another."""
+    for key, value in parameters.items():
+        if not isinstance(value, Mapping):
+            continue
+        if "." in key:
+            rule = "be written out, since it has dots and ROS would lose its way"
+            raise Refusal(where, f"section {key}", rule, "a section", f"SECTION.{key}.NAME: VALUE")
+        _check_keys(value, where)
 
 
 def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:

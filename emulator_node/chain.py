@@ -367,19 +367,29 @@ def _frames(
     origins: list[ET.Element | None], whats: list[str], name: str, where: str
 ) -> list[Frame]:
     """Return the frames that elements <origin> say."""
-    rows = []
+    rows, no_turn = [], (0.0,) * 6
     for origin, what in zip(origins, whats, strict=True):
         if origin is None:
-            rows.append([0.0] * 6)
+            rows.append(no_turn)
             continue
         xyz, rpy = origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0")
-        row = _numbers(xyz, 3, f"{what}: {name} xyz", where)
-        rows.append(row + _numbers(rpy, 3, f"{what}: {name} rpy", where))
+        words = [*xyz.split(), *rpy.split()]
+        try:
+            x, y, z, roll, pitch, yaw = map(float, words)
+        except ValueError:
+            words = []
+        if len(words) != 6 or len(xyz.split()) != 3:  # say which
+            _numbers(xyz, 3, f"{what}: {name} xyz", where)
+            _numbers(rpy, 3, f"{what}: {name} rpy", where)
+        rows.append((x, y, z, roll, pitch, yaw))
     values = np.array(rows).reshape(-1, 6)
     _check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
     _check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
-    roll, pitch, yaw = values[:, 3:].T
-    R = _clean(_turns(2, yaw) @ _turns(1, pitch) @ _turns(0, roll))
+    R = _clean(
+        _turns(2, values[:, 5].tolist())
+        @ _turns(1, values[:, 4].tolist())
+        @ _turns(0, values[:, 3].tolist())
+    )
     turned = (values[:, 3:] != 0.0).any(axis=1).tolist()
     p = values[:, :3].copy()
     return [Frame(R[k] if turned[k] else _EYE, p[k]) for k in range(len(rows))]
@@ -584,7 +594,7 @@ def _turn(axis: int, angle: float) -> Array:
 def _turns(axis: int, angles: Iterable[float]) -> Array:
     """Return rotations (K, 3, 3) about one axis."""
     # By `math`: NumPy's cosine may round differently on another processor.
-    c, s = (np.array([f(angle) for angle in angles]) for f in (math.cos, math.sin))
+    c, s = (np.array(list(map(f, angles))) for f in (math.cos, math.sin))
     R = np.tile(np.eye(3), (len(c), 1, 1))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     R[:, i, i], R[:, i, j], R[:, j, i], R[:, j, j] = c, -s, s, c

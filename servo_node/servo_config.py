@@ -134,6 +134,11 @@ class ServoConfig:
             tables.setdefault(name, {})[field_name] = given.pop(key)
         if "joints" in given:
             raise Refusal(where, "joints", "be a mapping", given["joints"])
+        for name in tables:
+            # What ROS makes of a section under a name with dots is not what was meant.
+            if name not in names and any("." in known for known in names):
+                rule = "be a joint (one whose name has dots is written out in parameter files)"
+                raise Refusal(where, f"joints.{name}", rule, name, "joints.NAME.gear_ratio: VALUE")
         _check_keys(tables, names, where, "joints")
         _check_keys(given, _SCALARS, where, "")
         scalars = {name: _number(given[name], rule, where, name) for name, rule in _SCALARS.items()}
