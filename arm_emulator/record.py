@@ -21,6 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from arm_emulator.bag import BagWriter, Topic
+from arm_emulator.end_anyway import end_anyway
 from arm_emulator.lean_executor import LeanExecutor
 from arm_emulator.recorded_runs import Numbered, RecordedRuns
 from arm_emulator.recorder_presence import STATES, RecorderPresence
@@ -29,6 +30,7 @@ from arm_emulator_msgs.msg import MotorState
 
 LOOK_PERIOD = 0.1  # s, wall: how often new topics are looked for
 FLUSH_PERIOD = 0.5  # s, wall: what a crash loses at most
+ENDING = 5.0  # s, wall: what the middleware is given to end
 TELL_PERIOD = 0.05  # s, wall: how often emulators hear how far this recorder has come
 DEPTH = 10_000  # messages: some seconds of every topic, should the disk be busy
 
@@ -69,8 +71,6 @@ def record(
     finally:
         if node is not None:
             node.leave()
-            node.destroy_node()
-        rclpy.try_shutdown()
     said = [topic for topic in bag.topics if topic.count]
     count = sum(topic.count for topic in said)
     lost = "" if node is None else node.lost
@@ -78,9 +78,14 @@ def record(
         f"{out}: {count} messages on {len(said)} topics in {bag.seconds:.1f} s"
         + (f"; lost: {lost}" if lost else "")
     )
+    code = 2 if failure is not None else 1 if lost else 0
+    end_anyway(ENDING, code)
+    if node is not None:
+        node.destroy_node()
+    rclpy.try_shutdown()
     if failure is not None:
         raise Refusal("record", f"folder {out}", "take what is recorded", failure)
-    return 1 if lost else 0
+    return code
 
 
 class _Recorder(Node):

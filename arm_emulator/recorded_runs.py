@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -15,6 +16,7 @@ from arm_emulator.recorder_presence import STATES
 from arm_emulator_msgs.msg import MotorState, RecorderReport
 
 REPORT_EVERY = 20  # motor states; an emulator in lock-step runs at most some times that ahead
+GOOD_BYE = Duration(seconds=0.5)  # wall: for it to arrive
 ASK_AGAIN = 5.0  # s, wall: after which a reset that has not come is asked for once more
 
 
@@ -128,6 +130,7 @@ class RecordedRuns:
         """Tell the emulator not to wait any more."""
         self._message.leaving = True
         self._reports.publish(self._message)
+        self._reports.wait_for_all_acked(GOOD_BYE)
 
     def _on_first(self, tick: int) -> None:
         if tick > 0:
