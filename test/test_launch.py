@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import random
 import signal
 import socket
 import subprocess
@@ -14,6 +17,7 @@ from pathlib import Path
 import psutil
 import pytest
 from network import PATIENCE, User
+from rclpy.parameter_client import AsyncParameterClient
 
 from arm_emulator.config_files import find_config
 from arm_emulator.ros_domain import own_domain
@@ -83,15 +87,21 @@ REFUSED_COMMANDS = [
 ]
 
 
-def start(*command: str) -> subprocess.Popen[str]:
+def start(*command: str, ignores_ctrl_c: bool = False) -> subprocess.Popen[str]:
+    """Start a module; ignoring Ctrl-C is what `&` in a script makes a job begin with."""
     return subprocess.Popen(
         [sys.executable, "-m", *command],
         cwd=Path(__file__).resolve().parents[1],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=_heed_ctrl_c,  # noqa: PLW1509 - one system call, no lock
+        preexec_fn=_ignore_ctrl_c if ignores_ctrl_c else _heed_ctrl_c,  # noqa: PLW1509
+        start_new_session=True,
     )
+
+
+def _ignore_ctrl_c() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _heed_ctrl_c() -> None:
@@ -113,6 +123,147 @@ def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
             *before, last = complaint.splitlines()
             assert last.startswith(words), complaint
             assert len(before) == lines - 1, complaint
+
+
+# What is started, and the exit codes after SIGINT and SIGTERM.
+BREAKS_OFF, ENDS = {signal.SIGINT: 130, signal.SIGTERM: 143}, {signal.SIGINT: 0, signal.SIGTERM: 0}
+STOPPED = [
+    (("arm_emulator", "up"), ENDS),
+    (("arm_emulator", "record", "{folder}/bag"), ENDS),
+    (("arm_emulator", "run", "--seconds", "1e5"), BREAKS_OFF),
+    (("arm_emulator", "demo", "--out", "{folder}/out"), BREAKS_OFF),
+    (("arm_emulator", "advise", "--error", "1e-7"), BREAKS_OFF),
+    (("arm_emulator", "compile", "--into", "{folder}/lib"), BREAKS_OFF),
+    (("emulator_node.node",), ENDS),
+    (("servo_node.node", "--ros-args", "--params-file", "config/servo/three_axis.yaml"), ENDS),
+    (("motion_controller_node.node",), ENDS),
+]
+MOMENTS = int(os.environ.get("MOMENTS", "1"))  # of each command
+
+
+def catches(process: subprocess.Popen[str], number: int) -> bool:
+    """Whether a process takes care of a signal itself; of SIGTERM Python alone never does."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    caught = next(line.split()[1] for line in status.splitlines() if line.startswith("SigCgt"))
+    return bool(int(caught, 16) >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize("seed", range(MOMENTS))
+def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
+    tmp_path: Path, seed: int
+) -> None:
+    """In the first five seconds after Python has read our first line; MOMENTS=20 is the sweep."""
+    rng = random.Random(f"{os.environ.get('SEED', '')}{seed}")
+    with own_domain():
+        for number, (command, codes) in enumerate(STOPPED):
+            folder = tmp_path / f"{number}"
+            folder.mkdir()
+            stop = rng.choice([signal.SIGINT, signal.SIGTERM])
+            process = start(*(word.format(folder=folder) for word in command))
+            try:
+                wait(lambda p=process: p.poll() is not None or catches(p, signal.SIGTERM))
+                moment = 5.0 * rng.random() ** 3  # most of the start-up is in the first second
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(moment)
+                process.send_signal(stop)
+                said, complaint = process.communicate(timeout=PATIENCE)
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+            told = f"{command}, {stop.name} after {moment:.3f} s: {process.returncode} {complaint}"
+            finished = (
+                process.returncode == 0 and command[1:] and command[1] in ("advise", "compile")
+            )
+            assert process.returncode == codes[stop] or finished, told
+            for word in ("Traceback", "Exception", "Error"):
+                assert word not in said + complaint, told
+            assert_nobody_left(process.pid, told)
+
+
+def assert_nobody_left(session: int, told: str) -> None:
+    """Wait until no process of a session lives on."""
+
+    def left() -> list[int]:
+        found = []
+        for process in psutil.process_iter():
+            with contextlib.suppress(psutil.Error, ProcessLookupError):
+                if os.getsid(process.pid) == session and process.status() != "zombie":
+                    found.append(process.pid)
+        return found
+
+    deadline = time.monotonic() + PATIENCE
+    while found := left():
+        assert time.monotonic() < deadline, f"{told}; left: {found}"
+        time.sleep(0.05)
+
+
+LAUNCHER = """
+import os, subprocess, sys, time
+from arm_emulator.end_with_parent import parent_environment
+
+for node in ("emulator_node.node", "motion_controller_node.node"):
+    started = subprocess.Popen(
+        [sys.executable, "-m", node], env={**os.environ, **parent_environment()}
+    )
+    print(started.pid, flush=True)
+time.sleep(1000)
+"""
+
+
+@pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGKILL])
+def test_nodes_end_with_a_launcher_that_leaves_them(stop: signal.Signals) -> None:
+    """As `ros2 launch` does when it is ended by SIGTERM, at any moment."""
+    rng = random.Random(f"{os.environ.get('SEED', '')}{stop}")
+    for _ in range(2):
+        with own_domain():
+            launcher = subprocess.Popen(
+                [sys.executable, "-c", LAUNCHER],
+                cwd=Path(__file__).resolve().parents[1],
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+            )
+            assert launcher.stdout is not None
+            nodes = [int(launcher.stdout.readline()) for _ in range(2)]
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                launcher.wait(rng.uniform(0.0, 3.0))
+            launcher.send_signal(stop)
+            launcher.wait(PATIENCE)
+            try:
+                assert_nobody_left(launcher.pid, f"nodes {nodes} of a launcher ended by {stop}")
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(launcher.pid, signal.SIGKILL)
+                launcher.stdout.close()
+
+
+def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("/**/motion_controller:\n  ros__parameters: {weight: 0.125}\n")
+    words = ("--namespace", "cell1", "--use-sim-time", "--params-file", str(file))
+    with own_domain() as domain:
+        user = User(domain, "/cell1")
+        launcher = start("arm_emulator", "up", *words)
+        try:
+            user.wait("the run", lambda: user.tick >= 1500)
+            names = {f"cell1/{name}" for name in ("emulator", "servo", "motion_controller")}
+            user.wait("their health", lambda: names <= set(user.diagnostics))
+            for name in names:
+                assert user.diagnostics[name].hardware_id.startswith("cell1/"), name
+                # Of logical time, which is seconds since 0, not since 1970.
+                user.wait(f"time of {name}", lambda n=name: 0 < user.stamps[n] < 10**6 * 10**9)
+            client = AsyncParameterClient(user.node, "motion_controller")
+            user.wait("its parameters", client.services_are_ready)
+            asked = client.get_parameters(["weight"])
+            user.wait("the weight", asked.done)
+            assert asked.result().values[0].double_value == 0.125
+            launcher.send_signal(signal.SIGINT)
+            launcher.communicate(timeout=PATIENCE)
+            assert launcher.returncode == 0
+        finally:
+            user.close()
+            launcher.kill()
+            launcher.communicate()
 
 
 INTERRUPTED = """
@@ -166,11 +317,15 @@ def test_a_middleware_that_locks_up_does_not_keep_a_process(code: int) -> None:
 
 
 @contextmanager
-def up(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], list[psutil.Process], User]]:
+def up(
+    *arguments: str, ignores_ctrl_c: bool = False
+) -> Iterator[tuple[subprocess.Popen[str], list[psutil.Process], User]]:
     """Start `arm_emulator up` and wait until its three nodes run the machine."""
     with own_domain() as domain:
         user = User(domain)
-        launcher = start("arm_emulator", "up", "three_axis", *arguments)
+        launcher = start(
+            "arm_emulator", "up", "three_axis", *arguments, ignores_ctrl_c=ignores_ctrl_c
+        )
         children: list[psutil.Process] = []
         try:
             user.wait("the run", lambda: user.tick >= 100)
@@ -202,8 +357,8 @@ def wait(condition: Callable[[], bool]) -> None:
 
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_up_ends_all_on_request(stop: signal.Signals) -> None:
-    with up() as (launcher, _, _):
+def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) -> None:
+    with up(ignores_ctrl_c=True) as (launcher, _, _):
         launcher.send_signal(stop)
         said, complaint = launcher.communicate(timeout=PATIENCE)
         assert launcher.returncode == 0
