@@ -23,6 +23,7 @@ from arm_emulator.check import check
 from arm_emulator.recorded_runs import Numbered
 from arm_emulator.recorder_presence import RecorderPresence, recorders_of
 from arm_emulator.refusal import Refusal
+from arm_emulator.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorState
 from emulator_node import run_record
 from emulator_node.recorders import AHEAD, Recorders
@@ -207,6 +208,23 @@ def test_what_is_lost_in_real_time_is_counted_and_its_own_record_is_complete(
     span = range(min(ticks), max(ticks))
     assert int(told[1]) == len(set(span) - set(ticks)) > 1000, said
     assert_every_tick(tmp_path / "own", at_least=3000)
+
+
+def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
+    """The recorder starts in one or two seconds: six moments about there."""
+    draw = random.Random(6)
+    with own_domain():
+        for case in range(6):
+            bag = tmp_path / f"bag{case}"
+            with recorder(bag) as process:
+                moment = draw.uniform(0.0, 2.5)
+                time.sleep(moment)
+                how = draw.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+                code, said = end(process, how)
+            words = f"{how.name} after {moment:.2f} s: exit code {code}, {said}"
+            if bag.exists():  # before, nothing is recorded
+                assert code == 0 and "Traceback" not in said, words
+                assert (bag / "metadata.yaml").exists() and Bag(bag).complete, words
 
 
 # Without a network
