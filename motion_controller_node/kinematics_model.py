@@ -16,6 +16,7 @@ from arm_emulator.urdf_text import complete_limits, parse_urdf
 
 # Before the names in the model: a joint and a link may be called the same, and a joint "universe".
 JOINT, LINK = "joint ", "link "
+MOST_MOVING = 128  # joints; for 400 Pinocchio takes 20 s to set up its data
 MOST_IN_A_ROW = 1000  # joints; Pinocchio goes down a chain by recursion
 
 WHERE = "robot_description"
@@ -31,6 +32,9 @@ def whole_model(urdf_xml: str, tool: str = "") -> Any:
     complete_limits(robot, WHERE)
     joints = _needed(robot.findall("joint"), tool)
     _check_depth(joints)
+    moving = sum(joint.get("type") != "fixed" for joint in joints)
+    if moving > MOST_MOVING:
+        raise Refusal(WHERE, "the robot", f"have at most {MOST_MOVING} moving joints", moving)
     bare = ET.Element("robot", name="robot")
     gone = {_end(j, "child") for j in robot.findall("joint")} - {_end(j, "child") for j in joints}
     for link in robot.findall("link"):

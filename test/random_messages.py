@@ -174,12 +174,12 @@ def _sound(
         target.header.stamp = _time(tick * period_ns)
         return target
     if topic == "robot_description":
-        return String(data=_urdf(rng, names))
+        return String(data=random_urdf(rng, names))
     assert topic == "clock", topic
     return Clock(clock=_time(tick * period_ns))
 
 
-def _urdf(
+def random_urdf(
     rng: random.Random, names: Sequence[str], number: Callable[[], float] = lambda: 0.5
 ) -> str:
     """Return a chain of revolute joints whose last link is `tool`."""
@@ -294,7 +294,7 @@ def _no_urdf(rng: random.Random, message: Any, names: Sequence[str], tick: int) 
             lambda: data[: rng.randrange(len(data) - len("</robot>"))],
             lambda: data.replace('"tool"', '"hand"'),
             lambda: data.replace("<parent", "<father"),
-            lambda: _urdf(rng, names, lambda: huge(rng)),
+            lambda: random_urdf(rng, names, lambda: huge(rng)),
         )
     )()
 
@@ -352,7 +352,7 @@ def random_message(
     if topic == "clock":
         message.clock = _any_time(rng)
     elif topic == "robot_description":
-        message.data = _urdf(rng, joint_names, lambda: number(rng))
+        message.data = random_urdf(rng, joint_names, lambda: number(rng))
     else:
         _stir(rng, message)
     return message

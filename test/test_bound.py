@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from random_messages import huge, number
+from random_messages import huge, number, random_urdf
 
 from arm_emulator.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound, encoder_counts
 from arm_emulator.config_files import find_config
@@ -257,11 +257,12 @@ def test_every_target_that_is_taken_gives_targets_that_a_servo_takes(scene: str)
 
 def test_an_instructor_that_is_not_finite_begins_anew_by_itself() -> None:
     run = load_offline_run("three_axis")
-    q, R_WT = run.session.scene.start, np.eye(3)
+    q, nowhere = run.session.scene.start, Pose(np.zeros(3), np.eye(3))
+    object.__setattr__(nowhere, "p_WT", np.full(3, math.nan))
     for poison in (
         lambda one: setattr(one, "_hold", np.full(3, math.nan)),
-        lambda one: setattr(one, "_tool_target", Pose(np.full(3, math.nan), R_WT)),
-        lambda one: one._coming.append((0, Pose(np.full(3, 1e308), R_WT))),
+        lambda one: setattr(one, "_tool_target", nowhere),
+        lambda one: one._coming.append((0, nowhere)),
     ):
         one = Instructor()
         poison(one)
@@ -287,11 +288,9 @@ def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int) -> None:
     rng = random.Random(seed)
-    from random_messages import _urdf
-
     names, taken = ["a", "b", "c"], 0
     for _ in range(200):
-        urdf = _urdf(rng, names, lambda: number(rng) if rng.random() < 0.2 else 0.3)
+        urdf = random_urdf(rng, names, lambda: number(rng) if rng.random() < 0.2 else 0.3)
         try:
             controller = JacobianController(urdf, moving_joints(urdf), "tool")
         except Refusal as refusal:
@@ -302,6 +301,13 @@ def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int) -> None:
         one.add(0, Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)))
         POSITION.check("test", one.instruct(controller, 0, q))
     assert taken > 0
+
+
+@pytest.mark.parametrize("joints", [129, 900])
+def test_robots_that_take_long_to_compute_with_are_refused(joints: int) -> None:
+    urdf = random_urdf(random.Random(joints), [f"joint_{j}" for j in range(joints)])
+    with pytest.raises(Refusal, match=f"must have at most 128 moving joints, got {joints}"):
+        moving_joints(urdf)
 
 
 # Session and offline run
