@@ -69,7 +69,8 @@ class Publisher:
         self.topic_name = f"/{topic}"
 
     def publish(self, message: Any) -> None:
-        said = self._topic, self._kind, serialize_message(message)
+        data = message if isinstance(message, bytes) else serialize_message(message)
+        said = self._topic, self._kind, data
         self._wires.newest[self._topic] = said
         if self._topic in self._wires.listeners:
             self._wires.waiting.append(said)
