@@ -141,7 +141,8 @@ test: setup .venv/.robots
 	@$(RUN) && pytest $(ARGS)
 
 # Those that start processes.
-NETWORK_TESTS := $(addprefix test/test_,lockstep.py network.py launch.py bags.py examples.py)
+NETWORK_TESTS := $(addprefix test/test_,lockstep.py network.py launch.py bags.py \
+  examples.py doubles.py extreme_numbers.py recording.py)
 
 test-under-load: setup .venv/.robots
 	@$(RUN) && python -m bench.under_load $(ARGS) -- pytest -q $(NETWORK_TESTS)

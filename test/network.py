@@ -189,6 +189,27 @@ class User:
 
         self.wait(f"{receiver} to listen on {publisher.topic_name}", listens)
 
+    def await_start(self) -> None:
+        """Wait until a paused network has met, and this user hears the machine's states.
+
+        Whoever the emulator has not found yet when it says tick 0 misses it, and what follows.
+        """
+        self.wait(
+            "the nodes to meet",
+            # Tick 0 by its number: of an emulator that was killed some words may still come.
+            lambda: self.status and self.status.answered and self.status.tick == 0,
+        )
+        again_at = time.monotonic() + 1.0
+
+        def heard() -> bool:
+            nonlocal again_at
+            if self.tick != 0 and time.monotonic() > again_at:
+                again_at = time.monotonic() + 1.0
+                assert self.call("emulator/reset").success, "the emulator was not reset"
+            return self.tick == 0
+
+        self.wait("tick 0", heard)
+
     def forget_listeners(self, node: str) -> None:
         """Count no longer on the listeners of a node that was killed: they fade away slowly."""
         for publisher in self.node.publishers:

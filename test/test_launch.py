@@ -161,7 +161,8 @@ def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
             stop = rng.choice([signal.SIGINT, signal.SIGTERM])
             process = start(*(word.format(folder=folder) for word in command))
             try:
-                wait(lambda p=process: p.poll() is not None or catches(p, signal.SIGTERM))
+                ready = f"{process} to heed SIGTERM"
+                wait(lambda p=process: p.poll() is not None or catches(p, signal.SIGTERM), ready)
                 moment = 5.0 * rng.random() ** 3  # most of the start-up is in the first second
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(moment)

@@ -59,11 +59,7 @@ def recorded(log: Path, scene: str) -> dict[int, bytes]:
 
 def begin(user: User, target: Pose, targets: int = 1) -> None:
     """Give the target to a paused network, then let it go."""
-    # Tick 0 by its number: of an emulator that was killed some words may still be on their way.
-    user.wait(
-        "the nodes to meet",
-        lambda: user.status and user.status.answered and user.status.tick == 0,
-    )
+    user.await_start()
     x, y, z, w = map(float, target.quaternion())
     user.send_tool_target(tuple(map(float, target.p_WT)), TARGET_AT, (x, y, z, w))
     user.wait("the target", lambda: user.value("motion_controller", "tool targets") == str(targets))

@@ -40,7 +40,7 @@ TICKS = 400
 
 
 def go(user: User) -> None:
-    user.wait("the nodes to meet", lambda: user.status and user.status.answered)
+    user.await_start()
     assert user.call("emulator/pause", False).success
 
 
@@ -278,7 +278,7 @@ def test_tool_targets_for_different_times_may_come_at_once(tmp_path: Path) -> No
         run.instructor.add(250_000_000, Pose(back, np.eye(3)))
 
     with network(tmp_path) as (user, _):
-        user.wait("the nodes to meet", lambda: user.status and user.status.answered)
+        user.await_start()
         user.send_tool_target(tuple(map(float, back)), at=0.25)
         user.send_tool_target(tuple(map(float, there)), at=0.1)
         user.wait("both", lambda: user.value("motion_controller", "tool targets") == "2")

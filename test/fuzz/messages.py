@@ -107,10 +107,7 @@ def await_counts(user: User) -> None:
 
 def go(user: User) -> None:
     """Let a paused network run from tick 0."""
-    user.wait(
-        "the nodes to meet",
-        lambda: user.status and user.status.answered and user.status.tick == user.tick == 0,
-    )
+    user.await_start()
     assert user.call("emulator/pause", False).success, "the emulator did not go on"
 
 
