@@ -3,4 +3,6 @@
 import pytest
 
 # So that their bare assertions say what was compared, too.
-pytest.register_assert_rewrite("machines", "network")
+pytest.register_assert_rewrite(
+    "doors", "fuzz", "in_process", "machines", "network", "random_messages", "random_scenes"
+)
