@@ -220,7 +220,7 @@ class Plant:
             pointers = _pointer(some), len(some), steps, _pointer(q[first:])
             joint = self.core.arm_run(self.machine, *pointers)
             if joint >= 0:
-                done = int((self.t - began) / (steps * self.scene.integrator.dt) + 1e-6)
+                done = int((self.t - began) / (max(1, steps) * self.scene.integrator.dt) + 1e-6)
                 self._check(joint, some[min(done, len(some) - 1)])
         return q
 
