@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from emulator_node.compiler import library_of, scene_unit
+from emulator_node.compiler import library_of
 from emulator_node.cxx import find_compiler
 from emulator_node.scene import Scene
+from emulator_node.scene_unit import scene_unit
 
 ENOUGH = 0.01  # s of work in one repetition
 LONG = 0.2  # s; beyond this a cold cache is nothing

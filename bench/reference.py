@@ -56,7 +56,8 @@ def reference(
         Link positions after each row, (K, N) [rad or m].
 
     Raises:
-        Refusal: Coulomb friction, a current limit (not smooth), or a payload that is not told.
+        Refusal: Coulomb friction or a limit of an inductive current (the right-hand side jumps), or
+            a payload that is not told.
     """
     return reference_states(
         scene, voltages, period, rtol, method=method, q=q, v=v, payload=payload
@@ -120,7 +121,12 @@ class ReferenceMachine:
         for joint in scene.joints:
             for quantity, smooth in (
                 ("friction.coulomb", joint.friction.coulomb == 0.0),
-                ("motor.current_limit", joint.motor is None or joint.motor.current_limit is None),
+                (
+                    "motor.current_limit",
+                    joint.motor is None
+                    or joint.motor.current_limit is None
+                    or joint.motor.inductance == 0.0,
+                ),
             ):
                 if not smooth:
                     where = f"joints.{joint.name}.{quantity}"
@@ -140,6 +146,7 @@ class ReferenceMachine:
                 for m in motors
             ]
         ).T
+        self.limit = np.array([(m and m.current_limit) or np.inf for m in motors])
         self.Ng = np.array([gear.ratio for gear in gears])
         self.Kg = np.array([gear.stiffness or 0.0 for gear in gears])
         self.Dg = np.array([gear.damping for gear in gears])
@@ -175,7 +182,8 @@ class ReferenceMachine:
         """Return dx/dt, flat."""
         i, tm, wm, q, v = flat.reshape(5, self.N)
         wm = np.where(self.rigid, v / self.Ng, wm)
-        i = np.where(self.inductive, i, (V - self.Kb * wm) / self.R)
+        at_once = np.clip((V - self.Kb * wm) / self.R, -self.limit, self.limit)
+        i = np.where(self.inductive, i, at_once)
         T = np.where(
             self.rigid,
             self.Kt * i / self.Ng,  # the rotor is part of the links' mass matrix

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from arm_emulator.refusal import Refusal
 from emulator_node import library_cache
-from emulator_node.chain import Body, ChainJoint
 from emulator_node.core_calls import CALLS
 from emulator_node.cxx import find_compiler, run_compiler
 from emulator_node.elf import why_no_library
-from emulator_node.scene import Gear, Joint, Scene
+from emulator_node.scene import Scene
+from emulator_node.scene_unit import scene_unit
 from emulator_node.trusted import Untrusted, check_folder, read_file
 
 CORE = Path(__file__).resolve().parent / "core"
@@ -157,91 +157,6 @@ def _built(file: Path, compiler: str, scene: Scene) -> bytes:
 
 def _say_damaged(file: Path, error: Exception) -> None:
     library_cache.say_once(f"arm_emulator: cached library {file} is not used: {error}")
-
-
-# The scene as C++
-
-
-def scene_unit(scene: Scene) -> str:
-    """Return the C++ unit of a scene: its constants, then the core's C interface.
-
-    The step size is no constant, so that scenes that differ in it alone share a library.
-    """
-    R_BW = scene.chain.R_BW
-    gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
-    joints = ",\n".join(
-        _joint(geometry, joint)
-        for geometry, joint in zip(scene.chain.joints, scene.joints, strict=True)
-    )
-    return f"""\
-#include "scene.hpp"
-
-struct Scene {{
-  static constexpr int N = {len(scene.joints)};
-  static constexpr arm::Scheme scheme = arm::Scheme::{scene.integrator.scheme};
-  static constexpr int threads = {scene.threads};
-  static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
-  static constexpr double supply_voltage = {_number(scene.supply_voltage)};
-  static constexpr arm::Vec3 gravity = {_list(gravity)};
-  static constexpr arm::Joint joint[N] = {{
-{joints}
-  }};
-}};
-
-#include "abi.hpp"
-"""
-
-
-def _joint(geometry: ChainJoint, joint: Joint) -> str:
-    motor = joint.motor
-    motor_values = (
-        "{}"
-        if motor is None
-        else "{true, "
-        + ", ".join(
-            map(
-                _number,
-                (
-                    motor.resistance,
-                    motor.inductance,
-                    motor.torque_constant,
-                    motor.back_emf_constant,
-                    motor.rotor_inertia,
-                    motor.current_limit or 0.0,
-                ),
-            )
-        )
-        + "}"
-    )
-    friction = (joint.friction.viscous, joint.friction.coulomb, joint.friction.breakaway)
-    turn = (geometry.cos_alpha, geometry.sin_alpha, geometry.theta_0)
-    return f"""\
-    {{arm::JointKind::{geometry.kind}, {", ".join(map(_number, turn))}, {_list(geometry.p)},
-     {_body(geometry.body)},
-     {motor_values}, {_gear(joint.gear)}, {", ".join(map(_number, friction))}}}"""
-
-
-def _body(body: Body) -> str:
-    I = body.inertia  # noqa: E741
-    tensor = (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
-    return f"{{{_number(body.mass)}, {_list(body.moment)}, {_list(tensor)}}}"
-
-
-def _gear(gear: Gear) -> str:
-    rigid = "true" if gear.stiffness is None else "false"
-    values = (gear.ratio, gear.stiffness or 0.0, gear.damping)
-    return f"{{{rigid}, {', '.join(map(_number, values))}}}"
-
-
-def _list(values: object) -> str:
-    return f"{{{', '.join(map(_number, values))}}}"  # type: ignore[call-overload]
-
-
-def _number(value: float) -> str:
-    return repr(float(value) + 0.0)
-
-
-# What a library is called
 
 
 def _library_name(scene: Scene, unit: str, target: str) -> str:

@@ -16,6 +16,7 @@ CALLS: dict[str, tuple[Any, list[Any]]] = {
     "arm_time": (_double, [_pointer]),
     "arm_energy": (_double, [_pointer]),
     "arm_state": (None, [_pointer, _pointer]),
+    "arm_linear_drives": (_int, [_pointer]),
     "arm_real_time_new": (_pointer, [_pointer, _count, _count, _int]),
     "arm_real_time_delete": (None, [_pointer]),
     "arm_real_time_start": (None, [_pointer, _count]),

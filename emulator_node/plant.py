@@ -91,6 +91,20 @@ class PlantState:
     encoder_counts: NDArray[np.int64]  # at the motor, floor
 
 
+@dataclass(frozen=True)
+class LinearDrive:
+    """The linear part of one joint's drive, as the core states it (core/drive.hpp).
+
+    With its n states z, D dz/dt = F (z, q, v, u), and the torque on the link is G (z, q, v, u) less
+    `carried` times the link's acceleration.
+    """
+
+    D: Array  # (n,), 0 where a state follows at once
+    F: Array  # (n, n + 3)
+    G: Array  # (n + 3,)
+    carried: float  # kg m2, of a rotor behind a rigid gear
+
+
 class Plant:
     """Motors, gears and links of one scene, stepped by the compiled core.
 
@@ -314,6 +328,19 @@ class Plant:
         if not np.isfinite(a).all():
             raise Refusal(where, "what v and tau lead to", "be finite [rad/s2 or m/s2]", a)
         return a
+
+    def linear_drives(self) -> list[LinearDrive]:
+        """Return what each joint's drive is for small motions, base to tool."""
+        K = self.core.arm_linear_drives(None)
+        numbers = np.zeros((self._N, 2 + K + (K + 1) * (K + 4)))
+        self.core.arm_linear_drives(_pointer(numbers))
+        drives = []
+        for row in numbers:
+            n, (D, F, G) = int(row[0]), np.split(row[2:], [K, K + K * (K + 4)])
+            own = [*range(n), K, K + 1, K + 2]
+            F = F.reshape(K, K + 4)[:n, own]
+            drives.append(LinearDrive(D[:n], F, G[own], float(row[1])))
+        return drives
 
     def _vector(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
         array = _numbers(values, where, quantity, unit)

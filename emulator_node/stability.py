@@ -1,7 +1,8 @@
 """Which scheme and step hold a machine: by the eigenvalues of one step, and by trial.
 
-Linearised about rest in a pose, every scheme is a matrix that maps the state x = (i, tm, wm, q, v)
-of one sample to the next. Its spectral radius says by how much a small motion grows per step.
+Linearised about rest in a pose, every scheme is a matrix that maps the state x = (z, q, v) of one
+sample to the next; z are the states of the drives. Its spectral radius says by how much a small
+motion grows per step.
 """
 
 from __future__ import annotations
@@ -53,57 +54,41 @@ class SmallMotions:
             - plant.link_accelerations(at - step * unit, zero, holding)
         ).T / (2.0 * step)
 
-        motors = [joint.motor for joint in scene.joints]
-        gears = [joint.gear for joint in scene.joints]
-        has = np.array([motor is not None for motor in motors])
-        R, L, Kt, Kb, Mm = np.array(
-            [
-                (
-                    m.resistance,
-                    m.inductance,
-                    m.torque_constant,
-                    m.back_emf_constant,
-                    m.rotor_inertia,
-                )
-                if m is not None
-                else (1.0, 0.0, 0.0, 0.0, 1.0)
-                for m in motors
-            ]
-        ).T
-        Ng = np.array([gear.ratio for gear in gears])
-        Kg = np.array([gear.stiffness or 0.0 for gear in gears])
-        Dg = np.array([gear.damping for gear in gears])
-        rigid = np.array([gear.stiffness is None for gear in gears])
-        elastic, inductive = has & ~rigid, L > 0.0
-        carried = np.where(has & rigid, Mm / Ng**2, 0.0)
+        # D z' = F (z, q, v) and torque = G (z, q, v), all drives in one.
+        drives = plant.linear_drives()
+        n = sum(len(drive.D) for drive in drives)
+        D, F, G = np.zeros(n), np.zeros((n, n + 2 * N)), np.zeros((N, n + 2 * N))
+        first = 0
+        for j, drive in enumerate(drives):
+            own = np.arange(first, first + len(drive.D))
+            columns = [*own, n + j, n + N + j]
+            D[own] = drive.D
+            F[np.ix_(own, columns)] = drive.F[:, :-1]
+            G[j, columns] = drive.G[:-1]
+            first += len(drive.D)
+        # States that follow at once, such as a current without inductance, are no states.
+        follows = D == 0.0
+        kept = np.concatenate([~follows, np.ones(2 * N, dtype=bool)])
+        all_from_kept = np.eye(n + 2 * N)[:, kept]
+        all_from_kept[:n][follows] = -np.linalg.solve(
+            F[follows][:, :n][:, follows], F[follows][:, kept]
+        )
         # M + carried rotors: (M + C)^-1 = (1 + M^-1 C)^-1 M^-1.
+        carried = np.array([drive.carried for drive in drives])
         by_torque = np.linalg.solve(unit + M_inverse * carried, M_inverse)
         by_q = np.linalg.solve(unit + M_inverse * carried, sag)
 
-        # Every row is linear in x; one selector per part of x.
-        i, tm, wm, pos, v = np.eye(5 * N).reshape(5, N, 5 * N)
-        w = np.where(rigid[:, None], v / Ng[:, None], wm)  # motor speed
-        amps = np.where(inductive[:, None], i, -(Kb / R)[:, None] * w)
-        twist, twist_rate = Ng[:, None] * tm - pos, Ng[:, None] * wm - v
-        torque = np.where(
-            elastic[:, None],
-            Kg[:, None] * twist + Dg[:, None] * twist_rate,
-            np.where(has[:, None], (Kt / Ng)[:, None] * amps, 0.0),
+        self.links = int(np.count_nonzero(~follows))  # where q begins
+        whole = np.vstack(
+            [
+                (F[~follows] / D[~follows, None]) @ all_from_kept,
+                np.eye(N, self.links + 2 * N, self.links + N),  # dq/dt = v
+                by_torque @ G @ all_from_kept,
+            ]
         )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            di = np.where(inductive[:, None], -(R[:, None] * i + Kb[:, None] * w) / L[:, None], 0.0)
-        dwm = (Kt[:, None] * amps - Ng[:, None] * torque) / Mm[:, None]
-        viscous = np.array([joint.friction.viscous for joint in scene.joints])
-        stiff_dv = by_torque @ (torque - viscous[:, None] * v)
-        dtm, dwm = (np.where(elastic[:, None], rows, 0.0) for rows in (wm, dwm))
-        # Only what the machine has: else eigenvalues of nothing, and time for nothing.
-        kept = np.concatenate([inductive, elastic, elastic, np.ones(2 * N, dtype=bool)])
-        stiff = np.concatenate([di, dtm, dwm, v, stiff_dv])
-        whole = stiff.copy()
-        whole[4 * N :] += by_q @ pos
-        self.A = stiff[kept][:, kept]  # what the schemes treat implicitly
-        self.J = whole[kept][:, kept]  # all
-        self.links = int(np.count_nonzero(kept[: 3 * N]))  # where q begins
+        self.A = whole.copy()  # what the schemes treat implicitly
+        whole[-N:, self.links : self.links + N] += by_q
+        self.J = whole  # all
         self.fastest = max(0.0, float(np.linalg.eigvals(self.J).real.max()))  # 1/s
 
     def step(self, scheme: str, dt: float) -> Array:

@@ -28,8 +28,8 @@ import numpy as np
 import yaml
 
 from arm_emulator.refusal import Refusal
-from emulator_node.compiler import scene_unit
 from emulator_node.scene import load_scene
+from emulator_node.scene_unit import scene_unit
 
 Rng = np.random.Generator
 

@@ -23,11 +23,11 @@ from emulator_node.compiler import (
     FLAGS,
     compile_ahead,
     library_of,
-    scene_unit,
 )
 from emulator_node.cxx import find_compiler
 from emulator_node.library_cache import CACHE_VARIABLE
 from emulator_node.scene import load_scene
+from emulator_node.scene_unit import scene_unit
 
 READY = (
     "from emulator_node.scene import load_scene; from emulator_node.plant import Plant;"

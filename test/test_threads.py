@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 from machines import random_chain
 
-from emulator_node.compiler import CORE, FLAGS, scene_unit
+from emulator_node.compiler import CORE, FLAGS
 from emulator_node.cxx import find_compiler
 from emulator_node.plant import Diverged, Plant
 from emulator_node.real_time import RealTimeLoop
 from emulator_node.scene import load_scene
+from emulator_node.scene_unit import scene_unit
 
 # Table 1 of the paper: difference between one and two threads after 1 s [rad].
 PAPER_TABLE_1 = {

@@ -31,16 +31,27 @@ double arm_energy(const TheMachine* machine) { return machine->energy(); }
 // out: i, tm, wm, q, v, T, N values each
 void arm_state(const TheMachine* machine, double* out) {
   const auto& x = machine->state();
-  double T[N];
-  machine->gear_torques(T);
-  for (int j = 0; j < N; ++j) {
-    out[j] = x.i[j];
-    out[N + j] = machine->motor_angle(j);
-    out[2 * N + j] = machine->motor_speed(j);
-    out[3 * N + j] = x.q[j];
-    out[4 * N + j] = x.v[j];
-    out[5 * N + j] = T[j];
-  }
+  machine->report(out, out + N, out + 2 * N);
+  std::copy_n(x.q, N, out + 3 * N);
+  std::copy_n(x.v, N, out + 4 * N);
+  machine->gear_torques(out + 5 * N);
+}
+
+// The linear part of every drive (drive_table.hpp), for the analysis of small motions. Rows of K
+// states; returns K. out, per joint: how many states it has, the carried rotor, D (K), F (K rows of
+// K + 4) and G (K + 4); the columns are z, q, v, u and side. With `out` null only K is returned.
+int arm_linear_drives(double* out) {
+  constexpr int K = arm::most_states<Scene>();
+  if (!out) return K;
+  arm::for_each_drive<Scene>([&](const auto& drive, int) {
+    const auto linear = arm::LinearDrive<K>::of(drive, false);
+    *out++ = drive.states;
+    *out++ = drive.carried();
+    out = std::copy_n(linear.D, K, out);
+    for (int k = 0; k < K; ++k) out = std::copy_n(linear.F[k], K + 4, out);
+    out = std::copy_n(linear.G, K + 4, out);
+  });
+  return K;
 }
 
 // Real time. The machine must outlive it.

@@ -1,13 +1,13 @@
 // M x = b for a symmetric positive definite M, as L D L^T.
 #pragma once
 
-#include "loops.hpp"
+#include "number.hpp"
 
 namespace arm {
 
 // The upper triangle is set, row <= column; what else there is in its rows has no meaning.
-template <int N>
-using Symmetric = double[N][kPadded<N>];
+template <int N, class X>
+using Symmetric = X[N][kPadded<N>];
 
 // How many numbers that takes, with all that stands in their groups of lanes.
 template <int N>
@@ -17,13 +17,13 @@ constexpr int packed_length() {
   return length;
 }
 
-template <int N>
+template <int N, class X = double>
 struct Cholesky {
-  double L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
-  double inverse_D[N];
+  X L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
+  X inverse_D[N];
 
   // Factor `M`, which is used up.
-  ARM_INLINE void factor(Symmetric<N>& M) {
+  ARM_INLINE void factor(Symmetric<N, X>& M) {
     for_each<N, kUnrollNested>([&](auto j) __attribute__((always_inline)) {
       inverse_D[j] = 1.0 / M[j][j];
       for_each_lane_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
@@ -36,13 +36,13 @@ struct Cholesky {
     });
   }
 
-  ARM_INLINE void solve(double (&x)[N]) const {
+  ARM_INLINE void solve(X* x) const {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       for_each_from<N>(next(j),
                        [&](auto k) __attribute__((always_inline)) { x[k] -= L[j][k] * x[j]; });
     });
     for_each_reverse<N>([&](auto j) __attribute__((always_inline)) {
-      double sum = x[j] * inverse_D[j];
+      X sum = x[j] * inverse_D[j];
       for_each_from<N>(next(j),
                        [&](auto k) __attribute__((always_inline)) { sum -= L[j][k] * x[k]; });
       x[j] = sum;

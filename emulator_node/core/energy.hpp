@@ -2,7 +2,6 @@
 #pragma once
 
 #include "links.hpp"
-#include "motors.hpp"
 #include "state.hpp"
 
 namespace arm {
@@ -14,51 +13,26 @@ struct Energy {
   double total() const { return stored + potential; }
 };
 
-// What joint j itself has of it: its motor, its gear and, with M_jj for `inertia`, its link.
-ARM_INLINE double stored_energy(const Joint& joint, double inertia, double i, double tm, double wm,
-                                double q, double v) {
-  double twice = inertia * v * v;
-  if (joint.motor.present) {
-    if (joint.gear.rigid) {
-      twice += carried_rotor(joint) * v * v;
-    } else {
-      const double twist = joint.gear.Ng * tm - q;
-      twice += joint.motor.Mm * wm * wm + joint.gear.Kg * twist * twist;
-    }
-    twice += joint.motor.L * i * i;
-  }
-  return 0.5 * twice;
-}
-
-// `greediest`: set to the joint that holds the most.
+// `greediest`: set to the joint that holds the most by itself: its drive and, with M_jj, its link.
 template <class S>
-Energy energy_of(const State<S::N>& x, int* greediest = nullptr) {
+Energy energy_of(const State<S>& x, int* greediest = nullptr) {
   typename Links<S>::Kinematics k;
   typename Links<S>::MassMatrix M;
   Links<S>::kinematics(x.q, k);
   Links<S>::mass_matrix(k, M);
   Energy E = {0.0, Links<S>::potential_energy(k)};
   double most = -1.0;
-  for (int j = 0; j < S::N; ++j) {
+  for_each_drive<S>([&](const auto& drive, int j) {
     const double own =
-        stored_energy(S::joint[j], M.at[j][j], x.i[j], x.tm[j], x.wm[j], x.q[j], x.v[j]);
+        0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
     E.stored += own;
     for (int m = j + 1; m < S::N; ++m) E.stored += x.v[j] * M.at[j][m] * x.v[m];
     if (greediest && own > most) {
       most = own;
       *greediest = j;
     }
-  }
+  });
   return E;
-}
-
-// What a motor at V volts gives at most [W]: V i - R i^2, and (Kt - Kb) wm i where the constants
-// differ, for the best i.
-ARM_INLINE constexpr double largest_power(const Joint& joint, double V, double wm) {
-  if (!joint.motor.present) return 0.0;
-  const double from_nowhere = (joint.motor.Kt - joint.motor.Kb) * wm;
-  const double U = (V < 0.0 ? -V : V) + (from_nowhere < 0.0 ? -from_nowhere : from_nowhere);
-  return U * U / (4.0 * joint.motor.R);
 }
 
 // Keeps account of a machine's energy. Friction, gear damping and windings only take, so that it
@@ -70,19 +44,18 @@ class EnergyBalance {
  public:
   static constexpr int N = S::N;
 
-  void reset(const State<N>& x) {
+  void reset(const State<S>& x) {
     const Energy E = energy_of<S>(x);
     at_most = E.total();
     largest_stored = E.stored;
     steps = 0;
   }
 
-  // What the motors give at most at the voltages V [W].
-  ARM_INLINE static double largest_power(const State<N>& x, const double (&V)[N]) {
+  // What the motors give at most under the commands u [W].
+  ARM_INLINE static double largest_power(const State<S>& x, const double* u) {
     double power = 0.0;
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      power += arm::largest_power(S::joint[j], V[j],
-                                  S::joint[j].gear.rigid ? x.v[j] / S::joint[j].gear.Ng : x.wm[j]);
+    for_each_drive<S>([&](const auto& drive, int j) __attribute__((always_inline)) {
+      power += drive.given_at_most(input_of(drive, j, x, u[j]));
     });
     return power;
   }
@@ -92,7 +65,7 @@ class EnergyBalance {
 
   // `count` steps have led to x. Returns -1, or the joint that holds the most of an energy that
   // came from nowhere.
-  int broken_by(const State<N>& x, int count) {
+  int broken_by(const State<S>& x, int count) {
     steps += count;
     if (steps < kCheckEvery) return -1;
     steps = 0;

@@ -1,9 +1,8 @@
 // Linearly implicit schemes: implicit Euler, and the Rosenbrock method ROS2 in two forms.
 //
-// All solve  (I - s A) k = r,  s = gamma h,  for the rates k of the state x = (i, tm, wm, q, v),
-// where A is the part of the Jacobian that is stiff and cheap: armature circuit, rotor, gear and
-// viscous friction of each joint by itself (joint_step.hpp). A leaves out how nle and M change with
-// q and v.
+// All solve  (I - s A) k = r,  s = gamma h,  for the rates k of the state x = (z, q, v), where A is
+// the part of the Jacobian that is stiff and cheap: the drive of each joint by itself, viscous
+// friction included (drive_table.hpp). A leaves out how nle and M change with q and v.
 //
 //   implicit      k = f(x),  x' = x + h k                                       (gamma = 1)
 //   rosenbrock    (I - s A) k1 = f(x)
@@ -26,134 +25,135 @@
 //                 but in the one step after it, which keeps the order.
 #pragma once
 
-#include "friction.hpp"
-#include "joint_step.hpp"
+#include <limits>
+
+#include "coulomb.hpp"
+#include "drive_table.hpp"
 #include "links.hpp"
-#include "motors.hpp"
-#include "state.hpp"
 
 namespace arm {
 
-template <class S>
+template <class S, class X = double>
 class LinearlyImplicit {
  public:
-  static constexpr int N = S::N;
-  using Dynamics = typename Links<S>::Dynamics;
+  static constexpr int N = S::N, K = most_states<S>();
+  using Dynamics = typename Links<S, X>::Dynamics;
+  using Tables = DriveTables<S, X>;
+  using In = StepInput<K>;
+  static constexpr int row = Tables::row;
 
-  explicit LinearlyImplicit(double step) : h(step) {
-    for (int j = 0; j < N; ++j) {
-      free[j] = JointStep(S::joint[j], h, stages, false).table();
-      limited[j] = JointStep(S::joint[j], h, stages, true).table();
-    }
-  }
+  explicit LinearlyImplicit(double step)
+      : h(step),
+        tables([step](const auto& drive) { return implicit_table<K>(drive, step, stages); }) {}
 
   // The links' accelerations in the first stage, and the torques M a + nle that they take there.
   struct Accelerations {
-    double a[N], torque[N];
+    alignas(64) X a[row], torque[row];
   };
   using Memory = Accelerations;  // what a step takes from the one before, beside the state
 
   // Begin at a state with no past.
-  void reset(const State<N>& x) {
-    if constexpr (!extrapolates) return;
-    typename Links<S>::Kinematics kinematics;
+  void reset(const State<S, X>& x) {
     past = {};
-    Links<S>::kinematics(x.q, kinematics);
-    Links<S>::inverse_dynamics(kinematics, x.v, nullptr, past.torque);
+    if constexpr (!extrapolates) return;
+    typename Links<S, X>::Kinematics kinematics;
+    Links<S, X>::kinematics(x.q, kinematics);
+    Links<S, X>::inverse_dynamics(kinematics, x.v, nullptr, past.torque);
   }
   const Memory& memory() const { return past; }
   void restore(const Memory& memory) { past = memory; }
 
-  // From sample k to k + 1 with the voltages V. The links' part comes from `exchange`, which is
+  // From sample k to k + 1 under the commands u. The links' part comes from `exchange`, which is
   // given the links as soon as they have moved on (two_threads.hpp).
   template <class Exchange>
-  ARM_INLINE void step(State<N>& x, const double (&V)[N], Dynamics& links, Exchange& exchange) {
-    JointInput z[N];
-    Accelerations k1;
-    double change[N] = {};
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      z[j] = begin(x, V, j);
-      k1.torque[j] = answer(&JointResponse::rhs_1, z[j], j);
-    });
-    exchange.take(links);
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      links.M.at[j][j] += carried_rotor(S::joint[j]);
-    });
-    if constexpr (extrapolates) extrapolate_change(links, change);
-    first_stage(x, links, z, k1);
-    if constexpr (extrapolates) past = k1;
-    if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
-    if constexpr (stages == 2) second_stage(links, change, z);
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      x.q[j] += h * (x.v[j] + gamma * h * (z[j].k1_v + 0.5 * z[j].k2_v));
-      x.v[j] += h * (gamma * z[j].k1_v + 0.5 * z[j].k2_v);
-    });
-    friction.stop_at_reversal(x.v);
-    exchange.give(x);
-    for_each<N>([&](auto j) __attribute__((always_inline)) { finish_motor(x, V, z[j], j); });
+  ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
+    Inputs in;
+    begin(x, u, in);
+    if constexpr (!Tables::limits) {
+      Accelerations k1;
+      Tables::template answer<K + 4>(tables.rhs_1, in).store(k1.torque);
+      exchange.take(links);
+      stages_of(x, links, in, k1);
+      move_links(x, in);
+      exchange.give(x);
+      move_drives(x, in);
+    } else {
+      exchange.take(links);
+      step_within_limits(x, u, links, in);
+      exchange.give(x);
+    }
   }
 
  private:
+  using Inputs = typename Tables::Inputs;
   static constexpr bool extrapolates = S::scheme == Scheme::extrapolated;
   static constexpr int stages = S::scheme == Scheme::implicit ? 1 : 2;
-  static constexpr double sqrt_2 = JointStep::sqrt_2;
-  static constexpr double gamma = JointStep::gamma(stages);
+  static constexpr double gamma = gamma_of(stages);
 
-  ARM_INLINE JointInput begin(State<N>& x, const double (&V)[N], int j) {
-    const auto& [rigid, Ng, Kg, Dg] = S::joint[j].gear;
-    follow_voltage(x, V, j);
-    double drive = V[j];
-    table[j] = &free[j];
-    if (may_limit(j)) approach_limit(x, V, j, drive);
-    const bool elastic = S::joint[j].motor.present && !rigid;
-    const double twist = elastic ? Ng * x.tm[j] - x.q[j] : 0.0;
-    const double twist_rate = elastic ? Ng * x.wm[j] - x.v[j] : 0.0;
-    return {x.i[j], twist, twist_rate, x.v[j], drive, 0.0, 0.0};
+  using Numbers = Row<N, X>;
+
+  ARM_INLINE static void begin(const State<S, X>& x, const X (&u)[row], Inputs& in) {
+    for_each<K, kMostStates>([&](auto k)
+                                 __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
+    in[In::q] = Numbers::load(x.q);
+    in[In::v] = Numbers::load(x.v);
+    in[In::u] = Numbers::load(u);
+    in[In::side] = in[In::k1] = in[In::k2] = {};
   }
 
-  ARM_INLINE void first_stage(const State<N>& x, Dynamics& links, JointInput (&z)[N],
+  // k1 and k2 of the links. `k1.torque` holds rhs_1.
+  ARM_INLINE void stages_of(const State<S, X>& x, Dynamics& links, Inputs& in, Accelerations& k1) {
+    for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += carried<S>[j]; });
+    X change[row] = {};
+    if constexpr (extrapolates) extrapolate_change(links, change);
+    first_stage(x, links, in, k1);
+    if constexpr (extrapolates) past = k1;
+    if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
+    if constexpr (stages == 2) second_stage(links, change, in);
+  }
+
+  ARM_INLINE void first_stage(const State<S, X>& x, Dynamics& links, Inputs& in,
                               Accelerations& k1) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k1.a[j] = k1.torque[j] - links.nle[j];
-      links.M.at[j][j] += of(j).diagonal;
+      links.M.at[j][j] += tables.diagonal[j];
     });
-    friction.solve(links.M.at, x.v, k1.a);
+    coulomb.solve(links.M.at, x.v, k1.a);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      z[j].k1_v = k1.a[j];
-      k1.torque[j] -= friction.force(j) + of(j).diagonal * k1.a[j];
+      k1.torque[j] -= coulomb.force(j) + tables.diagonal[j] * k1.a[j];
     });
+    in[In::k1] = Numbers::gather(k1.a);
   }
 
-  ARM_INLINE void second_stage(const Dynamics& links, const double (&change)[N],
-                               JointInput (&z)[N]) const {
-    double k2[N];
+  ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) const {
+    alignas(64) X k2[row];
+    Tables::template answer<K + 5>(tables.rhs_2, in).store(k2);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      const double rest = change[j] - sqrt_2 * (links.nle[j] + friction.force(j));
-      k2[j] = answer(&JointResponse::rhs_2, z[j], j) + rest;
+      k2[j] += change[j] - kSqrt2 * (links.nle[j] + coulomb.force(j));
     });
-    friction.solve_again(k2);
-    for_each<N>([&](auto j) __attribute__((always_inline)) { z[j].k2_v = k2[j]; });
+    coulomb.solve_again(k2);
+    in[In::k2] = Numbers::gather(k2);
   }
 
   // d of `rosenbrock`.
-  ARM_INLINE void evaluate_change(const State<N>& x, const Accelerations& k1,
-                                  double (&change)[N]) const {
-    typename Links<S>::Kinematics kinematics;
-    double q[N], v[N];
+  ARM_INLINE void evaluate_change(const State<S, X>& x, const Accelerations& k1,
+                                  X (&change)[row]) const {
+    typename Links<S, X>::Kinematics kinematics;
+    X q[N], v[N];
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       q[j] = x.q[j] + h * (x.v[j] + gamma * h * k1.a[j]);
       v[j] = x.v[j] + h * k1.a[j];
     });
-    Links<S>::kinematics(q, kinematics);
-    Links<S>::inverse_dynamics(kinematics, v, k1.a, change);
+    Links<S, X>::kinematics(q, kinematics);
+    Links<S, X>::inverse_dynamics(kinematics, v, k1.a, change);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      change[j] = k1.torque[j] - change[j] - carried_rotor(S::joint[j]) * k1.a[j];
+      change[j] = k1.torque[j] - change[j] - carried<S>[j] * k1.a[j];
     });
   }
 
   // d of `extrapolated`: the torques M a + nle, for the accelerations of the step before, there and
   // here.
-  ARM_INLINE void extrapolate_change(const Dynamics& links, double (&change)[N]) const {
+  ARM_INLINE void extrapolate_change(const Dynamics& links, X (&change)[row]) const {
     const auto& M = links.M.at;
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       change[j] = past.torque[j] - links.nle[j] - M[j][j] * past.a[j];
@@ -166,74 +166,85 @@ class LinearlyImplicit {
     });
   }
 
-  ARM_INLINE void finish_motor(State<N>& x, const double (&V)[N], const JointInput& z,
-                               int j) const {
-    if (S::joint[j].motor.present) {
-      x.i[j] += answer(&JointResponse::i, z, j);
-      if (!S::joint[j].gear.rigid) {
-        x.tm[j] += answer(&JointResponse::tm, z, j);
-        x.wm[j] += answer(&JointResponse::wm, z, j);
+  ARM_INLINE void move_links(State<S, X>& x, const Inputs& in) const {
+    Numbers q, v;
+    for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
+      const auto k1 = in[In::k1].at[g], k2 = in[In::k2].at[g];
+      q.at[g] = in[In::q].at[g] + h * (in[In::v].at[g] + gamma * h * (k1 + 0.5 * k2));
+      v.at[g] = in[In::v].at[g] + h * (gamma * k1 + 0.5 * k2);
+    });
+    q.store(x.q);
+    v.store(x.v);
+    coulomb.stop_at_reversal(x.v);
+  }
+
+  ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) const {
+    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+      Numbers z = Tables::template answer<K + (stages == 2 ? 6 : 5)>(tables.dz[k], in);
+      for_each<Numbers::groups>([&](auto g)
+                                    __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
+      z.store(x.z[k]);
+    });
+  }
+
+  // Limits are modes of the joints: a current is within its limit, or at it. A step is taken with
+  // the modes that hold at its end: a current within has not passed the limit, one at the limit is
+  // not drawn back by its own circuit.
+  void step_within_limits(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
+    const Memory memory = past;
+    for_each_drive<S>([&](const auto& drive, int j) {
+      if constexpr (drive.driven)
+        for (int lane = 0; drive.motor.has_limit() && lane < kWidth<X>; ++lane)
+          tables.serve(j, lane, drive.motor.side_of(lane_of(x.z[drive.i][j], lane)));
+    });
+    for (int round = 0;; ++round) {
+      Accelerations k1;
+      Dynamics at_start = links;
+      past = memory;
+      State<S, X> y = x;
+      in[In::side] = tables.sides();
+      Tables::template answer<K + 4>(tables.rhs_1, in).store(k1.torque);
+      stages_of(y, at_start, in, k1);
+      move_links(y, in);
+      move_drives(y, in);
+      if (modes_hold(y, u) || round == 3 * N) {
+        x = y;
+        tables.settle(x);
+        return;
       }
     }
-    follow_voltage(x, V, j);
-    if (may_limit(j)) x.i[j] = clamp(x.i[j], S::joint[j].motor.current_limit);
   }
 
-  // One line of joint j's table, times its input.
-  ARM_INLINE double answer(double JointResponse::* line, const JointInput& z, int j) const {
-    const double inputs[] = {z.i, z.twist, z.twist_rate, z.v, z.drive, z.k1_v, z.k2_v};
-    double sum = 0.0;
-    for_each<kJointInputs>([&](auto input) __attribute__((always_inline)) {
-      if (matters(j, input)) sum += of(j).of[input].*line * inputs[input];
+  // Whether all modes hold at the step's end y; those that do not are changed.
+  bool modes_hold(const State<S, X>& y, const X (&u)[row]) {
+    bool hold = true;
+    for_each_drive<S>([&](const auto& drive, int j) {
+      if constexpr (drive.driven) {
+        if (!drive.motor.has_limit()) return;
+        const auto end = input_of(drive, j, y, u[j]);
+        for (int lane = 0; lane < kWidth<X>; ++lane) {
+          const double side = tables.served_side(j, lane);
+          const double i = lane_of(end.z[drive.i], lane);
+          const double wanted =
+              side == 0.0 ? drive.motor.side_beyond(i)
+              : side * drive.motor.surplus(i, lane_of(end.u, lane),
+                                           lane_of(drive.motor_speed(end), lane)) <
+                      0.0
+                  ? 0.0
+                  : side;
+          if (wanted == side) continue;
+          hold = false;
+          tables.serve(j, lane, wanted);
+        }
+      }
     });
-    return sum;
-  }
-
-  // Without a motor, with a rigid gear or in one stage, most of the table is zero.
-  static ARM_INLINE constexpr bool matters(int j, int input) {
-    if constexpr (N > kUnrollLimit) return true;
-    const bool motor = S::joint[j].motor.present, elastic = motor && !S::joint[j].gear.rigid;
-    const bool each[] = {motor, elastic, elastic, true, motor, true, stages == 2};
-    return each[input];
-  }
-
-  ARM_INLINE const JointTable& of(int j) const { return may_limit(j) ? *table[j] : free[j]; }
-
-  // Without inductance the current is no state: it follows voltage and speed.
-  ARM_INLINE static void follow_voltage(State<N>& x, const double (&V)[N], int j) {
-    const auto& [present, R, L, Kt, Kb, Mm, limit] = S::joint[j].motor;
-    if (!present || L > 0.0) return;
-    const double wm = S::joint[j].gear.rigid ? x.v[j] / S::joint[j].gear.Ng : x.wm[j];
-    const double i = (V[j] - Kb * wm) / R;
-    x.i[j] = limit > 0.0 ? clamp(i, limit) : i;
-  }
-
-  static ARM_INLINE constexpr bool may_limit(int j) {
-    return S::joint[j].motor.present && S::joint[j].motor.current_limit > 0.0;
-  }
-
-  // A current that would pass its limit in this step is led to the limit instead. Whether it would
-  // is judged at the step's beginning: where a limit is reached or left the order is 1. It rises at
-  // (V - Kb wm - R i) / L until it meets the limit, and then stays; it is begun where a straight
-  // way to the limit has the same mean, and so the same impulse.
-  ARM_INLINE void approach_limit(State<N>& x, const double (&V)[N], int j, double& drive) {
-    const auto& [present, R, L, Kt, Kb, Mm, limit] = S::joint[j].motor;
-    const double wm = S::joint[j].gear.rigid ? x.v[j] / S::joint[j].gear.Ng : x.wm[j];
-    const double i = (L * x.i[j] + h * (V[j] - Kb * wm)) / (L + h * R);
-    if (i <= limit && i >= -limit) return;
-    table[j] = &limited[j];
-    const double way = clamp(i, limit) - x.i[j];
-    const double part_of_step = L * way / (h * (V[j] - Kb * wm - R * x.i[j]));
-    const double straight = way * (part_of_step < 1.0 ? part_of_step : 1.0);
-    x.i[j] += way - straight;
-    drive = straight / h;
+    return hold;
   }
 
   double h;
-  JointTable free[N], limited[N];
-  const JointTable* table[N];  // that serves in this step
+  Tables tables;
   Memory past = {};
-  Friction<S> friction;
+  Coulomb<S, X> coulomb;
 };
 
 }  // namespace arm

@@ -16,7 +16,7 @@ template <class S>
 class Machine {
  public:
   static constexpr int N = S::N;
-  using Vector = double[N];
+
   using Stepper =
       std::conditional_t<S::scheme == Scheme::paper, PaperScheme<S>, LinearlyImplicit<S>>;
 
@@ -31,14 +31,13 @@ class Machine {
 
   // Put the links at (q, v), the motors along with them: no current, gears unloaded.
   void reset(const double* q, const double* v) {
-    for (int j = 0; j < N; ++j) {
-      const double Ng = S::joint[j].gear.Ng;
+    x = {};
+    for_each_drive<S>([&](const auto& drive, int j) {
+      const auto behind = drive.at_rest_behind(q[j], v[j]);
+      for (int k = 0; k < drive.states; ++k) x.z[k][j] = behind.z[k];
       x.q[j] = q[j];
       x.v[j] = v[j];
-      x.i[j] = 0.0;
-      x.tm[j] = q[j] / Ng;
-      x.wm[j] = v[j] / Ng;
-    }
+    });
     threads.reset(x);
     balance.reset(x);
     fault = -1;
@@ -62,7 +61,7 @@ class Machine {
     threads.begin(count, x);
     while (count > 0) {
       const int chunk = count < kCheckEvery ? static_cast<int>(count) : kCheckEvery;
-      const State<N> before = x;
+      const State<S> before = x;
       const Course course_before = course;
       const auto memory = threads.memory();
       run(course, chunk);
@@ -83,33 +82,34 @@ class Machine {
   }
 
   double time() const { return static_cast<double>(steps_taken) * h; }
-  const State<N>& state() const { return x; }
+  const State<S>& state() const { return x; }
 
-  // A rigid gear's motor follows its link.
-  double motor_angle(int j) const {
-    const Gear& gear = S::joint[j].gear;
-    return gear.rigid ? x.q[j] / gear.Ng : x.tm[j];
-  }
-  double motor_speed(int j) const {
-    const Gear& gear = S::joint[j].gear;
-    return gear.rigid ? x.v[j] / gear.Ng : x.wm[j];
+  // Current [A], angle [rad] and speed [rad/s] of each motor.
+  void report(double* current, double* angle, double* speed) const {
+    for_each_drive<S>([&](const auto& drive, int j) {
+      const auto at = input_of(drive, j, x, 0.0);
+      current[j] = drive.current(at);
+      angle[j] = drive.motor_angle(at);
+      speed[j] = drive.motor_speed(at);
+    });
   }
 
   // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when
   // the motor has accelerated its rotor.
-  void gear_torques(Vector& T) const {
-    Vector a = {};
-    if constexpr (any_rigid()) {
+  void gear_torques(double* T) const {
+    double a[N] = {};
+    if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; })) {
       typename Links<S>::Dynamics links;
       Links<S>::dynamics(x.q, x.v, links);
-      for (int j = 0; j < N; ++j) {
-        links.M.at[j][j] += carried_rotor(S::joint[j]);
-        a[j] = drive_torque(S::joint[j], x, j) - links.nle[j] - S::joint[j].Dl * x.v[j];
-      }
-      Friction<S>().solve(links.M.at, x.v, a);
+      for_each_drive<S>([&](const auto& drive, int j) {
+        links.M.at[j][j] += drive.carried();
+        a[j] = drive.rates(input_of(drive, j, x, 0.0), false).g - links.nle[j];
+      });
+      Coulomb<S, double>().solve(links.M.at, x.v, a);
     }
-    for (int j = 0; j < N; ++j)
-      T[j] = drive_torque(S::joint[j], x, j) - carried_rotor(S::joint[j]) * a[j];
+    for_each_drive<S>([&](const auto& drive, int j) {
+      T[j] = drive.gear_torque(input_of(drive, j, x, 0.0), a[j]);
+    });
   }
 
   // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
@@ -121,19 +121,19 @@ class Machine {
 
   // What is to be done: rows of voltages, each for some steps.
   struct Course {
-    const double* voltage;  // of the next row
-    double* q;              // for the positions after this row
-    std::int64_t steps;     // of a row
-    std::int64_t left;      // of this row
-    Vector V;               // of this row, within the supply
+    const double* command;               // of the next row
+    double* q;                           // for the positions after this row
+    std::int64_t steps;                  // of a row
+    std::int64_t left;                   // of this row
+    alignas(64) double u[Stepper::row];  // of this row, within the supply
 
     ARM_INLINE void begin_row() {
       for_each<N>([&](auto j) __attribute__((always_inline)) {
-        V[j] = clamp(voltage[j], S::supply_voltage);
+        u[j] = clamp(command[j], S::supply_voltage);
       });
-      voltage += N;
+      command += N;
     }
-    ARM_INLINE void end_row(const State<N>& x) {
+    ARM_INLINE void end_row(const State<S>& x) {
       for_each<N>([&](auto j) __attribute__((always_inline)) { q[j] = x.q[j]; });
       q += N;
     }
@@ -142,16 +142,16 @@ class Machine {
   // Neither inlined nor cloned: every step, however it is asked for, runs the same instructions and
   // gives the same bits.
   __attribute__((noinline, noclone)) void run(Course& course, int count) {
-    State<N> y = x;  // here, as `left`, where the compiler may keep it in registers
+    State<S> y = x;  // here, as `left`, where the compiler may keep it in registers
     std::int64_t left = course.left;
-    double power = EnergyBalance<S>::largest_power(y, course.V), energy = 0.0;
+    double power = EnergyBalance<S>::largest_power(y, course.u), energy = 0.0;
     for (int s = 0; s < count; ++s) {
       if (left == 0) {
         course.begin_row();
-        power = EnergyBalance<S>::largest_power(y, course.V);
+        power = EnergyBalance<S>::largest_power(y, course.u);
         left = course.steps;
       }
-      threads.step(y, course.V);
+      threads.step(y, course.u);
       energy += h * power;
       if (--left == 0) course.end_row(y);
     }
@@ -160,7 +160,7 @@ class Machine {
     balance.give(energy);
   }
 
-  void go_back(const State<N>& before, const typename Threads::Memory& memory) {
+  void go_back(const State<S>& before, const typename Threads::Memory& memory) {
     threads.end();
     threads.restore(memory);
     x = before;
@@ -169,7 +169,7 @@ class Machine {
   // Repeat a chunk one step at a time, up to the last state within bounds.
   int creep_to_the_fault(Course course, int chunk) {
     for (int s = 0; s < chunk; ++s) {
-      const State<N> before = x;
+      const State<S> before = x;
       const auto memory = threads.memory();
       threads.begin(1, x);
       run(course, 1);
@@ -186,28 +186,24 @@ class Machine {
 
   // The first joint whose state is not finite, or that turns so far in one step that the result
   // means nothing; -1 if there is none.
-  int joint_out_of_bounds(const State<N>& s) const {
-    for (int j = 0; j < N; ++j) {
-      const double Ng = S::joint[j].gear.Ng;
-      const double values[] = {s.i[j], s.tm[j], s.wm[j], s.q[j], s.v[j]};
-      for (const double value : values)
-        if (!is_finite(value)) return j;
-      if (h * clamp(s.v[j], 1e300) > kLargestTurn || h * clamp(s.v[j], 1e300) < -kLargestTurn ||
-          h * Ng * s.wm[j] > kLargestTurn || h * Ng * s.wm[j] < -kLargestTurn)
-        return j;
-    }
-    return -1;
-  }
-
-  static constexpr bool any_rigid() {
-    for (const Joint& joint : S::joint)
-      if (joint.motor.present && joint.gear.rigid) return true;
-    return false;
+  int joint_out_of_bounds(const State<S>& s) const {
+    int found = -1;
+    for_each_drive<S>([&](const auto& drive, int j) {
+      if (found >= 0) return;
+      const auto at = input_of(drive, j, s, 0.0);
+      bool sound = is_finite(at.q) && is_finite(at.v);
+      for (int k = 0; k < drive.states; ++k) sound = sound && is_finite(at.z[k]);
+      const double turns[] = {h * at.v, h * drive.gear.Ng * drive.motor_speed(at)};
+      for (const double turn : turns)
+        sound = sound && turn <= kLargestTurn && turn >= -kLargestTurn;
+      if (!sound) found = j;
+    });
+    return found;
   }
 
   double h;
   Threads threads;
-  State<N> x = {};
+  State<S> x = {};
   EnergyBalance<S> balance;
   int fault = -1;  // the joint that went out of bounds
   std::int64_t steps_taken = 0;

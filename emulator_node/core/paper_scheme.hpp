@@ -2,36 +2,36 @@
 // both.
 #pragma once
 
-#include "friction.hpp"
+#include "coulomb.hpp"
+#include "drive_table.hpp"
 #include "links.hpp"
-#include "motors.hpp"
-#include "state.hpp"
 
 namespace arm {
 
-template <class S>
+template <class S, class X = double>
 class PaperScheme {
  public:
-  static constexpr int N = S::N;
-  using Dynamics = typename Links<S>::Dynamics;
+  static constexpr int N = S::N, K = most_states<S>();
+  using Dynamics = typename Links<S, X>::Dynamics;
+  using Tables = DriveTables<S, X>;
+  using In = StepInput<K>;
+  static constexpr int row = Tables::row;
 
-  explicit PaperScheme(double step) : h(step) {
-    for (int j = 0; j < N; ++j)
-      if (S::joint[j].motor.present) motor[j] = motor_step(S::joint[j].motor, S::joint[j].gear, h);
-  }
+  explicit PaperScheme(double step)
+      : h(step), tables([step](const auto& drive) { return paper_table<K>(drive, step); }) {}
 
   // It takes nothing from the past.
   struct Memory {};
-  void reset(const State<N>&) {}
+  void reset(const State<S, X>&) {}
   Memory memory() const { return {}; }
   void restore(Memory) {}
 
-  // From sample k to k + 1 with the voltages V. The links' part comes from `exchange`, which is
+  // From sample k to k + 1 under the commands u. The links' part comes from `exchange`, which is
   // given the links as soon as they have moved on (two_threads.hpp).
   template <class Exchange>
-  ARM_INLINE void step(State<N>& x, const double (&V)[N], Dynamics& links, Exchange& exchange) {
-    double a[N];
-    motors(x, V);
+  ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
+    alignas(64) X a[row];
+    drives(x, u, a);
     exchange.take(links);
     accelerations(x, links, a);
     integrate(x, a);
@@ -39,39 +39,57 @@ class PaperScheme {
   }
 
  private:
-  // Eq. (3), the links held at sample k.
-  ARM_INLINE void motors(State<N>& x, const double (&V)[N]) const {
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      const Motor& m = S::joint[j].motor;
-      const Gear& gear = S::joint[j].gear;
-      if (!m.present) return;
-      if (gear.rigid)
-        x.i[j] = step_current(m, motor[j], V[j], x.i[j], x.v[j] / gear.Ng);
-      else
-        step_motor(m, gear, motor[j], h, V[j], x.q[j], x.v[j], x.i[j], x.tm[j], x.wm[j]);
+  // Eq. (3), the links held at sample k; `torque` is what the drives put on the links after it.
+  ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
+    typename Tables::Inputs in;
+    for_each<K, kMostStates>(
+        [&](auto k) __attribute__((always_inline)) { in[k] = Row<N, X>::load(x.z[k]); });
+    in[In::q] = Row<N, X>::load(x.q);
+    in[In::v] = Row<N, X>::load(x.v);
+    in[In::u] = Row<N, X>::load(u);
+    if constexpr (Tables::limits) limit_currents(x, u, in);
+    Tables::template answer<K + 4>(tables.rhs_1, in).store(torque);
+    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+      auto z = Tables::template answer<K + 4>(tables.dz[k], in);
+      for_each<z.groups>([&](auto g) __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
+      z.store(x.z[k]);
     });
+    if constexpr (Tables::limits) tables.settle(x);
+  }
+
+  // Backward Euler's current grows with the voltage: what would pass the limit ends at it.
+  void limit_currents(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
+    for_each_drive<S>([&](const auto& drive, int j) {
+      if constexpr (drive.driven) {
+        for (int lane = 0; drive.motor.has_limit() && lane < kWidth<X>; ++lane) {
+          const double i = tables.free_state(drive.i, j, lane, x, u[j]);
+          tables.serve(j, lane, drive.motor.side_of(i));
+        }
+      }
+    });
+    in[In::side] = tables.sides();
   }
 
   // Eq. (4) with the motors at sample k + 1.
-  ARM_INLINE void accelerations(const State<N>& x, Dynamics& links, double (&a)[N]) {
+  ARM_INLINE void accelerations(const State<S, X>& x, Dynamics& links, X (&a)[row]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      links.M.at[j][j] += carried_rotor(S::joint[j]);
-      a[j] = drive_torque(S::joint[j], x, j) - links.nle[j] - S::joint[j].Dl * x.v[j];
+      links.M.at[j][j] += carried<S>[j];
+      a[j] -= links.nle[j];
     });
-    friction.solve(links.M.at, x.v, a);
+    coulomb.solve(links.M.at, x.v, a);
   }
 
-  ARM_INLINE void integrate(State<N>& x, const double (&a)[N]) const {
+  ARM_INLINE void integrate(State<S, X>& x, const X (&a)[row]) const {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       x.q[j] += h * x.v[j];
       x.v[j] += h * a[j];
     });
-    friction.stop_at_reversal(x.v);
+    coulomb.stop_at_reversal(x.v);
   }
 
   double h;
-  MotorStep motor[N] = {};
-  Friction<S> friction;
+  Tables tables;
+  Coulomb<S, X> coulomb;
 };
 
 }  // namespace arm

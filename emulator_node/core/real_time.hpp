@@ -175,7 +175,8 @@ class RealTime {
       return;
     }
     Snapshot<N>& out = ring[w % kRing];
-    const State<N>& x = machine.state();
+    const State<S>& x = machine.state();
+    machine.report(out.i, out.tm, out.wm);
     out.tick = k;
     out.answered = answered;
     out.lateness = lateness;
@@ -184,9 +185,6 @@ class RealTime {
     out.energy = machine.energy();
     machine.gear_torques(out.T);
     for (int j = 0; j < N; ++j) {
-      out.i[j] = x.i[j];
-      out.tm[j] = machine.motor_angle(j);
-      out.wm[j] = machine.motor_speed(j);
       out.q[j] = x.q[j];
       out.v[j] = x.v[j];
       out.V[j] = V[j];

@@ -1,7 +1,10 @@
 // What a scene tells the core. The loader writes one `struct Scene` of these constants per scene,
-// and the core is compiled over it: what is zero or false here costs nothing at run time.
+// and the core is compiled over it: what is zero or absent here costs nothing at run time.
 #pragma once
 
+#include <tuple>
+
+#include "drive.hpp"
 #include "vector3.hpp"
 
 namespace arm {
@@ -11,44 +14,48 @@ enum class Scheme { paper, implicit, rosenbrock, extrapolated };
 enum class Exchange { lag, predict };
 enum class JointKind { revolute, prismatic };
 
-// Armature circuit and rotor, eq. (1) and (2).
-struct Motor {
-  bool present;
-  double R;              // ohm
-  double L;              // H; 0: the current follows the voltage at once
-  double Kt;             // N m/A
-  double Kb;             // V s/rad
-  double Mm;             // kg m2
-  double current_limit;  // A; 0: none
-};
-
-// Gear between motor and link, eq. (2).
-struct Gear {
-  bool rigid;  // then Kg and Dg have no meaning, and the rotor is carried by the link
-  double Ng;   // link turns per motor turn
-  double Kg;   // N m/rad
-  double Dg;   // N m s/rad
-};
-
 // Inertia of a link with everything fixed to it, in the link's frame and about its origin.
+template <class X>
 struct Body {
-  double m;  // kg
-  Vec3 h;    // kg m, mass times centre of mass
-  Sym3 I;    // kg m2
+  X m{};      // kg
+  Vec3<X> h;  // kg m, mass times centre of mass
+  Sym3<X> I;  // kg m2
 };
 
-// A joint and the link that it moves. The link's frame has its origin on the joint axis, z along
-// it, and x so that the turn from the parent's frame is Rx(alpha) Rz(q + theta_0).
-struct Joint {
+// A joint's place and the link that it moves. The link's frame has its origin on the joint axis, z
+// along it, and x so that the turn from the parent's frame is Rx(alpha) Rz(q + theta_0).
+struct Link {
   JointKind kind;
   double cos_alpha, sin_alpha;
-  double theta_0;  // rad
-  Vec3 p;          // m, origin in the parent's frame (at q = 0 of a prismatic joint)
-  Body body;
-  Motor motor;
-  Gear gear;
-  double Dl;      // N m s/rad, viscous friction at the link, eq. (4)
-  double Dc, Ds;  // N m, Coulomb friction at the link while it slides, and before it starts to
+  double theta_0;                   // rad
+  double cos_theta_0, sin_theta_0;  // of it
+  Vec3<double> p;  // m, origin in the parent's frame (at q = 0 of a prismatic joint)
+  Body<double> body;
 };
+
+// body(drive, j) for the drive of every joint of a scene.
+template <class S, class Body>
+constexpr void for_each_drive(Body&& body) {
+  [&]<int... j>(std::integer_sequence<int, j...>) {
+    (body(std::get<j>(S::drive), j), ...);
+  }(std::make_integer_sequence<int, S::N>{});
+}
+
+// The states that a joint's drive has at most: the arrays of all drives have as many rows.
+template <class S>
+constexpr int most_states() {
+  int most = 0;
+  for_each_drive<S>(
+      [&](const auto& drive, int) { most = most < drive.states ? drive.states : most; });
+  return most;
+}
+
+// Whether a property holds for the drive of any joint.
+template <class S, class Property>
+constexpr bool any_drive(Property&& property) {
+  bool found = false;
+  for_each_drive<S>([&](const auto& drive, int) { found = found || property(drive); });
+  return found;
+}
 
 }  // namespace arm

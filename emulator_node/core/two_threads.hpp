@@ -83,7 +83,7 @@ class TwoThreads {
   };
 
   // Begin at a state with no past.
-  void reset(const State<N>& x) {
+  void reset(const State<S>& x) {
     for (int j = 0; j < N; ++j) {
       past.v[j] = past.v_links[j] = x.v[j];
       past.q_links[j] = x.q[j];
@@ -109,7 +109,7 @@ class TwoThreads {
   }
 
   // A burst of `count` steps is coming, one by one, from the state x.
-  void begin(std::int64_t count, const State<N>& x) {
+  void begin(std::int64_t count, const State<S>& x) {
     if (count == 0) return;
     target.store(asked.load() + count);
     hand_over(x);
@@ -123,7 +123,7 @@ class TwoThreads {
   }
 
   // From sample k to k + 1. Sample k is with the Newton-Euler thread already.
-  ARM_INLINE void step(State<N>& x, const double (&V)[N]) {
+  ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
     const Sample& sample = samples[newest() & 1];
     for (int j = 0; j < N; ++j) {
       past.v[j] = x.v[j];
@@ -131,7 +131,7 @@ class TwoThreads {
       past.v_links[j] = sample.v[j];
     }
     Dynamics links;
-    stepper.step(x, V, links, *this);
+    stepper.step(x, u, links, *this);
   }
 
   // The stepper asks for the links' part in step k: that of sample k - 1.
@@ -143,7 +143,7 @@ class TwoThreads {
   }
 
   // The stepper has the links of sample k + 1, before it is done with the motors.
-  ARM_INLINE void give(const State<N>& x) {
+  ARM_INLINE void give(const State<S>& x) {
     if (asked.load(std::memory_order_relaxed) < target.load(std::memory_order_relaxed))
       hand_over(x);
   }
@@ -152,7 +152,7 @@ class TwoThreads {
   // The sample that was handed over last.
   std::int64_t newest() const { return asked.load(std::memory_order_relaxed) - 1; }
 
-  ARM_INLINE void hand_over(const State<N>& x) {
+  ARM_INLINE void hand_over(const State<S>& x) {
     const std::int64_t k = asked.load(std::memory_order_relaxed);
     Sample& sample = samples[k & 1];
     for (int j = 0; j < N; ++j) {
@@ -265,18 +265,18 @@ class OneThread {
 
   OneThread(double step, int) : stepper(step) {}
   bool join_schedule() { return true; }
-  void reset(const State<S::N>& x) { stepper.reset(x); }
+  void reset(const State<S>& x) { stepper.reset(x); }
   Memory memory() const { return stepper.memory(); }
   void restore(const Memory& memory) { stepper.restore(memory); }
-  void begin(std::int64_t, const State<S::N>&) {}
+  void begin(std::int64_t, const State<S>&) {}
   void end() {}
-  ARM_INLINE void step(State<S::N>& x, const double (&V)[S::N]) {
+  ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
     Dynamics links;
     Links<S>::dynamics(x.q, x.v, links);
-    stepper.step(x, V, links, *this);
+    stepper.step(x, u, links, *this);
   }
   ARM_INLINE void take(Dynamics&) {}  // it is there already
-  ARM_INLINE void give(const State<S::N>&) {}
+  ARM_INLINE void give(const State<S>&) {}
 
  private:
   Stepper stepper;

@@ -1,0 +1,123 @@
+// Coulomb friction at the links, and the equations of motion solved with it.
+//
+// A sliding joint feels -Dc sign(v). A joint at rest is locked while the torque that holds it is at
+// most its breakaway torque Ds >= Dc; else it starts to slide that way. A joint whose speed would
+// change sign within a step comes to rest at the step's end. So a joint at rest stays at rest
+// exactly, without regularisation and at any step size; where a joint stops or starts, the instant
+// is known to one step only, and the scheme's order there is 1.
+#pragma once
+
+#include "cholesky.hpp"
+#include "scene.hpp"
+
+namespace arm {
+
+template <class S, class X>
+class Coulomb {
+ public:
+  static constexpr int N = S::N;
+  using Matrix = Symmetric<N, X>;
+
+  static constexpr bool present =
+      any_drive<S>([](const auto& drive) { return drive.friction.Dc > 0.0; });
+
+  // Decide what each joint does in this step, for W x = rhs, and solve for x. The factors and the
+  // decisions serve `solve_again` for a second right-hand side of the same step.
+  ARM_INLINE void solve(Matrix& W, const X* v, X* x) {
+    if constexpr (!present) {
+      factors.factor(W);
+      factors.solve(x);
+    } else {
+      for (int j = 0; j < N; ++j) {
+        direction[j] = select(v[j] > 0.0, X{} + 1.0, select(v[j] < 0.0, X{} - 1.0, X{}));
+        locked[j] = Dc[j] > 0.0 ? v[j] == 0.0 : v[j] != v[j];
+      }
+      X rhs[N];
+      for (int j = 0; j < N; ++j) rhs[j] = x[j];
+      // Each round frees one joint, so there are at most N.
+      do {
+        factor_unlocked(W);
+        for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc[j] * direction[j];
+        solve_again(x);
+      } while (free_one(W, rhs, x));
+    }
+  }
+
+  ARM_INLINE void solve_again(X* x) const {
+    if constexpr (present)
+      for (int j = 0; j < N; ++j) x[j] = select(locked[j], X{}, x[j]);
+    factors.solve(x);
+  }
+
+  // Torque against the motion of joint j, or of the lock that holds it.
+  ARM_INLINE X force(int j) const {
+    if constexpr (present)
+      return select(locked[j], held[j], Dc[j] * direction[j]);
+    else
+      return X{};
+  }
+
+  // Joints whose speed has changed sign come to rest.
+  ARM_INLINE void stop_at_reversal(X* v) const {
+    if constexpr (present)
+      for (int j = 0; j < N; ++j)
+        if (Dc[j] > 0.0) v[j] = select(v[j] * direction[j] <= 0.0, X{}, v[j]);
+  }
+
+ private:
+  struct Torques {
+    double at[N];
+    constexpr double operator[](int j) const { return at[j]; }
+  };
+  static constexpr Torques torques(double LinkFriction::* which) {
+    Torques torques = {};
+    for_each_drive<S>([&](const auto& drive, int j) { torques.at[j] = drive.friction.*which; });
+    return torques;
+  }
+  static constexpr Torques Dc = torques(&LinkFriction::Dc), Ds = torques(&LinkFriction::Ds);
+
+  // M with the rows and columns of the locked joints made those of the identity.
+  void factor_unlocked(const Matrix& W) {
+    Matrix free = {};
+    for (int j = 0; j < N; ++j)
+      for (int k = j; k < N; ++k)
+        free[j][k] = select(locked[j] | locked[k], X{} + (j == k ? 1.0 : 0.0), W[j][k]);
+    factors.factor(free);
+  }
+
+  // Free the joint that is the most overloaded; false if every locked joint holds.
+  bool free_one(const Matrix& W, const X* rhs, const X* x) {
+    X excess = {}, way = {}, worst = X{} - 1.0;
+    for (int j = 0; j < N; ++j) {
+      X torque = rhs[j];
+      for (int k = 0; k < N; ++k) torque -= (k >= j ? W[j][k] : W[k][j]) * x[k];
+      held[j] = torque;
+      const X over = select(locked[j], magnitude(torque) - Ds[j], X{});
+      const auto more = over > excess;
+      worst = select(more, X{} + j, worst);
+      excess = select(more, over, excess);
+      way = select(more, select(torque < 0.0, X{} - 1.0, X{} + 1.0), way);
+    }
+    if (!any(worst >= 0.0)) return false;
+    for (int j = 0; j < N; ++j) {
+      const auto freed = worst == static_cast<double>(j);
+      locked[j] = locked[j] & ~as_bits(freed);
+      direction[j] = select(freed, way, direction[j]);
+    }
+    return true;
+  }
+
+  // ~ of a bool is not its opposite.
+  ARM_INLINE static int as_bits(bool mask) { return mask ? -1 : 0; }
+  template <class M>
+  ARM_INLINE static const M& as_bits(const M& mask) {
+    return mask;
+  }
+
+  Cholesky<N, X> factors;
+  Mask<X> locked[N] = {};
+  X direction[N] = {};
+  X held[N] = {};  // torque of a lock [N m]
+};
+
+}  // namespace arm

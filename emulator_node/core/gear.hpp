@@ -1,0 +1,42 @@
+// Gears between motor and link, eq. (2).
+#pragma once
+
+#include "number.hpp"
+
+namespace arm {
+
+// A spring and a damper between the rotor, reduced, and the link.
+struct ElasticGear {
+  double Ng;  // link turns per motor turn
+  double Kg;  // N m/rad at the link
+  double Dg;  // N m s/rad at the link
+
+  static constexpr bool rigid = false;
+  static constexpr int states = 2;  // tm [rad], wm [rad/s] of the rotor
+
+  // Torque T on the link.
+  template <class X>
+  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v) const {
+    return Kg * (Ng * tm - q) + Dg * (Ng * wm - v);
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X tm, X q) const {
+    const X twist = Ng * tm - q;
+    return 0.5 * Kg * twist * twist;
+  }
+  template <class X>
+  ARM_INLINE constexpr X dissipated(X wm, X v) const {
+    const X rate = Ng * wm - v;
+    return Dg * rate * rate;
+  }
+};
+
+// The rotor turns with its link and has no state of its own.
+struct RigidGear {
+  double Ng = 1.0;
+
+  static constexpr bool rigid = true;
+  static constexpr int states = 0;
+};
+
+}  // namespace arm

@@ -1,0 +1,59 @@
+// The number types of the core: `double`, and lanes, which are several machines side by side in one
+// vector register. Branches on data are written as `select`, since each lane may go its own way.
+#pragma once
+
+#include <type_traits>
+
+#include "loops.hpp"
+
+namespace arm {
+
+template <int width>
+struct LanesOf {
+  typedef double type __attribute__((vector_size(width * sizeof(double))));
+};
+template <int width>
+using Lanes = typename LanesOf<width>::type;
+
+template <class X>
+inline constexpr int kWidth = sizeof(X) / sizeof(double);
+
+// The result of a comparison: a bool, or one per lane.
+template <class X>
+using Mask = decltype(X{} < X{});
+
+ARM_INLINE constexpr bool any(bool mask) { return mask; }
+template <class M>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE bool any(const M& mask) {
+  bool found = false;
+  for (unsigned lane = 0; lane < sizeof(M) / sizeof(mask[0]); ++lane) found |= mask[lane] != 0;
+  return found;
+}
+
+// `a` where the mask holds, else `b`.
+ARM_INLINE constexpr double select(bool mask, double a, double b) { return mask ? a : b; }
+template <class M, class A, class B>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE auto select(const M& mask, const A& a, const B& b) {
+  using X = Lanes<sizeof(M) / sizeof(mask[0])>;
+  return mask ? X{} + a : X{} + b;
+}
+
+template <class X>
+ARM_INLINE constexpr X magnitude(X x) {
+  return select(x < 0.0, -x, x);
+}
+template <class X>
+ARM_INLINE constexpr X clamp(X x, double limit) {
+  return select(x > limit, X{} + limit, select(x < -limit, X{} - limit, x));
+}
+
+// The value of one lane.
+ARM_INLINE constexpr double lane_of(double x, int) { return x; }
+template <class X>
+ARM_INLINE double lane_of(const X& x, int lane) {
+  return x[lane];
+}
+
+}  // namespace arm

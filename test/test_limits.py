@@ -1,0 +1,148 @@
+"""Currents at their limits: the motion is that of the equations, at any step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import one_link_urdf, write_scene
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from bench.reference import reference
+from emulator_node.chain import Array
+from emulator_node.plant import Plant
+from emulator_node.scene import SCHEMES, Scene, load_scene
+
+LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2 about the joint, of machines.one_link_urdf
+
+
+def drawn_three_axis(seed: int, scheme: str, dt: float) -> tuple[Scene, Array]:
+    """A three_axis arm without inductance, its light rotors at their limits, and its voltages."""
+    rng = np.random.default_rng(seed)
+    motor = {
+        "inductance": None,
+        "rotor_inertia": float(10 ** rng.uniform(-7, -4)),
+        "back_emf_constant": float(rng.uniform(0.03, 0.1)),
+        "current_limit": float(rng.uniform(0.5, 5.0)),
+    }
+    gear = {
+        "stiffness": float(10 ** rng.uniform(2, 4)),
+        "damping": float(rng.choice([0.0, 1.0])) or None,
+    }
+    overrides: dict[str, Any] = {f"joints.*.motor.{key}": value for key, value in motor.items()}
+    overrides |= {f"joints.*.gear.{key}": value for key, value in gear.items()}
+    overrides |= {"integrator.scheme": scheme, "integrator.dt": dt}
+    return load_scene("three_axis", overrides=overrides), rng.uniform(-30.0, 30.0, size=(4, 3))
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_limited_motors_without_inductance_move_as_the_equations_say(seed: int) -> None:
+    """Rotors that start within a step: near at 1 ms, of second order where steps resolve them."""
+    period = 0.02
+    scene, voltages = drawn_three_axis(seed, "rosenbrock", 1e-3)
+    truth = reference(scene, voltages, period, 1e-8, method="Radau")
+    errors = []
+    for dt in (1e-3, 1e-4, 1e-5):
+        scene, _ = drawn_three_axis(seed, "rosenbrock", dt)
+        q = Plant(scene).run(voltages, round(period / dt))
+        errors.append(float(np.abs(q - truth).max()))
+    # Drawn time constants go down to a thirteenth of 1 ms, and the limit then holds for half a step
+    # of those before each rotor has its speed: what the links miss is a part of their first step.
+    assert errors[0] < 0.2 * np.abs(truth - scene.start).max(), errors
+    # Tenfold smaller steps: at least tenfold smaller errors, down to the reference's own.
+    assert errors[1] < 0.1 * errors[0] and errors[2] < 0.1 * errors[1] + 1e-9, errors
+
+
+def limited_truth(
+    motor: dict[str, float], gear: dict[str, float], V: Array, period: float
+) -> Array:
+    """One joint by matrix exponentials, the instants at which its current meets or leaves the limit
+    located: (i, tm, wm, q, v) after each row of V."""
+    R, L, Kt, Kb, Mm, limit = (
+        motor[key]
+        for key in (
+            "resistance",
+            "inductance",
+            "torque_constant",
+            "back_emf_constant",
+            "rotor_inertia",
+            "current_limit",
+        )
+    )
+    Ng, Kg, Dg = gear["ratio"], gear["stiffness"], gear["damping"]
+    i, tm, wm, q, v, one = np.eye(6)
+    twist, rate = Ng * tm - q, Ng * wm - v
+    T = Kg * twist + Dg * rate
+    x, out = np.array([0.0, 0, 0, 0, 0, 1.0]), []
+    for volts in V:
+        surplus = volts * one - R * i - Kb * wm
+        rows = [wm, (Kt * i - Ng * T) / Mm, v, T / LINK_INERTIA, 0.0 * one]
+        free, held = np.array([surplus / L, *rows]), np.array([0.0 * one, *rows])
+        left = period
+        while left > 1e-15:
+            side = np.sign(x[0]) if abs(x[0]) >= limit * (1 - 1e-12) else 0.0
+            at_limit = side != 0.0 and side * (surplus @ x) >= 0.0
+            A = held if at_limit else free
+            step = min(1e-4, left)
+
+            def distance(t: float, A: Array = A, at_limit: bool = at_limit, x: Array = x,
+                         side: float = side, surplus: Array = surplus) -> float:  # fmt: skip
+                y = expm(A * t) @ x
+                return float(side * (surplus @ y) if at_limit else limit - abs(y[0]))
+
+            if distance(step) < -1e-13 and distance(1e-12) > 0.0:
+                step = brentq(distance, 1e-12, step, xtol=1e-14)
+            x = expm(A * step) @ x
+            x[0] = np.clip(x[0], -limit, limit)
+            left -= step
+        out.append(x[:5].copy())
+    return np.array(out)
+
+
+def drawn_joint(seed: int) -> tuple[dict[str, float], dict[str, float], Array]:
+    """An inductive motor whose current meets its limit, its gear, and voltages."""
+    rng = np.random.default_rng(seed)
+    motor = {
+        "resistance": 1.0,
+        "inductance": float(10 ** rng.uniform(-4, -2)),
+        "torque_constant": 0.05,
+        "back_emf_constant": 0.05,
+        "rotor_inertia": float(10 ** rng.uniform(-5, -3.5)),
+        "current_limit": float(rng.uniform(2.0, 8.0)),
+    }
+    gear = {"ratio": 0.01, "stiffness": float(10 ** rng.uniform(3, 4.5)), "damping": 5.0}
+    return motor, gear, rng.uniform(-40.0, 40.0, size=8)
+
+
+@pytest.mark.parametrize(("seed", "scheme"), list(enumerate(SCHEMES)))
+def test_the_error_at_limits_vanishes_with_the_step(tmp_path: Path, seed: int, scheme: str) -> None:
+    """A current that meets and leaves its limit within steps costs no more than their size."""
+    motor, gear, V = drawn_joint(seed)
+    truth = limited_truth(motor, gear, V, 0.01)[:, 3]
+    file = write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor, "gear": gear}})
+    errors = []
+    for dt in (1e-4, 2.5e-5):
+        integrator = {"integrator.dt": dt, "integrator.scheme": scheme}
+        plant = Plant(load_scene(file, overrides={"servo_period": 1e-2, **integrator}))
+        q = []
+        for volts in V:
+            for _ in range(20):
+                plant.advance([volts], round(0.01 / dt / 20))
+                beyond = abs(plant.state.current[0]) / motor["current_limit"] - 1.0
+                assert beyond < 1e-9, f"the limit is passed by {beyond:.2g} of it"
+            q.append(plant.state.q[0])
+        errors.append(float(np.abs(np.array(q) - truth).max()))
+    # First order at least; where the coarse step is lucky the fine one is small anyway.
+    assert errors[1] < max(0.45 * errors[0], 1e-3 * np.abs(truth).max()), errors
+
+
+def test_a_limit_far_beyond_reach_changes_no_bit() -> None:
+    voltages = np.random.default_rng(5).uniform(-20.0, 20.0, size=(50, 3))
+    runs = []
+    for limit in (1e6, 1e9):
+        overrides = {"joints.*.motor.current_limit": limit}
+        runs.append(Plant(load_scene("three_axis", overrides=overrides)).run(voltages, 10))
+    assert (runs[0] == runs[1]).all(), "a limit that is never met has changed the motion"
