@@ -6,6 +6,10 @@
 
 #include "loops.hpp"
 
+// On processors with narrower registers the compiler splits the vectors. How it would pass them to
+// a function, of which it warns, does not matter: what takes or returns them is inlined.
+#pragma GCC diagnostic ignored "-Wpsabi"
+
 namespace arm {
 
 template <int width>
