@@ -137,8 +137,9 @@ ROBOTS := $(if $(shell grep -s '^urdf: *.\?example-robot-data:' '$(SCENE_FILE)')
 demo: setup $(ROBOTS)
 	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
 
+# Two files at a time: many tests wait for a compiler or for processes.
 test: setup .venv/.robots
-	@$(RUN) && pytest $(ARGS)
+	@$(RUN) && pytest -n 2 --dist loadfile $(ARGS)
 
 # Those that start processes.
 NETWORK_TESTS := $(addprefix test/test_,lockstep.py network.py launch.py bags.py \
