@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from fuzz.cores import environment
@@ -30,6 +30,7 @@ from fuzz.line import FAILED, REFUSED, TAKEN
 
 WORKERS = 2
 MESSAGES_PER_MINUTE = 1000  # of the time for all, where no number is asked for
+MESSAGES_PER_NETWORK = 5000
 HANGS = {"scenes": 20.0, "cores": 300.0, "messages": 120.0}  # s without a word; a compiler may take
 OUT = Path("out/fuzz")
 
@@ -90,6 +91,7 @@ class Fuzzer:
         self.counts: dict[str, Counter[str]] = {}
         self.seconds: Counter[str] = Counter()
         self._progress, self._console = progress, console
+        self._bars: dict[str, TaskID] = {}
 
     def run(self, part: str, workers: list[Worker], cases: int | None, until: float) -> None:
         """Run the workers until so many cases are done, or `until`, a time.monotonic()."""
@@ -97,7 +99,9 @@ class Fuzzer:
         name = part if workers[0].part != "messages" else f"{part}, {workers[0].arguments[1]}"
         count = self.counts.setdefault(name, Counter())
         total = cases if cases is not None else max(1.0, until - started)
-        bar = self._progress.add_task(name, total=total, words="")
+        bar = self._bars.get(name)
+        if bar is None:
+            bar = self._bars[name] = self._progress.add_task(name, total=total, words="")
         done = 0
         with selectors.DefaultSelector() as selector:
 
@@ -164,6 +168,12 @@ class Fuzzer:
         self._console.print(f"{name}, case {worker.case}: {last} ({file})", markup=False)
 
 
+def turns(messages: int) -> list[int]:
+    """Share messages out to networks, each with a seed of its own: every state of a run is kept."""
+    whole, rest = divmod(messages, MESSAGES_PER_NETWORK)
+    return [MESSAGES_PER_NETWORK] * whole + ([rest] if rest else [])
+
+
 def properties(examples: int, seed: int) -> Counter[str]:
     """Let Hypothesis look for messages that break a node; what it finds, it keeps."""
     OUT.mkdir(parents=True, exist_ok=True)
@@ -208,8 +218,9 @@ def main() -> None:
     with progress, tempfile.TemporaryDirectory(prefix="fuzz-cache-") as cache:
         fuzzer = Fuzzer(arguments.seed, progress, console)
         for clock in ("lockstep", "realtime") if messages else ():
-            share = str(messages // 2)
-            fuzzer.run("messages", [Worker("messages", [seed, clock, share])], None, deadline + 1e9)
+            for turn, count in enumerate(turns(messages // 2)):
+                worker = Worker("messages", [str(arguments.seed + turn), clock, str(count)])
+                fuzzer.run("messages", [worker], None, deadline + 1e9)
         if not bounded:
             started = time.monotonic()
             name = "messages, Hypothesis"
