@@ -154,7 +154,7 @@ class Session:
                 that was on its way when the run before was left.
             Refusal: wrong tick, names, length, or a voltage that is not finite or too large.
         """
-        check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST)
+        check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
         if tick > self.tick:
             rule, got = f"be at most {self.tick}", f"{tick} (future)"
             if self._commanded is None and tick <= self._left_tick:
