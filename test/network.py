@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -351,6 +351,66 @@ def network(
             assert code is None, f"{name} ended by itself with {code}: {logs(log)}"
         codes = nodes.stop()
         assert set(codes.values()) == {0}, f"exit codes {codes}: {logs(log)}"
+
+
+class SharedNetwork:
+    """One network for many tests: each finds it as at its start.
+
+    A test that passes must leave it so that it can return to its start. After a test that fails it
+    is ended, and the next test gets new processes.
+    """
+
+    def __init__(self, log: Path, *, start: str = "paused", **how: Any) -> None:
+        self._log, self._start, self._how = log, start, how
+        self._stack = ExitStack()
+        self._running: tuple[User, Bringup] | None = None
+        self._networks = 0
+
+    @contextmanager
+    def __call__(self) -> Iterator[tuple[User, Bringup]]:
+        """Lend the network to one test."""
+        if self._running is None:
+            self._networks += 1
+            log = self._log / str(self._networks)
+            one = network(log, start=self._start, **self._how)
+            self._running = self._stack.enter_context(one)
+        user, _ = self._running
+        try:
+            yield self._running
+            self._return_to_start(user)
+        except BaseException:
+            self._running = None
+            broken, self._stack = self._stack, ExitStack()
+            with suppress(AssertionError):  # the test has told already what is wrong
+                broken.close()
+            raise
+
+    def close(self) -> None:
+        """End the network; its nodes must end cleanly."""
+        self._running = None
+        self._stack.close()
+
+    def _return_to_start(self, user: User) -> None:
+        """Reset the nodes, with power and nothing left of what they said.
+
+        Counters of diagnostics go on: tests compare differences.
+        """
+        paused = EmulatorStatus.PHASE_PAUSED
+        assert user.call("emulator/power", True).success, "the power was not switched on"
+        assert user.call("emulator/pause", True).success, "the machine was not paused"
+        if self._start == "paused":  # then all three nodes are there, and nothing is on its way
+            user.wait("the pause", lambda: user.status.phase == paused and user.status.answered)
+            assert user.call("motion_controller/reset").success, "the targets were not forgotten"
+        assert user.call("servo/reset").success, "the servo was not reset"
+        user.forget()
+        assert user.call("emulator/reset").success, "the emulator was not reset"
+        if self._start == "paused":
+            user.await_start()
+        user.wait("tick 0", lambda: user.status and user.status.tick == 0 and user.tick == 0)
+        assert user.status is not None and user.status.powered, "the power is off after a return"
+        for said in user.words.values():
+            said.clear()
+        user.own_states.clear()
 
 
 @contextmanager
