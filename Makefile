@@ -141,9 +141,7 @@ demo: setup $(ROBOTS)
 test: setup .venv/.robots
 	@$(RUN) && pytest -n 2 --dist loadfile $(ARGS)
 
-# Those that start processes.
-NETWORK_TESTS := $(addprefix test/test_,lockstep.py network.py launch.py bags.py \
-  examples.py doubles.py extreme_numbers.py recording.py)
+NETWORK_TESTS := test/test_network.py test/test_lockstep.py
 
 test-under-load: setup .venv/.robots
 	@$(RUN) && python -m bench.under_load $(ARGS) -- pytest -q $(NETWORK_TESTS)

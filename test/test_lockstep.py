@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from network import (
     JOINTS,
+    SharedNetwork,
     User,
     assert_same_bits,
     bits_of,
@@ -38,6 +41,24 @@ TARGET_AT = 0.1  # s
 TICKS = {"three_axis": 600, "ur5": 300}
 
 
+@pytest.fixture(scope="module")
+def three_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNetwork]:
+    with closing(SharedNetwork(tmp_path_factory.mktemp("three_nodes"), timeout=0.5)) as shared:
+        yield shared
+
+
+@pytest.fixture(scope="module")
+def without_motion_controller(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNetwork]:
+    with closing(
+        SharedNetwork(
+            tmp_path_factory.mktemp("without_motion_controller"),
+            start="first_answer",
+            only=("emulator", "servo"),
+        )
+    ) as shared:
+        yield shared
+
+
 def target_of(scene_name: str) -> Pose:
     """10 mm aside of where the tool starts."""
     run = load_offline_run(scene_name)
@@ -47,22 +68,22 @@ def target_of(scene_name: str) -> Pose:
     return Pose.from_quaternion(p_WT + np.array([0.0, 0.01, 0.0]), orientation)
 
 
-def recorded(log: Path, scene: str) -> dict[int, bytes]:
+def recorded(user: User, scene: str) -> dict[int, bytes]:
     """Run three processes toward the target and return their motor states."""
-    target = target_of(scene)
-    with network(log, scene=scene) as (user, _):
-        user.joint_names = list(load_scene(scene).joint_names)
-        begin(user, target)
-        user.wait("the run", lambda: user.tick >= TICKS[scene])
-        return user.motor_states()
+    user.joint_names = list(load_scene(scene).joint_names)
+    begin(user, target_of(scene))
+    user.wait("the run", lambda: user.tick >= TICKS[scene])
+    return user.motor_states()
 
 
-def begin(user: User, target: Pose, targets: int = 1) -> None:
+def begin(user: User, target: Pose) -> None:
     """Give the target to a paused network, then let it go."""
     user.await_start()
+    before = int(user.value("motion_controller", "tool targets") or 0)
     x, y, z, w = map(float, target.quaternion())
     user.send_tool_target(tuple(map(float, target.p_WT)), TARGET_AT, (x, y, z, w))
-    user.wait("the target", lambda: user.value("motion_controller", "tool targets") == str(targets))
+    taken = str(before + 1)
+    user.wait("the target", lambda: user.value("motion_controller", "tool targets") == taken)
     assert user.call("emulator/pause", False).success
 
 
@@ -72,10 +93,13 @@ def offline(scene: str) -> dict[int, bytes]:
     return offline_states(run, TICKS[scene])
 
 
-def test_three_processes_give_the_same_bits_twice_and_under_load(tmp_path: Path) -> None:
-    once = recorded(tmp_path / "once", "three_axis")
-    with busy_processor(2):
-        again = recorded(tmp_path / "again", "three_axis")
+def test_three_processes_give_the_same_bits_twice_and_under_load(
+    three_nodes: SharedNetwork,
+) -> None:
+    with three_nodes() as (user, _):
+        once = recorded(user, "three_axis")
+    with busy_processor(2), three_nodes() as (user, _):
+        again = recorded(user, "three_axis")
     assert_same_bits(once, again, TICKS["three_axis"])
     assert_same_bits(once, offline("three_axis"), TICKS["three_axis"])
     # The arm did move: otherwise equal bits would mean nothing.
@@ -84,7 +108,8 @@ def test_three_processes_give_the_same_bits_twice_and_under_load(tmp_path: Path)
 
 @pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
 def test_a_run_without_a_network_gives_the_bits_of_three_processes(tmp_path: Path) -> None:
-    assert_same_bits(recorded(tmp_path, "ur5"), offline("ur5"), TICKS["ur5"])
+    with network(tmp_path, scene="ur5") as (user, _):
+        assert_same_bits(recorded(user, "ur5"), offline("ur5"), TICKS["ur5"])
 
 
 def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
@@ -108,8 +133,8 @@ def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
     assert offline_states(run, 300) == {k: v for k, v in offline("three_axis").items() if k <= 300}
 
 
-def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(tmp_path: Path) -> None:
-    with network(tmp_path, timeout=0.5) as (user, nodes):
+def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(three_nodes: SharedNetwork) -> None:
+    with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 120)
         kill(user, nodes, "servo")
@@ -128,8 +153,10 @@ def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(tmp_path: Path) -
         assert_same_bits(user.motor_states(), offline("three_axis"), tick)
 
 
-def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(tmp_path: Path) -> None:
-    with network(tmp_path, timeout=0.5) as (user, nodes):
+def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(
+    three_nodes: SharedNetwork,
+) -> None:
+    with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 120)
         kill(user, nodes, "motion_controller")
@@ -151,8 +178,8 @@ def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(tmp_p
         user.wait("the tool", lambda: user.said("motion_controller", "moving the tool"))
 
 
-def test_a_new_emulator_begins_anew_with_the_old_partners(tmp_path: Path) -> None:
-    with network(tmp_path) as (user, nodes):
+def test_a_new_emulator_begins_anew_with_the_old_partners(three_nodes: SharedNetwork) -> None:
+    with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 120)
         kill(user, nodes, "emulator")
@@ -160,14 +187,16 @@ def test_a_new_emulator_begins_anew_with_the_old_partners(tmp_path: Path) -> Non
         assert nodes.process("servo").poll() is nodes.process("motion_controller").poll() is None
         user.forget()
         nodes.start("emulator")
-        begin(user, target_of("three_axis"), targets=2)
+        begin(user, target_of("three_axis"))
         user.wait("the new run", lambda: user.tick >= 300)
         assert user.said("servo", "the emulator began anew")
         assert_same_bits(user.motor_states(), offline("three_axis"), 300)
 
 
-def test_a_motion_controller_that_comes_last_still_gets_the_robot(tmp_path: Path) -> None:
-    with network(tmp_path, start="first_answer", only=("emulator", "servo")) as (user, _):
+def test_a_motion_controller_that_comes_last_still_gets_the_robot(
+    without_motion_controller: SharedNetwork,
+) -> None:
+    with without_motion_controller() as (user, _):
         words = "waiting for the joint targets that answer t = 0 s"
         user.wait("the servo to wait", lambda: words in user.words["servo"])
         user.wait("tick 0", lambda: user.tick == 0)
@@ -180,9 +209,11 @@ def test_a_motion_controller_that_comes_last_still_gets_the_robot(tmp_path: Path
         assert_same_bits(user.motor_states(), offline_states(run, 100), 100)
 
 
-def test_a_reset_while_the_servo_waits_for_targets(tmp_path: Path) -> None:
+def test_a_reset_while_the_servo_waits_for_targets(
+    without_motion_controller: SharedNetwork,
+) -> None:
     """The user takes the motion controller's place."""
-    with network(tmp_path, start="first_answer", only=("emulator", "servo")) as (user, _):
+    with without_motion_controller() as (user, _):
 
         def answer(time: float) -> None:
             message = JointState(name=JOINTS, position=[0.0, 0.5, 0.8])
@@ -200,8 +231,9 @@ def test_a_reset_while_the_servo_waits_for_targets(tmp_path: Path) -> None:
         assert user.call("emulator/reset").success
         user.wait("t = 0", lambda: user.diagnostics["servo"].message == f"{waiting}0 s")
         user.wait("tick 0", lambda: user.tick == 0)
+        before = user.refused("servo", "joint_targets")
         answer(0.05)  # too late
-        user.wait("the refusal", lambda: user.refused("servo", "joint_targets") == 1)
+        user.wait("the refusal", lambda: user.refused("servo", "joint_targets") == before + 1)
         assert user.value("servo", "newest refusal") == (
             "joint_targets: header.stamp must be that of the joint states it answers, 0 s, "
             "got 0.05 s"
@@ -216,10 +248,11 @@ def test_two_servos_at_once(tmp_path: Path) -> None:
     with network(tmp_path) as (user, nodes):
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 60)
+        before = user.refused("emulator", "motor_commands")
         first = nodes.process("servo")
         nodes.start("servo")
         second = nodes.process("servo")
-        user.wait("two answers to a tick", lambda: user.refused("emulator", "motor_commands"))
+        user.wait("two answers", lambda: user.refused("emulator", "motor_commands") > before)
         tick = user.tick
         user.wait("the run to go on", lambda: user.tick >= tick + 200)
         first.kill()
