@@ -28,6 +28,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.doubles import STARTED, Doubles
+from arm_emulator.fair_lock import FairLock
 from arm_emulator.node_shell import (
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
@@ -58,7 +59,7 @@ from emulator_node.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Se
 if TYPE_CHECKING:
     from emulator_node.run_record import RunRecord
 
-AT_ONCE = 10  # messages in real time that are published before new ticks are looked for
+AT_ONCE = 10  # ticks in real time that are taken, and messages published, in one go
 UNPUBLISHED = 1000  # messages in real time that may wait: who controls needs the newest ones
 STATUS_PERIOD = 0.5  # s, wall
 REPEAT_AFTER = (
@@ -118,7 +119,7 @@ class EmulatorNode(Node):
         )
         # Between the executor, which serves topics and services, and the thread that tells the
         # ticks of a real-time session.
-        self._lock = threading.RLock()
+        self._lock = FairLock()
         robots = example_robot_data()
         self._stream = RerunStream(
             scene.urdf,
@@ -254,22 +255,27 @@ class EmulatorNode(Node):
         while not self._closing and rclpy.ok():
             if session.wait(timeout=0.1):
                 try:
-                    self._catch_up(session)
+                    while self._catch_up(session) and not self._closing:
+                        pass
                 except RuntimeError:  # of rclpy, when a signal has ended it in between
                     if rclpy.ok():
                         raise
 
-    def _catch_up(self, session: RealTimeSession) -> None:
+    def _catch_up(self, session: RealTimeSession) -> bool:
+        """Take some ticks, publish some of what waits; return whether there is more of either.
+
+        On a machine that is too slow there is always more: topics and services come in between.
+        """
         with self._lock:
-            while True:
-                while session.take():
-                    self._tell()
-                self._report_fault()
-                if not self._unpublished:
-                    return
-                for _ in range(min(AT_ONCE, len(self._unpublished))):
-                    publisher, data = self._unpublished.popleft()
-                    publisher.publish(data)
+            taken = 0
+            while taken < AT_ONCE and session.take():
+                self._tell()
+                taken += 1
+            self._report_fault()
+            for _ in range(min(AT_ONCE, len(self._unpublished))):
+                publisher, data = self._unpublished.popleft()
+                publisher.publish(data)
+            return taken == AT_ONCE or bool(self._unpublished)
 
     def _advance(self) -> None:
         self._session.advance()
@@ -467,7 +473,8 @@ class EmulatorNode(Node):
             session = self._session
             session.paused = request.data
             if isinstance(session, RealTimeSession):
-                self._catch_up(session)  # ticks that were reached before the pause
+                while self._catch_up(session):  # ticks that were reached before the pause
+                    pass
             response.success = True
             response.message = f"{'paused' if request.data else 'going on'} at tick {session.tick}"
             if session.lockstep and session.answered:
