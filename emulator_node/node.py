@@ -28,7 +28,6 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.doubles import STARTED, Doubles
-from arm_emulator.fair_lock import FairLock
 from arm_emulator.node_shell import (
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
@@ -119,7 +118,7 @@ class EmulatorNode(Node):
         )
         # Between the executor, which serves topics and services, and the thread that tells the
         # ticks of a real-time session.
-        self._lock = FairLock()
+        self._lock = threading.RLock()
         robots = example_robot_data()
         self._stream = RerunStream(
             scene.urdf,
