@@ -13,7 +13,7 @@ from arm_emulator.refusal import Refusal
 from arm_emulator.text_file import read_bytes
 
 MOST_BYTES = 16 << 20
-MOST_MARKS = 1_000_000  # of `<`: bounds what is built
+MOST_MARKS = 400_000  # of `<`: bounds what is built
 MOST_LEVELS = 64
 UNLIMITED = 1e9  # rad or m: as far as a joint may go that nothing stops
 

@@ -430,9 +430,10 @@ def _breaches(plant: Plant) -> int:
         lambda: plant.reset(q=[math.nan, 0.0, 0.0]),
         lambda: plant.reset(q=[1e300, 0.0, 0.0]),
         lambda: plant.reset(v=[math.inf, 0.0, 0.0]),
+        lambda: plant.reset(v=[1e300, 0.0, 0.0]),
     ):
         wrong.append(not _refused(plant, refused))
-    plant.reset(v=np.full(3, 1e300))  # a number, if a mad one: no step can follow it
+    plant.reset(v=np.full(3, 1e6))  # a speed, if a mad one: no step can follow it
     try:
         plant.advance(zero, 1)
         wrong.append(True)

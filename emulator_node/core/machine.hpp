@@ -167,7 +167,8 @@ class Machine {
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
-  int creep_to_the_fault(Course course, int chunk) {
+  int creep_to_the_fault(const Course& from, int chunk) {
+    Course course = from;
     for (int s = 0; s < chunk; ++s) {
       const State<S> before = x;
       const auto memory = threads.memory();
