@@ -14,7 +14,7 @@ from arm_emulator.recorder_presence import RECORDER
 from arm_emulator.refusal import Refusal
 
 AHEAD = 100  # messages on motor_states: 0.1 s of logical time at a servo period of 1 ms
-PATIENCE = 30.0  # s, wall: for a recorder that writes nothing, on a machine that is very busy
+PATIENCE = 120.0  # s, wall: for a recorder that writes nothing, on a machine that is very busy
 
 
 @dataclass
