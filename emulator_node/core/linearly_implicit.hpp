@@ -26,6 +26,7 @@
 #pragma once
 
 #include <limits>
+#include <memory>
 
 #include "coulomb.hpp"
 #include "drive_table.hpp"
@@ -189,7 +190,8 @@ class LinearlyImplicit {
 
   // Limits are modes of the joints: a current is within its limit, or at it. A step is taken with
   // the modes that hold at its end: a current within has not passed the limit, one at the limit is
-  // not drawn back by its own circuit.
+  // not drawn back by its own circuit. Where a motor changes its mind within the step there may be
+  // none: then the step is taken in halves.
   void step_within_limits(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past;
     for_each_drive<S>([&](const auto& drive, int j) {
@@ -197,7 +199,7 @@ class LinearlyImplicit {
         for (int lane = 0; drive.motor.has_limit() && lane < kWidth<X>; ++lane)
           tables.serve(j, lane, drive.motor.side_of(lane_of(x.z[drive.i][j], lane)));
     });
-    for (int round = 0;; ++round) {
+    for (int round = 0; round <= 2 * N; ++round) {
       Accelerations k1;
       Dynamics at_start = links;
       past = memory;
@@ -207,12 +209,34 @@ class LinearlyImplicit {
       stages_of(y, at_start, in, k1);
       move_links(y, in);
       move_drives(y, in);
-      if (modes_hold(y, u) || round == 3 * N) {
+      if (modes_hold(y, u)) {
         x = y;
         tables.settle(x);
         return;
       }
     }
+    past = memory;
+    halve(x, u);
+  }
+
+  void halve(State<S, X>& x, const X (&u)[row]) {
+    if (halvings == kMostHalvings) {
+      x.v[0] = X{} + std::numeric_limits<double>::quiet_NaN();  // the machine says that it diverged
+      return;
+    }
+    if (!half) {
+      half = std::make_unique<LinearlyImplicit>(0.5 * h);
+      half->halvings = halvings + 1;
+    }
+    half->past = past;
+    for (int part = 0; part < 2; ++part) {
+      Dynamics links;
+      Inputs in;
+      Links<S, X>::dynamics(x.q, x.v, links);
+      begin(x, u, in);
+      half->step_within_limits(x, u, links, in);
+    }
+    past = half->past;
   }
 
   // Whether all modes hold at the step's end y; those that do not are changed.
@@ -241,10 +265,14 @@ class LinearlyImplicit {
     return hold;
   }
 
+  static constexpr int kMostHalvings = 12;
+
   double h;
   Tables tables;
   Memory past = {};
   Coulomb<S, X> coulomb;
+  std::unique_ptr<LinearlyImplicit> half;  // made when it is first needed
+  int halvings = 0;
 };
 
 }  // namespace arm
