@@ -156,6 +156,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/recordings"), help="bags and logs")
     parser.add_argument("--keep", action="store_true", help="keep the bags that are in order, too")
     arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # leave nothing behind then, too
     console = Console(highlight=False)
     outcomes: list[Outcome] = []
     console.print(f"{'way':<12} {'run':>4} {'wall s':>7} {'load':>5} {'ticks':>7} {'missing':>8}  "
