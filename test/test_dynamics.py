@@ -17,7 +17,7 @@ needs_robots = pytest.mark.skipif(
 )
 
 STATES = 1000
-# Issue 2's bound. Both sides lose about cond(M) units of the last place, and cond(M) < 1e5 here.
+# Both sides lose about cond(M) units of the last place, and cond(M) < 1e5 here.
 TOLERANCE = 1e-10
 
 

@@ -57,7 +57,7 @@ def test_report_shows_every_outcome() -> None:
 
 
 def corners() -> Iterator[Any]:
-    """The corners of issue 3's map, and some that combine the worst. Its middle is three_axis."""
+    """The stability map's corners, and some that combine the worst. Its middle is three_axis."""
     gear, motor = "joints.*.gear.", "joints.*.motor."
     for stiffness in (1e2, 1e8):
         yield pytest.param({f"{gear}stiffness": stiffness}, id=f"Kg {stiffness:g}")

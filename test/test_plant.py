@@ -94,7 +94,7 @@ def test_bad_voltages_change_nothing(plant: Plant, voltage: Any, words: str) -> 
 
 
 def test_divergence_is_caught_at_the_last_state_within_bounds() -> None:
-    """Scheme `paper` cannot hold three_axis at 10 ms (design 5)."""
+    """Scheme `paper` cannot hold three_axis at 10 ms."""
     overrides = {
         "integrator.scheme": "paper",
         "integrator.dt": 1e-2,
