@@ -102,6 +102,7 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
         user() as one,
         recorder(slow_bag) as slow,
         recorder(killed_bag) as killed,
+        begun(slow, killed),
         network_of(one, folder / "log", record=own_bag, start="first_answer"),
     ):
         # As late as a busy machine may make them; the machine must not leave tick 0 before.
@@ -122,6 +123,14 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
         code, words = end(slow)
         assert code == 0, f"the recorder says that something is missing: {words}"
     return slow_bag, killed_bag, own_bag, words
+
+
+@contextmanager
+def begun(*recorders: subprocess.Popen[str]) -> Iterator[None]:
+    """Go on when recorders are there; one that is still being loaded is nobody to wait for."""
+    for one in recorders:
+        await_words(one, "recording ")
+    yield
 
 
 @contextmanager
