@@ -6,12 +6,11 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from arm_emulator.ros_domain import own_domain
+from bench.busy import busy_processes
 from bench.measure import progress
 
 TITLE = "Two clocks"
@@ -30,7 +29,7 @@ def run(quick: bool) -> dict[str, Any]:
     with progress("two clocks", 6) as done:
         figures["real_time"]["three_axis"] = _in_own_process("real_time", "three_axis", seconds)
         done("real time")
-        with busy_core():
+        with busy_processes(1):
             figures["real_time"]["three_axis, one core busy"] = _in_own_process(
                 "real_time", "three_axis", seconds
             )
@@ -41,17 +40,6 @@ def run(quick: bool) -> dict[str, Any]:
             figures["offline"][scene] = _offline(scene)
             done(f"offline, {scene}")
     return figures
-
-
-@contextmanager
-def busy_core() -> Iterator[None]:
-    """Keep one core busy with something else."""
-    load = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-    try:
-        yield
-    finally:
-        load.kill()
-        load.wait()
 
 
 def _in_own_process(what: str, scene: str, seconds: float) -> dict[str, Any]:

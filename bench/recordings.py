@@ -33,7 +33,7 @@ from arm_emulator.bag import Bag
 from arm_emulator.node_shell import STATE_SUB_QOS
 from arm_emulator.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus, MotorState
-from bench.under_load import busy_processes
+from bench.busy import busy_processes
 
 WAYS = ("record", "up --record")
 TARGETS = ((0.10, 0.02, 0.80), (0.08, -0.02, 0.78))  # m, of three_axis, by turns

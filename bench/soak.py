@@ -12,7 +12,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from arm_emulator.ros_domain import own_domain
-from bench.clocks import FACTOR_ERROR, OLD_SHARE, busy_core, measure, punctual
+from bench.busy import busy_processes
+from bench.clocks import FACTOR_ERROR, OLD_SHARE, measure, punctual
 
 
 def main() -> None:
@@ -24,7 +25,7 @@ def main() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     seconds = 60.0 * arguments.minutes
     console = Console()
-    with own_domain(unless_named=True), busy_core(), Progress(console=console) as progress:
+    with own_domain(unless_named=True), busy_processes(1), Progress(console=console) as progress:
         bar = progress.add_task("real time, one core busy", total=seconds)
         over = threading.Event()
         clock = threading.Thread(

@@ -11,27 +11,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
 
+from bench.busy import busy_processes
+
 LOGS = Path("log/under_load")
-
-
-@contextmanager
-def busy_processes(count: int) -> Iterator[None]:
-    """Keep processors busy with processes of this user's, at the usual priority."""
-    spin = [sys.executable, "-IS", "-c", "while True: pass"]
-    loads = [subprocess.Popen(spin) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for load in loads:
-            load.kill()
-        for load in loads:
-            load.wait()
 
 
 def main() -> None:

@@ -437,17 +437,3 @@ def kill(user: User, nodes: Bringup, name: str) -> None:
 def logs(folder: Path) -> str:
     """Return what the nodes wrote."""
     return "\n".join(f"--- {f.name}\n{f.read_text()[-3000:]}" for f in sorted(folder.glob("*.log")))
-
-
-@contextmanager
-def busy_processor(count: int) -> Iterator[None]:
-    """Keep processors busy beside a test."""
-    spin = [sys.executable, "-IS", "-c", "while True: pass"]
-    loads = [subprocess.Popen(spin) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for load in loads:
-            load.kill()
-        for load in loads:
-            load.wait()

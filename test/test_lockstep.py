@@ -17,7 +17,6 @@ from network import (
     User,
     assert_same_bits,
     bits_of,
-    busy_processor,
     kill,
     network,
     node,
@@ -31,6 +30,7 @@ from arm_emulator.offline import OfflineRun, load_offline_run
 from arm_emulator.offline import run as run_command
 from arm_emulator.refusal import Refusal
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
+from bench.busy import busy_processes
 from emulator_node.plant import Plant
 from emulator_node.scene import example_robot_data, load_scene
 from motion_controller_node.motion_config import load_motion_config
@@ -98,7 +98,7 @@ def test_three_processes_give_the_same_bits_twice_and_under_load(
 ) -> None:
     with three_nodes() as (user, _):
         once = recorded(user, "three_axis")
-    with busy_processor(2), three_nodes() as (user, _):
+    with busy_processes(2), three_nodes() as (user, _):
         again = recorded(user, "three_axis")
     assert_same_bits(once, again, TICKS["three_axis"])
     assert_same_bits(once, offline("three_axis"), TICKS["three_axis"])

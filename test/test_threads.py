@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +12,7 @@ import numpy as np
 import pytest
 from machines import random_chain
 
+from bench.busy import busy_processes
 from emulator_node.compiler import CORE, FLAGS
 from emulator_node.cxx import find_compiler
 from emulator_node.plant import Diverged, Plant
@@ -48,18 +46,6 @@ def after_one_second(one: Plant) -> np.ndarray:
     return one.run(voltages, one.scene.steps_per_period)[-1]
 
 
-@contextmanager
-def busy_cores(count: int = 2) -> Iterator[None]:
-    """Processes that keep the cores busy."""
-    loads = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for load in loads:
-            load.kill()
-            load.wait()
-
-
 def thread_count() -> int:
     return len(list(Path("/proc/self/task").iterdir()))
 
@@ -68,7 +54,7 @@ def thread_count() -> int:
 def test_same_bits_a_hundred_times_under_load(exchange: str) -> None:
     one = plant(2, exchange=exchange)
     seen = set()
-    with busy_cores():
+    with busy_processes(2):
         for repetition in range(100):
             one.reset()
             for steps in (30, 1, 69, 100) if repetition % 2 else (200,):

@@ -1,0 +1,22 @@
+"""Processes that keep processors busy beside what is measured or tested."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def busy_processes(count: int) -> Iterator[None]:
+    """Keep processors busy with processes of this user's, at the usual priority."""
+    spin = [sys.executable, "-IS", "-c", "while True: pass"]
+    loads = [subprocess.Popen(spin) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for load in loads:
+            load.kill()
+        for load in loads:
+            load.wait()
