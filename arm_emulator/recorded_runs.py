@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rclpy.duration import Duration
@@ -17,14 +18,28 @@ from arm_emulator_msgs.msg import MotorState, RecorderReport
 
 REPORT_EVERY = 20  # motor states; an emulator in lock-step runs at most some times that ahead
 GOOD_BYE = Duration(seconds=0.5)  # wall: for it to arrive
+SETTLED = 2.0  # s, wall: after which all publishers of what has come are known
+MOST_CHAINS = 100  # of numbers that do not follow each other: publishers and fresh gaps
 ASK_AGAIN = 5.0  # s, wall: after which a reset that has not come is asked for once more
+
+
+@dataclass
+class _Chain:
+    """Numbers in a row, as one publisher gives them; `began`, `ended`: in the order of coming."""
+
+    first: int
+    last: int
+    began: int
+    ended: int
+    at: float  # s, wall, when it began
 
 
 class Numbered:
     """Counts what is lost on one topic, by the numbers that publishers give to their messages.
 
-    Which publisher a number comes from is not told, so each message continues the publisher that it
-    fits best.
+    Which publisher a number comes from is not told, so each message continues a chain of numbers.
+    There are as many chains as publishers, and one more for each gap. How many publishers there are
+    may be known a moment later than their first messages come.
 
     Args:
         publishers: tells how many there are.
@@ -32,19 +47,22 @@ class Numbered:
 
     def __init__(self, publishers: Callable[[], int]) -> None:
         self._publishers = publishers
-        self._newest: list[int] = []  # of each publisher
-        self._gaps = 0
+        self._most_publishers = 1
+        self._chains: list[_Chain] = []  # in the order in which they began
+        self._count = 0
+        self._gaps = 0  # between chains that are one by now
         self._told_lost = 0
 
     @property
     def newest(self) -> int:
         """Number of the newest message of the publisher that has said most, 0 without any."""
-        return max(self._newest, default=0)
+        return max((chain.last for chain in self._chains), default=0)
 
     @property
     def lost(self) -> int:
         """Messages between others that did not come."""
-        return max(self._gaps, self._told_lost)
+        self._most_publishers = max(self._most_publishers, self._publishers())
+        return max(self._gaps + self._join(self._chains), self._told_lost)
 
     def on_lost(self, event: Any) -> None:
         """Take the middleware's word for what it lost."""
@@ -54,16 +72,41 @@ class Numbered:
         """Count a message; None where the middleware gives no numbers."""
         if number is None:
             return
-        newest = self._newest
-        if number - 1 in newest:
-            newest[newest.index(number - 1)] = number
-            return
-        before = max((one for one in newest if one < number), default=None)
-        if before is None or self._publishers() > len(newest):
-            newest.append(number)
-            return
-        self._gaps += number - before - 1
-        newest[newest.index(before)] = number
+        self._count += 1
+        for chain in self._chains:
+            if chain.last == number - 1:
+                chain.last, chain.ended = number, self._count
+                return
+        now = time.monotonic()
+        self._chains.append(_Chain(number, number, self._count, self._count, now))
+        if len(self._chains) > MOST_CHAINS or now - self._chains[0].at > SETTLED:
+            self._settle(now)
+
+    def _settle(self, now: float) -> None:
+        """Join for good what began when all publishers were known already."""
+        self._most_publishers = max(self._most_publishers, self._publishers())
+        many = len(self._chains) > MOST_CHAINS
+        settled = [chain for chain in self._chains if many or now - chain.at > SETTLED]
+        young = self._chains[len(settled) :]
+        self._gaps += self._join(settled, for_good=True)
+        self._chains = settled + young
+
+    def _join(self, chains: list[_Chain], for_good: bool = False) -> int:
+        """Return the gaps between chains if there are no more of them than publishers."""
+        gaps, joined = 0, list[_Chain]()
+        for one in chains:
+            before = None
+            if len(joined) >= self._most_publishers:
+                fits = [c for c in joined if c.last < one.first and c.ended < one.began]
+                before = max(fits, key=lambda c: c.last, default=None)
+            if before is None:
+                joined.append(one if for_good else replace(one))
+            else:
+                gaps += one.first - before.last - 1
+                before.last, before.ended = one.last, one.ended
+        if for_good:
+            chains[:] = joined
+        return gaps
 
 
 class RecordedRuns:

@@ -42,8 +42,10 @@ RECEIVER = {
     "joint_states": "motion_controller",
 }
 
-# Deep enough for every state of a test: what is recorded must not get lost.
+# Deep enough for every state in lock-step: what is recorded must not get lost. In real time
+# a Python listener is slower than the machine: it would fall behind by all that is kept for it.
 RECORD_QOS = QoSProfile(depth=20_000)
+NEWEST_QOS = QoSProfile(depth=5)
 # A depth of 1 would keep only the newest for a node that is just being discovered.
 SEND_QOS = QoSProfile(depth=100)
 
@@ -51,7 +53,7 @@ SEND_QOS = QoSProfile(depth=100)
 class User:
     """Listens to everything that the nodes say, sends what a test asks for, calls services."""
 
-    def __init__(self, domain: int, namespace: str = "/") -> None:
+    def __init__(self, domain: int, namespace: str = "/", clock: str = "lockstep") -> None:
         self.joint_names = JOINTS
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
@@ -71,13 +73,14 @@ class User:
         self.diagnostics: dict[str, Any] = {}  # newest of each node
         self.words: dict[str, list[str]] = {name: [] for name in ALL_THREE}  # all that was said
         listen = self.node.create_subscription
-        listen(MotorState, "motor_states", self._on_state, RECORD_QOS, raw=True)
+        kept = RECORD_QOS if clock == "lockstep" else NEWEST_QOS
+        listen(MotorState, "motor_states", self._on_state, kept, raw=True)
         listen(EmulatorStatus, "emulator/status", self._on_status, 10)
         listen(DiagnosticArray, "diagnostics", self._on_diagnostics, 100)
         late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         listen(String, "robot_description", self._on_description, late)
         for topic in ("emulator/joint_states", "joint_states", "joint_targets"):
-            listen(JointState, topic, self._keeper(topic.split("/")[-1], topic), 10)
+            listen(JointState, topic, self._keeper(topic.split("/")[-1], topic), 1)
         publish = self.node.create_publisher
         self.commands = publish(MotorCommand, "motor_commands", SEND_QOS)
         self.states = publish(MotorState, "motor_states", SEND_QOS)
@@ -322,10 +325,10 @@ def assert_same_bits(one: dict[int, bytes], other: dict[int, bytes], ticks: int)
 
 
 @contextmanager
-def user(namespace: str = "/") -> Iterator[User]:
+def user(namespace: str = "/", clock: str = "lockstep") -> Iterator[User]:
     """Be a user in a ROS domain of its own."""
     with own_domain() as domain:
-        one = User(domain, namespace)
+        one = User(domain, namespace, clock)
         try:
             yield one
         finally:
@@ -344,7 +347,7 @@ def network(
 ) -> Iterator[tuple[User, Bringup]]:
     """Run nodes and a user in a ROS domain of their own; at the end all must end cleanly."""
     nodes = Bringup(scene, clock=clock, start=start, emulator=emulator, log=log, only=only)
-    with user() as one, nodes:
+    with user(clock=clock) as one, nodes:
         yield one, nodes
         for name in only:
             code = nodes.process(name).poll()

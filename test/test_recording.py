@@ -24,7 +24,7 @@ from arm_emulator.recorded_runs import Numbered
 from arm_emulator.recorder_presence import RecorderPresence, recorders_of
 from arm_emulator.refusal import Refusal
 from arm_emulator.ros_domain import own_domain
-from arm_emulator_msgs.msg import MotorState
+from arm_emulator_msgs.msg import MotorState, RecorderReport
 from emulator_node import run_record
 from emulator_node.recorders import AHEAD, Recorders
 from emulator_node.recorders import PATIENCE as RECORDER_PATIENCE
@@ -197,18 +197,20 @@ def test_what_is_lost_in_real_time_is_counted_and_its_own_record_is_complete(
     tmp_path: Path,
 ) -> None:
     """A recorder that is away for longer than publishers keep messages."""
+    reports: list[RecorderReport] = []
     with (
-        user() as one,
+        user(clock="realtime") as one,
         recorder(tmp_path / "away") as process,
         network_of(
             one, tmp_path / "log", clock="realtime", start="first_answer", record=tmp_path / "own"
         ),
     ):
-        one.wait("the run", lambda: one.tick > 100)
+        one.node.create_subscription(RecorderReport, "emulator/recorders", reports.append, 10)
+        one.wait("some states to be recorded", lambda: reports and reports[-1].written > 100)
         process.send_signal(signal.SIGSTOP)
         await_ticks(one, 3000)  # more than publishers keep
         process.send_signal(signal.SIGCONT)
-        await_words(process, "lost so far")  # while recording
+        await_words(process, "ticks of /motor_states")  # while recording
         code, said = end(process)
     assert code == 1, said
     told = re.search(r"; lost: .*?(\d+) ticks of /motor_states", said)
@@ -259,6 +261,32 @@ def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
         several.take(next_numbers[which])
         next_numbers[which] += 1
     assert several.lost == 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_publishers_that_are_known_late_are_no_losses(seed: int) -> None:
+    """Their first messages may come before the word of how many publishers there are."""
+    draw = random.Random(seed)
+    publishers, known = draw.randrange(2, 5), 1
+    several = Numbered(lambda: known)
+    # Far from each other, so that what is lost can belong to one publisher only.
+    next_numbers = [draw.randrange(1, 100) + 10_000 * k for k in range(publishers)]
+    lost = 0
+    for count in range(2000):
+        which = draw.randrange(publishers)
+        if count > 100 and draw.random() < 0.02:
+            gap = draw.randrange(1, 5)
+            lost += gap
+            next_numbers[which] += gap
+        several.take(next_numbers[which])
+        next_numbers[which] += 1
+        if count == 50:
+            assert several.lost >= 0
+            known = publishers
+    # A gap at the very end of a publisher is nobody's to see.
+    for number in next_numbers:
+        several.take(number)
+    assert several.lost == lost, "messages that did not come"
 
 
 @pytest.mark.parametrize("seed", range(20))
