@@ -14,7 +14,7 @@ help:
 	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
 	@echo 'make fuzz               random scenes, messages and machines, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
-	@echo 'make lint               check style and types'
+	@echo 'make lint               check style, types and what imports what'
 	@echo 'make format             put the sources into shape'
 	@echo 'make clean              remove what was built; make distclean: also .venv/ and out/'
 	@echo 'More arguments: ARGS="...", for example make test ARGS="-k servo"'
@@ -150,12 +150,12 @@ fuzz: setup .venv/.robots
 	@$(RUN) && PYTHONPATH=test:$$PYTHONPATH python -m fuzz $(ARGS)
 
 bench: setup .venv/.robots .venv/.bench
-	@$(RUN) && python -m arm_emulator bench $(ARGS)
+	@$(RUN) && python -m bench $(ARGS)
 
 CORE := $(wildcard emulator_node/core/*.hpp)
 
 lint: setup
-	@$(RUN) && ruff check . && ruff format --check . && mypy
+	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache
 	@$(if $(CORE),.venv/bin/clang-format --dry-run -Werror $(CORE))
 
 format: setup

@@ -1,11 +1,18 @@
-"""Install the ROS package arm_emulator: four Python packages, the scenes and the launch files."""
+"""Install the ROS package arm_emulator: its Python packages, the scenes and the launch files."""
 
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "arm_emulator"
-PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
+PACKAGES = (
+    "words",
+    "ros_shell",
+    "emulator_node",
+    "servo_node",
+    "motion_controller_node",
+    "arm_emulator",
+)
 
 
 def share(folder: str) -> list[tuple[str, list[str]]]:

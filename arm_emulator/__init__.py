@@ -1,1 +1,1 @@
-"""Command line of the arm emulator, and the few words that all its packages share."""
+"""The command line of the arm emulator, and the entry points of its nodes."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from arm_emulator.ctrl_c import CtrlC, end_at_once, exit_code
+from ros_shell.ctrl_c import CtrlC, end_at_once, exit_code
 
 # Commands that run until they are told to stop, or may.
 UNTIL_TOLD = ("up", "record", "replay")
@@ -15,7 +15,7 @@ if __name__ == "__main__":
 import argparse
 from pathlib import Path
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 
 def main() -> None:
@@ -108,14 +108,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     advise.add_argument("--write", action="store_true", help="put the result into the scene file")
     advise.set_defaults(run=_advise)
-
-    bench = commands.add_parser("bench", help="measure speed and accuracy (a source tree only)")
-    bench.add_argument("--quick", action="store_true", help="fewer cases, to try it out")
-    bench.add_argument("--only", action="append", default=[], metavar="SECTION",
-                       help="measure this section (may be given several times)")  # fmt: skip
-    bench.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for the report")
-    bench.add_argument("--publish", type=Path, help="folder to copy the report to, docs/report")
-    bench.set_defaults(run=_bench)
 
     check = commands.add_parser("check-scene", help="say whether scene files are valid")
     check.add_argument("scenes", nargs="+", metavar="SCENE")
@@ -221,17 +213,6 @@ def _advise(arguments: argparse.Namespace) -> int:
     return advise_scene(arguments.scene, arguments.error, arguments.write)
 
 
-def _bench(arguments: argparse.Namespace) -> int:
-    tree = Path(__file__).resolve().parents[1]
-    if not (tree / "bench" / "report.py").is_file():
-        raise Refusal("bench", "the folder bench/", "be there", "an installed package only",
-                      "`make bench` in a source tree")  # fmt: skip
-    sys.path.insert(0, str(tree))
-    from bench.report import bench
-
-    return bench(arguments.quick, arguments.only, arguments.out, arguments.publish)
-
-
 def _check_scene(arguments: argparse.Namespace) -> int:
     from arm_emulator.check_scene import check_scene
 
@@ -241,7 +222,7 @@ def _check_scene(arguments: argparse.Namespace) -> int:
 
 
 def _record(arguments: argparse.Namespace) -> int:
-    from arm_emulator.recorder_presence import RecorderPresence
+    from ros_shell.recorder_presence import RecorderPresence
 
     # Before anything that takes time: an emulator that is started together with this command waits.
     with RecorderPresence(arguments.topics) as presence:
@@ -251,7 +232,7 @@ def _record(arguments: argparse.Namespace) -> int:
 
 
 def _repair(arguments: argparse.Namespace) -> int:
-    from arm_emulator.bag import Bag, repair
+    from ros_shell.bag import Bag, repair
 
     try:
         mended = repair(arguments.bag)

@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from arm_emulator.config_files import find_scene
 from arm_emulator.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.gains import load_gains
 from arm_emulator.offline import OfflineRun
-from arm_emulator.refusal import Refusal
-from arm_emulator.yaml_file import read_yaml
 from emulator_node.advice import Motion, Setting, advise, write_integrator
 from emulator_node.plant import Diverged
+from emulator_node.reference import reference
 from emulator_node.scene import Scene, load_scene
 from motion_controller_node.pose import Pose
+from words.config_files import find_scene
+from words.refusal import Refusal
+from words.yaml_file import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -106,16 +107,12 @@ def _sines(scene: Scene) -> Array:
 
 def _truth(scene: Scene, file: Path, voltages: Array) -> tuple[Array | None, str]:
     """Return the motion by the independent reference, (K, N), or None and why there is none."""
-    try:
-        from bench.reference import reference
-    except ImportError:
-        return None, "no reference here: bench/ and SciPy come with the source tree only"
     payload: Any = read_yaml(file).get("payload")
     try:
         truth = reference(scene, voltages, scene.servo_period, payload=payload)
     except Refusal as reason:
         return None, f"no reference for this scene: {reason}"
-    return truth, "reference: SciPy at 1e-11 on Pinocchio's dynamics (bench/reference.py)"
+    return truth, "reference: SciPy at 1e-11 on Pinocchio's dynamics (emulator_node/reference.py)"
 
 
 def _table(motion: Motion, settings: list[Setting], now: Setting, truth: Array | None) -> Table:

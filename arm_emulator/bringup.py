@@ -15,10 +15,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from arm_emulator.config_files import find_beside, find_scene
-from arm_emulator.ctrl_c import END_SIGNALS
-from arm_emulator.end_with_parent import parent_environment
-from arm_emulator.refusal import Refusal
+from ros_shell.ctrl_c import END_SIGNALS
+from ros_shell.end_with_parent import parent_environment
+from words.config_files import find_beside, find_scene
+from words.refusal import Refusal
 
 STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine too
 

@@ -20,17 +20,17 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from arm_emulator.bag import Bag
-from arm_emulator.bound import VOLTAGE
-from arm_emulator.config_files import config_folder
-from arm_emulator.joint_order import JointOrder
-from arm_emulator.node_shell import nanoseconds_of
-from arm_emulator.record import definition_of, fields
-from arm_emulator.refusal import Refusal
-from arm_emulator.yaml_file import read_yaml
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
+from ros_shell.bag import Bag
+from ros_shell.message_types import definition_of, fields
+from ros_shell.node_shell import nanoseconds_of
+from words.bound import VOLTAGE
+from words.config_files import config_folder
+from words.joint_order import JointOrder
+from words.refusal import Refusal
+from words.yaml_file import read_yaml
 
 # Topic -> class and type of its messages.
 TYPES: dict[str, tuple[Any, str]] = {

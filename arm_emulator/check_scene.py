@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from arm_emulator.config_files import find_beside, find_scene
 from arm_emulator.gains import check_fit, load_gains
-from arm_emulator.refusal import Refusal
 from emulator_node.scene import load_scene
+from words.config_files import find_beside, find_scene
+from words.refusal import Refusal
 
 
 def check_scene(name: str) -> str:

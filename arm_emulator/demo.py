@@ -25,24 +25,24 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from arm_emulator.bringup import Bringup
-from arm_emulator.config_files import find_scene
 from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.fig4 import draw_fig4
 from arm_emulator.gains import Gains, check_fit, load_gains
-from arm_emulator.node_shell import (
+from arm_emulator_msgs.msg import EmulatorStatus
+from emulator_node.scene import Scene, load_scene
+from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.pose import Pose
+from motion_controller_node.predicted_residual import PredictedResidual, predicted_residual
+from ros_shell.node_shell import (
     COMMAND_QOS,
     NANOSECONDS,
     STATE_SUB_QOS,
     nanoseconds_of,
     stamp,
 )
-from arm_emulator.refusal import Refusal
-from arm_emulator.ros_domain import own_domain
-from arm_emulator_msgs.msg import EmulatorStatus
-from emulator_node.scene import Scene, load_scene
-from motion_controller_node.jacobian import JacobianController
-from motion_controller_node.pose import Pose
-from motion_controller_node.predicted_residual import PredictedResidual, predicted_residual
+from ros_shell.ros_domain import own_domain
+from words.config_files import find_scene
+from words.refusal import Refusal
 
 Array = NDArray[np.float64]
 

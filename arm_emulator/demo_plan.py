@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.config_files import find_beside
-from arm_emulator.refusal import Refusal
-from arm_emulator.yaml_file import read_yaml
+from words.config_files import find_beside
+from words.refusal import Refusal
+from words.yaml_file import read_yaml
 
 NANOSECONDS = 1_000_000_000
 LARGEST_DISPLACEMENT = 100.0  # m

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from arm_emulator.config_files import find_beside
-from arm_emulator.refusal import Refusal
 from emulator_node.scene import Scene
 from motion_controller_node.motion_config import MotionConfig, load_motion_config
 from servo_node.servo_config import ServoConfig, load_servo_config
+from words.config_files import find_beside
+from words.refusal import Refusal
 
 
 @dataclass(frozen=True)

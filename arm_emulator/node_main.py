@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-from arm_emulator.ctrl_c import end_at_once
+from ros_shell.ctrl_c import end_at_once
 
 
 def emulator() -> None:

@@ -13,12 +13,7 @@ import time
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.bound import Bound
-from arm_emulator.config_files import find_scene
-from arm_emulator.count import check_count
 from arm_emulator.gains import check_fit, load_gains
-from arm_emulator.joint_order import JointOrder
-from arm_emulator.refusal import Refusal
 from emulator_node.plant import Diverged
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
@@ -28,6 +23,11 @@ from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.pose import Pose
 from servo_node.drives import Drives, Target
 from servo_node.servo_config import ServoConfig
+from words.bound import Bound
+from words.config_files import find_scene
+from words.count import check_count
+from words.joint_order import JointOrder
+from words.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
-from arm_emulator.recorder_presence import STATES
 from arm_emulator_msgs.msg import MotorState, RecorderReport
+from ros_shell.recorder_presence import STATES
 
 REPORT_EVERY = 20  # motor states; an emulator in lock-step runs at most some times that ahead
 GOOD_BYE = Duration(seconds=0.5)  # wall: for it to arrive

@@ -15,10 +15,10 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from arm_emulator.bag import NANOSECONDS, Bag
-from arm_emulator.ctrl_c import CtrlC, until_shut_down
-from arm_emulator.record import message_class
-from arm_emulator.refusal import Refusal
+from ros_shell.bag import NANOSECONDS, Bag
+from ros_shell.ctrl_c import CtrlC, until_shut_down
+from ros_shell.message_types import message_class
+from words.refusal import Refusal
 
 DEPTH = (
     1000  # messages kept for a listener that is slow; discovery does not tell the recorded depth

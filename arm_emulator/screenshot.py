@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 if TYPE_CHECKING:
     from rerun.experimental import Timeline, ViewerClient

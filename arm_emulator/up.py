@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 
 from arm_emulator.bringup import Bringup
-from arm_emulator.ctrl_c import CtrlC
-from arm_emulator.refusal import Refusal
+from ros_shell.ctrl_c import CtrlC
+from words.refusal import Refusal
 
 
 def up(

@@ -9,9 +9,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.ros_domain import own_domain
 from bench.busy import busy_processes
 from bench.measure import progress
+from ros_shell.ros_domain import own_domain
 
 TITLE = "Two clocks"
 
@@ -62,8 +62,8 @@ def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
     import rclpy
 
     from arm_emulator.bringup import Bringup
-    from arm_emulator.node_shell import STATE_SUB_QOS
     from arm_emulator_msgs.msg import EmulatorStatus
+    from ros_shell.node_shell import STATE_SUB_QOS
 
     clock = "realtime" if what == "real_time" else "lockstep"
     rclpy.init()

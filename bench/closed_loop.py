@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 
-from arm_emulator.config_files import find_scene
 from arm_emulator.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.gains import load_gains
 from bench.motion import Array
@@ -16,6 +15,7 @@ from motion_controller_node.jacobian import JacobianController
 from motion_controller_node.pose import Pose
 from servo_node.servo import Servo
 from servo_node.servo_config import ServoConfig
+from words.config_files import find_scene
 
 
 class DemoMotion:

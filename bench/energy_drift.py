@@ -11,8 +11,8 @@ import pinocchio as pin
 from bench.measure import compile_all, progress
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, new_figure, save
-from bench.reference import links_model, reference
 from emulator_node.plant import Diverged, Plant
+from emulator_node.reference import links_model, reference
 from emulator_node.scene import SCHEMES, Scene, load_scene
 
 TITLE = "Energy drift"

@@ -19,14 +19,14 @@ import pinocchio as pin
 import yaml
 from scipy.special import ellipk
 
-from arm_emulator.config_files import config_folder
-from arm_emulator.refusal import Refusal
 from bench.measure import progress
 from bench.motion import Array
-from bench.reference import links_model, reference
 from emulator_node.advice import ORDERS
 from emulator_node.plant import Diverged, Plant
+from emulator_node.reference import links_model, reference
 from emulator_node.scene import SCHEMES, Scene, load_scene
+from words.config_files import config_folder
+from words.refusal import Refusal
 
 TITLE = "Hard cases"
 

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from bench.reference import links_model
+from emulator_node.reference import links_model
 from emulator_node.scene import Joint, Scene
 
 Array = NDArray[np.float64]

@@ -15,8 +15,8 @@ from bench.measure import compile_all, progress
 from bench.motion import Array, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import new_figure, save
-from bench.reference import links_model
 from emulator_node.plant import Diverged, Plant
+from emulator_node.reference import links_model
 from emulator_node.scene import SCHEMES, Scene, load_scene
 
 TITLE = "Stability map"

@@ -17,9 +17,9 @@ from bench.measure import wall as wall_time
 from bench.motion import SERVO_PERIOD, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, new_figure, save
-from bench.reference import reference
 from bench.time_at_error import time_at_error
 from emulator_node.plant import Diverged, Plant
+from emulator_node.reference import reference
 from emulator_node.scene import SCHEMES, Scene, load_scene
 
 TITLE = "Work and precision"
@@ -332,8 +332,8 @@ def _draw(cases: list[dict[str, Any]], folder: Path, name: str) -> None:
 def report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
-        "Error is the difference of the link angles from the reference "
-        "(SciPy DOP853 on Pinocchio's dynamics, rtol 1e-11, bench/reference.py) after 1 s: the "
+        "Error is the difference of the link angles from the reference (SciPy DOP853 on "
+        "Pinocchio's dynamics, rtol 1e-11, emulator_node/reference.py) after 1 s: the "
         f"largest over the joints, root mean square over {INPUTS} motions (sines of 12 V with "
         "seeded frequencies and phases, from rest). Each voltage is held for one servo period of "
         "1 ms where not said otherwise, so no step is longer than that.",

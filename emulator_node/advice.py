@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import SCHEMES, Scene, load_scene
+from words.refusal import Refusal
 
 ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 MOST_STEPS = 3e7  # of one motion: some seconds of computing

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.refusal import Refusal
-from arm_emulator.urdf_text import complete_limits
+from words.refusal import Refusal
+from words.urdf_text import complete_limits
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from arm_emulator.refusal import Refusal
 from emulator_node import library_cache
 from emulator_node.core_calls import CALLS
 from emulator_node.cxx import find_compiler, run_compiler
@@ -20,6 +19,7 @@ from emulator_node.elf import why_no_library
 from emulator_node.scene import Scene
 from emulator_node.scene_unit import scene_unit
 from emulator_node.trusted import Untrusted, check_folder, read_file
+from words.refusal import Refusal
 
 CORE = Path(__file__).resolve().parent / "core"
 

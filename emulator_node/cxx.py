@@ -12,7 +12,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 LONGEST_RUN = 900.0  # s; the largest scenes take a minute, on a busy machine some more
 MOST_WORDS = 65536  # bytes of what a compiler says that are kept

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from arm_emulator.refusal import Refusal
 from emulator_node.trusted import Untrusted, check_folder, read_file
+from words.refusal import Refusal
 
 CACHE_VARIABLE = "ARM_EMULATOR_CACHE"
 SIZE_VARIABLE = "ARM_EMULATOR_CACHE_MB"

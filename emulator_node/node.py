@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 if __name__ == "__main__":  # before what takes long to import
-    from arm_emulator.ctrl_c import end_at_once
+    from ros_shell.ctrl_c import end_at_once
 
     end_at_once(0)
 
@@ -27,8 +27,15 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from arm_emulator.doubles import STARTED, Doubles
-from arm_emulator.node_shell import (
+from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState, RecorderReport
+from emulator_node.plant import Diverged
+from emulator_node.real_time import RealTimeSession
+from emulator_node.recorders import Recorders
+from emulator_node.rerun_stream import RerunStream
+from emulator_node.scene import example_robot_data, load_scene
+from emulator_node.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Session
+from ros_shell.doubles import STARTED, Doubles
+from ros_shell.node_shell import (
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
     KEPT,
@@ -44,16 +51,9 @@ from arm_emulator.node_shell import (
     stamp,
     wall_timer,
 )
-from arm_emulator.parameters import parameter
-from arm_emulator.recorder_presence import recorders_of
-from arm_emulator.refusal import Refusal
-from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState, RecorderReport
-from emulator_node.plant import Diverged
-from emulator_node.real_time import RealTimeSession
-from emulator_node.recorders import Recorders
-from emulator_node.rerun_stream import RerunStream
-from emulator_node.scene import example_robot_data, load_scene
-from emulator_node.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Session
+from ros_shell.recorder_presence import recorders_of
+from words.parameters import parameter
+from words.refusal import Refusal
 
 if TYPE_CHECKING:
     from emulator_node.run_record import RunRecord
@@ -293,9 +293,9 @@ class EmulatorNode(Node):
 
     def _begin_record(self, folder: Path) -> None:
         # Not without need: a stock ROS 2 machine may have no package for bags.
-        from arm_emulator.bag import Topic
-        from arm_emulator.record import definition_of
         from emulator_node.run_record import RunRecord
+        from ros_shell.bag import Topic
+        from ros_shell.message_types import definition_of
 
         said = (
             self._motor_states, self._truths, self._clocks, self._statuses, self._descriptions,

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.bound import LARGEST_COUNT, POSITION, VELOCITY
-from arm_emulator.count import check_count
-from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.compiler import library_of
 from emulator_node.core_calls import declare
 from emulator_node.scene import Scene
 from emulator_node.stability import Attempt, attempts, what_holds
+from words.bound import LARGEST_COUNT, POSITION, VELOCITY
+from words.count import check_count
+from words.refusal import Refusal
 
 # What a joint without an encoder reports, since encoder counts are whole numbers.
 IDEAL_COUNTS_PER_TURN = 2**20

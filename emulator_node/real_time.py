@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.bound import VOLTAGE
-from arm_emulator.count import LARGEST, check_count
 from emulator_node.chain import Array
 from emulator_node.plant import LARGEST_STEPS, Plant, PlantState
 from emulator_node.scene import Scene
 from emulator_node.session import Session
+from words.bound import VOLTAGE
+from words.count import LARGEST, check_count
 
 LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from arm_emulator.recorder_presence import RECORDER
-from arm_emulator.refusal import Refusal
+from ros_shell.recorder_presence import RECORDER
+from words.refusal import Refusal
 
 AHEAD = 100  # messages on motor_states: 0.1 s of logical time at a servo period of 1 ms
 PATIENCE = 120.0  # s, wall: for a recorder that writes nothing, on a machine that is very busy

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from arm_emulator.refusal import Refusal
 from emulator_node.rerun_blueprint import (
     COLOURS,
     DEVIATION,
@@ -22,6 +21,7 @@ from emulator_node.rerun_blueprint import (
 )
 from emulator_node.sample_queue import Array, Times
 from emulator_node.tool_position import ToolPosition
+from words.refusal import Refusal
 
 if TYPE_CHECKING:
     import rerun as rr

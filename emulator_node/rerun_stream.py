@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from arm_emulator.bound import TOOL_POSITION
-from arm_emulator.refusal import Refusal
 from emulator_node.rerun_batches import QUANTITIES, RerunBatches
 from emulator_node.sample_queue import Array, SampleQueue
+from words.bound import TOOL_POSITION
+from words.refusal import Refusal
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -12,8 +12,8 @@ import time
 from collections import deque
 from pathlib import Path
 
-from arm_emulator.bag import BagWriter, Topic
-from arm_emulator.refusal import Refusal
+from ros_shell.bag import BagWriter, Topic
+from words.refusal import Refusal
 
 CAPACITY = 10_000  # messages between the machine and the disk: some seconds
 SMALL = 10  # messages written at a time, some 0.1 ms of Python's lock

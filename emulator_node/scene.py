@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.config_files import BESIDE, find_config
-from arm_emulator.refusal import Refusal
-from arm_emulator.text_file import why_no_file
-from arm_emulator.urdf_text import parse_urdf, read_urdf
-from arm_emulator.yaml_file import read_yaml
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
+from words.config_files import BESIDE, find_config
+from words.refusal import Refusal
+from words.text_file import why_no_file
+from words.urdf_text import parse_urdf, read_urdf
+from words.yaml_file import read_yaml
 
 SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
 EXCHANGES = ("predict", "lag")

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from arm_emulator.bound import VOLTAGE
-from arm_emulator.count import LARGEST, check_count
-from arm_emulator.joint_order import JointOrder
-from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene
+from words.bound import VOLTAGE
+from words.count import LARGEST, check_count
+from words.joint_order import JointOrder
+from words.refusal import Refusal
 
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from arm_emulator.refusal import Refusal
 from emulator_node.chain import Array
 from emulator_node.scene import SCHEMES, Integrator, Scene
+from words.refusal import Refusal
 
 if TYPE_CHECKING:
     from emulator_node.plant import Plant

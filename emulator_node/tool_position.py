@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 if TYPE_CHECKING:
     from rerun.urdf import UrdfJoint, UrdfTree

@@ -10,9 +10,9 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from arm_emulator.config_files import find_beside, find_scene
-from arm_emulator.end_with_parent import parent_environment
-from arm_emulator.refusal import Refusal
+from ros_shell.end_with_parent import parent_environment
+from words.config_files import find_beside, find_scene
+from words.refusal import Refusal
 
 ARGUMENTS = [
     DeclareLaunchArgument(

@@ -6,10 +6,10 @@ import bisect
 
 import numpy as np
 
-from arm_emulator.bound import POSITION
-from arm_emulator.refusal import Refusal
 from motion_controller_node.jacobian import FloatArray, JacobianController
 from motion_controller_node.pose import Pose
+from words.bound import POSITION
+from words.refusal import Refusal
 
 MOST_TARGETS = 10_000  # that wait for their time
 _Q = POSITION.named("q")

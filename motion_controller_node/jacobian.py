@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from arm_emulator.bound import POSITION, TOOL_POSITION, Bound
-from arm_emulator.refusal import Refusal
 from motion_controller_node.kinematics_model import JOINT, LINK, link_names, whole_model
 from motion_controller_node.pose import Pose
+from words.bound import POSITION, TOOL_POSITION, Bound
+from words.refusal import Refusal
 
 __all__ = ["JacobianController", "Pose"]
 

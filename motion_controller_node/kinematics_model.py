@@ -11,8 +11,8 @@ from typing import Any
 
 import pinocchio as pin
 
-from arm_emulator.refusal import Refusal
-from arm_emulator.urdf_text import complete_limits, parse_urdf
+from words.refusal import Refusal
+from words.urdf_text import complete_limits, parse_urdf
 
 # Before the names in the model: a joint and a link may be called the same, and a joint "universe".
 JOINT, LINK = "joint ", "link "

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.parameters import load_parameters, parameter
+from words.parameters import load_parameters, parameter
 
 
 @dataclass(frozen=True)

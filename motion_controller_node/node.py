@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 if __name__ == "__main__":  # before what takes long to import
-    from arm_emulator.ctrl_c import end_at_once
+    from ros_shell.ctrl_c import end_at_once
 
     end_at_once(0)
 
@@ -18,10 +18,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from arm_emulator.bound import POSITION
-from arm_emulator.doubles import Doubles
-from arm_emulator.joint_order import JointOrder
-from arm_emulator.node_shell import (
+from motion_controller_node.instructor import Instructor
+from motion_controller_node.jacobian import JacobianController, moving_joints
+from motion_controller_node.motion_config import MotionConfig
+from motion_controller_node.pose import Pose
+from ros_shell.doubles import Doubles
+from ros_shell.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
@@ -36,11 +38,9 @@ from arm_emulator.node_shell import (
     run_node,
     time_of,
 )
-from arm_emulator.refusal import Refusal
-from motion_controller_node.instructor import Instructor
-from motion_controller_node.jacobian import JacobianController, moving_joints
-from motion_controller_node.motion_config import MotionConfig
-from motion_controller_node.pose import Pose
+from words.bound import POSITION
+from words.joint_order import JointOrder
+from words.refusal import Refusal
 
 
 class MotionControllerNode(Node):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.bound import TOOL_POSITION, Bound
-from arm_emulator.refusal import Refusal
+from words.bound import TOOL_POSITION, Bound
+from words.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.bound import LARGEST_COUNT, POSITION
-from arm_emulator.refusal import Refusal
 from motion_controller_node.jacobian import POSITION_ROWS, JacobianController
 from motion_controller_node.pose import Pose
+from words.bound import LARGEST_COUNT, POSITION
+from words.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 if __name__ == "__main__":  # before what takes long to import
-    from arm_emulator.ctrl_c import end_at_once
+    from ros_shell.ctrl_c import end_at_once
 
     end_at_once(0)
 
@@ -18,10 +18,9 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from arm_emulator.bound import CURRENT, EFFORT, POSITION, VELOCITY, encoder_counts
-from arm_emulator.doubles import Doubles
-from arm_emulator.joint_order import JointOrder
-from arm_emulator.node_shell import (
+from arm_emulator_msgs.msg import MotorCommand, MotorState
+from ros_shell.doubles import Doubles
+from ros_shell.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
     NANOSECONDS,
@@ -37,13 +36,14 @@ from arm_emulator.node_shell import (
     time_of,
     wall_timer,
 )
-from arm_emulator.parameters import ROS_PARAMETERS, parameter
-from arm_emulator.refusal import Refusal
-from arm_emulator_msgs.msg import MotorCommand, MotorState
 from servo_node.drives import Drives, Target
 from servo_node.servo import FloatArray, Servo
 from servo_node.servo_config import SETTABLE, ServoConfig, describe
 from servo_node.watchdog import WatchdogState
+from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, encoder_counts
+from words.joint_order import JointOrder
+from words.parameters import ROS_PARAMETERS, parameter
+from words.refusal import Refusal
 
 PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall

@@ -25,9 +25,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.bound import CURRENT, EFFORT, POSITION, VELOCITY, Bound, encoder_counts
-from arm_emulator.refusal import Refusal
 from servo_node.servo_config import JointServo, ServoConfig, load_servo_config
+from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, Bound, encoder_counts
+from words.refusal import Refusal
 
 __all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
 
@@ -45,7 +45,7 @@ class Servo:
     its two halves: `observe` when the measurement is there, `control` when the target is.
 
     A joint whose observer or integral is no longer finite begins anew where the motor stands, gets
-    0 V for that period, and is counted in `restarts`. Within the bounds of arm_emulator/bound.py
+    0 V for that period, and is counted in `restarts`. Within the bounds of words/bound.py
     only a data sheet of impossible numbers can lead there.
 
     Args:

@@ -8,8 +8,8 @@ from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.parameters import ROS_PARAMETERS, perhaps, ros_parameters
-from arm_emulator.refusal import Refusal
+from words.parameters import ROS_PARAMETERS, perhaps, ros_parameters
+from words.refusal import Refusal
 
 
 @dataclass(frozen=True)

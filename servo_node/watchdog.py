@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import math
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 
 class WatchdogState(enum.Enum):

@@ -15,13 +15,13 @@ import rclpy
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from arm_emulator.config_files import find_config
-from arm_emulator.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
 from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
 from motion_controller_node.node import MotionControllerNode
+from ros_shell.ros_domain import own_domain
 from servo_node.node import ServoNode
+from words.config_files import find_config
 
 OURS = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 KINDS = {

@@ -16,12 +16,12 @@ from network import bits_of
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool, Trigger
 
-from arm_emulator.config_files import find_config
-from arm_emulator.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorState
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
+from ros_shell.ros_domain import own_domain
 from servo_node.node import ServoNode
+from words.config_files import find_config
 
 
 class Wires:

@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from arm_emulator.refusal import Refusal
 from emulator_node.scene import load_scene
 from emulator_node.scene_unit import scene_unit
+from words.refusal import Refusal
 
 Rng = np.random.Generator
 

@@ -15,11 +15,11 @@ import pytest
 from machines import CONFIG
 
 from arm_emulator.advise import record
-from arm_emulator.config_files import BESIDE
-from arm_emulator.refusal import Refusal
-from bench.reference import reference
 from emulator_node.advice import ORDERS, Motion, advise, round_numbers, write_integrator
+from emulator_node.reference import reference
 from emulator_node.scene import SCHEMES, Scene, load_scene
+from words.config_files import BESIDE
+from words.refusal import Refusal
 
 
 @cache

@@ -28,15 +28,16 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from arm_emulator.bag import Bag, BagMessage, BagWriter, Topic
 from arm_emulator.check import check
-from arm_emulator.record import definition_of, message_class, request
-from arm_emulator.refusal import Refusal
+from arm_emulator.record import request
 from arm_emulator.replay import offer
-from arm_emulator.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 from emulator_node.scene import load_scene
 from emulator_node.session import Session
+from ros_shell.bag import Bag, BagMessage, BagWriter, Topic
+from ros_shell.message_types import definition_of, message_class
+from ros_shell.ros_domain import own_domain
+from words.refusal import Refusal
 
 TICKS = 300
 TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}

@@ -12,10 +12,7 @@ import numpy as np
 import pytest
 from random_messages import huge, number, random_urdf
 
-from arm_emulator.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound, encoder_counts
-from arm_emulator.config_files import find_config
 from arm_emulator.offline import OfflineRun, load_offline_run
-from arm_emulator.refusal import Refusal
 from emulator_node.scene import load_scene
 from emulator_node.session import Session
 from motion_controller_node.instructor import MOST_TARGETS, Instructor
@@ -23,6 +20,9 @@ from motion_controller_node.jacobian import JacobianController, moving_joints
 from motion_controller_node.pose import Pose
 from servo_node.drives import Drives, Target
 from servo_node.servo import Servo, ServoConfig, load_servo_config
+from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound, encoder_counts
+from words.config_files import find_config
+from words.refusal import Refusal
 
 # A warning of NumPy's would be printed among what the nodes say.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -16,7 +16,6 @@ import pytest
 from fake_compiler import fake_compiler
 from machines import random_chain
 
-from arm_emulator.refusal import Refusal
 from emulator_node import cxx
 from emulator_node.compiler import (
     CORE,
@@ -28,6 +27,7 @@ from emulator_node.cxx import find_compiler
 from emulator_node.library_cache import CACHE_VARIABLE
 from emulator_node.scene import load_scene
 from emulator_node.scene_unit import scene_unit
+from words.refusal import Refusal
 
 READY = (
     "from emulator_node.scene import load_scene; from emulator_node.plant import Plant;"

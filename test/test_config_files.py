@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arm_emulator import config_files
 from arm_emulator.__main__ import main
 from arm_emulator.bringup import Bringup
 from arm_emulator.check_scene import check_scene
-from arm_emulator.config_files import BESIDE, find_beside, find_scene
 from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.gains import load_gains
 from arm_emulator.offline import load_offline_run
-from arm_emulator.refusal import Refusal
 from emulator_node.scene import load_scene
+from words import config_files
+from words.config_files import BESIDE, find_beside, find_scene
+from words.refusal import Refusal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 

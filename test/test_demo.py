@@ -12,12 +12,12 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from arm_emulator.config_files import find_scene
 from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.offline import load_offline_run
-from arm_emulator.ros_domain import own_domain
 from emulator_node.scene import example_robot_data
 from motion_controller_node.pose import Pose
+from ros_shell.ros_domain import own_domain
+from words.config_files import find_scene
 
 needs_robots = pytest.mark.skipif(
     example_robot_data() is None, reason="needs the package example-robot-data (make robots)"

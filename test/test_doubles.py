@@ -10,9 +10,9 @@ from pathlib import Path
 from network import PATIENCE, User, assert_same_bits, network, node, offline_states
 from test_network import go, pause_at
 
-from arm_emulator.config_files import find_config
 from arm_emulator.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
+from words.config_files import find_config
 
 TICKS = 400
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from network import PATIENCE, network
 
-from arm_emulator.node_shell import NANOSECONDS, nanoseconds_of
 from emulator_node.scene import load_scene
 from motion_controller_node.jacobian import JacobianController
 from motion_controller_node.motion_config import load_motion_config
 from motion_controller_node.predicted_residual import predicted_residual
+from ros_shell.node_shell import NANOSECONDS, nanoseconds_of
 from servo_node.servo_config import load_servo_config
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arm_emulator.fig4 import draw_fig4, fig4
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 BOUND = np.array([5e-5, 6e-5, 2e-5])
 

@@ -11,7 +11,6 @@ import pytest
 from machines import random_chain_urdf
 from scipy.spatial.transform import Rotation
 
-from arm_emulator.refusal import Refusal
 from emulator_node.plant import Plant
 from emulator_node.scene import example_robot_data, load_scene
 from motion_controller_node.jacobian import JacobianController
@@ -19,6 +18,7 @@ from motion_controller_node.motion_config import load_motion_config
 from motion_controller_node.pose import Pose
 from motion_controller_node.predicted_residual import predicted_residual
 from servo_node.servo import Servo, load_servo_config
+from words.refusal import Refusal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 THREE_AXIS = (CONFIG / "urdf" / "three_axis.urdf").read_text()

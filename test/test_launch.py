@@ -19,8 +19,8 @@ import pytest
 from network import PATIENCE, User
 from rclpy.parameter_client import AsyncParameterClient
 
-from arm_emulator.config_files import find_config
-from arm_emulator.ros_domain import own_domain
+from ros_shell.ros_domain import own_domain
+from words.config_files import find_config
 
 SERVO = ("servo_node.node", "--params-file", "config/servo/three_axis.yaml")
 # Module and arguments after --ros-args, and what is said.
@@ -200,7 +200,7 @@ def assert_nobody_left(session: int, told: str) -> None:
 
 LAUNCHER = """
 import os, subprocess, sys, time
-from arm_emulator.end_with_parent import parent_environment
+from ros_shell.end_with_parent import parent_environment
 
 for node in ("emulator_node.node", "motion_controller_node.node"):
     started = subprocess.Popen(
@@ -270,7 +270,7 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
 INTERRUPTED = """
 import os, signal
 from rclpy.node import Node
-from arm_emulator.node_shell import run_node
+from ros_shell.node_shell import run_node
 
 def ctrl_c():
     os.kill(os.getpid(), signal.SIGINT)
@@ -299,7 +299,7 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(set_up: str, words: s
 
 LOCKED_UP = """
 import ctypes
-from arm_emulator.end_anyway import end_anyway
+from ros_shell.end_anyway import end_anyway
 
 print("ended, but for the middleware")
 end_anyway(0.1, {code})

@@ -19,13 +19,13 @@ import pytest
 from fake_compiler import fake_compiler
 from machines import one_link_urdf, write_scene
 
-from arm_emulator.refusal import Refusal
 from emulator_node import library_cache
 from emulator_node.compiler import compile_ahead, library_of
 from emulator_node.core_calls import CALLS
 from emulator_node.cxx import find_compiler
 from emulator_node.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 from emulator_node.scene import Scene, load_scene
+from words.refusal import Refusal
 
 SOMEBODY = 65534  # a user who is neither we nor root
 ROOT = os.geteuid() == 0
@@ -318,7 +318,7 @@ def victim(shared: Path, **also: str) -> dict[str, str]:
 
 LOAD = """
 import sys
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
 try:

@@ -11,9 +11,9 @@ from machines import one_link_urdf, write_scene
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from bench.reference import reference
 from emulator_node.chain import Array
 from emulator_node.plant import Plant
+from emulator_node.reference import reference
 from emulator_node.scene import SCHEMES, Scene, load_scene
 
 LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2 about the joint, of machines.one_link_urdf

@@ -17,9 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arm_emulator.count import check_count
 from arm_emulator.offline import OfflineRun
-from arm_emulator.refusal import Refusal
 from emulator_node.plant import PIECE, Plant
 from emulator_node.real_time import RealTimeLoop
 from emulator_node.scene import load_scene
@@ -29,6 +27,8 @@ from motion_controller_node.motion_config import load_motion_config
 from motion_controller_node.predicted_residual import predicted_residual
 from servo_node.drives import Drives
 from servo_node.servo import Servo, load_servo_config
+from words.count import check_count
+from words.refusal import Refusal
 
 N = 3
 CONFIG = Path(__file__).resolve().parents[1] / "config"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from machines import one_link_urdf, write_scene
 
-from arm_emulator.refusal import Refusal
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import SCHEMES, load_scene
+from words.refusal import Refusal
 
 
 @pytest.fixture(params=SCHEMES)

@@ -16,12 +16,12 @@ from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 
 from arm_emulator.__main__ import main
 from arm_emulator.gains import check_fit
-from arm_emulator.refusal import Refusal
-from arm_emulator.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
 from emulator_node.scene import example_robot_data, load_scene
 from motion_controller_node.jacobian import JacobianController, moving_joints
 from motion_controller_node.motion_config import load_motion_config
 from servo_node.servo_config import ServoConfig, load_servo_config
+from words.refusal import Refusal
+from words.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
 
 
 @pytest.mark.parametrize("block", range(10))

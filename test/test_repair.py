@@ -19,11 +19,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
-import arm_emulator.bag
+import ros_shell.bag
 from arm_emulator.__main__ import main
-from arm_emulator.bag import Bag, BagWriter, Topic, repair
-from arm_emulator.record import definition_of
-from arm_emulator.refusal import Refusal
+from ros_shell.bag import Bag, BagWriter, Topic, repair
+from ros_shell.message_types import definition_of
+from words.refusal import Refusal
 
 CUTS = 60
 
@@ -190,7 +190,7 @@ def test_a_full_disk_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.Monk
 
         bag = tmp_path / f"full{case}"
         with monkeypatch.context() as patch:
-            patch.setattr(arm_emulator.bag.Path, "open", open_full)
+            patch.setattr(ros_shell.bag.Path, "open", open_full)
             with pytest.raises(OSError, match="No space left"):
                 talk(bag, 300)
         kept = words_of(bag)

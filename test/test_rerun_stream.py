@@ -16,11 +16,11 @@ import pinocchio as pin
 import psutil
 import pytest
 
-from arm_emulator.refusal import Refusal
 from emulator_node.rerun_batches import QUANTITIES
 from emulator_node.rerun_stream import RerunStream
 from emulator_node.sample_queue import SampleQueue
 from emulator_node.tool_position import ToolPosition
+from words.refusal import Refusal
 
 NAMES = ("turn", "lift", "swing")
 MS = 1_000_000  # ns

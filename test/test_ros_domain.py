@@ -11,12 +11,12 @@ from contextlib import ExitStack
 
 import pytest
 
-from arm_emulator.refusal import Refusal
-from arm_emulator.ros_domain import DOMAINS, PORTS, claimed, occupied, own_domain
+from ros_shell.ros_domain import DOMAINS, PORTS, claimed, occupied, own_domain
+from words.refusal import Refusal
 
 CLAIM_SOME = """
 import sys
-from arm_emulator.ros_domain import own_domain
+from ros_shell.ros_domain import own_domain
 with own_domain() as domain:
     print(domain, flush=True)
     sys.stdin.read()

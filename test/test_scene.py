@@ -13,8 +13,8 @@ import yaml
 from machines import CONFIG, LINK
 
 from arm_emulator.__main__ import main
-from arm_emulator.refusal import Refusal
 from emulator_node.scene import example_robot_data, load_scene
+from words.refusal import Refusal
 
 URDF = (CONFIG / "urdf" / "three_axis.urdf").read_text()
 SCENE = (CONFIG / "three_axis.yaml").read_text()

@@ -13,10 +13,10 @@ import pytest
 from machines import one_link_urdf, random_chain_urdf, write_scene
 from scipy.linalg import expm
 
-from arm_emulator.refusal import Refusal
-from bench.reference import links_model, reference, reference_states
 from emulator_node.plant import Plant
+from emulator_node.reference import links_model, reference, reference_states
 from emulator_node.scene import SCHEMES, Scene, load_scene
+from words.refusal import Refusal
 
 ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 PERIOD = 1e-2  # s, over which a voltage is held

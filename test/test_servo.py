@@ -12,10 +12,10 @@ import pytest
 import scipy.linalg
 import yaml
 
-from arm_emulator.refusal import Refusal
 from motion_controller_node.motion_config import load_motion_config
 from servo_node.servo import JointServo, Servo, ServoConfig, _Axis, load_servo_config
 from servo_node.watchdog import Watchdog, WatchdogState
+from words.refusal import Refusal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 PERIOD = 1e-3

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arm_emulator.refusal import Refusal
 from emulator_node.scene import load_scene
 from emulator_node.session import Needless, Phase, Session
+from words.refusal import Refusal
 
 NAMES = ["waist", "shoulder", "elbow"]
 ZERO = [0.0, 0.0, 0.0]

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from machines import random_chain_urdf, write_scene
 
-from arm_emulator.refusal import Refusal
 from emulator_node.plant import Diverged, Plant
 from emulator_node.real_time import RealTimeSession
 from emulator_node.scene import SCHEMES, Scene, load_scene
 from fuzz.line import FAILED, REFUSED, TAKEN, tell
+from words.refusal import Refusal
 
 HERE = Path(__file__).resolve().parent
 CALLS = 200  # of one machine

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 LARGEST = 2**63 - 1  # what the core counts with
 

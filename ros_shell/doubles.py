@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from arm_emulator.node_shell import Diagnostics, StartAnew, wall_timer
+from ros_shell.node_shell import Diagnostics, StartAnew, wall_timer
 
 STARTED = (
     time.time_ns()

@@ -28,8 +28,8 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from arm_emulator.refusal import Refusal
-from arm_emulator.yaml_file import parse_yaml
+from words.refusal import Refusal
+from words.yaml_file import parse_yaml
 
 try:
     from mcap.exceptions import McapError
@@ -38,7 +38,7 @@ try:
     from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
     from zstandard import ZstdError
 
-    from arm_emulator.mcap_end import give_end
+    from ros_shell.mcap_end import give_end
 except ImportError as error:  # a stock ROS 2 machine has none
     raise Refusal(
         "bags", "Python package mcap", "be installed", error, "pip install mcap"

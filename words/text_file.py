@@ -6,7 +6,7 @@ import os
 import stat
 from pathlib import Path
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 
 def why_no_file(file: Path) -> str | None:

@@ -3,9 +3,9 @@
 import os
 from pathlib import Path
 
-from arm_emulator.refusal import Refusal
-from arm_emulator.text_file import why_no_file
-from arm_emulator.yaml_file import read_yaml
+from words.refusal import Refusal
+from words.text_file import why_no_file
+from words.yaml_file import read_yaml
 
 # What a scene may have beside it: parameters of the servo and of the motion controller, and a demo.
 BESIDE = ("servo", "motion", "demo")

@@ -26,12 +26,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from arm_emulator.ctrl_c import CtrlC, until_shut_down
-from arm_emulator.end_anyway import end_anyway
-from arm_emulator.end_with_parent import end_with_parent
-from arm_emulator.lean_executor import LeanExecutor
-from arm_emulator.parameters import ROS_PARAMETERS, Parameters, checked, perhaps
-from arm_emulator.refusal import Refusal
+from ros_shell.ctrl_c import CtrlC, until_shut_down
+from ros_shell.end_anyway import end_anyway
+from ros_shell.end_with_parent import end_with_parent
+from ros_shell.lean_executor import LeanExecutor
+from words.parameters import ROS_PARAMETERS, Parameters, checked, perhaps
+from words.refusal import Refusal
 
 # Commands: nothing is lost, and the newest wins. Who receives them reads them all: in a depth of 1
 # a bad command would take the place of a good one that is not read yet. States: a reliable

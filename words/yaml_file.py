@@ -12,8 +12,8 @@ from typing import Any
 
 import yaml
 
-from arm_emulator.refusal import Refusal
-from arm_emulator.text_file import read_bytes
+from words.refusal import Refusal
+from words.text_file import read_bytes
 
 MOST_BYTES = 1 << 20
 MOST_VALUES = 20_000  # keys and values, those that aliases repeat among them

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 # What Linux leaves free beside its ephemeral ports. The upper ones come first: people and their
 # scripts take small numbers, and may come to a domain at any time without asking.

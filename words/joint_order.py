@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.bound import Bound
-from arm_emulator.refusal import Refusal
+from words.bound import Bound
+from words.refusal import Refusal
 
 
 class JointOrder:

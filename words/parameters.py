@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from arm_emulator.refusal import Refusal
-from arm_emulator.yaml_file import read_yaml
+from words.refusal import Refusal
+from words.yaml_file import read_yaml
 
 Parameters = TypeVar("Parameters")
 

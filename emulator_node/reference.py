@@ -16,8 +16,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from arm_emulator.refusal import Refusal
 from emulator_node.scene import Scene
+from words.refusal import Refusal
 
 Array = NDArray[np.float64]
 

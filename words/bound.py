@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.refusal import Refusal
+from words.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""What all other packages build on: refusals, bounds, files, parameters; no physics, no ROS."""
