@@ -197,7 +197,8 @@ def _compile(arguments: argparse.Namespace) -> int:
     from emulator_node.compiler import compile_ahead
     from emulator_node.scene import load_scene
 
-    print(compile_ahead(load_scene(arguments.scene), arguments.target, arguments.into))
+    for library in compile_ahead(load_scene(arguments.scene), arguments.target, arguments.into):
+        print(library)
     return 0
 
 

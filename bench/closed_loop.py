@@ -9,7 +9,7 @@ import numpy as np
 from arm_emulator.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.gains import load_gains
 from bench.motion import Array
-from emulator_node.plant import IDEAL_COUNTS_PER_TURN, Plant
+from emulator_node.plant import Plant
 from emulator_node.scene import Scene
 from motion_controller_node.jacobian import JacobianController
 from motion_controller_node.pose import Pose
@@ -73,9 +73,7 @@ class DemoMotion:
         joints = tuple(
             dataclasses.replace(
                 known[joint.name],
-                counts_per_turn=joint.encoder.counts_per_turn
-                if joint.encoder
-                else IDEAL_COUNTS_PER_TURN,
+                counts_per_turn=joint.counts_per_turn,
             )
             for joint in scene.joints
         )

@@ -1,4 +1,4 @@
-"""From a scene to its compiled machine: one shared library per scene, cached by content."""
+"""From C++ to shared libraries, cached by content: one per scene, and one for real time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import platform
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from emulator_node import library_cache
-from emulator_node.core_calls import CALLS
+from emulator_node.core_calls import ARM_CALLS, REAL_TIME_CALLS, Calls, declare
 from emulator_node.cxx import find_compiler, run_compiler
 from emulator_node.elf import why_no_library
 from emulator_node.scene import Scene
@@ -34,39 +35,79 @@ FLAGS = (
 PORTABLE_TARGETS = ("x86-64-v4", "x86-64-v3", "x86-64-v2", "x86-64")
 
 
+@dataclass(frozen=True)
+class Unit:
+    """C++ that becomes one library.
+
+    Attributes:
+        name: how its file is called.
+        source: the text.
+        calls: what the library must have.
+        where: what a refusal names.
+        about: what the user is told while it is compiled.
+    """
+
+    name: str
+    source: str
+    calls: Calls
+    where: str
+    about: str
+
+
 def library_of(scene: Scene) -> ctypes.CDLL:
-    """Return the scene's compiled core, compiling it if no cached library fits.
+    """Return the scene's compiled machine, compiling it if no cached library fits.
 
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    unit = scene_unit(scene)
+    return _library(_unit_of(scene))
+
+
+def real_time_library() -> ctypes.CDLL:
+    """Return the compiled loop of core/real_time.h, see `library_of`."""
+    return _library(_real_time_unit())
+
+
+def _unit_of(scene: Scene) -> Unit:
+    about = f"scene {scene.name} ({len(scene.joints)} joints)"
+    return Unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
+
+
+def _real_time_unit() -> Unit:
+    source = '#include "real_time.cpp"\n'
+    return Unit("real_time", source, REAL_TIME_CALLS, "real time", "the real-time loop")
+
+
+def _library(unit: Unit) -> ctypes.CDLL:
     for folder in library_cache.cache_folders():
         for target in ("native", *PORTABLE_TARGETS):
             if target == "native" or _runs_here(target):
-                file = folder / _library_name(scene, unit, target)
+                file = folder / _library_name(unit, target)
                 try:
-                    return library_cache.load(file)
+                    return declare(library_cache.load(file), unit.calls)
                 except FileNotFoundError:
                     continue
                 except library_cache.Damaged as error:
                     _say_damaged(file, error)
     for folder in library_cache.writable_caches():
-        with _compiled(scene, unit, "native", folder) as file:
+        with _compiled(unit, "native", folder) as file:
             try:
-                return library_cache.load(file)
+                return declare(library_cache.load(file), unit.calls)
             except (library_cache.Damaged, FileNotFoundError) as error:
                 _say_damaged(file, error)
     raise AssertionError("writable_caches ends with a refusal")
 
 
-def compile_ahead(scene: Scene, target: str, folder: Path | None) -> Path:
-    """Compile for `target`, for machines without a compiler, and return the library's path.
+def compile_ahead(scene: Scene, target: str, folder: Path | None) -> list[Path]:
+    """Compile machine and real-time loop for `target`, for machines without a compiler.
 
     Args:
         scene: the scene.
         target: "native" or one of `PORTABLE_TARGETS`.
-        folder: gets a copy of the library in the cache; None: the cache is enough.
+        folder: gets copies of the libraries in the cache; None: the cache is enough.
+
+    Returns:
+        Where the libraries are.
 
     Raises:
         Refusal: an unknown target, no compiler, it fails, or no place to write to.
@@ -74,16 +115,21 @@ def compile_ahead(scene: Scene, target: str, folder: Path | None) -> Path:
     targets = ("native", *PORTABLE_TARGETS)
     if target not in targets:
         raise Refusal("compile", "target", "be known", target, ", ".join(targets))
-    unit = scene_unit(scene)
-    with _compiled(scene, unit, target, next(library_cache.writable_caches())) as library:
+    cache = next(library_cache.writable_caches())
+    return [_ahead(unit, target, cache, folder) for unit in (_unit_of(scene), _real_time_unit())]
+
+
+def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
+    with _compiled(unit, target, cache) as library:
         if folder is None:
             return library
         try:
             try:
                 check_folder(folder, make=0o755)
             except Untrusted as reason:  # it may be on its way to another place
-                print(f"arm_emulator: no library is loaded from {folder} as it is: {reason}",
-                      file=sys.stderr)  # fmt: skip
+                library_cache.say_once(
+                    f"arm_emulator: no library is loaded from {folder} as it is: {reason}"
+                )
                 folder.mkdir(parents=True, exist_ok=True)
             if folder.resolve() == library.parent.resolve():
                 return library
@@ -95,8 +141,8 @@ def compile_ahead(scene: Scene, target: str, folder: Path | None) -> Path:
 
 
 @contextlib.contextmanager
-def _compiled(scene: Scene, unit: str, target: str, folder: Path) -> Iterator[Path]:
-    """Give the path of the scene's library in a folder of ours, compiled if it is not there.
+def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
+    """Give the path of a unit's library in a folder of ours, compiled if it is not there.
 
     Several processes may do this at once: one compiles, the others wait for it. As long as it is
     held, nobody removes it.
@@ -104,53 +150,53 @@ def _compiled(scene: Scene, unit: str, target: str, folder: Path) -> Iterator[Pa
     Raises:
         Refusal: no compiler, or it fails; or the folder does not take what it makes.
     """
-    library = folder / _library_name(scene, unit, target)
+    library = folder / _library_name(unit, target)
     with contextlib.ExitStack() as held:
         try:
             held.enter_context(library_cache.locked(library))
             try:
                 library_cache.check(library)
             except (library_cache.Damaged, FileNotFoundError):
-                _compile(scene, unit, target, library)
+                _compile(unit, target, library)
         except OSError as error:
-            raise Refusal(scene.where, f"cache folder {folder}", "take the scene's library",
+            raise Refusal(unit.where, f"cache folder {folder}", "take the compiled library",
                           f"{error.strerror} ({error.filename})") from None  # fmt: skip
         yield library
 
 
-def _compile(scene: Scene, unit: str, target: str, library: Path) -> None:
+def _compile(unit: Unit, target: str, library: Path) -> None:
     compiler = find_compiler()
     largest = library_cache.largest_size()
-    print(f"compiling scene {scene.name} ({len(scene.joints)} joints) ... ",
-          end="", file=sys.stderr, flush=True)  # fmt: skip
+    print(f"compiling {unit.about} ... ", end="", file=sys.stderr, flush=True)
     started = time.perf_counter()
     end = "failed"
     try:
         with library_cache.scratch_of(library) as scratch:
-            source, built = scratch / "scene.cpp", scratch / "scene.so"
-            source.write_text(unit, encoding="utf-8")
+            source, built = scratch / "unit.cpp", scratch / "unit.so"
+            source.write_text(unit.source, encoding="utf-8")
             command = [*compiler, *FLAGS, f"-march={target}", f"-I{CORE}"]
-            run_compiler([*command, str(source), "-o", str(built)], scratch, scene.where)
-            library_cache.store(library, _built(built, compiler[0], scene), scratch)
+            command.append(f"-DARM_FINGERPRINT=0x{_digest(unit, target)[:16]}u")
+            run_compiler([*command, str(source), "-o", str(built)], scratch, unit.where)
+            library_cache.store(library, _built(built, compiler[0], unit), scratch)
             library_cache.make_room(library, largest)
         end = f"{time.perf_counter() - started:.1f} s"
     finally:
         print(end, file=sys.stderr)
 
 
-def _built(file: Path, compiler: str, scene: Scene) -> bytes:
+def _built(file: Path, compiler: str, unit: Unit) -> bytes:
     """Return the library that a compiler says it has made."""
     body = b""
     try:
         # It lies in a folder that is closed to others, whatever the umask has made of its mode.
         body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
-        reason = why_no_library(body, CALLS)
+        reason = why_no_library(body, unit.calls)
     except FileNotFoundError:
         reason = "there is none"
     except (OSError, Untrusted) as error:
         reason = str(error)
     if reason:
-        raise Refusal(scene.where, f"compiler {compiler}",
+        raise Refusal(unit.where, f"compiler {compiler}",
                       "make a library, though it says nothing is wrong", reason)  # fmt: skip
     return body
 
@@ -159,22 +205,27 @@ def _say_damaged(file: Path, error: Exception) -> None:
     library_cache.say_once(f"arm_emulator: cached library {file} is not used: {error}")
 
 
-def _library_name(scene: Scene, unit: str, target: str) -> str:
+def _library_name(unit: Unit, target: str) -> str:
+    # A name that every file system takes, also with what stands beside a library.
+    name = "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in unit.name)[:60]
+    return f"{name}-{_digest(unit, target)[:20]}.so"
+
+
+def _digest(unit: Unit, target: str) -> str:
     digest = hashlib.sha256(library_cache.SEAL + _core_digest())
-    for part in (unit, " ".join(FLAGS), target, _processor() if target == "native" else ""):
+    processor = _processor() if target == "native" else ""
+    for part in (unit.source, " ".join(FLAGS), target, processor):
         digest.update(part.encode())
         digest.update(b"\0")
-    # A name that every file system takes, also with what stands beside a library.
-    name = "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in scene.name)[:60]
-    return f"{name}-{digest.hexdigest()[:20]}.so"
+    return digest.hexdigest()
 
 
 @cache
 def _core_digest() -> bytes:
     digest = hashlib.sha256()
-    for header in sorted(CORE.glob("*.hpp")):
-        digest.update(header.name.encode())
-        digest.update(header.read_bytes())
+    for file in sorted(file for file in CORE.iterdir() if file.suffix in (".h", ".hpp", ".cpp")):
+        digest.update(file.name.encode())
+        digest.update(file.read_bytes())
     return digest.digest()
 
 

@@ -1,40 +1,150 @@
-"""What Python calls in a scene's compiled core: the functions of core/abi.hpp."""
+"""What Python calls in compiled libraries: core/arm.h and core/real_time.h."""
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from typing import Any
 
-_pointer, _int, _count, _double = ctypes.c_void_p, ctypes.c_int, ctypes.c_int64, ctypes.c_double
+VERSION = 1  # of arm.h
+OK, REFUSED, DIVERGED = range(3)  # enum arm_result
+VOLTAGE = 1  # enum arm_mode
 
-CALLS: dict[str, tuple[Any, list[Any]]] = {
-    "arm_new": (_pointer, [_double, _int]),
+_pointer, _int, _count, _double = ctypes.c_void_p, ctypes.c_int, ctypes.c_int64, ctypes.c_double
+_int32, _uint32, _uint64 = ctypes.c_int32, ctypes.c_uint32, ctypes.c_uint64
+
+Calls = Mapping[str, tuple[Any, list[Any]]]  # result and arguments of each, by its name
+
+ARM_CALLS: Calls = {
+    "arm_describe": (_int, [_pointer]),
+    "arm_describe_joint": (_int, [_int32, _pointer]),
+    "arm_new": (_pointer, [_pointer]),
     "arm_delete": (None, [_pointer]),
-    "arm_reset": (None, [_pointer] * 3),
+    "arm_reset": (_int, [_pointer] * 3),
+    "arm_join_schedule": (_int, [_pointer]),
+    "arm_exchange": (_int, [_pointer] * 3),
+    "arm_measure": (_int, [_pointer] * 2),
+    "arm_power": (None, [_pointer, _int]),
+    "arm_why": (_int, [_pointer] * 2),
+    "arm_saved_size": (_count, []),
+    "arm_save": (_int, [_pointer, _pointer, _count]),
+    "arm_restore": (_int, [_pointer, _pointer, _count]),
+    "arm_get_truth": (_int, [_pointer] * 2),
+    "arm_set_truth": (_int, [_pointer] * 2),
     "arm_advance": (_int, [_pointer, _pointer, _count]),
     "arm_run": (_int, [_pointer, _pointer, _count, _count, _pointer]),
-    "arm_time": (_double, [_pointer]),
-    "arm_energy": (_double, [_pointer]),
-    "arm_state": (None, [_pointer, _pointer]),
     "arm_linear_drives": (_int, [_pointer]),
-    "arm_real_time_new": (_pointer, [_pointer, _count, _count, _int]),
+    "arm_forward_dynamics": (None, [_count] + [_pointer] * 4),
+}
+
+REAL_TIME_CALLS: Calls = {
+    "arm_real_time_new": (_pointer, [_pointer]),
     "arm_real_time_delete": (None, [_pointer]),
     "arm_real_time_start": (None, [_pointer, _count]),
     "arm_real_time_stop": (None, [_pointer]),
-    "arm_real_time_command": (None, [_pointer, _count, _pointer]),
+    "arm_real_time_command": (None, [_pointer] * 2),
     "arm_real_time_power": (None, [_pointer, _int]),
-    "arm_real_time_take": (_int, [_pointer, _pointer]),
+    "arm_real_time_take": (_int, [_pointer] * 2),
+    "arm_real_time_snapshot_size": (_count, [_int32]),
     "arm_real_time_descriptor": (_int, [_pointer]),
-    "arm_real_time_status": (None, [_pointer, _pointer]),
+    "arm_real_time_get_figures": (None, [_pointer] * 2),
     "arm_real_time_clear_figures": (None, [_pointer]),
-    "arm_forward_dynamics": (None, [_count] + [_pointer] * 4),
 }
-"""Result and arguments of each, by its name."""
 
 
-def declare(core: ctypes.CDLL) -> ctypes.CDLL:
+class _Sized(ctypes.Structure):
+    """A struct that begins with its size."""
+
+    def __init__(self, **fields: Any) -> None:
+        super().__init__(size=ctypes.sizeof(self), **fields)
+
+
+class Refused(_Sized):
+    """``arm_refusal``."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("joint", _int32),
+        ("quantity", ctypes.c_char * 40),
+        ("rule", ctypes.c_char * 120),
+        ("got", _double),
+    )
+
+
+class Options(_Sized):
+    """``arm_options``."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("core", _int32),
+        ("step", _double),
+        ("steps_per_period", _count),
+    )
+
+
+class Command(_Sized):
+    """``arm_command``; `joint` points to an array of JOINT_COMMAND."""
+
+    _fields_ = (("size", _uint32), ("reserved", _uint32), ("tick", _count), ("joint", _pointer))
+
+
+class Measurement(_Sized):
+    """``arm_measurement``; `joint` points to an array of JOINT_MEASUREMENT."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("powered", _uint32),
+        ("tick", _count),
+        ("answered", _count),
+        ("joint", _pointer),
+    )
+
+
+class Truth(_Sized):
+    """``arm_truth``."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("fault", _int32),
+        ("time", _double),
+        ("energy", _double),
+        *((name, _pointer) for name in ("current", "theta_m", "omega_m", "q", "v", "gear_torque")),
+    )
+
+
+class RealTimeOptions(_Sized):
+    """``arm_real_time_options``; the functions are addresses in the machine's library."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("joints", _int32),
+        *((name, _pointer) for name in ("machine", "exchange", "get_truth", "power")),
+        ("join_schedule", _pointer),
+        ("period", _count),
+        ("core", _int32),
+        ("reserved", _int32),
+    )
+
+
+# ``arm_joint_command`` and ``arm_joint_measurement``, for arrays of numpy.
+JOINT_COMMAND = [("mode", "i4"), ("enable", "u4"), ("value", "f8")]
+JOINT_MEASUREMENT = [
+    ("encoder", "i8"),
+    ("current", "f8"),
+    ("voltage", "f8"),
+    ("faults", "u4"),
+    ("reserved", "u4"),
+]
+
+
+def declare(library: ctypes.CDLL, calls: Calls) -> ctypes.CDLL:
     """Tell ctypes the signatures."""
-    for name, (result, arguments) in CALLS.items():
-        function = getattr(core, name)
+    for name, (result, arguments) in calls.items():
+        function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
-    return core
+    return library
+
+
+def address(library: ctypes.CDLL, function: str) -> int | None:
+    """Return where a function of a library is."""
+    return ctypes.cast(getattr(library, function), ctypes.c_void_p).value

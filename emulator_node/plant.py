@@ -14,21 +14,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from emulator_node.chain import Array
 from emulator_node.compiler import library_of
-from emulator_node.core_calls import declare
+from emulator_node.core_calls import (
+    DIVERGED,
+    JOINT_COMMAND,
+    JOINT_MEASUREMENT,
+    OK,
+    REFUSED,
+    VOLTAGE,
+    Command,
+    Measurement,
+    Options,
+    Refused,
+    Truth,
+)
 from emulator_node.scene import Scene
 from emulator_node.stability import Attempt, attempts, what_holds
 from words.bound import LARGEST_COUNT, POSITION, VELOCITY
 from words.count import check_count
 from words.refusal import Refusal
 
-# What a joint without an encoder reports, since encoder counts are whole numbers.
-IDEAL_COUNTS_PER_TURN = 2**20
-
 LARGEST_STEPS = 10**15  # of one call
-# Steps after which a long call looks whether Ctrl-C was pressed; so that the core's checks of its
-# state stay where they are, a multiple of their distance (core/machine.hpp, kCheckEvery).
-PIECE = 2**20
-NOT_FINITE = -2  # what the core answers to a voltage that is not
+PIECE = 2**20  # steps after which a long call looks whether Ctrl-C was pressed
+ROWS = ("current", "theta_m", "omega_m", "q", "v", "gear_torque")
 
 
 class Diverged(RuntimeError):
@@ -109,7 +116,7 @@ class Plant:
     """Motors, gears and links of one scene, stepped by the compiled core.
 
     Attributes:
-        core: the scene's compiled core, through ctypes (core/abi.hpp).
+        core: the scene's compiled core, through ctypes (core/arm.h).
         machine: the core's handle of this machine.
         link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
 
@@ -122,22 +129,27 @@ class Plant:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.core = declare(library_of(scene))
-        self._N = len(scene.joints)
-        self._shape = (self._N,)
-        self.machine = self.core.arm_new(scene.integrator.dt, scene.cores[1])
-        self._voltage = np.zeros(self._N)
+        self.core = library_of(scene)
+        self._N = N = len(scene.joints)
+        self._shape = (N,)
+        options = Options(
+            core=scene.cores[1],
+            step=scene.integrator.dt,
+            steps_per_period=scene.steps_per_period,
+        )
+        self.machine = self.core.arm_new(ctypes.byref(options))
+        self._voltage = np.zeros(N)
         self._voltage_pointer = _pointer(self._voltage)
-        self._buffer = np.zeros((6, self._N))
-        self._buffer_pointer = _pointer(self._buffer)
-        turn = 2.0 * math.pi
-        counts_per_turn = [
-            joint.encoder.counts_per_turn if joint.encoder else IDEAL_COUNTS_PER_TURN
-            for joint in scene.joints
-        ]
-        self._counts_per_rad = np.array(counts_per_turn) / turn
-        self.link_angle_per_count = (
-            np.array([joint.gear.ratio for joint in scene.joints]) / self._counts_per_rad
+        self._rows = np.zeros((len(ROWS), N))
+        self._truth = Truth(**dict(zip(ROWS, map(_address, self._rows), strict=True)))
+        self._commands = np.zeros(N, JOINT_COMMAND)
+        self._commands["mode"], self._commands["enable"] = VOLTAGE, 1
+        self._command = Command(tick=-1, joint=_address(self._commands))
+        self._measured = np.zeros(N, JOINT_MEASUREMENT)
+        self._measurement = Measurement(joint=_address(self._measured))
+        self._structs = tuple(map(ctypes.byref, (self._command, self._measurement, self._truth)))
+        self.link_angle_per_count = np.array(
+            [2.0 * math.pi / joint.counts_per_turn * joint.gear.ratio for joint in scene.joints]
         )
         self.reset()
 
@@ -184,7 +196,7 @@ class Plant:
             Refusal: wrong shape, not finite, or no such count; the state is as before.
             Diverged: the integration failed; the state is the last one within bounds.
         """
-        # This is called every servo period: what fits is not looked at twice.
+        # This is called often: what fits is not looked at twice.
         if type(steps) is not int or not 0 <= steps <= PIECE:
             check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
         if not (isinstance(voltage, np.ndarray) and voltage.shape == self._shape):
@@ -194,13 +206,63 @@ class Plant:
         except TypeError:
             raise Refusal("Plant.advance", "voltage", "be numbers [V]", voltage) from None
         advance, machine, pointer = self.core.arm_advance, self.machine, self._voltage_pointer
-        joint = advance(machine, pointer, min(steps, PIECE))
-        if joint == NOT_FINITE:
+        result = advance(machine, pointer, min(steps, PIECE))
+        if result == REFUSED:
             raise Refusal("Plant.advance", "voltage", "be finite [V]", voltage)
-        while joint < 0 and steps > PIECE:
+        while result == OK and steps > PIECE:
             steps -= PIECE
-            joint = advance(machine, pointer, min(steps, PIECE))
-        self._check(joint)
+            result = advance(machine, pointer, min(steps, PIECE))
+        if result == DIVERGED:
+            raise self._diverged(self._voltage)
+
+    def exchange(self, voltage: Array, tick: int = -1) -> None:
+        """Go through one servo period under voltages (N,) [V] that answer a tick, -1: none.
+
+        Without power every motor gets 0 V.
+
+        Raises:
+            Refusal: not finite; nothing has changed.
+            Diverged: as `advance`.
+        """
+        self._commands["value"] = voltage
+        self._command.tick = tick
+        command, measurement, _ = self._structs
+        result = self.core.arm_exchange(self.machine, command, measurement)
+        if result == REFUSED:
+            raise self._refusal("Plant.exchange", "a number")
+        if result == DIVERGED:
+            raise self._diverged(self._measured["voltage"])
+
+    @property
+    def voltage(self) -> Array:
+        """What the motors got in the servo period that has passed (N,) [V], within the supply."""
+        return self._measured["voltage"].copy()
+
+    @property
+    def powered(self) -> bool:
+        """Whether the drives have power in `exchange`."""
+        self.core.arm_measure(self.machine, self._structs[1])
+        return bool(self._measurement.powered)
+
+    @powered.setter
+    def powered(self, on: bool) -> None:
+        self.core.arm_power(self.machine, on)
+
+    def save(self) -> bytes:
+        """Return all that decides how the machine goes on, as bytes that may be kept."""
+        size = self.core.arm_saved_size()
+        saved = ctypes.create_string_buffer(size)
+        self.core.arm_save(self.machine, saved, size)
+        return saved.raw
+
+    def restore(self, saved: bytes) -> None:
+        """Continue from what `save` of a plant of the same scene has returned, to the last bit.
+
+        Raises:
+            Refusal: it is of another scene, core, step or servo period; nothing has changed.
+        """
+        if self.core.arm_restore(self.machine, saved, len(saved)) == REFUSED:
+            raise self._refusal("Plant.restore", "another one")
 
     def run(self, voltages: ArrayLike, steps: int) -> Array:
         """Apply rows of voltages one after the other, without coming back to Python in between.
@@ -232,10 +294,9 @@ class Plant:
         for first in range(0, len(rows), at_once):
             some, began = rows[first : first + at_once], self.t
             pointers = _pointer(some), len(some), steps, _pointer(q[first:])
-            joint = self.core.arm_run(self.machine, *pointers)
-            if joint >= 0:
+            if self.core.arm_run(self.machine, *pointers) == DIVERGED:
                 done = int((self.t - began) / (max(1, steps) * self.scene.integrator.dt) + 1e-6)
-                self._check(joint, some[min(done, len(some) - 1)])
+                raise self._diverged(some[min(done, len(some) - 1)])
         return q
 
     def fault(
@@ -257,43 +318,63 @@ class Plant:
         hint = what_holds(self, q, v)
         return Diverged(self.scene.joint_names[joint], t, now.dt, now.scheme, hint, trial)
 
-    def _check(self, joint: int, voltage: ArrayLike | None = None) -> None:
-        if joint >= 0:
-            state = self.state
-            raise self.fault(joint, state.t, state.q, state.v, voltage)
+    def _diverged(self, voltage: ArrayLike) -> Diverged:
+        state = self.state
+        return self.fault(self._truth.fault, state.t, state.q, state.v, voltage)
+
+    def _refusal(self, where: str, otherwise: str) -> Refusal:
+        """Return why the core has refused a call."""
+        why = Refused()
+        self.core.arm_why(self.machine, ctypes.byref(why))
+        joint = f" of {self.scene.joint_names[why.joint]}" if why.joint >= 0 else ""
+        got = why.got if why.joint >= 0 else otherwise
+        return Refusal(where, f"{why.quantity.decode()}{joint}", why.rule.decode(), got)
 
     @property
     def t(self) -> float:
         """Logical time [s]."""
-        return float(self.core.arm_time(self.machine))
+        self._look()
+        return float(self._truth.time)
 
     @property
     def energy(self) -> float:
         """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
-        return float(self.core.arm_energy(self.machine))
+        self._look()
+        return float(self._truth.energy)
 
     @property
     def state(self) -> PlantState:
-        """The state now, as a copy."""
-        self.core.arm_state(self.machine, self._buffer_pointer)
-        current, theta_m, omega_m, q, v, gear_torque = self._buffer.copy()
-        counts = self._counts(theta_m)
-        return PlantState(self.t, current, theta_m, omega_m, q, v, gear_torque, counts)
+        """The state now, as a copy. It can be set: its time, torques and counts are not read.
 
-    def encoder_counts(self, theta_m: ArrayLike) -> NDArray[np.int64]:
-        """Return what the encoders show at the motor angles (N,) [rad].
+        A motor behind a rigid gear turns with its link, and a joint without a motor has no current.
+        The scheme begins with no past; time goes on.
 
         Raises:
-            Refusal: wrong shape, not finite, or more counts than there are.
+            Refusal: wrong shapes, not finite, too large, or a motor that contradicts its link;
+                nothing has changed.
         """
-        at = self._vector(theta_m, "Plant.encoder_counts", "theta_m", "rad")
-        if (np.abs(at * self._counts_per_rad) > LARGEST_COUNT).any():
-            rule = f"be at most {LARGEST_COUNT:g} counts"
-            raise Refusal("Plant.encoder_counts", "theta_m", rule, at)
-        return self._counts(at)
+        self._look()
+        self.core.arm_measure(self.machine, self._structs[1])
+        current, theta_m, omega_m, q, v, gear_torque = self._rows.copy()
+        counts = self._measured["encoder"].copy()
+        t = self._truth.time
+        return PlantState(t, current, theta_m, omega_m, q, v, gear_torque, counts)
 
-    def _counts(self, theta_m: Array) -> NDArray[np.int64]:
-        return np.floor(theta_m * self._counts_per_rad).astype(np.int64)
+    @state.setter
+    def state(self, state: PlantState) -> None:
+        where, largest = "Plant.state", {"q": POSITION.largest, "v": VELOCITY.largest}
+        rows = {}
+        for name in ROWS[:-1]:
+            rows[name] = self._vector(getattr(state, name), where, name, "SI")
+            bound = largest.get(name, LARGEST_COUNT)
+            if (np.abs(rows[name]) > bound).any():
+                raise Refusal(where, name, f"be at most {bound:g}", rows[name])
+        truth = Truth(**{name: _address(row) for name, row in rows.items()})
+        if self.core.arm_set_truth(self.machine, ctypes.byref(truth)) == REFUSED:
+            raise self._refusal(where, "another one")
+
+    def _look(self) -> None:
+        self.core.arm_get_truth(self.machine, self._structs[2])
 
     def link_accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
         """Return the accelerations of the links alone: M(q) a + nle(q, v) = tau.
@@ -361,3 +442,7 @@ def _numbers(values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
 
 def _pointer(array: Array) -> Any:
     return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def _address(array: NDArray[Any]) -> int:
+    return array.ctypes.data

@@ -1,4 +1,4 @@
-"""A session in real time: the core's own thread owns the clock (core/real_time.hpp)."""
+"""A session in real time: a compiled thread owns the clock (core/real_time.h)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 
 from emulator_node.chain import Array
-from emulator_node.plant import LARGEST_STEPS, Plant, PlantState
+from emulator_node.compiler import real_time_library
+from emulator_node.core_calls import JOINT_COMMAND, Command, RealTimeOptions, address
+from emulator_node.core_calls import VOLTAGE as VOLTAGE_MODE
+from emulator_node.plant import LARGEST_STEPS, ROWS, Plant, PlantState
 from emulator_node.scene import Scene
 from emulator_node.session import Session
 from words.bound import VOLTAGE
@@ -58,24 +61,38 @@ class RealTimeLoop:
             check_count("RealTimeLoop", quantity, value, least, largest)
         self._period_ns = period_ns
         self._plant = plant  # must outlive the loop
-        self._core = plant.core
-        self._loop = self._core.arm_real_time_new(plant.machine, period_ns, steps, core)
-        self._bell = self._core.arm_real_time_descriptor(self._loop)
-        names = ("current", "theta_m", "omega_m", "q", "v", "gear_torque", "voltage")
-        N = (len(plant.scene.joints),)
+        self._N = N = len(plant.scene.joints)
+        self._calls = real_time_library()
+        options = RealTimeOptions(
+            joints=N,
+            machine=plant.machine,
+            exchange=address(plant.core, "arm_exchange"),
+            get_truth=address(plant.core, "arm_get_truth"),
+            power=address(plant.core, "arm_power"),
+            join_schedule=address(plant.core, "arm_join_schedule"),
+            period=period_ns,
+            core=core,
+        )
+        self._loop = self._calls.arm_real_time_new(ctypes.byref(options))
+        self._bell = self._calls.arm_real_time_descriptor(self._loop)
         counters = ("tick", "answered", "lateness", "spent", "fault")
         self._snapshot = np.zeros(
             1,
             dtype=[(name, "i8") for name in counters]
             + [("energy", "f8")]
-            + [(name, "f8", N) for name in names],
+            + [(name, "f8", (N,)) for name in (*ROWS, "voltage")]
+            + [("encoder", "i8", (N,))],
         )
+        assert self._snapshot.nbytes == self._calls.arm_real_time_snapshot_size(N)
         self._snapshot_pointer = self._snapshot.ctypes.data_as(ctypes.c_void_p)
+        self._commands = np.zeros(N, JOINT_COMMAND)
+        self._commands["mode"], self._commands["enable"] = VOLTAGE_MODE, 1
+        self._command = Command(tick=-1, joint=self._commands.ctypes.data)
 
     def __del__(self) -> None:
         loop, self._loop = getattr(self, "_loop", None), None
         if loop:
-            self._core.arm_real_time_delete(loop)
+            self._calls.arm_real_time_delete(loop)
 
     def start(self, tick: int) -> None:
         """Run from `tick` on, until `stop` or a fault.
@@ -84,11 +101,11 @@ class RealTimeLoop:
             Refusal: no count.
         """
         check_count("RealTimeLoop.start", "tick", tick, 0, LARGEST // (2 * self._period_ns))
-        self._core.arm_real_time_start(self._loop, tick)
+        self._calls.arm_real_time_start(self._loop, tick)
 
     def stop(self) -> None:
         """Stop within a period. Snapshots not taken yet stay."""
-        self._core.arm_real_time_stop(self._loop)
+        self._calls.arm_real_time_stop(self._loop)
 
     def command(self, answered: int, voltage: Array) -> None:
         """Set the voltages (N,) [V] for the periods to come; -1 answers no tick.
@@ -98,15 +115,13 @@ class RealTimeLoop:
         """
         where = "RealTimeLoop.command"
         check_count(where, "answered", answered, -1)
-        voltage = VOLTAGE.vector(where, voltage, len(self._plant.scene.joints))
-        voltage = np.ascontiguousarray(voltage)
-        self._core.arm_real_time_command(
-            self._loop, answered, voltage.ctypes.data_as(ctypes.c_void_p)
-        )
+        self._commands["value"] = VOLTAGE.vector(where, voltage, self._N)
+        self._command.tick = answered
+        self._calls.arm_real_time_command(self._loop, ctypes.byref(self._command))
 
     def power(self, on: bool) -> None:
         """Switch the drives on or off."""
-        self._core.arm_real_time_power(self._loop, on)
+        self._calls.arm_real_time_power(self._loop, on)
 
     def wait(self, timeout: float) -> bool:
         """Wait for a snapshot, at most `timeout` [s], without Python's lock."""
@@ -117,19 +132,19 @@ class RealTimeLoop:
 
     def take(self) -> Any:
         """Return the oldest snapshot not taken yet, None if there is none."""
-        if not self._core.arm_real_time_take(self._loop, self._snapshot_pointer):
+        if not self._calls.arm_real_time_take(self._loop, self._snapshot_pointer):
             return None
         return self._snapshot[0].copy()
 
     def figures(self) -> RealTimeFigures:
         """Return the loop's figures."""
         values = np.zeros(len(fields(RealTimeFigures)), dtype=np.int64)
-        self._core.arm_real_time_status(self._loop, values.ctypes.data_as(ctypes.c_void_p))
+        self._calls.arm_real_time_get_figures(self._loop, values.ctypes.data_as(ctypes.c_void_p))
         return RealTimeFigures(*values.tolist())
 
     def clear_figures(self) -> None:
         """Count from now on."""
-        self._core.arm_real_time_clear_figures(self._loop)
+        self._calls.arm_real_time_clear_figures(self._loop)
 
 
 class RealTimeSession(Session):
@@ -197,10 +212,12 @@ class RealTimeSession(Session):
         return self._powered
 
     @powered.setter
-    def powered(self, value: bool) -> None:
-        self._powered = value
-        if self._loop is not None:
-            self._loop.power(value)
+    def powered(self, on: bool) -> None:
+        self._powered = on
+        assert self._loop is not None
+        self._loop.power(on)
+        if not self._running:
+            self.plant.powered = on
 
     def offer(self, tick: int, joint_names: Any, voltage: Any) -> None:
         """Take a motor command, see `Session.offer`."""
@@ -236,7 +253,7 @@ class RealTimeSession(Session):
             s["q"],
             s["v"],
             s["gear_torque"],
-            self.plant.encoder_counts(s["theta_m"]),
+            s["encoder"],
         )
         return True
 

@@ -68,6 +68,10 @@ class Friction:
     breakaway: float = 0.0  # N m
 
 
+# What a joint without an encoder reports, since encoder counts are whole numbers.
+IDEAL_COUNTS_PER_TURN = 2**20
+
+
 @dataclass(frozen=True)
 class Joint:
     """What the scene file says of one moving joint. A joint without a motor swings freely."""
@@ -78,6 +82,11 @@ class Joint:
     gear: Gear
     encoder: Encoder | None
     friction: Friction
+
+    @property
+    def counts_per_turn(self) -> int:
+        """Counts of the encoder in a turn of the motor; without one, of the finest there is."""
+        return self.encoder.counts_per_turn if self.encoder else IDEAL_COUNTS_PER_TURN
 
 
 @dataclass(frozen=True)

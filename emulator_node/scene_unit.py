@@ -16,17 +16,25 @@ def scene_unit(scene: Scene) -> str:
 
     The step size is no constant, so that scenes that differ in it alone share a library.
     """
+    threads, threads_header = {
+        1: ("OneThread", "one_thread.hpp"),
+        2: ("TwoThreads", "two_threads.hpp"),
+    }[scene.threads]
     R_BW = scene.chain.R_BW
     gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
     links = ",\n".join(_link(geometry) for geometry in scene.chain.joints)
+    devices = ",\n".join(_device(joint) for joint in scene.joints)
     drives = ",\n".join(_drive(joint) for joint in scene.joints)
     return f"""\
+#include "device.hpp"
 #include "scene.hpp"
+#include "{threads_header}"
 
 struct Scene {{
   static constexpr int N = {len(scene.joints)};
   static constexpr arm::Scheme scheme = arm::Scheme::{scene.integrator.scheme};
-  static constexpr int threads = {scene.threads};
+  template <class Stepper>
+  using Threads = arm::{threads}<Scene, Stepper>;
   static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
   static constexpr double supply_voltage = {_number(scene.supply_voltage)};
   static constexpr arm::Vec3<double> gravity = {_vector(gravity)};
@@ -34,9 +42,11 @@ struct Scene {{
 {links}}};
   static constexpr std::tuple drive = {{
 {drives}}};
+  static constexpr arm::Device device[N] = {{
+{devices}}};
 }};
 
-#include "abi.hpp"
+#include "boundary.hpp"
 """
 
 
@@ -96,6 +106,20 @@ def _drive(joint: Joint) -> str:
           .motor = {motor},
           .gear = {gear},
           .friction = {{{friction}}}}}"""
+
+
+def _device(joint: Joint) -> str:
+    counts_per_rad = _number(joint.counts_per_turn / (2.0 * math.pi))
+    return f"      {{.name = {_text(joint.name)}, .counts_per_rad = {counts_per_rad}}}"
+
+
+def _text(words: str) -> str:
+    plain = "".join(c if c.isascii() and c.isalnum() else _octal(c) for c in words)
+    return f'"{plain}"'
+
+
+def _octal(character: str) -> str:
+    return "".join(f"\\{byte:03o}" for byte in character.encode())
 
 
 def _part(kind: str, **numbers: float) -> str:

@@ -77,8 +77,8 @@ class Session:
                 raise Refusal("Session", quantity, "be known", value, ", ".join(known))
         self.scene = scene
         self.plant = Plant(scene)
+        self._powered = True
         self.lockstep = clock == "lockstep"
-        self.powered = True
         self.period_ns = round(scene.servo_period * 1e9)
         self.step_wall_ns = 0  # spent in the core since reset
         self._start = start
@@ -100,6 +100,16 @@ class Session:
         self._answered_tick = -1  # the tick that it answers
         self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
         self._state: PlantState | None = None
+
+    @property
+    def powered(self) -> bool:
+        """Whether the drives have power."""
+        return self._powered
+
+    @powered.setter
+    def powered(self, on: bool) -> None:
+        self._powered = on
+        self.plant.powered = on
 
     @property
     def state(self) -> PlantState:
@@ -186,25 +196,25 @@ class Session:
 
         After a `fault`, and only then, tick and state stay as they were.
         """
-        commanded = self._commanded if self.powered else None
-        self.advance_under(self._zero if commanded is None else commanded)
+        commanded = self._commanded
+        self.advance_under(self._zero if commanded is None else commanded, self._answered_tick)
 
-    def advance_under(self, voltage: Array) -> None:
-        """Advance by one servo period under these voltages (N,) [V], see `advance`."""
+    def advance_under(self, voltage: Array, answered: int = -1) -> None:
+        """Advance by one servo period under voltages (N,) [V] that answer a tick, see `advance`."""
         if self.logical_ns + self.period_ns >= END_OF_TIME:
             self.fault = EndOfTime()
             return
-        self.voltage = voltage
         started = time.perf_counter_ns()
         try:
-            self.plant.advance(self.voltage, self.scene.steps_per_period)
+            self.plant.exchange(voltage, answered)
         except Diverged as fault:
             self.fault = fault
-            self._state = None
+        self.voltage = self.plant.voltage
+        self._state = None
+        if self.fault is not None:
             return
         self.step_wall_ns += time.perf_counter_ns() - started
         self.tick += 1
-        self._state = None
 
     def close(self) -> None:
         """Let go of whatever drives the session."""

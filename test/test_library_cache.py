@@ -21,7 +21,7 @@ from machines import one_link_urdf, write_scene
 
 from emulator_node import library_cache
 from emulator_node.compiler import compile_ahead, library_of
-from emulator_node.core_calls import CALLS
+from emulator_node.core_calls import ARM_CALLS
 from emulator_node.cxx import find_compiler
 from emulator_node.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 from emulator_node.scene import Scene, load_scene
@@ -220,7 +220,7 @@ def planted(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Planted:
     folder = tmp_path_factory.mktemp("planted")
     mark = folder / "mark"
     source = folder / "planted.cpp"
-    functions = "".join(f"void {name}() {{}}\n" for name in CALLS)
+    functions = "".join(f"void {name}() {{}}\n" for name in ARM_CALLS)
     source.write_text(
         f'#include <cstdio>\nextern "C" {{\nint planted;\n{functions}}}\n'
         f'__attribute__((constructor)) void run() {{ fclose(fopen("{mark}", "w")); }}\n'
@@ -421,7 +421,7 @@ def test_a_library_compiled_into_a_folder_is_found_there(
 ) -> None:
     before = os.umask(0o002)
     try:
-        file = compile_ahead(sound.scene, "native", tmp_path / "a" / "b")
+        file = compile_ahead(sound.scene, "native", tmp_path / "a" / "b")[0]
     finally:
         os.umask(before)
     assert file == tmp_path / "a" / "b" / sound.name and file.read_bytes() == sound.stored
@@ -434,7 +434,7 @@ def test_a_library_compiled_into_a_folder_is_found_there(
     open_to_all = tmp_path / "open"
     open_to_all.mkdir()
     open_to_all.chmod(0o777)
-    file = compile_ahead(sound.scene, "native", open_to_all / "c")
+    file = compile_ahead(sound.scene, "native", open_to_all / "c")[0]
     assert file.read_bytes() == sound.stored
     said = capsys.readouterr().err
     assert f"no library is loaded from {file.parent} as it is: {open_to_all} can be wr" in said

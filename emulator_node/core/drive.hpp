@@ -73,11 +73,17 @@ struct Drive {
     return r;
   }
 
+  // The states of a motor with a current [A], an angle [rad] and a speed [rad/s].
+  constexpr Input<double> with_motor(double current, double angle, double speed, double q,
+                                     double v) const {
+    Input<double> x = {{}, q, v, 0.0, 0.0};
+    if constexpr (driven) x.z[i] = current;
+    if constexpr (elastic) x.z[tm] = angle, x.z[wm] = speed;
+    return x;
+  }
   // The states behind a link at (q, v): no current, gear unloaded.
   constexpr Input<double> at_rest_behind(double q, double v) const {
-    Input<double> x = {{}, q, v, 0.0, 0.0};
-    if constexpr (elastic) x.z[tm] = q / gear.Ng, x.z[wm] = v / gear.Ng;
-    return x;
+    return with_motor(0.0, q / gear.Ng, v / gear.Ng, q, v);
   }
 
   template <class X>

@@ -1,6 +1,8 @@
 // Energy of a machine, and the proof by it that a motion is none.
 #pragma once
 
+#include <cstdint>
+
 #include "links.hpp"
 #include "state.hpp"
 
@@ -15,7 +17,7 @@ struct Energy {
 
 // `greediest`: set to the joint that holds the most by itself: its drive and, with M_jj, its link.
 template <class S>
-Energy energy_of(const State<S>& x, int* greediest = nullptr) {
+__attribute__((noinline)) Energy energy_of(const State<S>& x, int* greediest = nullptr) {
   typename Links<S>::Kinematics k;
   typename Links<S>::MassMatrix M;
   Links<S>::kinematics(x.q, k);
@@ -60,8 +62,9 @@ class EnergyBalance {
     return power;
   }
 
-  // The motors have given at most E [J].
-  void give(double E) { at_most += E; }
+  // The most that there can be [J]: the power that the motors can give is added step by step.
+  double most() const { return at_most; }
+  void allow(double E) { at_most = E; }
 
   // `count` steps have led to x. Returns -1, or the joint that holds the most of an energy that
   // came from nowhere.
@@ -79,6 +82,14 @@ class EnergyBalance {
     return -1;
   }
 
+  // number(x) for everything that it remembers, in a fixed order.
+  template <class Number>
+  void for_each_number(Number&& number) {
+    number(at_most);
+    number(largest_stored);
+    number(steps);
+  }
+
  private:
   static constexpr int kCheckEvery = 64;
   static constexpr double kTolerance = 0.5;
@@ -86,7 +97,7 @@ class EnergyBalance {
 
   double at_most = 0.0;         // J
   double largest_stored = 0.0;  // J
-  int steps = 0;                // since the last look
+  std::int64_t steps = 0;       // since the last look
 };
 
 }  // namespace arm

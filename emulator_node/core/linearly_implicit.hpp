@@ -50,6 +50,12 @@ class LinearlyImplicit {
   // The links' accelerations in the first stage, and the torques M a + nle that they take there.
   struct Accelerations {
     alignas(64) X a[row], torque[row];
+
+    // number(x) for all of them, in a fixed order.
+    template <class Number>
+    void for_each_number(Number&& number) {
+      for (int j = 0; j < N; ++j) number(a[j]), number(torque[j]);
+    }
   };
   using Memory = Accelerations;  // what a step takes from the one before, beside the state
 

@@ -114,6 +114,11 @@ struct Links {
     mass_matrix(k, links.M);
   }
 
+  // The same for those who need it seldom: a step's own is inlined into it.
+  static __attribute__((noinline)) void dynamics_apart(const X* q, const X* v, Dynamics& links) {
+    dynamics(q, v, links);
+  }
+
   // Kinetic energy is v^T M v / 2; this is the potential energy in the field S::gravity, zero with
   // every centre of mass at the world's origin.
   static X potential_energy(const Kinematics& k) {

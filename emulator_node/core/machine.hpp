@@ -8,7 +8,6 @@
 #include "finite.hpp"
 #include "linearly_implicit.hpp"
 #include "paper_scheme.hpp"
-#include "two_threads.hpp"
 
 namespace arm {
 
@@ -20,8 +19,7 @@ class Machine {
   using Stepper =
       std::conditional_t<S::scheme == Scheme::paper, PaperScheme<S>, LinearlyImplicit<S>>;
 
-  using Threads =
-      std::conditional_t<S::threads == 2, TwoThreads<S, Stepper>, OneThread<S, Stepper>>;
+  using Threads = typename S::template Threads<Stepper>;
 
   // `core`: of the second thread, if there is one; -1: any.
   Machine(double dt, int core) : h(dt), threads(dt, core) {}
@@ -29,19 +27,68 @@ class Machine {
   // Schedule all threads as the calling one; false if the system does not permit it.
   bool join_schedule() { return threads.join_schedule(); }
 
-  // Put the links at (q, v), the motors along with them: no current, gears unloaded.
-  void reset(const double* q, const double* v) {
-    x = {};
-    for_each_drive<S>([&](const auto& drive, int j) {
-      const auto behind = drive.at_rest_behind(q[j], v[j]);
-      for (int k = 0; k < drive.states; ++k) x.z[k][j] = behind.z[k];
-      x.q[j] = q[j];
-      x.v[j] = v[j];
-    });
+  // All that decides how a machine goes on from one instant.
+  struct Instant {
+    State<S> x;
+    typename Threads::Memory past;
+    EnergyBalance<S> balance;
+    double u[Stepper::row];  // the commands of the step before, within the supply
+    double power;            // W, that the motors are given at most
+    std::int64_t steps_taken;
+
+    // number(x) for all that it is, in a fixed order.
+    template <class Number>
+    void for_each_number(Number&& number) {
+      arm::for_each_number(x, number);
+      past.for_each_number(number);
+      balance.for_each_number(number);
+      for (int j = 0; j < N; ++j) number(u[j]);
+      number(power);
+      number(steps_taken);
+    }
+  };
+  // And where it goes back to when the energy says that it has been none.
+  struct Whole {
+    Instant now, checked;
+    std::int64_t fault;
+
+    template <class Number>
+    void for_each_number(Number&& number) {
+      now.for_each_number(number);
+      checked.for_each_number(number);
+      number(fault);
+    }
+  };
+
+  Whole whole() const { return {instant(), checked, fault}; }
+  void restore(const Whole& whole) {
+    go_back(whole.now);
+    checked = whole.checked;
+    fault = static_cast<int>(whole.fault);
+  }
+
+  // Put the machine at a state without a past. Time goes on, or begins anew at 0.
+  void put(const State<S>& at, bool anew) {
+    x = at;
     threads.reset(x);
     balance.reset(x);
     fault = -1;
-    steps_taken = 0;
+    for (double& u : applied) u = 0.0;
+    power = EnergyBalance<S>::largest_power(x, applied);
+    if (anew) steps_taken = 0;
+    checked = instant();
+  }
+
+  // Put the links at (q, v) at time 0, the motors along with them: no current, gears unloaded.
+  void reset(const double* q, const double* v) {
+    State<S> at = {};
+    for_each_drive<S>([&](const auto& drive, int j) {
+      const auto behind = drive.at_rest_behind(q[j], v[j]);
+      for (int k = 0; k < drive.states; ++k) at.z[k][j] = behind.z[k];
+      at.q[j] = q[j];
+      at.v[j] = v[j];
+    });
+    put(at, true);
   }
 
   // Take `steps` steps with the voltages held, clamped to the supply. Returns -1, or the joint that
@@ -54,34 +101,38 @@ class Machine {
   // The same for `rows` rows of voltages. The links' positions after each row go to `q`.
   int follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
     if (fault >= 0) return fault;
-    Course course = {voltage, q, steps, 0, {}};
+    Course course = {voltage, q, steps, 0};
     std::int64_t count = rows * steps;
     if (steps == 0)
       for (std::int64_t row = 0; row < rows; ++row) course.end_row(x);
     threads.begin(count, x);
     while (count > 0) {
-      const int chunk = count < kCheckEvery ? static_cast<int>(count) : kCheckEvery;
-      const State<S> before = x;
+      // Up to the next check, which is due after so many steps since the reset, whoever took them.
+      const int due = kCheckEvery - static_cast<int>(steps_taken % kCheckEvery);
+      const int chunk = count < due ? static_cast<int>(count) : due;
+      const Instant before = instant();
       const Course course_before = course;
-      const auto memory = threads.memory();
       run(course, chunk);
       if (joint_out_of_bounds(x) >= 0) {
-        go_back(before, memory);
+        go_back(before);
         return fault = creep_to_the_fault(course_before, chunk);
       }
-      fault = balance.broken_by(x, chunk);
+      count -= chunk;
+      if (chunk < due) continue;
+      fault = balance.broken_by(x, kCheckEvery);
       if (fault >= 0) {
-        go_back(before, memory);
+        go_back(checked);
         return fault;
       }
-      steps_taken += chunk;
-      count -= chunk;
+      checked = instant();
     }
     threads.end();
     return -1;
   }
 
+  std::int64_t steps() const { return steps_taken; }
   double time() const { return static_cast<double>(steps_taken) * h; }
+  int faulty_joint() const { return fault; }
   const State<S>& state() const { return x; }
 
   // Current [A], angle [rad] and speed [rad/s] of each motor.
@@ -100,7 +151,7 @@ class Machine {
     double a[N] = {};
     if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; })) {
       typename Links<S>::Dynamics links;
-      Links<S>::dynamics(x.q, x.v, links);
+      Links<S>::dynamics_apart(x.q, x.v, links);
       for_each_drive<S>([&](const auto& drive, int j) {
         links.M.at[j][j] += drive.carried();
         a[j] = drive.rates(input_of(drive, j, x, 0.0), false).g - links.nle[j];
@@ -121,17 +172,21 @@ class Machine {
 
   // What is to be done: rows of voltages, each for some steps.
   struct Course {
-    const double* command;               // of the next row
-    double* q;                           // for the positions after this row
-    std::int64_t steps;                  // of a row
-    std::int64_t left;                   // of this row
-    alignas(64) double u[Stepper::row];  // of this row, within the supply
+    const double* command;  // of the next row
+    double* q;              // for the positions after this row
+    std::int64_t steps;     // of a row
+    std::int64_t left;      // of this row
 
-    ARM_INLINE void begin_row() {
+    // True if the commands, within the supply, differ from those before.
+    ARM_INLINE bool begin_row(double (&u)[Stepper::row]) {
+      bool differ = false;
       for_each<N>([&](auto j) __attribute__((always_inline)) {
-        u[j] = clamp(command[j], S::supply_voltage);
+        const double wanted = clamp(command[j], S::supply_voltage);
+        differ |= wanted != u[j];
+        u[j] = wanted;
       });
       command += N;
+      return differ;
     }
     ARM_INLINE void end_row(const State<S>& x) {
       for_each<N>([&](auto j) __attribute__((always_inline)) { q[j] = x.q[j]; });
@@ -142,45 +197,61 @@ class Machine {
   // Neither inlined nor cloned: every step, however it is asked for, runs the same instructions and
   // gives the same bits.
   __attribute__((noinline, noclone)) void run(Course& course, int count) {
-    State<S> y = x;  // here, as `left`, where the compiler may keep it in registers
+    State<S> y = x;  // here, as what follows, where the compiler may keep it in registers
+    alignas(64) double u[Stepper::row];
+    for (int j = 0; j < Stepper::row; ++j) u[j] = applied[j];
     std::int64_t left = course.left;
-    double power = EnergyBalance<S>::largest_power(y, course.u), energy = 0.0;
+    double most = balance.most(), given = h * power;
+    const auto look_at_power = [&] {
+      power = EnergyBalance<S>::largest_power(y, u);
+      given = h * power;
+    };
+    if (steps_taken % kCheckEvery == 0) look_at_power();
     for (int s = 0; s < count; ++s) {
       if (left == 0) {
-        course.begin_row();
-        power = EnergyBalance<S>::largest_power(y, course.u);
+        if (course.begin_row(u)) look_at_power();
         left = course.steps;
       }
-      threads.step(y, course.u);
-      energy += h * power;
+      threads.step(y, u);
+      most += given;
       if (--left == 0) course.end_row(y);
     }
     course.left = left;
     x = y;
-    balance.give(energy);
+    for (int j = 0; j < Stepper::row; ++j) applied[j] = u[j];
+    balance.allow(most);
+    steps_taken += count;
   }
 
-  void go_back(const State<S>& before, const typename Threads::Memory& memory) {
+  Instant instant() const {
+    Instant instant = {x, threads.memory(), balance, {}, power, steps_taken};
+    for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied[j];
+    return instant;
+  }
+
+  void go_back(const Instant& to) {
     threads.end();
-    threads.restore(memory);
-    x = before;
+    threads.restore(to.past);
+    x = to.x;
+    balance = to.balance;
+    for (int j = 0; j < Stepper::row; ++j) applied[j] = to.u[j];
+    power = to.power;
+    steps_taken = to.steps_taken;
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
   int creep_to_the_fault(const Course& from, int chunk) {
     Course course = from;
     for (int s = 0; s < chunk; ++s) {
-      const State<S> before = x;
-      const auto memory = threads.memory();
+      const Instant before = instant();
       threads.begin(1, x);
       run(course, 1);
       const int joint = joint_out_of_bounds(x);
       if (joint >= 0) {
-        go_back(before, memory);
+        go_back(before);
         return joint;
       }
       threads.end();
-      ++steps_taken;
     }
     __builtin_unreachable();  // the same steps as before end at the same fault
   }
@@ -206,8 +277,11 @@ class Machine {
   Threads threads;
   State<S> x = {};
   EnergyBalance<S> balance;
-  int fault = -1;  // the joint that went out of bounds
+  double applied[Stepper::row] = {};
+  double power = 0.0;
   std::int64_t steps_taken = 0;
+  int fault = -1;  // the joint that went out of bounds
+  Instant checked = {};
 };
 
 }  // namespace arm

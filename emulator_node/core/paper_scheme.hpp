@@ -21,7 +21,10 @@ class PaperScheme {
       : h(step), tables([step](const auto& drive) { return paper_table<K>(drive, step); }) {}
 
   // It takes nothing from the past.
-  struct Memory {};
+  struct Memory {
+    template <class Number>
+    void for_each_number(Number&&) {}
+  };
   void reset(const State<S, X>&) {}
   Memory memory() const { return {}; }
   void restore(Memory) {}

@@ -61,6 +61,16 @@ struct State {
   alignas(64) X q[row] = {}, v[row] = {};
 };
 
+// number(x) for everything that a state is, in a fixed order.
+template <class S, class X, class Number>
+constexpr void for_each_number(State<S, X>& x, Number&& number) {
+  for (int j = 0; j < S::N; ++j) {
+    for (int k = 0; k < State<S, X>::K; ++k) number(x.z[k][j]);
+    number(x.q[j]);
+    number(x.v[j]);
+  }
+}
+
 // What the drive of joint j is asked at.
 template <class Drive, class S, class X>
 ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x, X u, X side = X{}) {

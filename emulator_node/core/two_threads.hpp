@@ -80,6 +80,13 @@ class TwoThreads {
     double v[N];
     double q_links[N], v_links[N];  // where that links' part was taken
     typename Stepper::Memory stepper;
+
+    // number(x) for all of them, in a fixed order.
+    template <class Number>
+    void for_each_number(Number&& number) {
+      for (int j = 0; j < N; ++j) number(v[j]), number(q_links[j]), number(v_links[j]);
+      stepper.for_each_number(number);
+    }
   };
 
   // Begin at a state with no past.
@@ -254,32 +261,6 @@ class TwoThreads {
   std::atomic<bool> stopping = false;
   alignas(64) Stepper stepper;
   std::jthread newton_euler;  // last: it uses all of the above
-};
-
-// One thread: the sequential reference, with the same face.
-template <class S, class Stepper>
-class OneThread {
- public:
-  using Memory = typename Stepper::Memory;
-  using Dynamics = typename Links<S>::Dynamics;
-
-  OneThread(double step, int) : stepper(step) {}
-  bool join_schedule() { return true; }
-  void reset(const State<S>& x) { stepper.reset(x); }
-  Memory memory() const { return stepper.memory(); }
-  void restore(const Memory& memory) { stepper.restore(memory); }
-  void begin(std::int64_t, const State<S>&) {}
-  void end() {}
-  ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
-    Dynamics links;
-    Links<S>::dynamics(x.q, x.v, links);
-    stepper.step(x, u, links, *this);
-  }
-  ARM_INLINE void take(Dynamics&) {}  // it is there already
-  ARM_INLINE void give(const State<S>&) {}
-
- private:
-  Stepper stepper;
 };
 
 }  // namespace arm

@@ -1,0 +1,190 @@
+/* The boundary of an emulated arm: commands in, measurements out, one servo period at a time.
+ *
+ * The compiled library of a scene has the functions of this header. A user links it, or loads it
+ * with dlopen; nothing here knows of Python, ROS or the clock. C99.
+ *
+ * Ticks count servo periods. `arm_exchange` takes the command of tick k through the period to the
+ * measurement of tick k + 1. What the drive electronics know is in `arm_measurement`; what only the
+ * emulator knows is in `arm_truth`, for judging and not for control.
+ *
+ * Arrays have one entry per joint, base to tool. Units are SI, angles in rad (m for prismatic
+ * joints).
+ *
+ * A struct begins with its size, which its user sets to sizeof of it: a library reads and writes no
+ * more than that, so that later versions can add fields at the end. No call but `arm_new` allocates
+ * memory. One machine is used by one thread at a time; several machines know nothing of each other.
+ */
+#ifndef ARM_H
+#define ARM_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define ARM_VERSION 1
+
+typedef struct arm_machine arm_machine; /* one machine of the library's scene */
+
+enum arm_result {
+  ARM_OK = 0,
+  ARM_REFUSED = 1, /* nothing has changed; `arm_why` tells the reason */
+  ARM_DIVERGED = 2 /* the machine stays at its last sound state until it is reset or restored */
+};
+
+/* Why the newest call was refused: `quantity` must satisfy `rule`, but was `got` at `joint`. */
+typedef struct arm_refusal {
+  uint32_t size;
+  int32_t joint; /* -1: none */
+  char quantity[40];
+  char rule[120];
+  double got;
+} arm_refusal;
+
+/* -------------------------------------------------------------------------------- what it is */
+
+typedef struct arm_description {
+  uint32_t size;
+  uint32_t version; /* ARM_VERSION of the library */
+  int32_t joints;
+  int32_t reserved;
+  uint64_t fingerprint;  /* of scene, core and compiler flags: equal bits need equal ones */
+  double supply_voltage; /* V */
+} arm_description;
+
+enum arm_kind { ARM_REVOLUTE = 0, ARM_PRISMATIC = 1 };
+
+/* What a command sets; bits of arm_joint_description.modes. */
+enum arm_mode { ARM_VOLTAGE = 1 };
+
+typedef struct arm_joint_description {
+  uint32_t size;
+  uint32_t modes; /* that its drive takes; 0: nothing drives it */
+  const char* name;
+  int32_t kind; /* enum arm_kind */
+  int32_t reserved;
+  double gear_ratio;     /* link turns (or m per rad) per motor turn */
+  double counts_per_rad; /* encoder counts at the motor */
+  double current_limit;  /* A, 0: none */
+} arm_joint_description;
+
+/* Fill `out`. For `arm_describe_joint`: ARM_REFUSED if there is no such joint. */
+int arm_describe(arm_description* out);
+int arm_describe_joint(int32_t joint, arm_joint_description* out);
+
+/* ---------------------------------------------------------------------------------- a machine */
+
+typedef struct arm_options {
+  uint32_t size;
+  int32_t core;             /* processor core of a second thread; -1: any */
+  double step;              /* s, of the integrator */
+  int64_t steps_per_period; /* of a servo period */
+} arm_options;
+
+/* Return a machine at rest at q = 0, or null if the options make no sense. */
+arm_machine* arm_new(const arm_options* options);
+void arm_delete(arm_machine* machine);
+
+/* Put the links at (q, v), the motors along with them, at tick 0: no current, gears unloaded. */
+int arm_reset(arm_machine* machine, const double* q, const double* v);
+
+/* Schedule the machine's own threads as the calling one; 0 if the system does not permit it. */
+int arm_join_schedule(arm_machine* machine);
+
+/* ------------------------------------------------------------------------------- the exchange */
+
+typedef struct arm_joint_command {
+  int32_t mode;    /* enum arm_mode */
+  uint32_t enable; /* 0: the motor gets 0 V */
+  double value;    /* V, clamped to the supply */
+} arm_joint_command;
+
+typedef struct arm_command {
+  uint32_t size;
+  uint32_t reserved;
+  int64_t tick; /* that it answers, told again in the measurement; -1: none */
+  const arm_joint_command* joint;
+} arm_command;
+
+enum arm_fault { ARM_FAULT_DIVERGED = 1 };
+
+typedef struct arm_joint_measurement {
+  int64_t encoder; /* counts at the motor, rounded down */
+  double current;  /* A */
+  double voltage;  /* V, in the period that has passed */
+  uint32_t faults; /* bits of enum arm_fault */
+  uint32_t reserved;
+} arm_joint_measurement;
+
+typedef struct arm_measurement {
+  uint32_t size;
+  uint32_t powered;
+  int64_t tick;
+  int64_t answered; /* tick that the newest command answered; -1: none */
+  arm_joint_measurement* joint;
+} arm_measurement;
+
+/* Go through one servo period; `out` is as of its end, or of the last sound state. */
+int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out);
+/* The measurement of this tick once more. */
+int arm_measure(const arm_machine* machine, arm_measurement* out);
+/* Switch the power of all drives: without it every motor gets 0 V. A machine begins with it. */
+void arm_power(arm_machine* machine, int on);
+
+/* What refused the newest call on this machine. */
+int arm_why(const arm_machine* machine, arm_refusal* out);
+
+/* ------------------------------------------------------------------------------ whole states */
+
+/* Bytes of a saved machine. */
+int64_t arm_saved_size(void);
+/* Save all that decides how the machine goes on, and continue from it to the last bit: in any
+ * machine of a library with the same fingerprint, and with the same options. Power, tick and fault
+ * are part of it. The bytes hold no pointers and may be kept in a file. */
+int arm_save(const arm_machine* machine, void* out, int64_t size);
+int arm_restore(arm_machine* machine, const void* saved, int64_t size);
+
+/* -------------------------------------------------------------------------------------- truth */
+
+/* Every array may be null. */
+typedef struct arm_truth {
+  uint32_t size;
+  int32_t fault;       /* joint that diverged; -1: none */
+  double time;         /* s */
+  double energy;       /* J, kinetic, potential, elastic and magnetic */
+  double* current;     /* A */
+  double* motor_angle; /* rad */
+  double* motor_speed; /* rad/s */
+  double* q;
+  double* v;
+  double* gear_torque; /* N m or N, on the link */
+} arm_truth;
+
+int arm_get_truth(const arm_machine* machine, arm_truth* out);
+/* Set currents, motors and links; a null array stays as it is. Time, energy, torque and fault of
+ * the struct are not read. A motor behind a rigid gear turns with its link, and a joint without a
+ * motor has none: what contradicts that is refused. The scheme begins with no past. */
+int arm_set_truth(arm_machine* machine, const arm_truth* truth);
+
+/* ----------------------------------------------------------------------- away from the ticks */
+
+/* Take `steps` integration steps under `voltage` [V], with power or without. */
+int arm_advance(arm_machine* machine, const double* voltage, int64_t steps);
+/* The same for `rows` rows of voltages, `steps` steps each; q after each row goes to `q`. */
+int arm_run(arm_machine* machine, const double* voltage, int64_t rows, int64_t steps, double* q);
+
+/* The linear part of every drive (drive_table.hpp), for the analysis of small motions. Rows of K
+ * states; returns K. out, per joint: how many states it has, the carried rotor, D (K), F (K rows of
+ * K + 4) and G (K + 4); the columns are z, q, v, u and side. With `out` null only K is returned. */
+int arm_linear_drives(double* out);
+
+/* The links alone, for `count` rows of joints: M(q) a + nle(q, v) = tau. */
+void arm_forward_dynamics(int64_t count, const double* q, const double* v, const double* tau,
+                          double* a);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,344 @@
+// The functions of arm.h for one scene's machine. Included last in a scene's unit, after its
+// `struct Scene`.
+#pragma once
+
+#include "arm.h"
+#include "machine.hpp"
+
+// What a scene's library was built of; the compiler's command line tells (compiler.py).
+#ifndef ARM_FINGERPRINT
+#define ARM_FINGERPRINT 0
+#endif
+
+namespace arm {
+
+// Texts of a refusal are cut to the room that there is.
+template <int room>
+void write_text(char (&to)[room], const char* text) {
+  int length = 0;
+  for (; text[length] && length < room - 1; ++length) to[length] = text[length];
+  to[length] = 0;
+}
+
+}  // namespace arm
+
+struct arm_machine {
+  using Machine = arm::Machine<Scene>;
+  static constexpr int N = Scene::N;
+
+  // What is saved, in eight bytes each and in a fixed order: what it is of, and the machine.
+  template <class Number>
+  static void for_each_saved_number(arm_machine& one, Machine::Whole& whole, Number&& number) {
+    number(one.step);
+    number(one.steps_per_period);
+    whole.for_each_number(number);
+    number(one.answered);
+    for (double& volts : one.voltage) number(volts);
+    number(one.powered);
+  }
+
+  explicit arm_machine(const arm_options& options)
+      : machine(options.step, options.core),
+        step(options.step),
+        steps_per_period(options.steps_per_period) {}
+
+  int refuse(int joint, const char* quantity, const char* rule, double got) const {
+    why.joint = joint;
+    arm::write_text(why.quantity, quantity);
+    arm::write_text(why.rule, rule);
+    why.got = got;
+    return ARM_REFUSED;
+  }
+  // ARM_OK if all numbers of a row are finite.
+  int check_finite(const double* row, const char* quantity) const {
+    for (int j = 0; j < N; ++j)
+      if (!arm::is_finite(row[j])) return refuse(j, quantity, "be finite", row[j]);
+    return ARM_OK;
+  }
+  // A struct of an older version of arm.h is shorter than what version 1 had.
+  template <class Struct>
+  int check_size(const Struct* one) const {
+    if (one && one->size >= sizeof(Struct)) return ARM_OK;
+    return refuse(-1, "size", "be that of the struct in arm.h", one ? one->size : 0.0);
+  }
+
+  std::int64_t tick() const { return machine.steps() / steps_per_period; }
+  int result() const { return machine.faulty_joint() < 0 ? ARM_OK : ARM_DIVERGED; }
+
+  void measure(arm_measurement* out) const {
+    double current[N], angle[N], speed[N];
+    machine.report(current, angle, speed);
+    for (int j = 0; j < N; ++j) {
+      arm_joint_measurement& joint = out->joint[j];
+      const double counts = __builtin_floor(angle[j] * Scene::device[j].counts_per_rad);
+      joint.encoder = static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
+      joint.current = current[j];
+      joint.voltage = voltage[j];
+      joint.faults = machine.faulty_joint() == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
+      joint.reserved = 0;
+    }
+    out->powered = powered != 0;
+    out->tick = tick();
+    out->answered = answered;
+  }
+
+  Machine machine;
+  double step;
+  std::int64_t steps_per_period;
+  std::int64_t answered = -1;  // tick that the newest command answered
+  double voltage[N] = {};      // in the period that has passed
+  std::int64_t powered = true;
+  mutable arm_refusal why = {sizeof(arm_refusal), -1, "", "", 0.0};
+};
+
+#pragma GCC visibility push(default)
+
+int arm_describe(arm_description* out) {
+  if (!out || out->size < sizeof *out) return ARM_REFUSED;
+  *out = {out->size, ARM_VERSION, arm_machine::N, 0, ARM_FINGERPRINT, Scene::supply_voltage};
+  return ARM_OK;
+}
+
+int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
+  if (!out || out->size < sizeof *out || joint < 0 || joint >= arm_machine::N) return ARM_REFUSED;
+  out->name = Scene::device[joint].name;
+  out->kind = Scene::link[joint].kind == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
+  out->reserved = 0;
+  out->counts_per_rad = Scene::device[joint].counts_per_rad;
+  arm::for_each_drive<Scene>([&](const auto& drive, int j) {
+    if (j != joint) return;
+    out->modes = drive.driven ? ARM_VOLTAGE : 0;
+    out->gear_ratio = drive.gear.Ng;
+    out->current_limit = drive.motor.current_limit;
+  });
+  return ARM_OK;
+}
+
+arm_machine* arm_new(const arm_options* options) {
+  const bool sound = options && options->size >= sizeof *options && options->core >= -1 &&
+                     arm::is_finite(options->step) && options->step > 0.0 &&
+                     options->steps_per_period > 0;
+  if (!sound) return nullptr;
+  arm_machine* machine = new arm_machine(*options);
+  const double zero[arm_machine::N] = {};
+  machine->machine.reset(zero, zero);
+  return machine;
+}
+void arm_delete(arm_machine* machine) { delete machine; }
+
+int arm_reset(arm_machine* machine, const double* q, const double* v) {
+  if (machine->check_finite(q, "q") || machine->check_finite(v, "v")) return ARM_REFUSED;
+  machine->machine.reset(q, v);
+  machine->answered = -1;
+  for (double& volts : machine->voltage) volts = 0.0;
+  return ARM_OK;
+}
+
+int arm_join_schedule(arm_machine* machine) { return machine->machine.join_schedule(); }
+
+int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out) {
+  if (machine->check_size(command) || machine->check_size(out)) return ARM_REFUSED;
+  double voltage[arm_machine::N];
+  for (int j = 0; j < arm_machine::N; ++j) {
+    const arm_joint_command& joint = command->joint[j];
+    if (joint.enable && joint.mode != ARM_VOLTAGE)
+      return machine->refuse(j, "mode", "be one that the drive has", joint.mode);
+    if (joint.enable && !arm::is_finite(joint.value))
+      return machine->refuse(j, "value", "be finite", joint.value);
+    const bool on = machine->powered && joint.enable;
+    voltage[j] = on ? arm::clamp(joint.value, Scene::supply_voltage) : 0.0;
+  }
+  machine->answered = command->tick;
+  for (int j = 0; j < arm_machine::N; ++j) machine->voltage[j] = voltage[j];
+  machine->machine.advance(voltage, machine->steps_per_period);
+  machine->measure(out);
+  return machine->result();
+}
+
+int arm_measure(const arm_machine* machine, arm_measurement* out) {
+  if (machine->check_size(out)) return ARM_REFUSED;
+  machine->measure(out);
+  return machine->result();
+}
+
+void arm_power(arm_machine* machine, int on) { machine->powered = on != 0; }
+
+int arm_why(const arm_machine* machine, arm_refusal* out) {
+  if (!out || out->size < sizeof *out) return ARM_REFUSED;
+  *out = machine->why;
+  return ARM_OK;
+}
+
+namespace {
+
+constexpr std::int64_t kWord = 8;
+
+// Where the words of a saved machine go, or come from.
+struct Words {
+  unsigned char* at;
+
+  template <class Number>
+  void write(const Number& number) {
+    static_assert(sizeof number == kWord);
+    __builtin_memcpy(at, &number, kWord);
+    at += kWord;
+  }
+  template <class Number>
+  void read(Number& number) {
+    static_assert(sizeof number == kWord);
+    __builtin_memcpy(&number, at, kWord);
+    at += kWord;
+  }
+};
+
+}  // namespace
+
+std::int64_t arm_saved_size(void) {
+  static const std::int64_t size = [] {
+    arm_machine none({sizeof(arm_options), -1, 1.0, 1});
+    arm_machine::Machine::Whole whole = {};
+    std::int64_t words = 1;  // the fingerprint
+    arm_machine::for_each_saved_number(none, whole, [&](const auto&) { ++words; });
+    return words * kWord;
+  }();
+  return size;
+}
+
+int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
+  if (size != arm_saved_size())
+    return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
+  Words words = {static_cast<unsigned char*>(out)};
+  words.write(std::uint64_t{ARM_FINGERPRINT});
+  auto whole = machine->machine.whole();
+  arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), whole,
+                                     [&](const auto& number) { words.write(number); });
+  return ARM_OK;
+}
+
+int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
+  if (size != arm_saved_size())
+    return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
+  Words words = {const_cast<unsigned char*>(static_cast<const unsigned char*>(saved))};
+  std::uint64_t fingerprint = 0;
+  double step = 0.0;
+  std::int64_t steps_per_period = 0;
+  words.read(fingerprint);
+  Words ahead = words;
+  ahead.read(step);
+  ahead.read(steps_per_period);
+  if (fingerprint != ARM_FINGERPRINT)
+    return machine->refuse(-1, "saved machine", "be of this library", 0.0);
+  if (step != machine->step)
+    return machine->refuse(-1, "saved machine", "have this step [s]", step);
+  if (steps_per_period != machine->steps_per_period)
+    return machine->refuse(-1, "saved machine", "have as many steps per period",
+                           static_cast<double>(steps_per_period));
+  arm_machine::Machine::Whole whole = {};
+  arm_machine::for_each_saved_number(*machine, whole, [&](auto& number) { words.read(number); });
+  machine->machine.restore(whole);
+  return ARM_OK;
+}
+
+int arm_get_truth(const arm_machine* machine, arm_truth* out) {
+  constexpr int N = arm_machine::N;
+  if (machine->check_size(out)) return ARM_REFUSED;
+  const auto& x = machine->machine.state();
+  double current[N], angle[N], speed[N], torque[N];
+  machine->machine.report(current, angle, speed);
+  if (out->gear_torque) machine->machine.gear_torques(torque);
+  const double* const from[] = {current, angle, speed, x.q, x.v, torque};
+  double* const to[] = {out->current, out->motor_angle, out->motor_speed,
+                        out->q,       out->v,           out->gear_torque};
+  for (int row = 0; row < 6; ++row)
+    for (int j = 0; to[row] && j < N; ++j) to[row][j] = from[row][j];
+  out->fault = machine->machine.faulty_joint();
+  out->time = machine->machine.time();
+  out->energy = machine->machine.energy();
+  return machine->result();
+}
+
+int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
+  constexpr int N = arm_machine::N;
+  if (machine->check_size(truth)) return ARM_REFUSED;
+  double current[N], angle[N], speed[N];
+  auto x = machine->machine.state();
+  machine->machine.report(current, angle, speed);
+  double* const to[] = {current, angle, speed, x.q, x.v};
+  const double* const from[] = {truth->current, truth->motor_angle, truth->motor_speed, truth->q,
+                                truth->v};
+  const char* const names[] = {"current", "motor angle", "motor speed", "q", "v"};
+  for (int row = 0; row < 5; ++row) {
+    if (!from[row]) continue;
+    if (machine->check_finite(from[row], names[row])) return ARM_REFUSED;
+    for (int j = 0; j < N; ++j) to[row][j] = from[row][j];
+  }
+  int result = ARM_OK;
+  arm::for_each_drive<Scene>([&](const auto& drive, int j) {
+    const auto behind = drive.at_rest_behind(x.q[j], x.v[j]);
+    const double limit = drive.motor.current_limit;
+    const auto differs = [&](const double* given, double one, double other) {
+      return given && arm::magnitude(one - other) > 1e-9 * (1.0 + arm::magnitude(other));
+    };
+    if (!drive.driven && truth->current && current[j] != 0.0)
+      result = machine->refuse(j, names[0], "be 0 without a motor", current[j]);
+    if (drive.motor.has_limit() && arm::magnitude(current[j]) > limit)
+      result = machine->refuse(j, names[0], "be within the current limit", current[j]);
+    if (!drive.elastic && differs(truth->motor_angle, angle[j], drive.motor_angle(behind)))
+      result = machine->refuse(j, names[1], "be that of the link, which it turns with", angle[j]);
+    if (!drive.elastic && differs(truth->motor_speed, speed[j], drive.motor_speed(behind)))
+      result = machine->refuse(j, names[2], "be that of the link, which it turns with", speed[j]);
+    const auto put = drive.with_motor(current[j], angle[j], speed[j], x.q[j], x.v[j]);
+    for (int k = 0; k < drive.states; ++k) x.z[k][j] = put.z[k];
+  });
+  if (result == ARM_OK) machine->machine.put(x, false);
+  return result;
+}
+
+int arm_advance(arm_machine* machine, const double* voltage, std::int64_t steps) {
+  if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
+  machine->machine.advance(voltage, steps);
+  return machine->result();
+}
+
+int arm_run(arm_machine* machine, const double* voltage, std::int64_t rows, std::int64_t steps,
+            double* q) {
+  for (std::int64_t row = 0; row < rows; ++row)
+    if (machine->check_finite(voltage + row * arm_machine::N, "voltage")) return ARM_REFUSED;
+  machine->machine.follow(voltage, rows, steps, q);
+  return machine->result();
+}
+
+int arm_linear_drives(double* out) {
+  constexpr int K = arm::most_states<Scene>();
+  if (!out) return K;
+  const auto copy = [&](const double* from, int count) {
+    for (int k = 0; k < count; ++k) *out++ = from[k];
+  };
+  arm::for_each_drive<Scene>([&](const auto& drive, int) {
+    const auto linear = arm::LinearDrive<K>::of(drive, false);
+    *out++ = drive.states;
+    *out++ = drive.carried();
+    copy(linear.D, K);
+    for (int k = 0; k < K; ++k) copy(linear.F[k], K + 4);
+    copy(linear.G, K + 4);
+  });
+  return K;
+}
+
+void arm_forward_dynamics(std::int64_t count, const double* q, const double* v, const double* tau,
+                          double* a) {
+  constexpr int N = arm_machine::N;
+  using Links = arm::Links<Scene>;
+  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, tau += N, a += N) {
+    Links::Dynamics links;
+    double x[N];
+    Links::dynamics_apart(q, v, links);
+    for (int j = 0; j < N; ++j) x[j] = tau[j] - links.nle[j];
+    arm::Cholesky<N> factors;
+    factors.factor(links.M.at);
+    factors.solve(x);
+    for (int j = 0; j < N; ++j) a[j] = x[j];
+  }
+}
+
+#pragma GCC visibility pop

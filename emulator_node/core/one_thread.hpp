@@ -1,0 +1,37 @@
+// Motors and links in the calling thread: the sequential reference, and the quicker way for an arm
+// whose links take less time than two cores need to talk. The same face as TwoThreads.
+#pragma once
+
+#include <cstdint>
+
+#include "links.hpp"
+#include "state.hpp"
+
+namespace arm {
+
+template <class S, class Stepper>
+class OneThread {
+ public:
+  using Memory = typename Stepper::Memory;
+  using Dynamics = typename Links<S>::Dynamics;
+
+  OneThread(double step, int) : stepper(step) {}
+  bool join_schedule() { return true; }
+  void reset(const State<S>& x) { stepper.reset(x); }
+  Memory memory() const { return stepper.memory(); }
+  void restore(const Memory& memory) { stepper.restore(memory); }
+  void begin(std::int64_t, const State<S>&) {}
+  void end() {}
+  ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
+    Dynamics links;
+    Links<S>::dynamics(x.q, x.v, links);
+    stepper.step(x, u, links, *this);
+  }
+  ARM_INLINE void take(Dynamics&) {}  // it is there already
+  ARM_INLINE void give(const State<S>&) {}
+
+ private:
+  Stepper stepper;
+};
+
+}  // namespace arm

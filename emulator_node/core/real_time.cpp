@@ -1,0 +1,296 @@
+// Real time: a thread of its own that wakes at absolute deadlines, one per servo period, and takes
+// the machine through the period that has just passed. A client of arm.h, in a library of its own:
+// one serves the machines of every scene.
+//
+// It shares no lock with anybody. Commands come through a sequence-checked cell in which the newest
+// wins; states go out through a ring with one writer and one reader. A deadline that was missed by
+// whole periods is not made up for: those periods are lost to logical time and counted, since a
+// burst of periods that no controller could answer would be a motion that no machine makes.
+#include "real_time.h"
+
+#include <pthread.h>
+#include <sched.h>
+#include <sys/eventfd.h>
+#include <sys/mman.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <bit>
+#include <cstring>
+#include <thread>
+#include <vector>
+
+namespace {
+
+// A command that one thread writes and another reads whole, or not at all (sequence lock). The
+// reader never waits for the writer: it keeps what it had.
+class Cell {
+ public:
+  explicit Cell(int joints) : modes(joints), values(joints) {}
+
+  void write(const arm_command& command) {
+    const std::uint32_t s = sequence.load(std::memory_order_relaxed);
+    sequence.store(s + 1, std::memory_order_relaxed);
+    std::atomic_thread_fence(std::memory_order_release);
+    tick.store(command.tick, std::memory_order_relaxed);
+    for (std::size_t j = 0; j < values.size(); ++j) {
+      const arm_joint_command& joint = command.joint[j];
+      modes[j].store(static_cast<std::uint64_t>(joint.enable != 0) << 32 |
+                         static_cast<std::uint32_t>(joint.mode),
+                     std::memory_order_relaxed);
+      values[j].store(joint.value, std::memory_order_relaxed);
+    }
+    sequence.store(s + 2, std::memory_order_release);
+  }
+
+  // Leaves `command` alone if a write is under way. `scratch` has room for as many joints.
+  void read(arm_command& command, std::vector<arm_joint_command>& joints,
+            std::vector<arm_joint_command>& scratch) const {
+    const std::uint32_t s = sequence.load(std::memory_order_acquire);
+    const std::int64_t answers = tick.load(std::memory_order_relaxed);
+    for (std::size_t j = 0; j < values.size(); ++j) {
+      const std::uint64_t mode = modes[j].load(std::memory_order_relaxed);
+      scratch[j] = {static_cast<std::int32_t>(mode & 0xffffffff),
+                    static_cast<std::uint32_t>(mode >> 32),
+                    values[j].load(std::memory_order_relaxed)};
+    }
+    std::atomic_thread_fence(std::memory_order_acquire);
+    if (s % 2 == 1 || sequence.load(std::memory_order_relaxed) != s) return;
+    command.tick = answers;
+    joints = scratch;  // of equal length: nothing is allocated
+  }
+
+ private:
+  std::atomic<std::uint32_t> sequence = 0;
+  std::atomic<std::int64_t> tick = -1;
+  std::vector<std::atomic<std::uint64_t>> modes;  // enable, mode
+  std::vector<std::atomic<double>> values;
+};
+
+// Snapshots that one thread writes and another takes.
+class Ring {
+ public:
+  explicit Ring(std::int64_t snapshot) : size(snapshot), bytes(kSnapshots * snapshot) {}
+
+  // Where the next snapshot goes, null if nobody has taken the oldest one.
+  char* free() {
+    const std::int64_t w = written.load(std::memory_order_relaxed);
+    return w - taken.load(std::memory_order_acquire) == kSnapshots
+               ? nullptr
+               : &bytes[static_cast<std::size_t>(w % kSnapshots * size)];
+  }
+  void publish() { written.fetch_add(1, std::memory_order_release); }
+
+  bool take(void* out) {
+    const std::int64_t t = taken.load(std::memory_order_relaxed);
+    if (t == written.load(std::memory_order_acquire)) return false;
+    std::memcpy(out, &bytes[static_cast<std::size_t>(t % kSnapshots * size)],
+                static_cast<std::size_t>(size));
+    taken.store(t + 1, std::memory_order_release);
+    return true;
+  }
+
+ private:
+  static constexpr int kSnapshots = 16384;  // 16 s at 1 kHz: a busy machine may let us wait
+
+  const std::int64_t size;
+  std::vector<char> bytes;
+  alignas(64) std::atomic<std::int64_t> written = 0;
+  alignas(64) std::atomic<std::int64_t> taken = 0;
+};
+
+// How late the thread woke up.
+class Lateness {
+ public:
+  void note(std::int64_t lateness) {
+    if (lateness > worst.load(std::memory_order_relaxed)) worst.store(lateness);
+    const std::int64_t bin = lateness / 1000;
+    bins[bin < kBins ? bin : kBins - 1].fetch_add(1, std::memory_order_relaxed);
+  }
+  void clear() {
+    worst.store(0);
+    for (auto& bin : bins) bin.store(0);
+  }
+  std::int64_t largest() const { return worst.load(); }
+
+  // What the share `part` of the wake-ups stayed below [ns], by the microsecond.
+  std::int64_t quantile(double part) const {
+    std::int64_t total = 0, below = 0;
+    for (const auto& bin : bins) total += bin.load(std::memory_order_relaxed);
+    for (int bin = 0; bin < kBins; ++bin) {
+      below += bins[bin].load(std::memory_order_relaxed);
+      if (static_cast<double>(below) >= part * static_cast<double>(total))
+        return (bin + 1) * 1000LL;
+    }
+    return kBins * 1000LL;
+  }
+
+ private:
+  static constexpr int kBins = 4096;  // by the microsecond, the last bin is "more"
+  std::atomic<std::int64_t> worst = 0;
+  std::atomic<std::uint32_t> bins[kBins] = {};
+};
+
+std::int64_t now() {
+  timespec t;
+  clock_gettime(CLOCK_MONOTONIC, &t);
+  return t.tv_sec * 1'000'000'000LL + t.tv_nsec;
+}
+
+void sleep_until(std::int64_t when) {
+  const timespec t = {when / 1'000'000'000LL, when % 1'000'000'000LL};
+  while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, nullptr) != 0) {
+  }
+}
+
+}  // namespace
+
+struct arm_real_time {
+  static constexpr std::int64_t kOldAfter = 2;  // servo periods
+
+  explicit arm_real_time(const arm_real_time_options& options)
+      : arm(options),
+        bell(eventfd(0, EFD_NONBLOCK)),
+        cell(options.joints),
+        ring(arm_real_time_snapshot_size(options.joints)) {}
+
+  ~arm_real_time() {
+    stop();
+    close(bell);
+  }
+
+  void start(std::int64_t at) {
+    stop();
+    tick.store(at);
+    stopping.store(false);
+    thread = std::jthread([this] { run(); });
+  }
+
+  void stop() {
+    stopping.store(true);
+    if (!thread.joinable()) return;
+    thread.join();
+    arm.join_schedule(arm.machine);
+  }
+
+  void run() {
+    become_real_time();
+    const auto joints = static_cast<std::size_t>(arm.joints);
+    std::vector<arm_joint_command> wanted(joints), scratch(joints);
+    std::vector<arm_joint_measurement> measured(joints);
+    arm_command command = {sizeof command, 0, -1, wanted.data()};
+    arm_measurement measurement = {sizeof measurement, 0, 0, -1, measured.data()};
+    std::int64_t due = now();
+    while (!stopping.load(std::memory_order_relaxed)) {
+      due += arm.period;
+      sleep_until(due);
+      const std::int64_t lateness = now() - due;
+      late.note(lateness);
+      if (lateness >= arm.period) {
+        const std::int64_t lost = lateness / arm.period;
+        lost_periods.fetch_add(lost);
+        due += lost * arm.period;
+      }
+      cell.read(command, wanted, scratch);
+      const std::int64_t k = tick.load(std::memory_order_relaxed);
+      if (command.tick >= 0 && k - command.tick > kOldAfter) old_commands.fetch_add(1);
+      arm.power(arm.machine, powered.load());
+      const std::int64_t began = now();
+      int result = arm.exchange(arm.machine, &command, &measurement);
+      if (result == ARM_REFUSED) {  // a command that the machine does not know: no voltage
+        for (arm_joint_command& joint : wanted) joint.enable = 0;
+        command.tick = -1;
+        result = arm.exchange(arm.machine, &command, &measurement);
+      }
+      const bool sound = result == ARM_OK;
+      const std::int64_t spent = now() - began;
+      if (sound) tick.store(k + 1);
+      tell({sound ? k + 1 : k, command.tick, lateness, spent, -1, 0.0}, measured);
+      if (!sound) return;
+    }
+  }
+
+  void tell(arm_snapshot snapshot, const std::vector<arm_joint_measurement>& measured) {
+    char* const out = ring.free();
+    if (!out) {
+      unread.fetch_add(1);
+      return;
+    }
+    const int N = arm.joints;
+    double* const rows = reinterpret_cast<double*>(out + sizeof snapshot);
+    arm_truth truth = {sizeof truth, -1,           0.0,          0.0,          rows,
+                       rows + N,     rows + 2 * N, rows + 3 * N, rows + 4 * N, rows + 5 * N};
+    arm.get_truth(arm.machine, &truth);
+    auto* const counts = reinterpret_cast<std::int64_t*>(rows + 7 * N);
+    for (int j = 0; j < N; ++j) {
+      rows[6 * N + j] = measured[static_cast<std::size_t>(j)].voltage;
+      counts[j] = measured[static_cast<std::size_t>(j)].encoder;
+    }
+    snapshot.fault = truth.fault;
+    snapshot.energy = truth.energy;
+    std::memcpy(out, &snapshot, sizeof snapshot);
+    ring.publish();
+    const std::uint64_t one = 1;
+    [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
+  }
+
+  // As far as the system permits; the figures tell.
+  void become_real_time() {
+    sched_param priority = {};
+    priority.sched_priority = 50;
+    const bool permitted = pthread_setschedparam(pthread_self(), SCHED_FIFO, &priority) == 0;
+    fifo.store(arm.join_schedule(arm.machine) && permitted);
+#ifdef MCL_ONFAULT
+    locked.store(mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0);
+#endif
+    if (arm.core < 0) return;
+    cpu_set_t cores;
+    CPU_ZERO(&cores);
+    CPU_SET(static_cast<unsigned>(arm.core), &cores);
+    pthread_setaffinity_np(pthread_self(), sizeof cores, &cores);
+  }
+
+  const arm_real_time_options arm;
+  const int bell;
+  Cell cell;
+  Ring ring;
+  Lateness late;
+  std::atomic<bool> powered = true, stopping = false;
+  std::atomic<std::int64_t> tick = 0, lost_periods = 0, old_commands = 0, unread = 0;
+  std::atomic<std::int64_t> fifo = 0, locked = 0;
+  std::jthread thread;  // last: it uses all of the above
+};
+
+#pragma GCC visibility push(default)
+
+arm_real_time* arm_real_time_new(const arm_real_time_options* options) {
+  const bool sound = options && options->size >= sizeof *options && options->joints > 0 &&
+                     options->machine && options->period > 0 && options->core >= -1;
+  return sound ? new arm_real_time(*options) : nullptr;
+}
+void arm_real_time_delete(arm_real_time* loop) { delete loop; }
+void arm_real_time_start(arm_real_time* loop, std::int64_t tick) { loop->start(tick); }
+void arm_real_time_stop(arm_real_time* loop) { loop->stop(); }
+void arm_real_time_command(arm_real_time* loop, const arm_command* command) {
+  loop->cell.write(*command);
+}
+void arm_real_time_power(arm_real_time* loop, int on) { loop->powered.store(on != 0); }
+int arm_real_time_take(arm_real_time* loop, void* out) { return loop->ring.take(out); }
+std::int64_t arm_real_time_snapshot_size(std::int32_t joints) {
+  return static_cast<std::int64_t>(sizeof(arm_snapshot)) + 8LL * 8LL * joints;
+}
+int arm_real_time_descriptor(const arm_real_time* loop) { return loop->bell; }
+void arm_real_time_get_figures(const arm_real_time* loop, arm_real_time_figures* out) {
+  *out = {loop->tick.load(),    loop->lost_periods.load(), loop->old_commands.load(),
+          loop->late.largest(), loop->late.quantile(0.5),  loop->late.quantile(0.99),
+          loop->unread.load(),  loop->fifo.load(),         loop->locked.load()};
+}
+void arm_real_time_clear_figures(arm_real_time* loop) {
+  loop->lost_periods.store(0);
+  loop->old_commands.store(0);
+  loop->unread.store(0);
+  loop->late.clear();
+}
+
+#pragma GCC visibility pop

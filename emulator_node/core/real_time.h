@@ -1,0 +1,75 @@
+/* Real time for a machine behind arm.h: a thread that wakes at absolute deadlines, one per servo
+ * period, and exchanges the newest command for a measurement. C99. */
+#ifndef ARM_REAL_TIME_H
+#define ARM_REAL_TIME_H
+
+#include "arm.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct arm_real_time arm_real_time;
+
+/* The machine, and the functions of its library. The machine must outlive the loop. */
+typedef struct arm_real_time_options {
+  uint32_t size;
+  int32_t joints;
+  arm_machine* machine;
+  int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
+  int (*get_truth)(const arm_machine*, arm_truth*);
+  void (*power)(arm_machine*, int);
+  int (*join_schedule)(arm_machine*);
+  int64_t period; /* ns */
+  int32_t core;   /* processor core of the thread; -1: any */
+  int32_t reserved;
+} arm_real_time_options;
+
+/* What a period leaves behind: the machine at the tick that ends it. In memory this is followed by
+ * eight arrays, each with an entry per joint: current, motor angle, motor speed, q, v, gear torque,
+ * voltage (double), encoder counts (int64_t). */
+typedef struct arm_snapshot {
+  int64_t tick;
+  int64_t answered; /* tick that the command of the period answered; -1: none yet */
+  int64_t lateness; /* ns, of the wake-up that computed it */
+  int64_t spent;    /* ns, on the exchange */
+  int64_t fault;    /* joint that diverged; -1: none */
+  double energy;    /* J */
+} arm_snapshot;
+
+/* Since `arm_real_time_clear_figures`; times in ns. */
+typedef struct arm_real_time_figures {
+  int64_t tick;
+  int64_t lost_periods; /* deadlines missed by whole periods, which logical time has lost */
+  int64_t old_commands; /* periods under a command that answers a tick more than two periods old */
+  int64_t worst_lateness, median_lateness, p99_lateness;
+  int64_t unread; /* snapshots that nobody took in time */
+  int64_t fifo;   /* 1: the threads run under SCHED_FIFO */
+  int64_t locked; /* 1: memory is locked */
+} arm_real_time_figures;
+
+/* Return a loop that does not run yet, or null if the options make no sense. */
+arm_real_time* arm_real_time_new(const arm_real_time_options* options);
+void arm_real_time_delete(arm_real_time* loop);
+/* Run from `tick` on, the machine being there, until stopped or diverged. While it runs nobody else
+ * may use the machine. */
+void arm_real_time_start(arm_real_time* loop, int64_t tick);
+/* Stop within a period. */
+void arm_real_time_stop(arm_real_time* loop);
+/* The newest command wins. It may be given and replaced at any time, by one thread. */
+void arm_real_time_command(arm_real_time* loop, const arm_command* command);
+void arm_real_time_power(arm_real_time* loop, int on);
+/* Copy the oldest snapshot that was not taken yet; 0 if there is none. */
+int arm_real_time_take(arm_real_time* loop, void* out);
+/* Bytes of a snapshot with its arrays. */
+int64_t arm_real_time_snapshot_size(int32_t joints);
+/* A descriptor that is readable when there is a snapshot. */
+int arm_real_time_descriptor(const arm_real_time* loop);
+void arm_real_time_get_figures(const arm_real_time* loop, arm_real_time_figures* out);
+void arm_real_time_clear_figures(arm_real_time* loop);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
