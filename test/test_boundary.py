@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_emulator.refusal import Refusal
 from fuzz.cores import random_machine
 
-from arm_emulator.refusal import Refusal
 from emulator_node.compiler import CORE, compile_ahead
 from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene, load_scene
