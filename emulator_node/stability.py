@@ -104,7 +104,9 @@ class SmallMotions:
         if scheme == "rosenbrock":
             k2 = np.linalg.solve(W, self.J @ (one + dt * k1) - 2.0 * k1)
             return one + dt * (1.5 * k1 + 0.5 * k2)
-        # extrapolated: d is what J - A has changed since the last step.
+        if scheme != "extrapolated":
+            raise AssertionError(f"no matrix of scheme {scheme}")
+        # d is what J - A has changed since the last step.
         d = np.linalg.solve(W, self.J - self.A)
         k2 = math.sqrt(2.0) * np.linalg.solve(W, k1) + d
         return np.block(

@@ -1,4 +1,4 @@
-"""What README.md and docs/ say agrees with the code."""
+"""What README.md, CONTRIBUTING.md and docs/ say agrees with the code."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FOLDERS = (
+    "arm_emulator|bench|config|docs|emulator_node|motion_controller_node|msg|ros_shell|servo_node|"
+    "test|words"
+)
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def python_blocks() -> list[Any]:
@@ -57,9 +61,7 @@ def test_links_lead_somewhere(document: Path) -> None:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_files_named_in_text_exist(document: Path) -> None:
-    for path in re.findall(
-        r"`((?:config|docs|msg|emulator_node|test|bench)/[^`* ]*)`", document.read_text()
-    ):
+    for path in re.findall(rf"`((?:{FOLDERS})/[^`* ]*)`", document.read_text()):
         if "my_arm" not in path:
             assert (ROOT / path).exists(), path
 
