@@ -38,8 +38,8 @@ class Bringup:
         clock: "lockstep" or "realtime".
         start: see the emulator's parameter.
         emulator: more parameters of the emulator, by name.
-        log: folder for one log file per node; None: their words go to this process's terminal.
-        only: names of the nodes to start, for who brings his own.
+        log: folder for one log file per node; None: their output goes to this process's terminal.
+        only: names of the nodes to start, for users with nodes of their own.
         namespace: of all nodes and topics, such as "/cell1".
         use_sim_time: whether the nodes' own clocks follow the emulator's.
         params_file: a ROS parameter file for all nodes; it rules over all of the above.
@@ -158,7 +158,7 @@ def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | No
             raise Refusal("arm_emulator", "the namespace", rule, namespace, "cell1, /line2/cell1")
         arguments += ["-r", f"__ns:={full}"]
     if use_sim_time:
-        # Followers of time listen to /clock; the emulator tells it within its namespace.
+        # Nodes on simulated time listen to /clock; the emulator publishes it in its namespace.
         arguments += ["-p", "use_sim_time:=true", "-r", "/clock:=clock"]
     if params_file is not None:
         if not params_file.is_file():

@@ -1,4 +1,4 @@
-"""`arm_emulator cache`: what is kept of compiled scenes, and away with it."""
+"""`arm_emulator cache`: list the compiled scenes that are kept, or remove them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`arm_emulator check`: drive the machine again as a bag tells, and compare every bit.
+"""`arm_emulator check`: drive the machine again with a bag's voltages and compare all bits.
 
 A run depends on nothing but the voltages of each servo period, and every motor state tells those
 of the period before it. So the machine, driven by these voltages, must come to the recorded states;
@@ -58,7 +58,7 @@ class Tally:
         truths: messages on `emulator/joint_states`.
         commands: ticks whose voltages are those of a recorded command.
         refused: commands that no machine would have taken.
-        lost: motor states that the bag misses; commands led past them.
+        lost: motor states missing in the bag; the run was continued with commands.
         free: ticks at 0 V before the first command of a run.
         skipped: motor states of runs whose beginning is not in the bag.
     """
@@ -74,11 +74,11 @@ class Tally:
 
 
 def check(path: Path, scene_name: str | None) -> int:
-    """Compare and say the outcome; the exit code is 0 if all is equal, 1 if not.
+    """Compare and print the outcome; the exit code is 0 if all is equal, 1 if not.
 
     Args:
         path: the bag.
-        scene_name: scene file or name; None: the one that the bag tells of.
+        scene_name: scene file or name; None: the one that the bag names.
 
     Raises:
         Refusal: a bad bag, one that cannot be checked, or no scene.
@@ -149,7 +149,7 @@ class _Checker:
             return
         tick, known = int(command.tick), self._commands.get(self._session.tick)
         if tick == self._session.tick + 1 and known and self._lockstep:
-            self.tally.lost += 1  # it answers a state that the bag misses
+            self.tally.lost += 1  # it answers a state that is missing in the bag
             self._advance(known[-1] if self._session.powered else np.zeros_like(voltage))
         elif tick > self._session.tick:
             self.tally.refused += 1
@@ -164,7 +164,7 @@ class _Checker:
             self._inside = True
             self.tally.runs += 1
         elif not self._inside or tick < session.tick:
-            # A reset whose first state is not in the bag, or the bag begins within a run.
+            # A reset whose first state is not in the bag, or a bag that begins within a run.
             self._inside = False
             self.tally.skipped += 1
             return

@@ -1,6 +1,6 @@
 """`arm_emulator demo`: the paper's experiment with three real processes.
 
-The motion controller, the servo and the emulated machine bring the tool some millimetres aside;
+The motion controller, the servo and the emulated machine displace the tool by some millimetres;
 the deviation per instruction is the paper's Fig. 4.
 """
 
@@ -51,7 +51,7 @@ PATIENCE = 120.0  # s, wall: for what the nodes do within a second or two on an 
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What came of it."""
+    """The outcome of the experiment."""
 
     deviations: Array  # m (K + 1, 3): target minus tool before instruction 0 .. K
     rotations: Array  # rad (K + 1,): angle between tool and target
@@ -60,7 +60,7 @@ class DemoResult:
 
 
 def demo(scene_name: str, clock: str, out: Path) -> int:
-    """Run the experiment, leave its pictures in `out`, and say how it went."""
+    """Run the experiment, write its pictures to `out`, and print the outcome."""
     console = Console()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     file = find_scene(scene_name)
@@ -68,7 +68,7 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
     check_fit(scene, gains.servo, gains.motion)
     plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
     out.mkdir(parents=True, exist_ok=True)
-    # A domain of its own, so that a network that runs already is left alone.
+    # A domain of its own, so that a network that is already running is not disturbed.
     with own_domain(unless_named=True) as domain:
         title = f"{scene.name}, {clock}, ROS_DOMAIN_ID {domain}"
         console.print(f"[bold]arm_emulator demo[/bold]: {title}")

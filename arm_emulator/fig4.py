@@ -1,4 +1,4 @@
-"""The paper's Fig. 4: how the tool nears its target with every instruction."""
+"""The paper's Fig. 4: the distance of the tool from its target over the instructions."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _draw_magnitude(axes: Axes, d: NDArray[np.float64], limit: NDArray[np.float6
     from matplotlib.ticker import MaxNLocator
 
     axes.set_yscale("log")
-    # What is nothing beside the prediction, or beside a nanometre, must not stretch the scale.
+    # Values far below the prediction, or below a nanometre, must not stretch the scale.
     nothing = max(1e-3 * limit.max(), 1e-6)
     magnitude = np.where(np.abs(d) < nothing, np.nan, np.abs(d))
     for colour, marker, values, most in zip(COLOURS, MARKERS, magnitude.T, limit, strict=True):

@@ -61,13 +61,13 @@ class OfflineRun:
         self.instructor = Instructor()
         self.motion_ticks = round(motion.period / servo.period)
         self._servo_names = list(servo.joint_names)
-        # Places of one's joints in the other's arrays; an empty slice where the order is the same.
+        # Indices of one side's joints in the other's arrays; a slice where the order is the same.
         self._to_servo = _places("servo", scene.joint_names, servo.joint_names)
         self._to_motion = _places("joint_states", servo.joint_names, self.controller.joint_names)
         self._from_motion = _places("joint_targets", self.controller.joint_names, servo.joint_names)
 
     def advance(self, ticks: int) -> None:
-        """Go on by so many servo periods.
+        """Advance by so many servo periods.
 
         Raises:
             Refusal: no such count.
@@ -110,7 +110,7 @@ def load_offline_run(scene_name: str) -> OfflineRun:
 
 
 def run(scene_name: str, seconds: float, displacement: list[float] | None) -> int:
-    """Run for some logical time, the tool brought aside from the start on, and say how it went.
+    """Run for some logical time with the tool displaced, and print the outcome.
 
     Args:
         scene_name: scene file or name.

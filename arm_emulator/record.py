@@ -1,4 +1,4 @@
-"""`arm_emulator record`: all that is said on the network, or on some topics, into a bag."""
+"""`arm_emulator record`: write all topics of the network, or some, into a bag."""
 
 from __future__ import annotations
 
@@ -28,32 +28,32 @@ from words.refusal import Refusal
 
 LOOK_PERIOD = 0.1  # s, wall: how often new topics are looked for
 FLUSH_PERIOD = 0.5  # s, wall: what a crash loses at most
-ENDING = 5.0  # s, wall: what the middleware is given to end
-TELL_PERIOD = 0.05  # s, wall: how often emulators hear how far this recorder has come
+ENDING = 5.0  # s, wall: time that the middleware has to end
+TELL_PERIOD = 0.05  # s, wall: how often progress is reported to the emulators
 DEPTH = 10_000  # messages: some seconds of every topic, should the disk be busy
 
 
 class _Ended(Exception):
-    """The recorder was told to end."""
+    """A signal has asked the recorder to end."""
 
 
 def record(
     out: Path, topics: Collection[str] | None, from_start: bool, presence: RecorderPresence
 ) -> int:
-    """Record until Ctrl-C and say in one line what there is; exit code 1 if something is missing.
+    """Record until Ctrl-C and print a summary line; exit code 1 if something is missing.
 
     Args:
         out: folder of the new bag.
         topics: names, with or without the leading ``/``; None: all.
         from_start: reset a machine that runs already, so that the bag has the run from tick 0 on.
-        presence: what tells emulators on this machine of this recorder.
+        presence: announces this recorder to emulators on this machine.
 
     Raises:
         Refusal: the folder exists, or the disk takes no more.
     """
     told = threading.Event()  # to end
-    # Not rclpy's handlers: after them nothing can be said, and emulators wait for a recorder that
-    # has not said good-bye. A signal breaks nothing off: it is noticed between two messages.
+    # Not rclpy's handlers: they end publishing, and emulators wait for a recorder until it reports
+    # that it ends. A signal interrupts nothing here: it is noticed between two messages.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: told.set())
     node: _Recorder | None = None
@@ -122,7 +122,7 @@ class _Recorder(Node):
         return ", ".join(f"{what} of {name}" for name, what in sorted(missing.items()))
 
     def leave(self) -> None:
-        """Tell the emulators that nobody needs to wait for this recorder any more."""
+        """Report to the emulators that they need not wait for this recorder any more."""
         for run in self._runs:
             run.leave()
 

@@ -1,4 +1,4 @@
-"""What a recorder knows of its own completeness: numbers of messages, ticks of motor states."""
+"""How complete a recording is, by the numbers of messages and the ticks of motor states."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from arm_emulator_msgs.msg import MotorState, RecorderReport
 from ros_shell.recorder_presence import STATES
 
-REPORT_EVERY = 20  # motor states; an emulator in lock-step runs at most some times that ahead
+REPORT_EVERY = 20  # motor states; an emulator in lock-step is at most a few times that many ahead
 GOOD_BYE = Duration(seconds=0.5)  # wall: for it to arrive
 SETTLED = 2.0  # s, wall: after which all publishers of what has come are known
 MOST_CHAINS = 100  # of numbers that do not follow each other: publishers and fresh gaps
@@ -37,12 +37,12 @@ class _Chain:
 class Numbered:
     """Counts what is lost on one topic, by the numbers that publishers give to their messages.
 
-    Which publisher a number comes from is not told, so each message continues a chain of numbers.
-    There are as many chains as publishers, and one more for each gap. How many publishers there are
-    may be known a moment later than their first messages come.
+    A number does not say which publisher it comes from, so each message continues a chain of
+    numbers. There are as many chains as publishers, and one more for each gap. How many publishers
+    there are may be known a moment after their first messages.
 
     Args:
-        publishers: tells how many there are.
+        publishers: returns how many there are.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:
@@ -55,7 +55,7 @@ class Numbered:
 
     @property
     def newest(self) -> int:
-        """Number of the newest message of the publisher that has said most, 0 without any."""
+        """Number of the newest message of the publisher with the most messages, 0 without any."""
         return max((chain.last for chain in self._chains), default=0)
 
     @property
@@ -65,7 +65,7 @@ class Numbered:
         return max(self._gaps + self._join(self._chains), self._told_lost)
 
     def on_lost(self, event: Any) -> None:
-        """Take the middleware's word for what it lost."""
+        """Count messages that the middleware reports as lost."""
         self._told_lost = int(event.total_count)
 
     def take(self, number: int | None) -> None:
@@ -110,7 +110,7 @@ class Numbered:
 
 
 class RecordedRuns:
-    """Follows one emulator's ticks, and tells it how far they are written.
+    """Follows one emulator's ticks, and reports to it how far they are written.
 
     Args:
         node: of the recorder.
@@ -158,7 +158,7 @@ class RecordedRuns:
             self.report()
 
     def report(self) -> None:
-        """Tell the emulator what is written, and that somebody is here to write."""
+        """Report to the emulator what is written, and thereby that this recorder is there."""
         written = self._numbered.newest
         if self._reset is not None and self._tick > 0:
             self._ask_for_reset(self._reset)
@@ -170,7 +170,7 @@ class RecordedRuns:
         self._reports.publish(self._message)
 
     def leave(self) -> None:
-        """Tell the emulator not to wait any more."""
+        """Report to the emulator that it need not wait any more."""
         self._message.leaving = True
         self._reports.publish(self._message)
         self._reports.wait_for_all_acked(GOOD_BYE)

@@ -1,4 +1,4 @@
-"""`arm_emulator replay`: say what a bag holds once more, at the recorded times."""
+"""`arm_emulator replay`: publish what a bag holds again, at the recorded times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ros_shell.message_types import message_class
 from words.refusal import Refusal
 
 DEPTH = (
-    1000  # messages kept for a listener that is slow; discovery does not tell the recorded depth
+    1000  # messages kept for a listener that is slow; discovery does not report the recorded depth
 )
 ACKNOWLEDGE = Duration(seconds=5)  # patience with listeners at the end
 NAP = 0.05  # s, wall: Ctrl-C and new listeners are noticed this often

@@ -211,7 +211,7 @@ def read_chain(
 
 
 def _check_kind(joint: _UrdfJoint, locked: Mapping[str, float], where: str) -> None:
-    """Refuse a joint that an arm cannot move, and tell how it can be held."""
+    """Refuse a joint that an arm cannot move, with a hint at how it can be locked."""
     if joint.kind not in FREE_KINDS:
         return
     held = "locked: {" + joint.name + ": 0.0}"
@@ -366,7 +366,7 @@ def check_inertia(inertia: Array, what: str, where: str) -> None:
 def _frames(
     origins: list[ET.Element | None], whats: list[str], name: str, where: str
 ) -> list[Frame]:
-    """Return the frames that elements <origin> say."""
+    """Return the frames of elements <origin>."""
     rows, no_turn = [], (0.0,) * 6
     for origin, what in zip(origins, whats, strict=True):
         if origin is None:
@@ -378,7 +378,7 @@ def _frames(
             x, y, z, roll, pitch, yaw = map(float, words)
         except ValueError:
             words = []
-        if len(words) != 6 or len(xyz.split()) != 3:  # say which
+        if len(words) != 6 or len(xyz.split()) != 3:  # name the one at fault
             _numbers(xyz, 3, f"{what}: {name} xyz", where)
             _numbers(rpy, 3, f"{what}: {name} rpy", where)
         rows.append((x, y, z, roll, pitch, yaw))

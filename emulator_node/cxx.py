@@ -1,4 +1,4 @@
-"""The C++ compiler of this machine: how it is found, and run so that nothing it does surprises."""
+"""The C++ compiler of this machine: how it is found, and run with bounds on time and output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from words.refusal import Refusal
 
 LONGEST_RUN = 900.0  # s; the largest scenes take a minute, on a busy machine some more
-MOST_WORDS = 65536  # bytes of what a compiler says that are kept
+MOST_WORDS = 65536  # bytes of a compiler's output that are kept
 
 
 def find_compiler() -> list[str]:
@@ -85,12 +85,12 @@ def run_compiler(command: list[str], folder: Path, where: str) -> None:
         end = f"exit code {process.returncode}"
     text = words.decode(errors="replace").replace(f"{folder}/", "")
     lines = [line for line in text.splitlines() if line.strip()]
-    telling = [line for line in lines if "error" in line.lower()] or lines
-    raise _failure(where, command, ": ".join([end, *telling[:1]]))
+    reasons = [line for line in lines if "error" in line.lower()] or lines
+    raise _failure(where, command, ": ".join([end, *reasons[:1]]))
 
 
 def _listen(process: subprocess.Popen[bytes]) -> bytes:
-    """Return the beginning of what a process says until it ends, whoever else holds its pipe."""
+    """Return the beginning of a process's output until it ends, whoever else holds its pipe."""
     assert process.stdout is not None
     pipe = process.stdout.fileno()
     deadline = time.monotonic() + LONGEST_RUN

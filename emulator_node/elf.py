@@ -1,4 +1,4 @@
-"""Shared libraries in ELF: what can be said of one without loading it."""
+"""Shared libraries in ELF: whether a file is one, found without loading it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UNDEFINED = 0
 def why_no_library(content: bytes, functions: Iterable[str]) -> str:
     """Return why some bytes are no shared library for this machine with these functions, or "".
 
-    What is cut short is found out, for the table of sections stands at the end.
+    A truncated file is detected, since the table of sections is at its end.
     """
     if not content:
         return "it is empty"

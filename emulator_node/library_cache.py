@@ -1,8 +1,8 @@
 """Where the compiled cores of scenes are kept: found, stored, bounded.
 
-A library is the compiler's output and, behind it, a digest of it and of the file's name: what was
-cut short, changed or put under a wrong name is found out before anything of it runs. The digest is
-no signature; that nobody else wrote the file is told by its owner and its folder (`trusted`).
+A library is the compiler's output and, behind it, a digest of it and of the file's name: a file
+that was truncated, changed or renamed is detected before anything of it runs. The digest is
+no signature; that nobody else wrote the file follows from its owner and its folder (`trusted`).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ LEFT_OVER = re.compile(r"(?P<library>[\w-]+-[0-9a-f]{20})\.(lock|building-\w+)",
 
 
 class Damaged(Exception):
-    """A library is not what was stored; the text says how."""
+    """A library is not what was stored; the text gives the difference."""
 
 
 # Folders
@@ -69,7 +69,7 @@ def named_folders() -> list[Path]:
 
 
 def cache_folders() -> list[Path]:
-    """Return the folders that are there and ours; others' are passed over with a line each."""
+    """Return the folders that are there and ours; others' are skipped with a line each."""
     folders = []
     for folder in named_folders():
         with contextlib.suppress(OSError):  # it is not there, or out of our reach
@@ -126,7 +126,7 @@ def _say_passed_over(folder: Path, reason: Untrusted) -> None:
 
 @cache
 def say_once(line: str) -> None:
-    """Say a line on stderr, once in a process."""
+    """Print a line on stderr, once per process."""
     print(line, file=sys.stderr, flush=True)
 
 
@@ -171,7 +171,7 @@ def check(file: Path) -> None:
 
 @contextlib.contextmanager
 def scratch_of(library: Path) -> Iterator[Path]:
-    """Give a new folder beside a library, whose lock is held, and take it away in the end."""
+    """Yield a new folder beside a library, whose lock is held, and remove it at the end."""
     _clear_left_over(library)
     with tempfile.TemporaryDirectory(
         prefix=f"{library.stem}.building-", dir=library.parent, ignore_cleanup_errors=True

@@ -58,11 +58,11 @@ from words.refusal import Refusal
 if TYPE_CHECKING:
     from emulator_node.run_record import RunRecord
 
-AT_ONCE = 10  # ticks in real time that are taken, and messages published, in one go
-UNPUBLISHED = 1000  # messages in real time that may wait: who controls needs the newest ones
+AT_ONCE = 10  # ticks in real time that are taken, and messages that are published, at a time
+UNPUBLISHED = 1000  # messages in real time that may wait: a controller needs the newest ones
 STATUS_PERIOD = 0.5  # s, wall
 REPEAT_AFTER = (
-    0.2  # s, wall: a state that nobody answers is said again, for partners that come late
+    0.2  # s, wall: a state without an answer is published again, for partners that come late
 )
 
 
@@ -90,7 +90,7 @@ class EmulatorParameters:
         minimum=0.0,
         maximum=10.0,
     )
-    record: str = parameter("", "folder of a new bag for what the emulator says, none if empty")
+    record: str = parameter("", "new bag of what the emulator publishes and takes, none if empty")
     rerun_file: str = parameter("", "Rerun recording to write, none if empty")
     rerun_port: int = parameter(
         0, "local port where a Rerun viewer may connect, 0 for none", minimum=0, maximum=65535
@@ -116,8 +116,8 @@ class EmulatorNode(Node):
             if self._config.clock == "realtime"
             else Session(scene, self._config.clock, self._config.start)
         )
-        # Between the executor, which serves topics and services, and the thread that tells the
-        # ticks of a real-time session.
+        # Between the executor, which serves topics and services, and the thread that publishes
+        # the ticks of a real-time session.
         self._lock = threading.RLock()
         robots = example_robot_data()
         self._stream = RerunStream(
@@ -148,9 +148,9 @@ class EmulatorNode(Node):
             RecorderReport, "emulator/recorders", self._on_recorder, COMMAND_SUB_QOS
         )
         self._record: RunRecord | None = None
-        self._unpublished: deque[tuple[Publisher, bytes]] = deque()  # of the teller
+        self._unpublished: deque[tuple[Publisher, bytes]] = deque()  # of the publishing thread
         self._teller: threading.Thread | None = None
-        self._too_late = 0  # messages of the teller that gave way to newer ones
+        self._too_late = 0  # messages that the publishing thread dropped for newer ones
         if self._config.record:
             self._begin_record(Path(self._config.record))
         self._publish(self._descriptions, String(data=scene.urdf))
@@ -159,9 +159,9 @@ class EmulatorNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/power", self._on_power)
 
-        self._told_at = time.monotonic()  # when this tick's state was first told
-        self._repeated_at = self._told_at
-        self._reported: Diverged | EndOfTime | None = None  # the fault that was told last
+        self._published_at = time.monotonic()  # when this tick's state was first published
+        self._repeated_at = self._published_at
+        self._reported: Diverged | EndOfTime | None = None  # the fault that was published last
         self._status_mark = (time.monotonic_ns(), 0, 0)
         wall_timer(self, REPEAT_AFTER, self._on_repeat)
         wall_timer(self, STATUS_PERIOD, self._on_status)
@@ -250,7 +250,7 @@ class EmulatorNode(Node):
                 self._go_on()
 
     def _tell_ticks(self, session: RealTimeSession) -> None:
-        """Tell the ticks of real time as they come, in a thread of its own."""
+        """Publish the ticks of real time as they come, in a thread of its own."""
         while not self._closing and rclpy.ok():
             if session.wait(timeout=0.1):
                 try:
@@ -289,10 +289,10 @@ class EmulatorNode(Node):
             self._diagnostics.error(str(fault))
             self.get_logger().error(str(fault))
 
-    # Telling
+    # Publishing
 
     def _begin_record(self, folder: Path) -> None:
-        # Not without need: a stock ROS 2 machine may have no package for bags.
+        # Imported only when needed: a stock ROS 2 machine may have no package for bags.
         from emulator_node.run_record import RunRecord
         from ros_shell.bag import Topic
         from ros_shell.message_types import definition_of
@@ -333,8 +333,8 @@ class EmulatorNode(Node):
         self._unpublished.append((publisher, data))
 
     def _tell(self) -> None:
-        """Tell the world this tick's state."""
-        self._told_at = self._repeated_at = time.monotonic()
+        """Publish this tick's state."""
+        self._published_at = self._repeated_at = time.monotonic()
         session, state = self._session, self._session.state
         self._say_motor_state()
         if session.tick % self._report_ticks == 0:
@@ -372,7 +372,7 @@ class EmulatorNode(Node):
         self._publish(self._motor_states, message)
 
     def _on_repeat(self) -> None:
-        """Say an unanswered state again; report a partner that stays silent."""
+        """Publish an unanswered state again; report a partner that stays silent."""
         with self._lock:
             self._repeat()
 
@@ -382,7 +382,7 @@ class EmulatorNode(Node):
         if session.lockstep and (self._waited_for or session.tick == 0):
             # A recorder may have ended meanwhile, or have come to a machine that is paused.
             if self._recorder_behind():
-                unanswered = unanswered or session.tick == 0  # to whom it has not been said yet
+                unanswered = unanswered or session.tick == 0  # it may not have this state yet
             elif session.answered:
                 self._go_on()
         if unanswered and now - self._repeated_at >= REPEAT_AFTER and not self._without_room():
@@ -390,7 +390,7 @@ class EmulatorNode(Node):
             self._say_motor_state()
             if session.tick == 0:
                 self._say_truth()
-        self._say_health(waited=now - self._told_at)
+        self._say_health(waited=now - self._published_at)
 
     def _without_room(self) -> str:
         """Return the recorder that would lose one more motor state, empty if none would."""
@@ -451,7 +451,7 @@ class EmulatorNode(Node):
             energy=session.energy,
             commands_refused=self._diagnostics.refused,
             samples_dropped=self._stream.dropped,
-            waiting_time=time.monotonic() - self._told_at if phase is Phase.WAITING else 0.0,
+            waiting_time=time.monotonic() - self._published_at if phase is Phase.WAITING else 0.0,
         )
         status.header.stamp = stamp(session.logical_ns)
         if isinstance(session, RealTimeSession):

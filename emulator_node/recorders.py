@@ -1,8 +1,9 @@
-"""Who records this machine, and how far each has come: in lock-step time waits for them.
+"""The recorders of this machine and their progress: in lock-step time waits for them.
 
 Nothing is lost on the way to a recorder as long as it is never further behind than the publishers
 keep messages. So the emulator leaves tick 0 when every recorder has written it, and later stays
-within `AHEAD` messages of the slowest. A recorder that makes no progress is let go, and told of.
+within `AHEAD` messages of the slowest. A recorder that makes no progress is no longer waited for,
+which is reported.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Recorders:
 
     Attributes:
         published: messages on `motor_states` so far; the first one is number 1.
-        news: what came of recorders, in sentences; who tells them clears them.
+        news: events of recorders, in sentences; cleared by whoever publishes them.
     """
 
     def __init__(self, present: Callable[[], set[str]]) -> None:
@@ -53,7 +54,7 @@ class Recorders:
         return [name for name, one in self._known.items() if not one.let_go]
 
     def report(self, name: str, written: int, leaving: bool) -> None:
-        """Take a recorder's report; one that says impossible things is not waited for.
+        """Take a recorder's report; a recorder whose report is impossible is not waited for.
 
         Raises:
             Refusal: it does not come from a recorder.
@@ -105,7 +106,7 @@ class Recorders:
         return waited_for
 
     def without_room(self, depth: int) -> str:
-        """Return who would lose a message by one more if publishers keep `depth`, empty: nobody."""
+        """Return a recorder that one more message would outrun at this `depth`, or an empty text."""
         for name, one in self._known.items():
             if one.written and not one.let_go and self.published - one.written >= depth:
                 return name

@@ -57,7 +57,7 @@ def reference(
 
     Raises:
         Refusal: Coulomb friction or a limit of an inductive current (the right-hand side jumps), or
-            a payload that is not told.
+            a payload that is not given.
     """
     return reference_states(
         scene, voltages, period, rtol, method=method, q=q, v=v, payload=payload
@@ -202,7 +202,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
     """Return the scene's links in Pinocchio, with plain joint angles in the scene's order.
 
     Raises:
-        Refusal: the masses are not the scene's: its payload was not told.
+        Refusal: the masses are not the scene's: its payload was not given.
     """
     robot = ET.fromstring(scene.urdf)
     for joint in robot.iter("joint"):
@@ -223,7 +223,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
         body = pin.Inertia(payload["mass"], com, inertia)
         model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
     moved = sum(joint.body.mass for joint in scene.chain.joints)
-    told = sum(inertia.mass for inertia in list(model.inertias)[1:])
-    if abs(moved - told) > 1e-9 * moved:
-        raise Refusal("reference", "payload", "be the scene's", f"{told - moved:g} kg too much")
+    given = sum(inertia.mass for inertia in list(model.inertias)[1:])
+    if abs(moved - given) > 1e-9 * moved:
+        raise Refusal("reference", "payload", "be the scene's", f"{given - moved:g} kg too much")
     return model

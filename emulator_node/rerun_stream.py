@@ -163,7 +163,7 @@ class RerunStream:
             gear_torque: (N,) [N m or N].
             current: motor currents (N,) [A].
             voltage: motor voltages (N,) [V].
-            q_measured: joint angles as encoders tell them (N,) [rad or m]; None: not measured.
+            q_measured: joint angles measured through encoders (N,) [rad or m]; None: not measured.
         """
         if self._open:
             measured = self._not_measured if q_measured is None else q_measured

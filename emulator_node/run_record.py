@@ -1,7 +1,7 @@
-"""The emulator's own record: what it says and takes goes into a bag, whatever the network does.
+"""The emulator's own record: a bag of what it publishes and takes, whatever the network does.
 
 In lock-step the machine waits when the disk is slow; in real time it waits for nobody, and what
-found no place is counted.
+finds no room is counted.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class RunRecord:
         self._tick = tick
 
     def close(self) -> None:
-        """Write what waits, end the bag and say in one line what there is.
+        """Write what waits, end the bag and print a summary line.
 
         Raises:
             Refusal: not all that was put is there.

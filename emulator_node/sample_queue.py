@@ -15,12 +15,12 @@ Times = NDArray[np.int64]
 class SampleQueue:
     """Samples of `width` quantities for `joints` joints, from one writer to one reader.
 
-    `put` never blocks, never raises and only copies the arrays. To make rows of them, and to find
-    those that are none, is the reader's part. When the reader has fallen behind by `capacity`
-    samples, new ones are dropped.
+    `put` never blocks, never raises and only copies the arrays. The reader converts them
+    to rows and finds invalid ones. When the reader has fallen behind by `capacity` samples, new
+    ones are dropped.
 
     Attributes:
-        dropped: samples that found no place, or were none.
+        dropped: samples that found no room, or were invalid.
         newest: time of the last sample taken in [ns].
     """
 

@@ -1,8 +1,8 @@
-"""Which scheme and step hold a machine: by the eigenvalues of one step, and by trial.
+"""Which scheme and step are stable on a machine: by the eigenvalues of one step, and by trial.
 
 Linearised about rest in a pose, every scheme is a matrix that maps the state x = (z, q, v) of one
-sample to the next; z are the states of the drives. Its spectral radius says by how much a small
-motion grows per step.
+sample to the next; z are the states of the drives. Its spectral radius is the factor by which a
+small motion grows per step.
 """
 
 from __future__ import annotations
@@ -156,10 +156,10 @@ class SmallMotions:
 
 
 def what_holds(plant: Plant, q: Array, v: Array) -> str:
-    """Say which scheme and step hold small motions in the pose q, for a machine that diverged.
+    """Return in words which scheme and step are stable for small motions in the pose q.
 
     Args:
-        plant: the machine.
+        plant: the machine, which diverged.
         q: its last sound link positions (N,) [rad or m].
         v: its speeds then (N,) [rad/s or m/s].
     """

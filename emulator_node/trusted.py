@@ -14,7 +14,7 @@ GROUP_OR_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 class Untrusted(Exception):
-    """Somebody else may have changed it; the text says why, and what to do where that is simple."""
+    """Somebody else may have changed it; the text gives the reason, and a simple remedy if any."""
 
 
 def check_folder(folder: Path, make: int | None = None) -> None:
@@ -64,7 +64,7 @@ def check_folder(folder: Path, make: int | None = None) -> None:
             _check_mode(at, found)
         if not left:
             return
-        # `at` holds no links, so that its parent is what its text says.
+        # `at` holds no links, so that its parent is that of its path.
         part = left.pop()
         at = os.path.normpath(os.path.join(at, part))
 

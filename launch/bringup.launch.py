@@ -84,7 +84,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             name=name,
             namespace=namespace,
             parameters=[*parameters, every, *chosen],
-            # Followers of time listen to /clock; the emulator tells it within its namespace.
+            # Nodes on simulated time listen to /clock; the emulator publishes it in its namespace.
             remappings=[("/clock", "clock")],
             # `ros2 launch` leaves its nodes alone when it is ended by SIGTERM, or killed.
             additional_env=parent_environment(),

@@ -78,8 +78,8 @@ class Instructor:
             q_target = self._instruct(controller, time_ns, q)
             _Q_TARGET.check("motion_controller", q_target.tolist())
         except (Refusal, ArithmeticError, np.linalg.LinAlgError) as error:
-            # q is within its bound, the targets were checked when they came: what is left is this
-            # object's state, or a robot description that cannot be computed with.
+            # q is within its bound and the targets were checked when they came. What remains is
+            # this object's state, or a robot description that cannot be computed with.
             self.start_over()
             self._hold = q_target = q
             self.restarts += 1

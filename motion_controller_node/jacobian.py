@@ -146,7 +146,7 @@ class JacobianController:
             target: where the tool shall be.
 
         Returns:
-            q_target (N,) [rad or m]. `error` and `notices` tell how it came about.
+            q_target (N,) [rad or m]. `error` and `notices` describe how it was limited.
 
         Raises:
             Refusal: q of a wrong length, not finite or too large. Nothing has changed then.

@@ -1,7 +1,7 @@
 """From a robot description to Pinocchio's model, of what its kinematics need and nothing else.
 
-Shapes, masses, transmissions and limits of effort are left out: nobody here has to be able to read
-them. Nor do links without number that are fixed to the arm cost anything.
+Shapes, masses, transmissions and limits of effort are left out: they need not even be
+readable. Fixed links cost nothing, however many they are.
 """
 
 from __future__ import annotations

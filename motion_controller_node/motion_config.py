@@ -1,4 +1,4 @@
-"""What the motion controller is told."""
+"""Parameters of the motion controller."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class MotionControllerNode(Node):
             self._controller.singular_below = config.singular_below
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""
 
     def _start_over(self) -> None:
         self._answer = None

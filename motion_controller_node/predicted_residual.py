@@ -1,4 +1,4 @@
-"""How near to its target the tool comes, given the encoders and the gears."""
+"""The distance from its target at which the tool rests, given the encoders and the gears."""
 
 from __future__ import annotations
 

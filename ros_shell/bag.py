@@ -251,7 +251,7 @@ def _metadata(topics: Collection[Topic], spans: Collection[Span]) -> dict[str, A
     begin = min((span.begin for span in filled), default=0)
     end = max((span.end for span in filled), default=0)
 
-    def told(begin: int, end: int, count: int) -> dict[str, Any]:
+    def summary(begin: int, end: int, count: int) -> dict[str, Any]:
         return {
             "duration": {"nanoseconds": end - begin if count else 0},
             "starting_time": {"nanoseconds_since_epoch": begin if count else 0},
@@ -261,7 +261,7 @@ def _metadata(topics: Collection[Topic], spans: Collection[Span]) -> dict[str, A
     return {
         "version": METADATA_VERSION,
         "storage_identifier": "mcap",
-        **told(begin, end, sum(span.messages for span in spans)),
+        **summary(begin, end, sum(span.messages for span in spans)),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -278,14 +278,14 @@ def _metadata(topics: Collection[Topic], spans: Collection[Span]) -> dict[str, A
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [span.file for span in spans],
-        "files": [{"path": s.file, **told(s.begin, s.end, s.messages)} for s in spans],
+        "files": [{"path": s.file, **summary(s.begin, s.end, s.messages)} for s in spans],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
 
 
 class Bag:
-    """A bag to read. It is scanned once, so that later reading meets no surprise.
+    """A bag to read. It is scanned once, so that later reading cannot fail.
 
     Attributes:
         topics: by name.

@@ -1,6 +1,6 @@
-"""Ctrl-C and SIGTERM, told once, end a process once, without a traceback.
+"""Ctrl-C and SIGTERM end a process once, without a traceback, however often they are sent.
 
-Ctrl-C is the usual end of a node and of the commands that run until they are told to stop
+Ctrl-C is the usual end of a node and of the commands that run until they are stopped
 (`up`, `record`, `replay`): exit code 0. It breaks off every other command: 130, and 143 after
 SIGTERM, as shells have it.
 """
@@ -18,7 +18,7 @@ END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def end_at_once(code: int | None) -> None:
-    """From now on, until a `CtrlC` is made, end this process at once when it is told to.
+    """From now on, until a `CtrlC` is made, end this process at once on a signal.
 
     Call it before anything that takes long is imported. There is nothing to put in order yet, and
     an exception in the midst of an import is printed, taken for another one, or swallowed.
@@ -114,6 +114,6 @@ def until_shut_down() -> Iterator[None]:
     except ExternalShutdownException:
         pass
     except RuntimeError:
-        # rclpy's handles fail in many words when they are shut down under a running callback.
+        # rclpy's handles raise various errors when they are shut down under a running callback.
         if rclpy.ok():
             raise

@@ -1,6 +1,6 @@
 """A second node of one kind on the same topics: named on both sides, by node, host and process.
 
-Every node tells in its diagnostics what it is, on which topic it speaks, where it runs and since
+Every node publishes in its diagnostics its kind, its topic, where it runs and since
 when. Who was started first comes first, and everybody knows who that is.
 """
 
@@ -18,12 +18,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ros_shell.node_shell import Diagnostics, StartAnew, wall_timer
 
-STARTED = (
-    time.time_ns()
-)  # wall time [ns] at which this process was started, and what tells it apart
+STARTED = time.time_ns()  # wall time [ns] at which this process was started, which identifies it
 LISTEN = 0.5  # s, wall: in which the middleware finds those who are there already
-IDENTIFY = 4.0  # s, wall: in which one who was found says who he is
-SILENCE = 5.0  # s, wall: who has said nothing for so long is gone
+IDENTIFY = 4.0  # s, wall: in which a node that was found identifies itself
+SILENCE = 5.0  # s, wall: a node that is silent for so long is gone
 LOOK_PERIOD = 0.25  # s, wall
 
 
@@ -36,13 +34,13 @@ class _Double:
 
 
 class Doubles:
-    """Knows of other nodes of this one's kind that speak on the same topic.
+    """Finds other nodes of this one's kind that publish on the same topic.
 
     Args:
         node: this node.
         diagnostics: where others are named.
         kind: such as "emulator".
-        topic: the topic that only one of them should speak on.
+        topic: the topic that only one of them should publish on.
         consequence: what two of them mean, in words.
     """
 
@@ -74,7 +72,7 @@ class Doubles:
         busy that the middleware has not found it in time.
 
         Args:
-            sign: a topic on which nodes of this kind alone speak, and this one not yet.
+            sign: a topic on which only nodes of this kind publish, and this one not yet.
         """
         executor = SingleThreadedExecutor(context=self._node.context)
         executor.add_node(self._node)

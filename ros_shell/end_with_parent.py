@@ -1,7 +1,7 @@
 """A node ends when the program that started it is gone, however that came about.
 
-`ros2 launch` that is ended by SIGTERM leaves its nodes alone, and nobody who is killed can take his
-with him. So a launcher names itself to its nodes, and they ask the system to be told.
+`ros2 launch` that is ended by SIGTERM leaves its nodes alone, and a launcher that is killed
+cannot end its nodes. So it passes its process id to them, and they ask the system for a signal.
 """
 
 from __future__ import annotations

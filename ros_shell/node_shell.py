@@ -37,7 +37,7 @@ from words.refusal import Refusal
 # a bad command would take the place of a good one that is not read yet. States: a reliable
 # publisher serves reliable and best-effort subscribers alike. Descriptions: late-comers get the
 # last one. Publishers keep what a reliable listener, such as a recorder, has not taken yet: what is
-# more than `KEPT` behind is lost to it, and nobody is told.
+# more than `KEPT` behind is lost to it without notice.
 KEPT = 1000  # messages: seconds of a busy machine, and ten times what an emulator runs ahead
 COMMAND_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
 COMMAND_SUB_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -99,7 +99,7 @@ class Closable(Protocol):
     """A node that lets go of what it holds when its process ends."""
 
     def close(self) -> None:
-        """Let go; a `Refusal` is told, and makes the exit code 1."""
+        """Release everything; a `Refusal` is printed, and makes the exit code 1."""
 
 
 def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
@@ -112,7 +112,7 @@ def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
     values = {}
     for field in fields:
         if not node.has_parameter(field.name):
-            # A loose descriptor first: the check below says no in our words, and takes 1 for 1.0.
+            # A loose descriptor first: the check below refuses in our words, and takes 1 for 1.0.
             loose = ParameterDescriptor(dynamic_typing=True)
             node.declare_parameter(field.name, field.default, loose)
         value = checked(node.get_parameter(field.name).value, field, where)
@@ -196,7 +196,7 @@ def _set_range(descriptor: ParameterDescriptor, field: dataclasses.Field[Any]) -
 def set_range(
     descriptor: ParameterDescriptor, low: float | None, high: float | None, *, whole: bool
 ) -> None:
-    """Tell ROS tools between which values a number lies; None: as far as numbers go."""
+    """Set a descriptor's range for ROS tools; None: unbounded."""
     if whole:
         first = -(2**62) if low is None else int(low)
         last = 2**62 if high is None else int(high)
@@ -215,17 +215,17 @@ def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer
 class Diagnostics:
     """The node's health in words, on `diagnostics`: every second, and at once when it changes.
 
-    Refused input is counted by kind, and the newest refusal is told in full. Stamps are of the
+    Refused input is counted by kind, and the newest refusal is published in full. Stamps are of the
     node's clock: wall time, or logical time with `use_sim_time`.
 
     Attributes:
-        values: more to tell, by name.
-        doubles: what to tell, and to warn of, while another node does the same.
+        values: more to publish, by name.
+        doubles: what to publish, and to warn of, while another node does the same.
         say: what publishes; a node that records itself puts its own in place.
     """
 
     def __init__(self, node: Node, hardware_id: str) -> None:
-        # Several arms may tell of their health on one topic: names begin with the namespace.
+        # Several arms may publish their health on one topic: names begin with the namespace.
         self._name = node.get_fully_qualified_name().strip("/")
         namespace = node.get_namespace().strip("/")
         self._hardware_id = f"{namespace}/{hardware_id}" if namespace else hardware_id
@@ -263,15 +263,15 @@ class Diagnostics:
             self.publish()
 
     def ok(self, message: str) -> None:
-        """Say that all is well, and what is going on."""
+        """Report that all is well, and what is going on."""
         self._say(DiagnosticStatus.OK, message)
 
     def warn(self, message: str) -> None:
-        """Say what hinders the node, though it goes on."""
+        """Report what hinders the node, though it goes on."""
         self._say(DiagnosticStatus.WARN, message)
 
     def error(self, message: str) -> None:
-        """Say what stopped the node's work."""
+        """Report what stopped the node's work."""
         self._say(DiagnosticStatus.ERROR, message)
 
     def publish(self) -> None:
@@ -315,7 +315,7 @@ def _init() -> None:
 
 
 def run_node(create: Callable[[], Closable]) -> None:
-    """Run one node until it is told to stop; exit code 2 and one line if its set-up is refused."""
+    """Run one node until it is stopped; exit code 2 and one line if its set-up is refused."""
     node: Any = None
     ctrl_c = CtrlC()
     end_with_parent()

@@ -1,7 +1,7 @@
-"""Recorders of this machine, known to an emulator before the network has told it of them.
+"""Recorders of this machine, known to an emulator before the network discovers them.
 
-Discovery takes its time, on a busy machine seconds: until then an emulator that starts cannot tell
-whether somebody has come to record its first tick. So a recorder holds a name without a file, which
+Discovery takes its time, on a busy machine seconds: until then an emulator that starts cannot know
+whether a recorder waits for its first tick. So a recorder holds a name without a file, which
 ends with its process however that ends, and which reaches as far as the loopback interface does.
 """
 
@@ -16,13 +16,13 @@ from pathlib import Path
 from types import TracebackType
 
 RECORDER = re.compile(r"\d+\.[0-9a-f]{8}")  # how recorders are named
-STATES = "motor_states"  # last part of the topic on which an emulator says its states
+STATES = "motor_states"  # last part of the topic on which an emulator publishes its states
 LONGEST = 107  # bytes of an abstract socket's name
 ALL = "/*"
 
 
 class RecorderPresence:
-    """Tells emulators on this machine that somebody records them, until `close`.
+    """Announces a recorder to the emulators on this machine, until `close`.
 
     Args:
         topics: names of the topics that are recorded, with or without the leading ``/``; None: all.
@@ -65,7 +65,7 @@ def recorders_of(states: str) -> set[str]:
     """Return the names of the recorders on this machine that record a topic of motor states."""
     try:
         table = Path("/proc/net/unix").read_text(encoding="utf-8", errors="replace")
-    except OSError:  # not Linux: they are known when the network tells of them
+    except OSError:  # not Linux: they are known when the network discovers them
         return set()
     prefix, found = _prefix().replace("\0", "@"), set()
     for line in table.splitlines():

@@ -1,4 +1,4 @@
-"""The servo under its watchdog: voltages whatever comes, or fails to come."""
+"""The servo under its watchdog: voltages with and without joint targets."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Drives:
         self._hold: FloatArray | None = None
 
     def retune(self, config: ServoConfig) -> None:
-        """Go on with other gains, limits and patience. Between two ticks.
+        """Change gains, limits and timeouts, between two ticks.
 
         Raises:
             Refusal: see `Servo.retune`. Nothing has changed then.

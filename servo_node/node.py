@@ -47,9 +47,7 @@ from words.refusal import Refusal
 
 PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall
-MACHINE_SILENCE = (
-    1.0  # s, wall: an emulator that says nothing for so long may be followed by another
-)
+MACHINE_SILENCE = 1.0  # s, wall: an emulator silent for so long may be replaced by another
 
 
 @dataclass(frozen=True)
@@ -152,14 +150,14 @@ class ServoNode(Node):
 
     def _changed(self, changes: Mapping[str, Any]) -> ServoConfig:
         config = ServoConfig.from_mapping(self._servo_parameters(changes), PARAMETERS)
-        Servo(config)  # which says no to what it cannot compute with
+        Servo(config)  # which refuses what it cannot compute with
         return config
 
     def _take_parameters(self, config: ServoConfig) -> None:
         self._next_config = config
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""
 
     def _start_over(self) -> None:
         self._drives.reset()
@@ -211,7 +209,7 @@ class ServoNode(Node):
             self._answer(now)
 
     def _check_machine(self, machine: int) -> None:
-        """Stay with the emulator that was started first, while it speaks."""
+        """Stay with the emulator that was started first, while it publishes."""
         if machine in (0, self._machine):
             return
         silence = time.monotonic() - self._heard_at
@@ -244,7 +242,7 @@ class ServoNode(Node):
             self._diagnostics.refuse("joint_targets", reason)
             return
         if self._lockstep and self._motion_ticks and not self._waiting:
-            return  # this motion period's targets, said again
+            return  # this motion period's targets, published again
         self._drives.aim(target)
         if self._waiting and self._newest is not None:
             self._waiting = False
@@ -267,10 +265,10 @@ class ServoNode(Node):
             )
         return target
 
-    # The law
+    # Control law
 
     def _answer(self, now: _Measurement) -> None:
-        """Compute and say the voltages for the servo period that begins with `now`."""
+        """Compute and publish the voltages for the servo period that begins with `now`."""
         drives = self._drives
         voltage = drives.voltage(now.powered)
         restarts = drives.servo.restarts
@@ -290,7 +288,7 @@ class ServoNode(Node):
         command.voltage = array("d", voltage.tobytes())
         self._commands.publish(command)
 
-    # Telling
+    # Publishing
 
     def _say_joint_states(self, time_ns: int) -> None:
         message = self._joint_state
@@ -304,7 +302,7 @@ class ServoNode(Node):
         if self._newest is None:
             return
         if self._waiting:
-            # As of the motion period's start, even if another servo has led on from there.
+            # As of the motion period's start, even if another servo has answered ticks since.
             self._say_joint_states(self._cycle_ns)
             self._diagnostics.warn(
                 f"waiting for the joint targets that answer t = {self._cycle_ns / NANOSECONDS:g} s"

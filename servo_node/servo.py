@@ -306,10 +306,10 @@ class _Axis:
         change = self.period * (torque - self.load) / self.inertia
         self.theta += self.period * (self.omega + 0.5 * change)
         self.omega += change
-        surprise = self.theta_measured - self.theta
-        self.theta += self.theta_gain * surprise
-        self.omega += self.omega_gain * surprise
-        self.load -= self.load_gain * surprise
+        innovation = self.theta_measured - self.theta
+        self.theta += self.theta_gain * innovation
+        self.omega += self.omega_gain * innovation
+        self.load -= self.load_gain * innovation
         self.current = current
 
     def start(self, current: float) -> None:

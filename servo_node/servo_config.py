@@ -1,4 +1,4 @@
-"""What the servo knows of its joints: data-sheet values and gains, validated in one place."""
+"""Parameters of the servo: data-sheet values and gains of its joints, validated in one place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from words.refusal import Refusal
 
 @dataclass(frozen=True)
 class _Rule:
-    """Which values a number may take, and how to say so."""
+    """Range of a number, and its text for refusals."""
 
     words: str
     low: float
@@ -85,7 +85,7 @@ class JointServo:
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """All that the servo is told: periods, supply and its joints in the order of its arrays."""
+    """Parameters of the servo: periods, supply and its joints in the order of its arrays."""
 
     period: float
     """Servo period [s]."""

@@ -1,4 +1,4 @@
-"""Notices when joint targets or motor states stop coming, and says what a drive shall do then."""
+"""Notices when joint targets or motor states stop coming, and decides what a drive does then."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Watchdog:
         self._last["motor state"] = now
 
     def check(self, now: float) -> WatchdogState:
-        """Return what to do at time `now` [s]; `reason` says why, in words."""
+        """Return what to do at time `now` [s]; `reason` is the reason in words."""
         if self.state is WatchdogState.CUT:
             return self.state
         self.state, self.reason = WatchdogState.OK, "targets and states come"

@@ -1,6 +1,6 @@
 """How large a quantity that comes from outside may be.
 
-A finite number need not be a quantity: a joint at 1e308 rad is a slip of its sender, and what is
+A finite number need not be a quantity: a joint at 1e308 rad is a mistake of its sender, and what is
 computed from it overflows. So every number is compared with a bound once, where it comes in. The
 bounds are far beyond every machine, and all that is computed within them is finite.
 """
@@ -85,7 +85,7 @@ class Bound:
         return f" [{self.unit}]" if self.unit else ""
 
 
-# What a joint may be told or tell of itself; a joint that slides has m in place of rad.
+# Commands to a joint and measurements of it; a joint that slides has m in place of rad.
 POSITION = Bound("position", "rad", 1e6)
 VELOCITY = Bound("velocity", "rad/s", 1e6)
 EFFORT = Bound("effort", "N m", 1e9)

@@ -72,7 +72,7 @@ def find_beside(scene: Path, kind: str) -> Path:
         kind: one of `BESIDE`.
 
     Raises:
-        Refusal: there is no such file; it says where it was looked for and what to write.
+        Refusal: there is no such file; with where it was looked for and what to write.
     """
     named = read_yaml(scene).get(kind)
     if named is not None and (not isinstance(named, str) or not named):

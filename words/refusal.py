@@ -1,8 +1,8 @@
-"""The one way in which every part of the emulator says no."""
+"""Refusals: the one way in which every part of the emulator rejects an input."""
 
 
 class Refusal(ValueError):
-    """An input that is not taken, told in one line.
+    """An input that is not taken, with the reason in one line.
 
     The line reads ``where: quantity must rule, got value; valid: ...``, for example
     ``three_axis.yaml: joints.elbow.gear.stiffness must be > 0 N m/rad, got -3``.
@@ -12,7 +12,7 @@ class Refusal(ValueError):
         quantity: the quantity that breaks the rule.
         rule: the rule with its unit, as it follows "must".
         got: the value found.
-        valid: what would be valid, where the rule alone does not say so.
+        valid: what would be valid, where that does not follow from the rule.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ def _one_line(value: object, longest: int) -> str:
     """Return `value` on one line of at most `longest` printable characters."""
     try:
         text = str(value)
-    except Exception:  # whatever it is, the refusal is what has to be told
+    except Exception:  # whatever it is, the refusal must still be raised
         text = f"a value of type {type(value).__name__} that cannot be shown"
     text = " ".join(text[: 8 * longest].split()) or repr(text[:longest])
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -1,7 +1,7 @@
 """YAML as people write it: 1e-4 is a number, every key is a text, and no key is given twice.
 
-A document is looked over as a stream of events before anything is built from it: what is built is
-of bounded size and depth, whoever wrote the file.
+A document is checked as a stream of events before anything is built from it, so that what is built
+is of bounded size and depth, whoever wrote the file.
 """
 
 from __future__ import annotations

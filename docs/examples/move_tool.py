@@ -1,6 +1,6 @@
 """Sends a tool target, x y z [m] in the world: python docs/examples/move_tool.py 0.43 0.05 0.64
 
-For arms that are told a position; one that is told a pose would turn its tool upright, too.
+For arms whose target is a position; one whose target is a pose would turn its tool upright, too.
 """
 
 import sys
@@ -15,13 +15,13 @@ publisher = node.create_publisher(PoseStamped, "tool_target", 1)
 target = PoseStamped()  # stamp 0: holds at once
 target.pose.position.x, target.pose.position.y, target.pose.position.z = x, y, z
 # The motion controller listens; so do the emulator, to show it, and recorders. Who has not found us
-# yet would miss it: it is said for a second after the first two have.
-said = waited = 0
-while said < 10:
+# yet would miss it: it is published for a second after the first two have.
+sent = waited = 0
+while sent < 10:
     rclpy.spin_once(node, timeout_sec=0.1)
     if publisher.get_subscription_count() >= 2:
         publisher.publish(target)
-        said += 1
+        sent += 1
     elif (waited := waited + 1) == 30:
         print("waiting for a motion controller that listens to tool_target")
 publisher.wait_for_all_acked()

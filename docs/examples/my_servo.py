@@ -45,7 +45,7 @@ class MyServo(Node):
             self.answer()
 
     def answer(self) -> None:
-        """Say the voltages for the servo period that began with the newest state."""
+        """Publish the voltages for the servo period that began with the newest state."""
         answer = MotorCommand(header=self.state.header, tick=self.state.tick)
         answer.joint_names = self.state.joint_names
         for name, q in zip(self.state.joint_names, self.q, strict=True):
