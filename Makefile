@@ -152,7 +152,7 @@ fuzz: setup .venv/.robots
 bench: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench $(ARGS)
 
-CORE := $(wildcard emulator_node/core/*.hpp)
+CORE := $(wildcard emulator_node/core/*.hpp emulator_node/core/*.cpp emulator_node/core/*.h)
 
 lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache

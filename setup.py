@@ -32,7 +32,7 @@ setup(
     maintainer="arm_emulator developers",
     maintainer_email="arm_emulator@example.org",
     packages=find_packages(include=[name + tail for name in PACKAGES for tail in ("", ".*")]),
-    package_data={"emulator_node": ["core/*.hpp"], "": ["py.typed"]},
+    package_data={"emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h"], "": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -106,7 +106,7 @@ class Recorders:
         return waited_for
 
     def without_room(self, depth: int) -> str:
-        """Return a recorder that one more message would outrun at this `depth`, or an empty text."""
+        """Return a recorder that one more message would outrun at this `depth`, or "" if none."""
         for name, one in self._known.items():
             if one.written and not one.let_go and self.published - one.written >= depth:
                 return name

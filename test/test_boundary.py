@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_emulator.refusal import Refusal
 from fuzz.cores import random_machine
 
 from emulator_node.compiler import CORE, compile_ahead
 from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene, load_scene
+from words.refusal import Refusal
 
 MACHINES = 12
 Piece = tuple[np.ndarray, int]  # voltages, and for how many steps
