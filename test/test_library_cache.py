@@ -20,8 +20,8 @@ from fake_compiler import fake_compiler
 from machines import one_link_urdf, write_scene
 
 from emulator_node import library_cache
-from emulator_node.compiler import compile_ahead, library_of
-from emulator_node.core_calls import ARM_CALLS
+from emulator_node.compiler import compile_ahead, library_of, real_time_library
+from emulator_node.core_calls import ARM_CALLS, REAL_TIME_CALLS
 from emulator_node.cxx import find_compiler
 from emulator_node.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 from emulator_node.scene import Scene, load_scene
@@ -62,12 +62,14 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(CACHE_VARIABLE, str(folder / "cache"))
         library_of(scene)
-    (file,) = (folder / "cache").glob("*.so")
-    body = folder / "body.so"
-    body.write_bytes(file.read_bytes()[: -library_cache.SEAL_SIZE])
-    return Sound(
-        at, scene, file.name, body.read_bytes(), fake_compiler(folder, f'cp {body} "$out"')
-    )
+        real_time_library()
+    for name in ("one_link", "real_time"):
+        (file,) = (folder / "cache").glob(f"{name}*.so")
+        (folder / name).write_bytes(file.read_bytes()[: -library_cache.SEAL_SIZE])
+    (file,) = (folder / "cache").glob("one_link*.so")
+    which = f'grep -q real_time.cpp "${{out%.so}}.cpp" && name={name} || name=one_link'
+    compiler = fake_compiler(folder, f'{which}\ncp {folder}/$name "$out"')
+    return Sound(at, scene, file.name, (folder / "one_link").read_bytes(), compiler)
 
 
 @pytest.fixture
@@ -148,7 +150,7 @@ def test_a_spoiled_library_is_never_loaded_but_made_anew(
         file = sound.put(cache / str(case))
         way = change(rng, file, sound)
         seen.add(way)
-        assert library_of(sound.scene).arm_time, way
+        assert library_of(sound.scene).arm_exchange, way
         said = capsys.readouterr().err.splitlines()
         assert len(said) == 2, (way, said)
         assert said[0].startswith(f"arm_emulator: cached library {file} is not used: "), way
@@ -172,7 +174,7 @@ def test_every_cut_of_a_library_is_found_out(cache: Path, sound: Sound) -> None:
 def test_a_folder_in_the_place_of_a_library_is_told(cache: Path, sound: Sound) -> None:
     cache.mkdir()
     (cache / sound.name / "precious").mkdir(parents=True)
-    with pytest.raises(Refusal, match="take the scene's library, got Directory not empty"):
+    with pytest.raises(Refusal, match="take the compiled library, got Directory not empty"):
         library_of(sound.scene)
     assert (cache / sound.name / "precious").is_dir(), "what is not ours stays"
 
@@ -194,7 +196,7 @@ def test_what_lies_in_the_place_of_a_lock_does_no_harm(cache: Path, sound: Sound
             lock.touch(0o644)
             os.chown(lock, SOMEBODY, 0)
         (cache / sound.name).unlink(missing_ok=True)
-        assert library_of(sound.scene).arm_time, way
+        assert library_of(sound.scene).arm_exchange, way
         assert precious.read_text() == "precious", way
         assert [item.name for item in cache.iterdir()] == [sound.name], way
 
@@ -220,7 +222,7 @@ def planted(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Planted:
     folder = tmp_path_factory.mktemp("planted")
     mark = folder / "mark"
     source = folder / "planted.cpp"
-    functions = "".join(f"void {name}() {{}}\n" for name in ARM_CALLS)
+    functions = "".join(f"void {name}() {{}}\n" for name in (*ARM_CALLS, *REAL_TIME_CALLS))
     source.write_text(
         f'#include <cstdio>\nextern "C" {{\nint planted;\n{functions}}}\n'
         f'__attribute__((constructor)) void run() {{ fclose(fopen("{mark}", "w")); }}\n'
@@ -427,8 +429,8 @@ def test_a_library_compiled_into_a_folder_is_found_there(
     assert file == tmp_path / "a" / "b" / sound.name and file.read_bytes() == sound.stored
     monkeypatch.setenv(CACHE_VARIABLE, str(file.parent))
     monkeypatch.setenv("CXX", "false")
-    assert library_of(sound.scene).arm_time
-    assert len(capsys.readouterr().err.splitlines()) == 1  # of the compilation
+    assert library_of(sound.scene).arm_exchange
+    assert len(capsys.readouterr().err.splitlines()) == 2  # of the compilations
 
     monkeypatch.setenv(CACHE_VARIABLE, str(cache))
     open_to_all = tmp_path / "open"
