@@ -33,6 +33,8 @@ ARM_CALLS: Calls = {
     "arm_set_truth": (_int, [_pointer] * 2),
     "arm_advance": (_int, [_pointer, _pointer, _count]),
     "arm_run": (_int, [_pointer, _pointer, _count, _count, _pointer]),
+    "arm_powers": (_int, [_pointer] * 3),
+    "arm_advance_metered": (_int, [_pointer, _pointer, _count, _pointer]),
     "arm_linear_drives": (_int, [_pointer]),
     "arm_forward_dynamics": (None, [_count] + [_pointer] * 4),
 }

@@ -99,6 +99,17 @@ class PlantState:
 
 
 @dataclass(frozen=True)
+class EnergyFlow:
+    """What each joint is given by the supply and what it dissipates, (N,): W now, J over a time.
+
+    A motor whose torque constant differs from its back-EMF constant is given the difference, too.
+    """
+
+    given: Array
+    dissipated: Array  # in windings, gears and friction
+
+
+@dataclass(frozen=True)
 class LinearDrive:
     """The linear part of one joint's drive, as the core states it (core/drive.hpp).
 
@@ -341,6 +352,38 @@ class Plant:
         """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
         self._look()
         return float(self._truth.energy)
+
+    def powers(self, voltage: ArrayLike) -> EnergyFlow:
+        """Return what the joints are given and dissipate now, under voltages (N,) [V], in W.
+
+        Raises:
+            Refusal: wrong shape, or not finite.
+        """
+        V, out = self._vector(voltage, "Plant.powers", "voltage", "V"), np.zeros((2, self._N))
+        self.core.arm_powers(self.machine, _pointer(V), _pointer(out))
+        return EnergyFlow(*out)
+
+    def advance_metered(self, voltage: ArrayLike, steps: int) -> EnergyFlow:
+        """Advance as `advance` does, and return what the joints were given and dissipated, in J.
+
+        The change of `energy` is their sum, as well as the scheme follows the equations. It takes
+        several times as long.
+
+        Raises:
+            Refusal: as `advance`.
+            Diverged: as `advance`.
+        """
+        where = "Plant.advance_metered"
+        check_count(where, "steps", steps, 0, LARGEST_STEPS)
+        self._voltage[:] = self._vector(voltage, where, "voltage", "V")
+        total = np.zeros((2, self._N))
+        for first in range(0, steps, PIECE):
+            out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
+            meter, pointer = self.core.arm_advance_metered, self._voltage_pointer
+            if meter(self.machine, pointer, count, _pointer(out)) == DIVERGED:
+                raise self._diverged(self._voltage)
+            total += out
+        return EnergyFlow(*total)
 
     @property
     def state(self) -> PlantState:

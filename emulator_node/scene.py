@@ -26,6 +26,7 @@ from words.yaml_file import read_yaml
 
 SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
 EXCHANGES = ("predict", "lag")
+EVENTS = ("step", "located")
 # Numbers beyond these are slips, and what is computed from several of them may overflow.
 SMALLEST, LARGEST = 1e-15, 1e15  # of numbers above 0, and of all, where no other bound is given
 LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
@@ -96,6 +97,7 @@ class Integrator:
     scheme: str
     dt: float
     exchange: str  # between two threads, see core/two_threads.hpp
+    events: str  # where modes of joints change, see core/located.hpp
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,7 @@ def _build(root: _Section, file: Path) -> Scene:
         scheme=integrator_section.choice("scheme", SCHEMES, default=SCHEMES[0]),
         dt=integrator_section.number("dt", "s", at_least=1e-9, at_most=1.0),
         exchange=integrator_section.choice("exchange", EXCHANGES, default=EXCHANGES[0]),
+        events=integrator_section.choice("events", EVENTS, default=EVENTS[0]),
     )
     integrator_section.finish()
     servo_period = root.number("servo_period", "s", at_least=1e-6, at_most=1.0)
@@ -190,6 +193,16 @@ def _build(root: _Section, file: Path) -> Scene:
     if threads == 2 and integrator.scheme == "rosenbrock":
         rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
         raise root.refusal("threads", rule, 2, "2 with another scheme")
+    if integrator.events == "located":
+        rule = valid = ""
+        if integrator.scheme in ("implicit", "paper"):
+            rule = f"be step with scheme {integrator.scheme}, of first order at any event"
+            valid = "step, or located with scheme rosenbrock or extrapolated"
+        elif threads == 2:
+            rule = "be step with 2 threads, whose links come from one sample ago"
+            valid = "step, or located with threads: 1"
+        if rule:
+            raise root.refusal("integrator.events", rule, "located", valid)
     cores = _cores(root)
     for key in BESIDE:
         if root.has(key):

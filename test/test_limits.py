@@ -19,7 +19,9 @@ from emulator_node.scene import SCHEMES, Scene, load_scene
 LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2 about the joint, of machines.one_link_urdf
 
 
-def drawn_three_axis(seed: int, scheme: str, dt: float) -> tuple[Scene, Array]:
+def drawn_three_axis(
+    seed: int, scheme: str, dt: float, events: str = "step"
+) -> tuple[Scene, Array]:
     """A three_axis arm without inductance, its light rotors at their limits, and its voltages."""
     rng = np.random.default_rng(seed)
     motor = {
@@ -34,7 +36,7 @@ def drawn_three_axis(seed: int, scheme: str, dt: float) -> tuple[Scene, Array]:
     }
     overrides: dict[str, Any] = {f"joints.*.motor.{key}": value for key, value in motor.items()}
     overrides |= {f"joints.*.gear.{key}": value for key, value in gear.items()}
-    overrides |= {"integrator.scheme": scheme, "integrator.dt": dt}
+    overrides |= {"integrator.scheme": scheme, "integrator.dt": dt, "integrator.events": events}
     return load_scene("three_axis", overrides=overrides), rng.uniform(-30.0, 30.0, size=(4, 3))
 
 

@@ -174,6 +174,12 @@ int arm_advance(arm_machine* machine, const double* voltage, int64_t steps);
 /* The same for `rows` rows of voltages, `steps` steps each; q after each row goes to `q`. */
 int arm_run(arm_machine* machine, const double* voltage, int64_t rows, int64_t steps, double* q);
 
+/* What the supply gives to each joint and what each dissipates, so many of each in `out`: now and
+ * under `voltage` [W]. */
+int arm_powers(const arm_machine* machine, const double* voltage, double* out);
+/* As `arm_advance`; what was given and dissipated on the way goes to `out` [J]. */
+int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t steps, double* out);
+
 /* The linear part of every drive (drive_table.hpp), for the analysis of small motions. Rows of K
  * states; returns K. out, per joint: how many states it has, the carried rotor, D (K), F (K rows of
  * K + 4) and G (K + 4); the columns are z, q, v, u and side. With `out` null only K is returned. */

@@ -308,6 +308,32 @@ int arm_run(arm_machine* machine, const double* voltage, std::int64_t rows, std:
   return machine->result();
 }
 
+namespace {
+
+void write_flow(const arm::EnergyFlow<Scene>& flow, double* out) {
+  for (int j = 0; j < arm_machine::N; ++j) {
+    out[j] = flow.given[j];
+    out[arm_machine::N + j] = flow.dissipated[j];
+  }
+}
+
+}  // namespace
+
+int arm_powers(const arm_machine* machine, const double* voltage, double* out) {
+  if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
+  write_flow(machine->machine.powers(voltage), out);
+  return ARM_OK;
+}
+
+int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_t steps,
+                        double* out) {
+  if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
+  arm::EnergyFlow<Scene> flow;
+  machine->machine.advance_metered(voltage, steps, flow);
+  write_flow(flow, out);
+  return machine->result();
+}
+
 int arm_linear_drives(double* out) {
   constexpr int K = arm::most_states<Scene>();
   if (!out) return K;

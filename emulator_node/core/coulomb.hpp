@@ -4,7 +4,8 @@
 // most its breakaway torque Ds >= Dc; else it starts to slide that way. A joint whose speed would
 // change sign within a step comes to rest at the step's end. So a joint at rest stays at rest
 // exactly, without regularisation and at any step size; where a joint stops or starts, the instant
-// is known to one step only, and the scheme's order there is 1.
+// is known to one step only, and the scheme's order there is 1 (2 where it is located,
+// located.hpp).
 #pragma once
 
 #include "cholesky.hpp"
@@ -42,6 +43,36 @@ class Coulomb {
       } while (free_one(W, rhs, x));
     }
   }
+
+  // What each joint does: whether it is locked, else the way it slides.
+  struct Modes {
+    Mask<X> locked[N] = {};
+    X direction[N] = {};
+  };
+  Modes modes() const {
+    Modes modes;
+    for (int j = 0; j < N; ++j) modes.locked[j] = locked[j], modes.direction[j] = direction[j];
+    return modes;
+  }
+
+  // The same with the decisions made: each joint does that, whatever it takes.
+  void solve_in(const Modes& modes, const Matrix& W, X* x) {
+    X rhs[N];
+    for (int j = 0; j < N; ++j) {
+      locked[j] = modes.locked[j], direction[j] = modes.direction[j];
+      rhs[j] = x[j];
+    }
+    factor_unlocked(W);
+    for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc[j] * direction[j];
+    solve_again(x);
+    for (int j = 0; j < N; ++j) held[j] = torque_of_lock(j, W, rhs, x);
+  }
+
+  // What the lock of joint j could take beside what it takes, below 0 if it does not hold [N m].
+  ARM_INLINE X spare(int j) const { return Ds[j] - magnitude(held[j]); }
+
+  static constexpr bool acts_on(int j) { return Dc[j] > 0.0; }
+  static constexpr double breakaway(int j) { return Ds[j]; }
 
   ARM_INLINE void solve_again(X* x) const {
     if constexpr (present)
@@ -85,13 +116,17 @@ class Coulomb {
     factors.factor(free);
   }
 
+  ARM_INLINE static X torque_of_lock(int j, const Matrix& W, const X* rhs, const X* x) {
+    X torque = rhs[j];
+    for (int k = 0; k < N; ++k) torque -= (k >= j ? W[j][k] : W[k][j]) * x[k];
+    return torque;
+  }
+
   // Free the joint that is the most overloaded; false if every locked joint holds.
   bool free_one(const Matrix& W, const X* rhs, const X* x) {
     X excess = {}, way = {}, worst = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
-      X torque = rhs[j];
-      for (int k = 0; k < N; ++k) torque -= (k >= j ? W[j][k] : W[k][j]) * x[k];
-      held[j] = torque;
+      const X torque = held[j] = torque_of_lock(j, W, rhs, x);
       const X over = select(locked[j], magnitude(torque) - Ds[j], X{});
       const auto more = over > excess;
       worst = select(more, X{} + j, worst);

@@ -34,6 +34,9 @@ struct DcMotor {
     return Kt * i;
   }
 
+  // The current of a motor without inductance, were there no limit.
+  constexpr double current_at_once(double V, double wm) const { return (V - Kb * wm) / R; }
+
   // The limit that a current is at or beyond: 1 or -1, or 0 for none.
   constexpr double side_of(double i) const {
     return i >= current_limit ? 1.0 : i <= -current_limit ? -1.0 : 0.0;
@@ -59,7 +62,7 @@ struct DcMotor {
   }
   // What it takes from its supply, and what differing constants give it from nowhere [W].
   template <class X>
-  ARM_INLINE constexpr X given(X i, X V, X wm, X side, bool limited) const {
+  ARM_INLINE constexpr X given(X i, X V, X wm, bool limited) const {
     const X applied = limited ? R * i + Kb * wm : V;
     return applied * i + (Kt - Kb) * wm * i;
   }

@@ -108,7 +108,7 @@ struct Drive {
   }
 
   // Energy in windings, rotor and gear; and power that friction, windings and the gear's damping
-  // take, that the supply gives, and that it can give at most.
+  // take, that the supply gives, and that it can give at most. `limited`: see DcMotor.
   template <class X>
   ARM_INLINE constexpr X stored(const Input<X>& x) const {
     X E = 0.5 * carried() * x.v * x.v;
@@ -122,6 +122,11 @@ struct Drive {
     if constexpr (driven) P += motor.dissipated(x.z[i]);
     if constexpr (elastic) P += gear.dissipated(x.z[wm], x.v);
     return P;
+  }
+  template <class X>
+  ARM_INLINE constexpr X given(const Input<X>& x, bool limited) const {
+    if constexpr (driven) return motor.given(x.z[i], x.u, motor_speed(x), limited);
+    return X{};
   }
   template <class X>
   ARM_INLINE constexpr X given_at_most(const Input<X>& x) const {

@@ -31,6 +31,7 @@
 #include "coulomb.hpp"
 #include "drive_table.hpp"
 #include "links.hpp"
+#include "modes.hpp"
 
 namespace arm {
 
@@ -70,6 +71,44 @@ class LinearlyImplicit {
   const Memory& memory() const { return past; }
   void restore(const Memory& memory) { past = memory; }
 
+  // Whether what a stage takes from the step before is there, and one as long as this.
+  enum class Past { used, unknown };
+
+  // A step in modes that are given, whether they hold or not (located.hpp).
+  void step_in(const Modes<S>& modes, State<S, X>& x, const X (&u)[row], Dynamics links,
+               Past from) {
+    Inputs in;
+    begin(x, u, in);
+    if constexpr (Tables::limits) {
+      for (int j = 0; j < N; ++j) tables.serve(j, 0, modes.side[j]);
+      in[In::side] = tables.sides();
+    }
+    Accelerations k1;
+    Tables::template answer<K + 4>(tables.rhs_1, in).store(k1.torque);
+    given = {&modes.friction, from};
+    stages_of(x, links, in, k1);
+    move_links(x, in);
+    move_drives(x, in);
+    given = {};
+  }
+
+  // Make a past of a step that led from `start` to x otherwise.
+  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row]) {
+    if constexpr (extrapolates) {
+      Dynamics links;
+      Links<S, X>::dynamics_apart(x.q, x.v, links);
+      X a[N];
+      Modes<S>(x, u, links).accelerations(x, u, links, a, coulomb);
+      typename Links<S, X>::Kinematics kinematics;
+      Links<S, X>::kinematics(start.q, kinematics);
+      Links<S, X>::inverse_dynamics(kinematics, start.v, a, past.torque);
+      for (int j = 0; j < N; ++j) {
+        past.a[j] = a[j];
+        past.torque[j] += carried<S>[j] * a[j];
+      }
+    }
+  }
+
   // From sample k to k + 1 under the commands u. The links' part comes from `exchange`, which is
   // given the links as soon as they have moved on (two_threads.hpp).
   template <class Exchange>
@@ -94,6 +133,7 @@ class LinearlyImplicit {
  private:
   using Inputs = typename Tables::Inputs;
   static constexpr bool extrapolates = S::scheme == Scheme::extrapolated;
+  static constexpr bool locates = S::events == Events::located && Modes<S>::present;
   static constexpr int stages = S::scheme == Scheme::implicit ? 1 : 2;
   static constexpr double gamma = gamma_of(stages);
 
@@ -116,6 +156,8 @@ class LinearlyImplicit {
     first_stage(x, links, in, k1);
     if constexpr (extrapolates) past = k1;
     if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
+    if constexpr (extrapolates && locates)
+      if (given.past == Past::unknown) evaluate_change(x, k1, change);
     if constexpr (stages == 2) second_stage(links, change, in);
   }
 
@@ -125,11 +167,17 @@ class LinearlyImplicit {
       k1.a[j] = k1.torque[j] - links.nle[j];
       links.M.at[j][j] += tables.diagonal[j];
     });
-    coulomb.solve(links.M.at, x.v, k1.a);
+    solve(links, x, k1);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k1.torque[j] -= coulomb.force(j) + tables.diagonal[j] * k1.a[j];
     });
     in[In::k1] = Numbers::gather(k1.a);
+  }
+
+  ARM_INLINE void solve(Dynamics& links, const State<S, X>& x, Accelerations& k1) {
+    if constexpr (locates)
+      if (given.modes) return coulomb.solve_in(*given.modes, links.M.at, k1.a);
+    coulomb.solve(links.M.at, x.v, k1.a);
   }
 
   ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) const {
@@ -182,6 +230,8 @@ class LinearlyImplicit {
     });
     q.store(x.q);
     v.store(x.v);
+    if constexpr (locates)
+      if (given.modes) return;
     coulomb.stop_at_reversal(x.v);
   }
 
@@ -279,6 +329,14 @@ class LinearlyImplicit {
   Coulomb<S, X> coulomb;
   std::unique_ptr<LinearlyImplicit> half;  // made when it is first needed
   int halvings = 0;
+
+  // A step that is taken in given modes; of no size where there is none.
+  struct Given {
+    const typename Coulomb<S, X>::Modes* modes = nullptr;
+    Past past = Past::used;
+  };
+  struct Nothing {};
+  [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given;
 };
 
 }  // namespace arm

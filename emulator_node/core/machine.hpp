@@ -5,8 +5,10 @@
 #include <type_traits>
 
 #include "energy.hpp"
+#include "energy_flow.hpp"
 #include "finite.hpp"
 #include "linearly_implicit.hpp"
+#include "located.hpp"
 #include "paper_scheme.hpp"
 
 namespace arm {
@@ -16,8 +18,9 @@ class Machine {
  public:
   static constexpr int N = S::N;
 
-  using Stepper =
-      std::conditional_t<S::scheme == Scheme::paper, PaperScheme<S>, LinearlyImplicit<S>>;
+  static constexpr bool locates = S::events == Events::located && Modes<S>::present;
+  using Stepper = std::conditional_t<S::scheme == Scheme::paper, PaperScheme<S>,
+                                     std::conditional_t<locates, Located<S>, LinearlyImplicit<S>>>;
 
   using Threads = typename S::template Threads<Stepper>;
 
@@ -130,6 +133,33 @@ class Machine {
     return -1;
   }
 
+  // The same as `advance`. What the joints are given and dissipate [J] is added to `flow`.
+  int advance_metered(const double* voltage, std::int64_t steps, EnergyFlow<S>& flow) {
+    EnergyMeter<S> meter;
+    double u[Stepper::row] = {};
+    for (int j = 0; j < N; ++j) u[j] = clamp(voltage[j], S::supply_voltage);
+    if constexpr (locates) threads.watch(&meter);
+    int joint = fault;
+    for (; joint < 0 && steps > 0; --steps) {
+      const State<S> before = x;
+      joint = advance(voltage, 1);
+      if constexpr (!locates)
+        if (joint < 0) meter.part(before, x, u, modes_at(before, u), h);
+    }
+    if constexpr (locates) threads.watch(static_cast<EnergyMeter<S>*>(nullptr));
+    flow.add(meter.total, 1.0);
+    return joint;
+  }
+
+  // What the joints are given and dissipate now, under these voltages [W].
+  EnergyFlow<S> powers(const double* voltage) const {
+    double u[N];
+    for (int j = 0; j < N; ++j) u[j] = clamp(voltage[j], S::supply_voltage);
+    State<S> at = x;
+    Modes<S>::settle_currents(at, u);
+    return powers_of(at, u, modes_at(at, u));
+  }
+
   std::int64_t steps() const { return steps_taken; }
   double time() const { return static_cast<double>(steps_taken) * h; }
   int faulty_joint() const { return fault; }
@@ -167,6 +197,13 @@ class Machine {
   double energy() const { return energy_of<S>(x).total(); }
 
  private:
+  static Modes<S> modes_at(State<S> x, const double* u) {
+    typename Links<S>::Dynamics links;
+    Links<S>::dynamics_apart(x.q, x.v, links);
+    Modes<S>::settle_currents(x, u);
+    return Modes<S>(x, u, links);
+  }
+
   static constexpr int kCheckEvery = 16;
   static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
 

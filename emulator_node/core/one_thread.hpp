@@ -27,6 +27,7 @@ class OneThread {
     Links<S>::dynamics(x.q, x.v, links);
     stepper.step(x, u, links, *this);
   }
+  void watch(auto* meter) { stepper.watch(meter); }
   ARM_INLINE void take(Dynamics&) {}  // it is there already
   ARM_INLINE void give(const State<S>&) {}
 

@@ -12,6 +12,8 @@ namespace arm {
 enum class Scheme { paper, implicit, rosenbrock, extrapolated };
 // What two threads exchange: see two_threads.hpp.
 enum class Exchange { lag, predict };
+// Where the modes of joints change: at the ends of steps, or within them (located.hpp).
+enum class Events { step, located };
 enum class JointKind { revolute, prismatic };
 
 // Inertia of a link with everything fixed to it, in the link's frame and about its origin.
