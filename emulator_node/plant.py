@@ -357,10 +357,11 @@ class Plant:
         """Return what the joints are given and dissipate now, under voltages (N,) [V], in W.
 
         Raises:
-            Refusal: wrong shape, or not finite.
+            Refusal: wrong shape, not finite, or the scene has no `energy_flow`.
         """
         V, out = self._vector(voltage, "Plant.powers", "voltage", "V"), np.zeros((2, self._N))
-        self.core.arm_powers(self.machine, _pointer(V), _pointer(out))
+        if self.core.arm_powers(self.machine, _pointer(V), _pointer(out)) == REFUSED:
+            raise self._refusal("Plant.powers", "false")
         return EnergyFlow(*out)
 
     def advance_metered(self, voltage: ArrayLike, steps: int) -> EnergyFlow:
@@ -370,7 +371,7 @@ class Plant:
         several times as long.
 
         Raises:
-            Refusal: as `advance`.
+            Refusal: as `advance`, or the scene has no `energy_flow`.
             Diverged: as `advance`.
         """
         where = "Plant.advance_metered"
@@ -380,7 +381,10 @@ class Plant:
         for first in range(0, steps, PIECE):
             out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
             meter, pointer = self.core.arm_advance_metered, self._voltage_pointer
-            if meter(self.machine, pointer, count, _pointer(out)) == DIVERGED:
+            result = meter(self.machine, pointer, count, _pointer(out))
+            if result == REFUSED:
+                raise self._refusal(where, "false")
+            if result == DIVERGED:
                 raise self._diverged(self._voltage)
             total += out
         return EnergyFlow(*total)

@@ -114,6 +114,7 @@ class Scene:
     chain: Chain  # the same joints' geometry and inertia
     integrator: Integrator
     servo_period: float  # s
+    energy_flow: bool  # whether what is given and dissipated is told, see core/energy_flow.hpp
     threads: int
     cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
 
@@ -204,6 +205,7 @@ def _build(root: _Section, file: Path) -> Scene:
         if rule:
             raise root.refusal("integrator.events", rule, "located", valid)
     cores = _cores(root)
+    energy_flow = root.flag("energy_flow")
     for key in BESIDE:
         if root.has(key):
             root.text(key)
@@ -219,6 +221,7 @@ def _build(root: _Section, file: Path) -> Scene:
         chain=chain,
         integrator=integrator,
         servo_period=servo_period,
+        energy_flow=energy_flow,
         threads=threads,
         cores=cores,
     )
@@ -499,6 +502,13 @@ class _Section:
             got = "nothing" if value is None else repr(value)
             raise self.refusal(key, "be one of the known", got, ", ".join(choices))
         return str(value)
+
+    def flag(self, key: str) -> bool:
+        value = self._take(key)
+        if key in self._data and not isinstance(value, bool):
+            got = "nothing" if value is None else repr(value)
+            raise self.refusal(key, "be true or false", got)
+        return bool(value)
 
     def number(
         self,

@@ -36,6 +36,7 @@ struct Scene {{
   template <class Stepper>
   using Threads = arm::{threads}<Scene, Stepper>;
   static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
+  static constexpr bool energy_flow = {"true" if scene.energy_flow else "false"};
   static constexpr arm::Events events = arm::Events::{scene.integrator.events};
   static constexpr double supply_voltage = {_number(scene.supply_voltage)};
   static constexpr arm::Vec3<double> gravity = {_vector(gravity)};

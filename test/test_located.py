@@ -163,6 +163,7 @@ def test_the_balance_of_energy_closes_with_the_order_of_the_scheme() -> None:
         "gravity": [0.0, 0.0, -9.81],
         "servo_period": 1e-2,
         "integrator.events": "located",
+        "energy_flow": True,
     }
     left = []
     for steps in (100, 1000, 10_000):
@@ -179,6 +180,14 @@ def test_the_balance_of_energy_closes_with_the_order_of_the_scheme() -> None:
     assert left[-1] < 1e-9, left
 
 
+def test_a_scene_without_energy_flow_tells_none() -> None:
+    plant = Plant(load_scene("three_axis"))
+    for ask in (lambda: plant.powers(np.ones(3)), lambda: plant.advance_metered(np.ones(3), 10)):
+        with pytest.raises(Refusal, match="energy_flow must be true in the scene, got false"):
+            ask()
+    assert plant.t == 0.0, "a refused call lets time pass"
+
+
 def test_powers_are_those_of_the_equations(tmp_path: Path) -> None:
     """A motor within its limit and one at it, both with friction and a damped gear."""
     motor = {
@@ -192,7 +201,8 @@ def test_powers_are_those_of_the_equations(tmp_path: Path) -> None:
     gear = {"ratio": 0.02, "stiffness": 2e3, "damping": 5.0}
     friction = {"viscous": 0.5, "coulomb": 1.0}
     joint = {"motor": motor, "gear": gear, "friction": friction}
-    plant = Plant(load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": joint})))
+    scene = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, energy_flow=True)
+    plant = Plant(load_scene(scene))
     for volts in (4.0, 30.0):
         plant.reset()
         plant.advance([volts], 100)

@@ -175,7 +175,7 @@ int arm_advance(arm_machine* machine, const double* voltage, int64_t steps);
 int arm_run(arm_machine* machine, const double* voltage, int64_t rows, int64_t steps, double* q);
 
 /* What the supply gives to each joint and what each dissipates, so many of each in `out`: now and
- * under `voltage` [W]. */
+ * under `voltage` [W]. Both calls need a scene with `energy_flow`. */
 int arm_powers(const arm_machine* machine, const double* voltage, double* out);
 /* As `arm_advance`; what was given and dissipated on the way goes to `out` [J]. */
 int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t steps, double* out);

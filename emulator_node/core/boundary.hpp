@@ -310,28 +310,40 @@ int arm_run(arm_machine* machine, const double* voltage, std::int64_t rows, std:
 
 namespace {
 
-void write_flow(const arm::EnergyFlow<Scene>& flow, double* out) {
+[[maybe_unused]] void write_flow(const arm::EnergyFlow<Scene>& flow, double* out) {
   for (int j = 0; j < arm_machine::N; ++j) {
     out[j] = flow.given[j];
     out[arm_machine::N + j] = flow.dissipated[j];
   }
 }
 
+[[maybe_unused]] int refuse_flow(const arm_machine* machine) {
+  return machine->refuse(-1, "energy_flow", "be true in the scene", 0.0);
+}
+
 }  // namespace
 
 int arm_powers(const arm_machine* machine, const double* voltage, double* out) {
-  if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
-  write_flow(machine->machine.powers(voltage), out);
-  return ARM_OK;
+  if constexpr (!Scene::energy_flow) {
+    return refuse_flow(machine);
+  } else {
+    if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
+    write_flow(machine->machine.powers(voltage), out);
+    return ARM_OK;
+  }
 }
 
 int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_t steps,
                         double* out) {
-  if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
-  arm::EnergyFlow<Scene> flow;
-  machine->machine.advance_metered(voltage, steps, flow);
-  write_flow(flow, out);
-  return machine->result();
+  if constexpr (!Scene::energy_flow) {
+    return refuse_flow(machine);
+  } else {
+    if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
+    arm::EnergyFlow<Scene> flow;
+    machine->machine.advance_metered(voltage, steps, flow);
+    write_flow(flow, out);
+    return machine->result();
+  }
 }
 
 int arm_linear_drives(double* out) {

@@ -25,9 +25,6 @@
 //                 but in the one step after it, which keeps the order.
 #pragma once
 
-#include <limits>
-#include <memory>
-
 #include "coulomb.hpp"
 #include "drive_table.hpp"
 #include "links.hpp"
@@ -47,6 +44,10 @@ class LinearlyImplicit {
   explicit LinearlyImplicit(double step)
       : h(step),
         tables([step](const auto& drive) { return implicit_table<K>(drive, step, stages); }) {}
+
+  ~LinearlyImplicit() { delete half; }
+  LinearlyImplicit(const LinearlyImplicit&) = delete;
+  LinearlyImplicit& operator=(const LinearlyImplicit&) = delete;
 
   // The links' accelerations in the first stage, and the torques M a + nle that they take there.
   struct Accelerations {
@@ -277,11 +278,11 @@ class LinearlyImplicit {
 
   void halve(State<S, X>& x, const X (&u)[row]) {
     if (halvings == kMostHalvings) {
-      x.v[0] = X{} + std::numeric_limits<double>::quiet_NaN();  // the machine says that it diverged
+      x.v[0] = X{} + __builtin_nan("");  // the machine says that it diverged
       return;
     }
     if (!half) {
-      half = std::make_unique<LinearlyImplicit>(0.5 * h);
+      half = new LinearlyImplicit(0.5 * h);
       half->halvings = halvings + 1;
     }
     half->past = past;
@@ -327,7 +328,7 @@ class LinearlyImplicit {
   Tables tables;
   Memory past = {};
   Coulomb<S, X> coulomb;
-  std::unique_ptr<LinearlyImplicit> half;  // made when it is first needed
+  LinearlyImplicit* half = nullptr;  // made when it is first needed
   int halvings = 0;
 
   // A step that is taken in given modes; of no size where there is none.

@@ -13,8 +13,6 @@
 // thick (a motor far faster than the step) are not resolved by it anyway.
 #pragma once
 
-#include <algorithm>
-
 #include "energy_flow.hpp"
 #include "linearly_implicit.hpp"
 #include "modes.hpp"
@@ -106,7 +104,8 @@ class Located {
       if (margin_before > 0.0 && trial % 3 < 2) {
         t = before + width * margin_before / (margin_before - margin_after);
         // So that both ends close in on an estimate that is as good as can be.
-        t = std::clamp(t, before + 0.5 * instant, after - 0.5 * instant);
+        const double least = before + 0.5 * instant, most = after - 0.5 * instant;
+        t = t < least ? least : t > most ? most : t;
       }
       State<S> trial_end = x;
       Method(t).step_in(modes, trial_end, u, links, Past::unknown);
