@@ -1,37 +1,61 @@
 // Everything in the core that two threads touch, at once, for ThreadSanitizer to watch. Built by
 // test_threads.py behind a scene's unit.
 
+#include <atomic>
+#include <cstddef>
 #include <cstdio>
+#include <thread>
+#include <vector>
+
+#include "real_time.cpp"
 
 int main() {
-  double voltage[N];
-  for (int j = 0; j < N; ++j) voltage[j] = 5.0 * (j % 2 ? 1 : -1);
-  double q[N] = {}, v[N] = {};
+  constexpr int N = Scene::N;
+  double voltage[N], q[N] = {}, v[N] = {};
+  arm_joint_command commands[N];
+  for (int j = 0; j < N; ++j) {
+    voltage[j] = 5.0 * (j % 2 ? 1 : -1);
+    commands[j] = {ARM_VOLTAGE, 1, voltage[j]};
+  }
 
-  TheMachine* machine = arm_new(1e-4, -1);
+  const arm_options options = {
+      .size = sizeof options, .core = -1, .step = 1e-4, .steps_per_period = 2};
+  arm_machine* machine = arm_new(&options);
   arm_reset(machine, q, v);
   for (int burst = 0; burst < 200; ++burst)
-    if (arm_advance(machine, voltage, 25) >= 0) return 1;
+    if (arm_advance(machine, voltage, 25) != ARM_OK) return 1;
   arm_reset(machine, q, v);
 
   // The real-time loop, its commands, its snapshots and its figures, from two more threads.
-  TheRealTime* loop = arm_real_time_new(machine, 200'000, 2, -1);
+  const arm_real_time_options loop_options = {.size = sizeof loop_options,
+                                              .joints = N,
+                                              .machine = machine,
+                                              .exchange = arm_exchange,
+                                              .get_truth = arm_get_truth,
+                                              .power = arm_power,
+                                              .join_schedule = arm_join_schedule,
+                                              .period = 200'000,
+                                              .core = -1,
+                                              .reserved = 0};
+  arm_real_time* loop = arm_real_time_new(&loop_options);
+  if (!loop) return 2;
+  std::vector<std::byte> snapshot(arm_real_time_snapshot_size(N));
   for (int round = 0; round < 3; ++round) {
     arm_real_time_start(loop, 0);
     std::atomic<bool> enough = false;
     std::jthread commander([&] {
-      for (int k = 0; !enough.load(); ++k) {
-        arm_real_time_command(loop, k, voltage);
-        arm_real_time_power(loop, k % 7 != 0);
-        TheRealTime::Status status;
-        arm_real_time_status(loop, &status);
+      arm_command command = {.size = sizeof command, .reserved = 0, .tick = 0, .joint = commands};
+      for (; !enough.load(); ++command.tick) {
+        arm_real_time_command(loop, &command);
+        arm_real_time_power(loop, command.tick % 7 != 0);
+        arm_real_time_figures figures;
+        arm_real_time_get_figures(loop, &figures);
       }
     });
-    arm::Snapshot<N> snapshot;
-    for (int taken = 0; taken < 300;) taken += arm_real_time_take(loop, &snapshot);
+    for (int taken = 0; taken < 300;) taken += arm_real_time_take(loop, snapshot.data());
     enough.store(true);
     arm_real_time_stop(loop);
-    while (arm_real_time_take(loop, &snapshot)) {
+    while (arm_real_time_take(loop, snapshot.data())) {
     }
     arm_reset(machine, q, v);
   }
