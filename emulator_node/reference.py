@@ -112,14 +112,17 @@ class ReferenceMachine:
     Args:
         scene: the machine.
         payload: the scene file's section `payload`.
+        smooth: whether to refuse what makes the right-hand side jump.
     """
 
-    def __init__(self, scene: Scene, payload: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, scene: Scene, payload: Mapping[str, Any] | None = None, smooth: bool = True
+    ) -> None:
         self.N = len(scene.joints)
         motors = [joint.motor for joint in scene.joints]
         gears = [joint.gear for joint in scene.joints]
-        for joint in scene.joints:
-            for quantity, smooth in (
+        for joint in scene.joints if smooth else ():
+            for quantity, absent in (
                 ("friction.coulomb", joint.friction.coulomb == 0.0),
                 (
                     "motor.current_limit",
@@ -128,7 +131,7 @@ class ReferenceMachine:
                     or joint.motor.inductance == 0.0,
                 ),
             ):
-                if not smooth:
+                if not absent:
                     where = f"joints.{joint.name}.{quantity}"
                     raise Refusal("reference", where, "be absent", "there", "a smooth machine")
         self.motor = np.array([motor is not None for motor in motors])

@@ -1,0 +1,183 @@
+"""An independent solution for machines that stick and whose currents meet limits.
+
+As `emulator_node.reference`, in pieces: in each the modes of the joints are held, and SciPy finds
+where the first of them ends, on the dense output of its own steps. Shares no line with the core.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from scipy.integrate import solve_ivp
+
+from emulator_node.reference import STIFF, Array, ReferenceMachine
+from emulator_node.scene import Scene
+
+ROUNDING = 1e-9  # of a breakaway torque or a limit: what is nearer to it is at it
+MOST_PIECES = 1000  # in one row
+
+Margin = Callable[[float, Array], float]
+
+
+class MachineWithModes(ReferenceMachine):
+    """The equations with each joint sliding or locked, its current free or at its limit."""
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene, smooth=False)
+        frictions = [joint.friction for joint in scene.joints]
+        self.Dc = np.array([friction.coulomb for friction in frictions])
+        self.Ds = np.array([friction.breakaway for friction in frictions])
+        self.armature = np.array(self.model.armature)
+        self.model.armature = np.zeros(self.N)
+        self.locked = np.zeros(self.N, dtype=bool)
+        self.direction = np.zeros(self.N)
+        self.side = np.zeros(self.N)
+
+    def currents(self, x: Array, V: Array) -> tuple[Array, Array]:
+        """Return the currents in these modes, and what is left of the voltage to raise them."""
+        i, _, wm, _, v = x
+        wm = np.where(self.rigid, v / self.Ng, wm)
+        i = np.where(self.inductive, i, (V - self.Kb * wm) / self.R)
+        i = np.where(self.side != 0.0, self.side * np.where(self.side != 0.0, self.limit, 0.0), i)
+        return i, V - self.R * i - self.Kb * wm
+
+    def forces(self, x: Array, V: Array) -> tuple[Array, Array, Array]:
+        """Return the gears' torques, accelerations, and what the locks hold."""
+        _, tm, wm, q, v = x
+        i, _ = self.currents(x, V)
+        T = np.where(
+            self.rigid,
+            self.Kt * i / self.Ng,
+            self.Kg * (self.Ng * tm - q) + self.Dg * (self.Ng * wm - v),
+        )
+        M = pin.crba(self.model, self.data, q)
+        M = np.triu(M) + np.triu(M, 1).T + np.diag(self.armature)
+        free = ~self.locked
+        tau = T - self.Dl * v - self.Dc * self.direction * free
+        tau -= pin.rnea(self.model, self.data, q, v, np.zeros(self.N))
+        a = np.zeros(self.N)
+        a[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
+        return T, a, np.where(self.locked, tau - M @ a, 0.0)
+
+    def rates(self, t: float, flat: Array, V: Array) -> Array:
+        """Return dx/dt in these modes, flat."""
+        x = flat.reshape(5, self.N)
+        i, surplus = self.currents(x, V)
+        T, a, _ = self.forces(x, V)
+        dx = np.zeros((5, self.N))
+        np.divide(surplus, self.L, out=dx[0], where=self.inductive & (self.side == 0.0))
+        dx[1] = np.where(self.elastic, x[2], 0.0)
+        dx[2] = np.where(self.elastic, (self.Kt * i - self.Ng * T) / self.Mm, 0.0)
+        dx[3], dx[4] = x[4], a
+        return dx.ravel()
+
+    def choose_locks(self, x: Array, V: Array, freed: int | None = None) -> None:
+        """Lock every joint at rest but `freed`, then free what is overloaded, the worst first."""
+        hold = self.forces(x, V)[2]
+        v = x[4]
+        self.locked = (self.Dc > 0.0) & (v == 0.0)
+        self.direction = np.sign(v)
+        if freed is not None:
+            self.locked[freed], self.direction[freed] = False, np.sign(hold[freed])
+        while self.locked.any():
+            hold = self.forces(x, V)[2]
+            over = np.where(self.locked, np.abs(hold) - self.Ds * (1.0 + ROUNDING), -1.0)
+            worst = int(np.argmax(over))
+            if over[worst] <= 0.0:
+                break
+            self.locked[worst], self.direction[worst] = False, np.sign(hold[worst])
+
+    def choose_sides(self, x: Array, V: Array) -> None:
+        """Let each current be free, or held at its limit."""
+        self.side[:] = 0.0
+        i, _ = self.currents(x, V)
+        at = np.where(np.abs(i) >= self.limit * (1.0 - ROUNDING), np.sign(i), 0.0)
+        self.side = at
+        _, surplus = self.currents(x, V)
+        self.side = np.where(at * surplus >= 0.0, at, 0.0)
+
+    def margins(self, V: Array) -> list[tuple[str, int, Margin]]:
+        """Return what ends each mode, by falling through zero."""
+        out: list[tuple[str, int, Margin]] = []
+        for j in range(self.N):
+            if self.locked[j]:
+                out.append(("away", j, lambda t, y, j=j: self._spare(y, V, j)))
+            elif self.Dc[j] > 0.0:
+                out.append(("rest", j, lambda t, y, j=j: self._along(y, j)))
+            if np.isfinite(self.limit[j]):
+                name = "within" if self.side[j] else "limit"
+                out.append((name, j, lambda t, y, j=j: self._room(y, V, j)))
+        return out
+
+    def _spare(self, y: Array, V: Array, j: int) -> float:
+        return float(self.Ds[j] - abs(self.forces(y.reshape(5, self.N), V)[2][j]))
+
+    def _along(self, y: Array, j: int) -> float:
+        return float(y[4 * self.N + j] * self.direction[j])
+
+    def _room(self, y: Array, V: Array, j: int) -> float:
+        i, surplus = self.currents(y.reshape(5, self.N), V)
+        return float(self.side[j] * surplus[j] if self.side[j] else self.limit[j] - abs(i[j]))
+
+
+def reference_with_events(
+    scene: Scene, voltages: ArrayLike, period: float, rtol: float = 1e-12
+) -> tuple[Array, int]:
+    """Return the link positions after each row (K, N) from rest at the scene's start, and events.
+
+    Args:
+        scene: the machine, without a payload.
+        voltages: (K, N) [V], each row held for a period.
+        period: how long [s].
+        rtol: relative error per step; absolute: a hundredth of it.
+    """
+    machine = MachineWithModes(scene)
+    x = machine.at_rest(scene.start, None)
+    method = "Radau" if machine.fastest_rate(x) > STIFF else "DOP853"
+    rows = np.clip(np.atleast_2d(voltages), -scene.supply_voltage, scene.supply_voltage)
+    out, events = np.empty((len(rows), machine.N)), 0
+    for k, V in enumerate(rows):
+        t = 0.0
+        machine.choose_sides(x, V)
+        machine.choose_locks(x, V)
+        for _ in range(MOST_PIECES):
+            margins = machine.margins(V)
+            stops = [margin for _, _, margin in margins]
+            for stop in stops:
+                stop.terminal, stop.direction = True, -1.0  # type: ignore[attr-defined]
+            solution = solve_ivp(
+                lambda t, y, V=V: machine.rates(t, y, V),
+                (t, period),
+                x.ravel(),
+                method=method,
+                rtol=max(rtol, 1e-13),  # SciPy allows 2.2e-14
+                atol=1e-2 * rtol,
+                max_step=period / 40.0,
+                events=stops,
+            )
+            t, x = float(solution.t[-1]), solution.y[:, -1].reshape(x.shape)
+            if solution.status == 0:
+                break
+            events += 1
+            freed = None
+            for (what, j, _), times in zip(margins, solution.t_events, strict=True):
+                if not len(times):
+                    continue
+                if what == "rest":
+                    x[4, j] = 0.0
+                elif what == "away":
+                    freed = j
+                elif what == "limit":
+                    machine.side[j] = np.sign(machine.currents(x, V)[0][j])
+                    if machine.inductive[j]:
+                        x[0, j] = machine.side[j] * machine.limit[j]
+                else:
+                    machine.side[j] = 0.0
+            machine.choose_locks(x, V, freed)
+        else:
+            raise RuntimeError(f"reference: more than {MOST_PIECES} events in row {k}")
+        out[k] = x[3]
+    return out, events

@@ -1,0 +1,48 @@
+"""Random chains of links as URDFs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+LINK = """
+  <joint name="{name}" type="{kind}">
+    <origin xyz="{xyz}" rpy="{rpy}"/>
+    <parent link="{parent}"/>
+    <child link="{name}_link"/>
+    <axis xyz="{axis}"/>
+    <limit lower="-10" upper="10" effort="100" velocity="100"/>
+  </joint>
+  <link name="{name}_link">
+    <inertial>
+      <origin xyz="{com}" rpy="{com_rpy}"/>
+      <mass value="{mass}"/>
+      <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="{ixy}" ixz="{ixz}" iyz="{iyz}"/>
+    </inertial>
+  </link>"""
+
+
+def random_chain_urdf(rng: np.random.Generator, joints: int) -> str:
+    """A chain of random joints about random axes, fixed joints with masses in between."""
+    text, parent = '<robot name="random"><link name="base"/>', "base"
+    for index in range(joints):
+        for kind in ["fixed"] * int(rng.integers(0, 2)) + [
+            str(rng.choice(["revolute", "continuous", "prismatic"], p=[0.4, 0.35, 0.25]))
+        ]:
+            name = f"{kind}_{index}"
+            A = rng.normal(size=(3, 3))
+            I = 0.02 * (A @ A.T + np.eye(3))  # noqa: E741
+            text += LINK.format(
+                name=name, kind=kind, parent=parent, xyz=_words(rng.normal(0, 0.2, 3)),
+                rpy=_words(rng.uniform(-3, 3, 3)), axis=_words(rng.normal(size=3)),
+                com=_words(rng.normal(0, 0.1, 3)), com_rpy=_words(rng.uniform(-3, 3, 3)),
+                mass=rng.uniform(0.5, 3.0), ixx=I[0, 0], iyy=I[1, 1], izz=I[2, 2], ixy=I[0, 1],
+                ixz=I[0, 2], iyz=I[1, 2],
+            )  # fmt: skip
+            parent = f"{name}_link"
+    return text + "</robot>"
+
+
+def _words(values: Any) -> str:
+    return " ".join(repr(float(value)) for value in values)

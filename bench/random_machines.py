@@ -1,0 +1,305 @@
+"""The claims about order and energy, held against random machines that stick and meet limits.
+
+    python -m bench.random_machines --count 500
+
+Each machine is a random chain of one to three links with a mixture of motors with and without
+inductance and limits, rigid and elastic gears, dry friction and gravity, moved by voltages that
+jump. Claims, for rosenbrock and extrapolated with events located:
+
+- the error at a tenth of the step follows the scheme's order, or `Diverged` is raised;
+- what is left of energy given - stored - dissipated falls with the scheme's order, and is below
+  1e-9 of what was exchanged at steps of 1 us.
+
+The truth is bench/event_reference.py's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import signal
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import yaml
+from rich.console import Console
+from rich.table import Table
+
+from bench.event_reference import reference_with_events
+from bench.measure import progress
+from bench.pictures import COLOURS, new_figure, save
+from bench.random_chain import random_chain_urdf
+from emulator_node.advice import ORDERS
+from emulator_node.chain import Array
+from emulator_node.library_cache import CACHE_VARIABLE
+from emulator_node.plant import Diverged, Plant
+from emulator_node.reference import ReferenceMachine
+from emulator_node.scene import SCHEMES, Scene, load_scene
+
+LOCATED = ("rosenbrock", "extrapolated")  # the others take events at the ends of steps
+PERIOD, ROWS = 0.02, 6  # s, that each voltage is held, and how many of them
+STEP_OF_RATE = 0.1  # the coarse step times the machine's fastest rate
+MICROSECOND = 1e-6  # s
+# By how much errors fall at least, from a step to its tenth, by the scheme's order; for first order
+# an event may lie well in the coarse step and badly in the fine one.
+FALLS = {1: 10**0.5, 2: 10**1.7}
+# rad; below it the error is the reference's: 1e-12 a step, in some thousand steps.
+RESOLVED = 1e-10
+BALANCED = 1e-9  # of the energy exchanged, at steps of 1 us
+ROUNDED = 1e-12  # of the energy exchanged: what sums of 1e5 parts lose to rounding
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came out of one machine with one scheme."""
+
+    seed: int
+    scheme: str
+    joints: int
+    events: int  # that the reference found
+    rate: float  # 1/s, the fastest
+    steps: int  # in a period, coarse; the fine ones are ten times as many
+    errors: tuple[float, float]  # rad or m, coarse and fine
+    left: tuple[float, float, float]  # of energy, of what was exchanged: coarse, fine, 1 us
+    note: str = ""
+
+    @property
+    def in_order(self) -> bool:
+        """Whether the fine error is that of the scheme's order."""
+        falls = FALLS[ORDERS[self.scheme]]
+        return self.note != "" or self.errors[1] < max(RESOLVED, self.errors[0] / falls)
+
+    @property
+    def balance_in_order(self) -> bool:
+        """Whether what is left of energy is that of the scheme's order."""
+        falls = FALLS[ORDERS[self.scheme]]
+        return self.note != "" or self.left[1] < max(ROUNDED, self.left[0] / falls)
+
+    @property
+    def balanced(self) -> bool:
+        """Whether energy balances at 1 us."""
+        return self.note != "" or self.left[2] < BALANCED
+
+
+def machine(folder: Path, seed: int) -> tuple[Path, Array]:
+    """Write a random machine into `folder`; return its scene's file and its voltages."""
+    rng = np.random.default_rng(seed)
+    urdf = random_chain_urdf(rng, int(rng.integers(1, 4)))
+    names = [name for name in pin.buildModelFromXML(urdf).names if name != "universe"]
+    joints = {name: _joint(rng) for name in names}
+    if not any("motor" in joint for joint in joints.values()):
+        joints[names[0]] |= {"motor": _motor(rng), "gear": _gear(rng)}
+    data: dict[str, Any] = {
+        "name": f"random_{seed}",
+        "urdf": "robot.urdf",
+        "tool": "base",
+        "supply_voltage": 48.0,
+        "joints": joints,
+        "integrator": {"dt": 1e-4},
+        "servo_period": PERIOD,
+        "energy_flow": True,
+    }
+    if rng.random() < 0.5:
+        data["gravity"] = [0.0, 0.0, -9.81]
+    (folder / "robot.urdf").write_text(urdf)
+    file = folder / "scene.yaml"
+    file.write_text(yaml.safe_dump(data))
+    return file, rng.uniform(-20.0, 20.0, size=(ROWS, len(names)))
+
+
+def _joint(rng: np.random.Generator) -> dict[str, Any]:
+    joint: dict[str, Any] = {"friction": {"viscous": float(rng.uniform(0.0, 1.0))}}
+    if rng.random() < 0.7:
+        Dc = float(rng.uniform(0.5, 5.0))
+        joint["friction"]["coulomb"] = Dc
+        if rng.random() < 0.5:
+            joint["friction"]["breakaway"] = Dc * float(rng.uniform(1.0, 1.6))
+    if rng.random() < 0.9:
+        joint |= {"motor": _motor(rng), "gear": _gear(rng)}
+    return joint
+
+
+def _motor(rng: np.random.Generator) -> dict[str, float]:
+    motor = {
+        "resistance": float(rng.uniform(0.5, 2.0)),
+        "torque_constant": 0.05,
+        "back_emf_constant": float(rng.choice([0.05, 0.04])),
+        "rotor_inertia": float(10 ** rng.uniform(-5, -3.5)),
+    }
+    if rng.random() < 0.65:
+        motor["inductance"] = float(10 ** rng.uniform(-4, -2.5))
+    if rng.random() < 0.6:
+        motor["current_limit"] = float(rng.uniform(1.0, 6.0))
+    return motor
+
+
+def _gear(rng: np.random.Generator) -> dict[str, float]:
+    gear = {"ratio": float(rng.uniform(0.01, 0.03))}
+    if rng.random() < 0.6:
+        gear["stiffness"] = float(10 ** rng.uniform(3.0, 4.5))
+        gear["damping"] = float(rng.choice([0.0, rng.uniform(1.0, 30.0)]))
+    return gear
+
+
+def judge(seed: int, schemes: tuple[str, ...] = LOCATED) -> list[Verdict]:
+    """Hold one machine against the claims."""
+    with tempfile.TemporaryDirectory() as folder:
+        file, voltages = machine(Path(folder), seed)
+        scene = load_scene(file)
+        equations = ReferenceMachine(scene, smooth=False)
+        rate = equations.fastest_rate(equations.at_rest(scene.start, None))
+        truth, events = reference_with_events(scene, voltages, PERIOD)
+        steps = math.ceil(PERIOD * max(rate, 1e3) / STEP_OF_RATE)
+        verdicts = []
+        for scheme in schemes:
+            about = (seed, scheme, len(scene.joints), events, rate)
+            verdict = _judge(file, scheme, voltages, truth, about, steps)
+            # Where the coarse error is small by chance, as its parts cancel, the next tenth tells.
+            if not (verdict.in_order and verdict.balance_in_order):
+                verdict = _judge(file, scheme, voltages, truth, about, 10 * steps)
+            verdicts.append(verdict)
+        return verdicts
+
+
+def _judge(
+    file: Path,
+    scheme: str,
+    voltages: Array,
+    truth: Array,
+    about: tuple[int, str, int, int, float],
+    steps: int,
+) -> Verdict:
+    try:
+        runs = [
+            run(_with(file, scheme, PERIOD / n), voltages, n)
+            for n in (steps, 10 * steps, round(PERIOD / MICROSECOND))
+        ]
+    except Diverged as fault:
+        return Verdict(
+            *about, steps, (math.nan, math.nan), (math.nan, math.nan, math.nan), str(fault)
+        )
+    (q, left), (q_fine, left_fine), (_, left_there) = runs
+    errors = float(np.abs(q - truth).max()), float(np.abs(q_fine - truth).max())
+    return Verdict(*about, steps, errors, (left, left_fine, left_there))
+
+
+def _with(file: Path, scheme: str, dt: float) -> Scene:
+    events = "located" if scheme in LOCATED else "step"
+    integrator = {"scheme": scheme, "dt": dt, "events": events}
+    return load_scene(file, {"integrator": integrator})
+
+
+def run(scene: Scene, voltages: Array, steps: int) -> tuple[Array, float]:
+    """Return the links' positions after each row, and what part of the energy is left over."""
+    plant = Plant(scene)
+    before, given, dissipated, exchanged, q = plant.energy, 0.0, 0.0, 0.0, []
+    for row in voltages:
+        flow = plant.advance_metered(row, steps)
+        given += float(flow.given.sum())
+        dissipated += float(flow.dissipated.sum())
+        exchanged += float(np.abs(flow.given).sum() + flow.dissipated.sum())
+        q.append(plant.state.q)
+    return np.array(q), abs(plant.energy - before - given + dissipated) / exchanged
+
+
+def table(verdicts: list[Verdict]) -> Table:
+    """Return how many machines meet each claim, by scheme."""
+    out = Table("scheme", "machines", "with events", "events", "diverged", "error in order",
+                "balance in order", "below 1e-9 at 1 us", "worst there")  # fmt: skip
+    for scheme in SCHEMES:
+        own = [verdict for verdict in verdicts if verdict.scheme == scheme]
+        if not own:
+            continue
+        sound = [one for one in own if not one.note]
+        figures = (
+            len(own),
+            sum(one.events > 0 for one in own),
+            sum(one.events for one in own),
+            len(own) - len(sound),
+            sum(one.in_order for one in own),
+            sum(one.balance_in_order for one in own),
+            sum(one.balanced for one in own),
+            f"{max((one.left[2] for one in sound), default=math.nan):.1e}",
+        )
+        out.add_row(scheme, *map(str, figures))
+    return out
+
+
+def draw(verdicts: list[Verdict], folder: Path) -> None:
+    """Draw error over error and energy over energy, at a step and at its tenth."""
+    figure = new_figure(10.0, 5.0)
+    titles = ("largest error of position [rad or m]", "energy left over, of what was exchanged")
+    for axes, title, pick in zip(figure.subplots(1, 2), titles, ("errors", "left"), strict=True):
+        for scheme in SCHEMES:
+            pairs = [getattr(one, pick)[:2] for one in verdicts if one.scheme == scheme]
+            if not pairs:
+                continue
+            coarse, fine = np.array(pairs).T
+            axes.loglog(coarse, fine, ".", color=COLOURS[scheme], label=scheme)
+        ends = np.array(axes.get_xlim())
+        axes.plot(ends, ends / 100.0, color="0.4", linewidth=0.8, label="second order")
+        axes.plot(ends, ends / FALLS[2], "--", color="0.6", linewidth=0.8, label="bound for it")
+        axes.set_title(title, fontsize=10)
+        axes.set_xlabel("at h = 0.1 / fastest rate")
+        axes.set_ylabel("at h / 10")
+        axes.legend(frameon=False)
+    save(figure, folder, "random_machines")
+
+
+def main() -> int:
+    """Judge random machines; exit code 1 if a claim is broken."""
+    parser = argparse.ArgumentParser(prog="bench.random_machines", description=__doc__)
+    parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0, help="of the first machine")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--scheme", action="append", choices=SCHEMES, help="may be repeated")
+    parser.add_argument("--out", type=Path, default=Path("out/random_machines"))
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    schemes = tuple(arguments.scheme or LOCATED)
+    seeds = range(arguments.seed, arguments.seed + arguments.count)
+    verdicts: list[Verdict] = []
+    console = Console()
+    with (
+        tempfile.TemporaryDirectory() as cache,  # of libraries that nobody needs again
+        ProcessPoolExecutor(arguments.jobs, initializer=_begin, initargs=(cache,)) as pool,
+        progress("random machines", len(seeds)) as done,
+    ):
+        waiting = {pool.submit(judge, seed, schemes): seed for seed in seeds}
+        try:
+            for judged in as_completed(waiting):
+                verdicts += judged.result()
+                done(f"seed {waiting[judged]}")
+                figures = json.dumps([asdict(one) for one in verdicts], indent=1)
+                (arguments.out / "figures.json").write_text(figures)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            console.print(f"ended early, {len(verdicts) // len(schemes)} machines are judged")
+    verdicts.sort(key=lambda one: (one.seed, one.scheme))
+    draw(verdicts, arguments.out)
+    console.print(table(verdicts))
+    broken = [
+        one for one in verdicts if not (one.in_order and one.balance_in_order and one.balanced)
+    ]
+    for one in broken:
+        console.print(one)
+    return 1 if broken else 0
+
+
+def _begin(cache: str) -> None:
+    os.environ[CACHE_VARIABLE] = cache
+    # Of compilations; a refusal comes back as an exception. An interrupt is for the one who asked.
+    sys.stderr = open(os.devnull, "w")
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,28 @@
+"""Random machines that stick and meet limits, against an independent solution."""
+
+from __future__ import annotations
+
+import pytest
+
+from bench.random_machines import LOCATED, judge
+from emulator_node.advice import ORDERS
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_error_and_energy_follow_the_order(seed: int) -> None:
+    """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
+    (verdict,) = judge(seed, (LOCATED[seed % 2],))
+    assert verdict.in_order, f"the error does not fall as h squared: {verdict}"
+    assert verdict.balance_in_order, f"what is left of energy does not fall so: {verdict}"
+    # In steps of 1 us. Transients of a rate r are off by a part of (h r)^2, and drawn are rates of
+    # up to 2e4 1/s: 1e-9 is what those of 1e3 1/s are held to.
+    bound = 1e-9 * max(1.0, verdict.rate / 1e3) ** 2
+    assert verdict.left[2] < bound, f"more than {bound:.1e} of the energy is left: {verdict}"
+
+
+@pytest.mark.parametrize(("seed", "scheme"), [(20, "implicit"), (21, "paper")])
+def test_first_order_remains_without_location(seed: int, scheme: str) -> None:
+    assert ORDERS[scheme] == 1
+    (verdict,) = judge(seed, (scheme,))
+    assert verdict.in_order, f"the error does not fall as h: {verdict}"
+    assert verdict.balance_in_order, f"what is left of energy does not fall so: {verdict}"
