@@ -70,6 +70,10 @@ class Body:
             self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia
         )
 
+    def scaled(self, factor: float) -> Body:
+        """Return a body of that many times this one."""
+        return Body(factor * self.mass, factor * self.moment, factor * self.inertia)
+
     def seen_from(self, frame: Frame) -> Body:
         """Return this body in the frame from which its own is seen as `frame`."""
         mass, moment = np.array([self.mass]), self.moment[None]

@@ -26,6 +26,9 @@ ARM_CALLS: Calls = {
     "arm_measure": (_int, [_pointer] * 2),
     "arm_power": (None, [_pointer, _int]),
     "arm_why": (_int, [_pointer] * 2),
+    "arm_describe_parameter": (_int, [_int32, _pointer]),
+    "arm_get_parameter": (_int, [_pointer, ctypes.c_char_p, _pointer]),
+    "arm_set_parameter": (_int, [_pointer, ctypes.c_char_p, _double]),
     "arm_saved_size": (_count, []),
     "arm_save": (_int, [_pointer, _pointer, _count]),
     "arm_restore": (_int, [_pointer, _pointer, _count]),
@@ -35,8 +38,8 @@ ARM_CALLS: Calls = {
     "arm_run": (_int, [_pointer, _pointer, _count, _count, _pointer]),
     "arm_powers": (_int, [_pointer] * 3),
     "arm_advance_metered": (_int, [_pointer, _pointer, _count, _pointer]),
-    "arm_linear_drives": (_int, [_pointer]),
-    "arm_forward_dynamics": (None, [_count] + [_pointer] * 4),
+    "arm_linear_drives": (_int, [_pointer] * 2),
+    "arm_forward_dynamics": (None, [_pointer, _count] + [_pointer] * 4),
 }
 
 REAL_TIME_CALLS: Calls = {

@@ -259,6 +259,34 @@ class Plant:
     def powered(self, on: bool) -> None:
         self.core.arm_power(self.machine, on)
 
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The numbers that the scene lists as varied, by name, with this machine's values."""
+        return {one.name: self._parameter(one.name) for one in self.scene.varied}
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
+
+        Raises:
+            Refusal: the scene does not list it as varied, or a value out of its range.
+        """
+        known = {one.name: one for one in self.scene.varied}
+        if name not in known:
+            raise Refusal(
+                "Plant.set_parameter", "name", "be varied in the scene", name,
+                ", ".join(known) or "none, see `varied` in docs/scene.md",
+            )  # fmt: skip
+        one = known[name]
+        if not isinstance(value, int | float) or not one.least <= value <= one.most:
+            rule = f"be a number from {one.least:g} to {one.most:g}"
+            raise Refusal("Plant.set_parameter", name, rule, value)
+        self.core.arm_set_parameter(self.machine, name.encode(), float(value))
+
+    def _parameter(self, name: str) -> float:
+        value = ctypes.c_double()
+        self.core.arm_get_parameter(self.machine, name.encode(), ctypes.byref(value))
+        return value.value
+
     def save(self) -> bytes:
         """Return all that decides how the machine goes on, as bytes that may be kept."""
         size = self.core.arm_saved_size()
@@ -452,16 +480,16 @@ class Plant:
         if (np.abs(rows[0]) > POSITION.largest).any():
             raise Refusal(where, "q", f"be at most {POSITION.largest:g} rad or m", rows[0])
         a = np.empty_like(rows[0])
-        self.core.arm_forward_dynamics(a.size // self._N, *map(_pointer, (*rows, a)))
+        self.core.arm_forward_dynamics(self.machine, a.size // self._N, *map(_pointer, (*rows, a)))
         if not np.isfinite(a).all():
             raise Refusal(where, "what v and tau lead to", "be finite [rad/s2 or m/s2]", a)
         return a
 
     def linear_drives(self) -> list[LinearDrive]:
         """Return what each joint's drive is for small motions, base to tool."""
-        K = self.core.arm_linear_drives(None)
+        K = self.core.arm_linear_drives(self.machine, None)
         numbers = np.zeros((self._N, 2 + K + (K + 1) * (K + 4)))
-        self.core.arm_linear_drives(_pointer(numbers))
+        self.core.arm_linear_drives(self.machine, _pointer(numbers))
         drives = []
         for row in numbers:
             n, (D, F, G) = int(row[0]), np.split(row[2:], [K, K + K * (K + 4)])

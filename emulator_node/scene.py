@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
+from emulator_node.varied import Varied, choose_varied
 from words.config_files import BESIDE, find_config
 from words.refusal import Refusal
 from words.text_file import why_no_file
@@ -69,6 +70,15 @@ class Friction:
     breakaway: float = 0.0  # N m
 
 
+@dataclass(frozen=True)
+class Load:
+    """A payload whose mass is varied: the link that carries it, and what it adds to that link."""
+
+    link: int
+    carried: Body  # link and payload of the scene
+    per_kg: Body  # what 1 kg more adds
+
+
 # What a joint without an encoder reports, since encoder counts are whole numbers.
 IDEAL_COUNTS_PER_TURN = 2**20
 
@@ -117,6 +127,8 @@ class Scene:
     energy_flow: bool  # whether what is given and dissipated is told, see core/energy_flow.hpp
     threads: int
     cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
+    varied: tuple[Varied, ...]  # numbers that every machine has for itself
+    load: Load | None  # the payload, where its mass is varied
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -169,13 +181,12 @@ def _build(root: _Section, file: Path) -> Scene:
             key: locked_section.number(key, "rad or m", at_least=-1e4, at_most=1e4)
             for key in locked_section.keys()
         }
-    chain = read_chain(
-        robot,
-        urdf_file.name,
-        locked=locked,
-        tool=tool,
-        payload=None if payload is None else _payload(payload),
-    )
+    payload_body = None if payload is None else _payload(payload)
+
+    def read(load: Body | None) -> Chain:
+        return read_chain(robot, urdf_file.name, locked=locked, tool=tool, payload=load)
+
+    chain = read(payload_body)
     if lock_joints(robot, locked, urdf_file.name):
         urdf = ET.tostring(robot, encoding="unicode")
     supply_voltage = root.number("supply_voltage", "V", above=0.0, at_most=1e5)
@@ -205,6 +216,11 @@ def _build(root: _Section, file: Path) -> Scene:
         if rule:
             raise root.refusal("integrator.events", rule, "located", valid)
     cores = _cores(root)
+    mass = payload_body.mass if payload_body is not None else None
+    varied = choose_varied(root.entries("varied"), _could_vary(joints, mass), where)
+    load = None
+    if payload_body is not None and any(one.name == "payload.mass" for one in varied):
+        load = _load(chain, read(payload_body + _one_kg(payload)))
     energy_flow = root.flag("energy_flow")
     for key in BESIDE:
         if root.has(key):
@@ -224,6 +240,8 @@ def _build(root: _Section, file: Path) -> Scene:
         energy_flow=energy_flow,
         threads=threads,
         cores=cores,
+        varied=varied,
+        load=load,
     )
 
 
@@ -352,6 +370,46 @@ def _payload(section: _Section) -> Body:
         check_inertia(inertia, "payload.inertia", section.where)
     section.finish()
     return Body.from_center(mass, np.array(com), inertia)
+
+
+def _one_kg(payload: _Section) -> Body:
+    """Return what one kilogram more of the payload adds at the tool."""
+    com = payload.vector("com", "m", bound=100.0) or (0.0, 0.0, 0.0)
+    return Body.from_center(1.0, np.array(com), np.zeros((3, 3)))
+
+
+def _load(chain: Chain, heavier: Chain) -> Load | None:
+    """Return the load that makes one chain of the other; None where it rests on the base."""
+    for link, (one, more) in enumerate(zip(chain.joints, heavier.joints, strict=True)):
+        if one.body.mass != more.body.mass:
+            return Load(link, one.body, more.body + one.body.scaled(-1.0))
+    return None
+
+
+def _could_vary(joints: tuple[Joint, ...], payload: float | None) -> dict[str, Varied]:
+    """Return all numbers that a scene may list as varied, by name; the gear ratio is structure."""
+    possible: dict[str, Varied] = {}
+
+    def add(name: str, value: float | None, least: float, most: float = LARGEST) -> None:
+        if value is not None:
+            possible[name] = Varied(name, value, least, most)
+
+    for joint in joints:
+        at = f"joints.{joint.name}"
+        if (motor := joint.motor) is not None:
+            add(f"{at}.motor.resistance", motor.resistance, SMALLEST)
+            add(f"{at}.motor.inductance", motor.inductance, 0.0)
+            add(f"{at}.motor.torque_constant", motor.torque_constant, SMALLEST)
+            add(f"{at}.motor.back_emf_constant", motor.back_emf_constant, 0.0)
+            add(f"{at}.motor.rotor_inertia", motor.rotor_inertia, SMALLEST)
+            add(f"{at}.motor.current_limit", motor.current_limit, SMALLEST)
+        if (gear := joint.gear).stiffness is not None:
+            add(f"{at}.gear.stiffness", gear.stiffness, SMALLEST)
+            add(f"{at}.gear.damping", gear.damping, 0.0)
+        add(f"{at}.friction.viscous", joint.friction.viscous, 0.0)
+        add(f"{at}.friction.coulomb", joint.friction.coulomb, 0.0)
+    add("payload.mass", payload, SMALLEST)
+    return possible
 
 
 def _check_periods(servo_period: float, dt: float, where: str) -> None:
@@ -567,6 +625,14 @@ class _Section:
             if not abs(_as_float(entry)) <= bound:
                 raise self.refusal(key, rule, value)
         return tuple(float(entry) for entry in value)
+
+    def entries(self, key: str) -> list[object]:
+        value = self._take(key)
+        if key not in self._data:
+            return []
+        if not isinstance(value, list):
+            raise self.refusal(key, "be a list", repr(value))
+        return value
 
     def finish(self) -> None:
         for key in self._data:

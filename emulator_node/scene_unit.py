@@ -7,14 +7,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from emulator_node.chain import Array, ChainJoint
+from emulator_node.chain import Array, Body, ChainJoint
 from emulator_node.scene import Joint, Scene
+from emulator_node.varied import Varied
 
 
 def scene_unit(scene: Scene) -> str:
     """Return the C++ unit of a scene: its constants, then the core's C interface.
 
-    The step size is no constant, so that scenes that differ in it alone share a library.
+    The step size is no constant, so that scenes that differ in it alone share a library. Numbers
+    that the scene lists as varied stand as p[k], and what they begin with beside their bounds.
     """
     threads, threads_header = {
         1: ("OneThread", "one_thread.hpp"),
@@ -22,9 +24,16 @@ def scene_unit(scene: Scene) -> str:
     }[scene.threads]
     R_BW = scene.chain.R_BW
     gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
-    links = ",\n".join(_link(geometry) for geometry in scene.chain.joints)
+    places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
+    bodies = [_body(geometry.body) for geometry in scene.chain.joints]
+    if (load := scene.load) is not None:
+        mass = next(one.value for one in scene.varied if one.name == "payload.mass")
+        bare, per_kg = _body(load.carried + load.per_kg.scaled(-mass)), _body(load.per_kg)
+        bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
+    links = ",\n".join(map(_link, scene.chain.joints, bodies))
     devices = ",\n".join(_device(joint) for joint in scene.joints)
-    drives = ",\n".join(_drive(joint) for joint in scene.joints)
+    drives = ",\n".join(_drive(joint, places) for joint in scene.joints)
+    parameters = "".join(f"      {_parameter(one)},\n" for one in scene.varied)
     return f"""\
 #include "device.hpp"
 #include "scene.hpp"
@@ -40,10 +49,17 @@ struct Scene {{
   static constexpr arm::Events events = arm::Events::{scene.integrator.events};
   static constexpr double supply_voltage = {_number(scene.supply_voltage)};
   static constexpr arm::Vec3<double> gravity = {_vector(gravity)};
-  static constexpr arm::Link link[N] = {{
-{links}}};
-  static constexpr std::tuple drive = {{
+  static constexpr int parameters = {len(scene.varied)};
+  static constexpr arm::Parameter parameter[parameters + 1] = {{
+{parameters}  }};
+  static constexpr arm::LinkRow<N> links([[maybe_unused]] const double* p) {{
+    return {{{{
+{links}}}}};
+  }}
+  static constexpr auto drives([[maybe_unused]] const double* p) {{
+    return std::tuple{{
 {drives}}};
+  }}
   static constexpr arm::Device device[N] = {{
 {devices}}};
 }};
@@ -52,7 +68,20 @@ struct Scene {{
 """
 
 
-def _link(geometry: ChainJoint) -> str:
+def _parameter(one: Varied) -> str:
+    numbers = _fields({"value": one.value, "least": one.least, "most": one.most})
+    return f"{{.name = {_text(one.name)}, {numbers}}}"
+
+
+def _body(body: Body) -> str:
+    I = body.inertia  # noqa: E741
+    tensor = dict(zip(("xx", "yy", "zz"), np.diag(I), strict=True))
+    tensor |= {"xy": I[0, 1], "xz": I[0, 2], "yz": I[1, 2]}
+    m, h = _number(body.mass), _vector(body.moment)
+    return f"arm::Body<double>{{.m = {m}, .h = {h}, .I = {{{_fields(tensor)}}}}}"
+
+
+def _link(geometry: ChainJoint, body: str) -> str:
     theta_0 = geometry.theta_0
     numbers = {
         "cos_alpha": geometry.cos_alpha,
@@ -61,48 +90,49 @@ def _link(geometry: ChainJoint) -> str:
         "cos_theta_0": math.cos(theta_0),
         "sin_theta_0": math.sin(theta_0),
     }
-    body = geometry.body
-    I = body.inertia  # noqa: E741
-    tensor = dict(zip(("xx", "yy", "zz"), np.diag(I), strict=True))
-    tensor |= {"xy": I[0, 1], "xz": I[0, 2], "yz": I[1, 2]}
     return f"""\
       {{.kind = arm::JointKind::{geometry.kind},
        {_fields(numbers)},
        .p = {_vector(geometry.p)},
-       .body = {{.m = {_number(body.mass)},
-                .h = {_vector(body.moment)},
-                .I = {{{_fields(tensor)}}}}}}}"""
+       .body = {body}}}"""
 
 
-def _drive(joint: Joint) -> str:
-    gear = _part("RigidGear", Ng=joint.gear.ratio)
-    if joint.motor is not None:
-        motor = _part(
-            "DcMotor",
-            R=joint.motor.resistance,
-            L=joint.motor.inductance,
-            Kt=joint.motor.torque_constant,
-            Kb=joint.motor.back_emf_constant,
-            Mm=joint.motor.rotor_inertia,
-            current_limit=joint.motor.current_limit or 0.0,
+def _drive(joint: Joint, places: Mapping[str, str]) -> str:
+    def part(section: str, **numbers: tuple[str, float | None]) -> str:
+        """Return designated initialisers; each from its key in that section of the joint."""
+        return ", ".join(
+            f".{symbol} = {places.get(f'joints.{joint.name}.{section}.{key}') or _number(value)}"
+            for symbol, (key, value) in numbers.items()
+            if value is not None
         )
-    else:
-        motor = _part("NoMotor")
-    if joint.gear.stiffness is not None:
-        gear = _part(
-            "ElasticGear",
-            Ng=joint.gear.ratio,
-            Kg=joint.gear.stiffness,
-            Dg=joint.gear.damping,
+
+    motor = "arm::NoMotor{}"
+    gear = f"arm::RigidGear{{{part('gear', Ng=('ratio', joint.gear.ratio))}}}"
+    if (m := joint.motor) is not None:
+        numbers = part(
+            "motor",
+            R=("resistance", m.resistance),
+            L=("inductance", m.inductance),
+            Kt=("torque_constant", m.torque_constant),
+            Kb=("back_emf_constant", m.back_emf_constant),
+            Mm=("rotor_inertia", m.rotor_inertia),
+            current_limit=("current_limit", m.current_limit),
         )
-    friction = _fields(
-        {
-            "Dl": joint.friction.viscous,
-            "Dc": joint.friction.coulomb,
-            "Ds": joint.friction.breakaway,
-        }
-    )
-    kinds = ", ".join(part.partition("{")[0] for part in (motor, gear))
+        motor = f"arm::DcMotor{{{numbers}}}"
+    if (g := joint.gear).stiffness is not None:
+        numbers = part(
+            "gear", Ng=("ratio", g.ratio), Kg=("stiffness", g.stiffness), Dg=("damping", g.damping)
+        )
+        gear = f"arm::ElasticGear{{{numbers}}}"
+    f = joint.friction
+    friction = part("friction", Dl=("viscous", f.viscous), Dc=("coulomb", f.coulomb))
+    coulomb = places.get(f"joints.{joint.name}.friction.coulomb")
+    if coulomb is None:
+        friction += f", .Ds = {_number(f.breakaway)}"
+    else:  # the breakaway torque goes with it
+        ratio = f.breakaway / f.coulomb if f.coulomb > 0.0 else 1.0
+        friction += f", .Ds = {_number(ratio)} * {coulomb}"
+    kinds = ", ".join(kind.partition("{")[0] for kind in (motor, gear))
     return f"""\
       arm::Drive<{kinds}>{{
           .motor = {motor},
@@ -122,10 +152,6 @@ def _text(words: str) -> str:
 
 def _octal(character: str) -> str:
     return "".join(f"\\{byte:03o}" for byte in character.encode())
-
-
-def _part(kind: str, **numbers: float) -> str:
-    return f"arm::{kind}{{{_fields(numbers)}}}"
 
 
 def _fields(numbers: Mapping[str, float]) -> str:

@@ -48,7 +48,7 @@ typedef struct arm_description {
   uint32_t size;
   uint32_t version; /* ARM_VERSION of the library */
   int32_t joints;
-  int32_t reserved;
+  int32_t parameters;    /* that are varied */
   uint64_t fingerprint;  /* of scene, core and compiler flags: equal bits need equal ones */
   double supply_voltage; /* V */
 } arm_description;
@@ -135,6 +135,24 @@ void arm_power(arm_machine* machine, int on);
 /* What refused the newest call on this machine. */
 int arm_why(const arm_machine* machine, arm_refusal* out);
 
+/* -------------------------------------------------------------------------- varied parameters */
+
+/* A number that the scene lists as varied, by its place in the scene. */
+typedef struct arm_parameter {
+  uint32_t size;
+  int32_t reserved;
+  const char* name;
+  double value; /* that a machine begins with */
+  double least, most;
+} arm_parameter;
+
+/* Fill `out`; ARM_REFUSED if there are not so many (arm_description.parameters). */
+int arm_describe_parameter(int32_t index, arm_parameter* out);
+/* The value that this machine has. Setting it lets the motion go on from where it is; a reset does
+ * not change it. */
+int arm_get_parameter(const arm_machine* machine, const char* name, double* value);
+int arm_set_parameter(arm_machine* machine, const char* name, double value);
+
 /* ------------------------------------------------------------------------------ whole states */
 
 /* Bytes of a saved machine. */
@@ -183,11 +201,11 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t ste
 /* The linear part of every drive (drive_table.hpp), for the analysis of small motions. Rows of K
  * states; returns K. out, per joint: how many states it has, the carried rotor, D (K), F (K rows of
  * K + 4) and G (K + 4); the columns are z, q, v, u and side. With `out` null only K is returned. */
-int arm_linear_drives(double* out);
+int arm_linear_drives(const arm_machine* machine, double* out);
 
 /* The links alone, for `count` rows of joints: M(q) a + nle(q, v) = tau. */
-void arm_forward_dynamics(int64_t count, const double* q, const double* v, const double* tau,
-                          double* a);
+void arm_forward_dynamics(const arm_machine* machine, int64_t count, const double* q,
+                          const double* v, const double* tau, double* a);
 
 #ifdef __cplusplus
 }

@@ -26,15 +26,20 @@ struct arm_machine {
   using Machine = arm::Machine<Scene>;
   static constexpr int N = Scene::N;
 
+  // Of the varied numbers, and one that is 0.
+  using Values = double[Scene::parameters + 1];
+
   // What is saved, in eight bytes each and in a fixed order: what it is of, and the machine.
   template <class Number>
-  static void for_each_saved_number(arm_machine& one, Machine::Whole& whole, Number&& number) {
+  static void for_each_saved_number(arm_machine& one, Machine::Whole& whole, Values& values,
+                                    Number&& number) {
     number(one.step);
     number(one.steps_per_period);
     whole.for_each_number(number);
     number(one.answered);
     for (double& volts : one.voltage) number(volts);
     number(one.powered);
+    for (double& value : values) number(value);
   }
 
   explicit arm_machine(const arm_options& options)
@@ -95,14 +100,16 @@ struct arm_machine {
 
 int arm_describe(arm_description* out) {
   if (!out || out->size < sizeof *out) return ARM_REFUSED;
-  *out = {out->size, ARM_VERSION, arm_machine::N, 0, ARM_FINGERPRINT, Scene::supply_voltage};
+  *out = {out->size,         ARM_VERSION,     arm_machine::N,
+          Scene::parameters, ARM_FINGERPRINT, Scene::supply_voltage};
   return ARM_OK;
 }
 
 int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
   if (!out || out->size < sizeof *out || joint < 0 || joint >= arm_machine::N) return ARM_REFUSED;
   out->name = Scene::device[joint].name;
-  out->kind = Scene::link[joint].kind == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
+  out->kind =
+      arm::kLinks<Scene>.at[joint].kind == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
   out->reserved = 0;
   out->counts_per_rad = Scene::device[joint].counts_per_rad;
   arm::for_each_drive<Scene>([&](const auto& drive, int j) {
@@ -171,6 +178,42 @@ int arm_why(const arm_machine* machine, arm_refusal* out) {
 
 namespace {
 
+// The place of a varied number in the list; -1: none of that name.
+int place_of(const char* name) {
+  for (int k = 0; name && k < Scene::parameters; ++k)
+    if (__builtin_strcmp(Scene::parameter[k].name, name) == 0) return k;
+  return -1;
+}
+
+}  // namespace
+
+int arm_describe_parameter(std::int32_t index, arm_parameter* out) {
+  if (!out || out->size < sizeof *out || index < 0 || index >= Scene::parameters)
+    return ARM_REFUSED;
+  const arm::Parameter& one = Scene::parameter[index];
+  *out = {out->size, 0, one.name, one.value, one.least, one.most};
+  return ARM_OK;
+}
+
+int arm_get_parameter(const arm_machine* machine, const char* name, double* value) {
+  const int k = place_of(name);
+  if (k < 0) return machine->refuse(-1, "parameter", "be varied in this scene", 0.0);
+  *value = machine->machine.parameter(k);
+  return ARM_OK;
+}
+
+int arm_set_parameter(arm_machine* machine, const char* name, double value) {
+  const int k = place_of(name);
+  if (k < 0) return machine->refuse(-1, "parameter", "be varied in this scene", 0.0);
+  const arm::Parameter& one = Scene::parameter[k];
+  if (!arm::is_finite(value) || value < one.least || value > one.most)
+    return machine->refuse(-1, "parameter", "be within its bounds", value);
+  machine->machine.set_parameter(k, value);
+  return ARM_OK;
+}
+
+namespace {
+
 constexpr std::int64_t kWord = 8;
 
 // Where the words of a saved machine go, or come from.
@@ -197,8 +240,9 @@ std::int64_t arm_saved_size(void) {
   static const std::int64_t size = [] {
     arm_machine none({sizeof(arm_options), -1, 1.0, 1});
     arm_machine::Machine::Whole whole = {};
+    arm_machine::Values values = {};
     std::int64_t words = 1;  // the fingerprint
-    arm_machine::for_each_saved_number(none, whole, [&](const auto&) { ++words; });
+    arm_machine::for_each_saved_number(none, whole, values, [&](const auto&) { ++words; });
     return words * kWord;
   }();
   return size;
@@ -210,7 +254,9 @@ int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
   Words words = {static_cast<unsigned char*>(out)};
   words.write(std::uint64_t{ARM_FINGERPRINT});
   auto whole = machine->machine.whole();
-  arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), whole,
+  arm_machine::Values values = {};
+  for (int k = 0; k < Scene::parameters; ++k) values[k] = machine->machine.parameter(k);
+  arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), whole, values,
                                      [&](const auto& number) { words.write(number); });
   return ARM_OK;
 }
@@ -234,7 +280,10 @@ int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
     return machine->refuse(-1, "saved machine", "have as many steps per period",
                            static_cast<double>(steps_per_period));
   arm_machine::Machine::Whole whole = {};
-  arm_machine::for_each_saved_number(*machine, whole, [&](auto& number) { words.read(number); });
+  arm_machine::Values values = {};
+  arm_machine::for_each_saved_number(*machine, whole, values,
+                                     [&](auto& number) { words.read(number); });
+  for (int k = 0; k < Scene::parameters; ++k) machine->machine.set_parameter(k, values[k]);
   machine->machine.restore(whole);
   return ARM_OK;
 }
@@ -273,7 +322,7 @@ int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
     for (int j = 0; j < N; ++j) to[row][j] = from[row][j];
   }
   int result = ARM_OK;
-  arm::for_each_drive<Scene>([&](const auto& drive, int j) {
+  machine->machine.numbers_now().for_each_drive([&](const auto& drive, int j) {
     const auto behind = drive.at_rest_behind(x.q[j], x.v[j]);
     const double limit = drive.motor.current_limit;
     const auto differs = [&](const double* given, double one, double other) {
@@ -346,13 +395,13 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_
   }
 }
 
-int arm_linear_drives(double* out) {
+int arm_linear_drives(const arm_machine* machine, double* out) {
   constexpr int K = arm::most_states<Scene>();
   if (!out) return K;
   const auto copy = [&](const double* from, int count) {
     for (int k = 0; k < count; ++k) *out++ = from[k];
   };
-  arm::for_each_drive<Scene>([&](const auto& drive, int) {
+  machine->machine.numbers_now().for_each_drive([&](const auto& drive, int) {
     const auto linear = arm::LinearDrive<K>::of(drive, false);
     *out++ = drive.states;
     *out++ = drive.carried();
@@ -363,14 +412,14 @@ int arm_linear_drives(double* out) {
   return K;
 }
 
-void arm_forward_dynamics(std::int64_t count, const double* q, const double* v, const double* tau,
-                          double* a) {
+void arm_forward_dynamics(const arm_machine* machine, std::int64_t count, const double* q,
+                          const double* v, const double* tau, double* a) {
   constexpr int N = arm_machine::N;
   using Links = arm::Links<Scene>;
   for (std::int64_t row = 0; row < count; ++row, q += N, v += N, tau += N, a += N) {
     Links::Dynamics links;
     double x[N];
-    Links::dynamics_apart(q, v, links);
+    Links::dynamics_apart(machine->machine.numbers_now(), q, v, links);
     for (int j = 0; j < N; ++j) x[j] = tau[j] - links.nle[j];
     arm::Cholesky<N> factors;
     factors.factor(links.M.at);

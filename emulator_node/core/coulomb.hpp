@@ -9,7 +9,7 @@
 #pragma once
 
 #include "cholesky.hpp"
-#include "scene.hpp"
+#include "numbers.hpp"
 
 namespace arm {
 
@@ -22,6 +22,8 @@ class Coulomb {
   static constexpr bool present =
       any_drive<S>([](const auto& drive) { return drive.friction.Dc > 0.0; });
 
+  explicit Coulomb(const Numbers<S>& numbers) : n(numbers) {}
+
   // Decide what each joint does in this step, for W x = rhs, and solve for x. The factors and the
   // decisions serve `solve_again` for a second right-hand side of the same step.
   ARM_INLINE void solve(Matrix& W, const X* v, X* x) {
@@ -31,14 +33,14 @@ class Coulomb {
     } else {
       for (int j = 0; j < N; ++j) {
         direction[j] = select(v[j] > 0.0, X{} + 1.0, select(v[j] < 0.0, X{} - 1.0, X{}));
-        locked[j] = Dc[j] > 0.0 ? v[j] == 0.0 : v[j] != v[j];
+        locked[j] = n.Dc(j) > 0.0 ? v[j] == 0.0 : v[j] != v[j];
       }
       X rhs[N];
       for (int j = 0; j < N; ++j) rhs[j] = x[j];
       // Each round frees one joint, so there are at most N.
       do {
         factor_unlocked(W);
-        for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc[j] * direction[j];
+        for (int j = 0; j < N; ++j) x[j] = rhs[j] - n.Dc(j) * direction[j];
         solve_again(x);
       } while (free_one(W, rhs, x));
     }
@@ -63,16 +65,13 @@ class Coulomb {
       rhs[j] = x[j];
     }
     factor_unlocked(W);
-    for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc[j] * direction[j];
+    for (int j = 0; j < N; ++j) x[j] = rhs[j] - n.Dc(j) * direction[j];
     solve_again(x);
     for (int j = 0; j < N; ++j) held[j] = torque_of_lock(j, W, rhs, x);
   }
 
   // What the lock of joint j could take beside what it takes, below 0 if it does not hold [N m].
-  ARM_INLINE X spare(int j) const { return Ds[j] - magnitude(held[j]); }
-
-  static constexpr bool acts_on(int j) { return Dc[j] > 0.0; }
-  static constexpr double breakaway(int j) { return Ds[j]; }
+  ARM_INLINE X spare(int j) const { return n.Ds(j) - magnitude(held[j]); }
 
   ARM_INLINE void solve_again(X* x) const {
     if constexpr (present)
@@ -83,7 +82,7 @@ class Coulomb {
   // Torque against the motion of joint j, or of the lock that holds it.
   ARM_INLINE X force(int j) const {
     if constexpr (present)
-      return select(locked[j], held[j], Dc[j] * direction[j]);
+      return select(locked[j], held[j], n.Dc(j) * direction[j]);
     else
       return X{};
   }
@@ -92,21 +91,10 @@ class Coulomb {
   ARM_INLINE void stop_at_reversal(X* v) const {
     if constexpr (present)
       for (int j = 0; j < N; ++j)
-        if (Dc[j] > 0.0) v[j] = select(v[j] * direction[j] <= 0.0, X{}, v[j]);
+        if (n.Dc(j) > 0.0) v[j] = select(v[j] * direction[j] <= 0.0, X{}, v[j]);
   }
 
  private:
-  struct Torques {
-    double at[N];
-    constexpr double operator[](int j) const { return at[j]; }
-  };
-  static constexpr Torques torques(double LinkFriction::* which) {
-    Torques torques = {};
-    for_each_drive<S>([&](const auto& drive, int j) { torques.at[j] = drive.friction.*which; });
-    return torques;
-  }
-  static constexpr Torques Dc = torques(&LinkFriction::Dc), Ds = torques(&LinkFriction::Ds);
-
   // M with the rows and columns of the locked joints made those of the identity.
   void factor_unlocked(const Matrix& W) {
     Matrix free = {};
@@ -127,7 +115,7 @@ class Coulomb {
     X excess = {}, way = {}, worst = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
       const X torque = held[j] = torque_of_lock(j, W, rhs, x);
-      const X over = select(locked[j], magnitude(torque) - Ds[j], X{});
+      const X over = select(locked[j], magnitude(torque) - n.Ds(j), X{});
       const auto more = over > excess;
       worst = select(more, X{} + j, worst);
       excess = select(more, over, excess);
@@ -149,6 +137,7 @@ class Coulomb {
     return mask;
   }
 
+  const Numbers<S>& n;
   Cholesky<N, X> factors;
   Mask<X> locked[N] = {};
   X direction[N] = {};

@@ -17,6 +17,7 @@
 // stiff as it likes.
 #pragma once
 
+#include "numbers.hpp"
 #include "state.hpp"
 
 namespace arm {
@@ -176,18 +177,6 @@ DriveTable<K> paper_table(const LinearDrive<K>& drive, double h) {
   return table;
 }
 
-// Inertia of the rotors that turn with their links, as the links feel it [kg m2].
-template <class S>
-struct Carried {
-  double of[S::N] = {};
-  constexpr Carried() {
-    for_each_drive<S>([this](const auto& drive, int j) { of[j] = drive.carried(); });
-  }
-  constexpr double operator[](int j) const { return of[j]; }
-};
-template <class S>
-inline constexpr Carried<S> carried = {};
-
 // The tables of all joints, side by side, so that a row is worked out for all of them at once.
 template <class S, class X>
 class DriveTables {
@@ -204,8 +193,14 @@ class DriveTables {
 
   // `make(linear drive)` gives a joint's table.
   template <class Make>
-  explicit DriveTables(Make&& make) {
-    for_each_drive<S>([&](const auto& drive, int j) {
+  DriveTables(const arm::Numbers<S>& numbers, Make&& make) : n(numbers) {
+    fill(make);
+  }
+  // The same, when the numbers have changed.
+  template <class Make>
+  void fill(Make&& make) {
+    for (X& side : served) side = X{};
+    n.for_each_drive([&](const auto& drive, int j) {
       of_joint[0][j] = make(LinearDrive<K>::of(drive, false));
       if constexpr (limits) of_joint[1][j] = make(LinearDrive<K>::of(drive, true));
       for (int lane = 0; lane < kWidth<X>; ++lane) copy(of_joint[0][j], j, lane);
@@ -232,7 +227,7 @@ class DriveTables {
   // What rounding has moved: a current at its limit is at it to the last bit, one within not
   // beyond.
   void settle(State<S, X>& x) const {
-    for_each_drive<S>([&](const auto& drive, int j) {
+    n.for_each_drive([&](const auto& drive, int j) {
       if constexpr (drive.driven) {
         const double limit = drive.motor.current_limit;
         if (!drive.motor.has_limit()) return;
@@ -299,6 +294,7 @@ class DriveTables {
     number[lane] = value;
   }
 
+  const arm::Numbers<S>& n;
   DriveTable<K> of_joint[limits ? 2 : 1][N];
   alignas(64) X served[row] = {};  // the side of the table in use
 };

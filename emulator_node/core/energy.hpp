@@ -17,14 +17,15 @@ struct Energy {
 
 // `greediest`: set to the joint that holds the most by itself: its drive and, with M_jj, its link.
 template <class S>
-__attribute__((noinline)) Energy energy_of(const State<S>& x, int* greediest = nullptr) {
+__attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& x,
+                                           int* greediest = nullptr) {
   typename Links<S>::Kinematics k;
   typename Links<S>::MassMatrix M;
   Links<S>::kinematics(x.q, k);
-  Links<S>::mass_matrix(k, M);
-  Energy E = {0.0, Links<S>::potential_energy(k)};
+  Links<S>::mass_matrix(n, k, M);
+  Energy E = {0.0, Links<S>::potential_energy(n, k)};
   double most = -1.0;
-  for_each_drive<S>([&](const auto& drive, int j) {
+  n.for_each_drive([&](const auto& drive, int j) {
     const double own =
         0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
     E.stored += own;
@@ -46,17 +47,17 @@ class EnergyBalance {
  public:
   static constexpr int N = S::N;
 
-  void reset(const State<S>& x) {
-    const Energy E = energy_of<S>(x);
+  void reset(const Numbers<S>& n, const State<S>& x) {
+    const Energy E = energy_of<S>(n, x);
     at_most = E.total();
     largest_stored = E.stored;
     steps = 0;
   }
 
   // What the motors give at most under the commands u [W].
-  ARM_INLINE static double largest_power(const State<S>& x, const double* u) {
+  ARM_INLINE static double largest_power(const Numbers<S>& n, const State<S>& x, const double* u) {
     double power = 0.0;
-    for_each_drive<S>([&](const auto& drive, int j) __attribute__((always_inline)) {
+    n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
       power += drive.given_at_most(input_of(drive, j, x, u[j]));
     });
     return power;
@@ -68,12 +69,12 @@ class EnergyBalance {
 
   // `count` steps have led to x. Returns -1, or the joint that holds the most of an energy that
   // came from nowhere.
-  int broken_by(const State<S>& x, int count) {
+  int broken_by(const Numbers<S>& n, const State<S>& x, int count) {
     steps += count;
     if (steps < kCheckEvery) return -1;
     steps = 0;
     int greediest = 0;
-    const Energy E = energy_of<S>(x, &greediest);
+    const Energy E = energy_of<S>(n, x, &greediest);
     if (E.stored > largest_stored) largest_stored = E.stored;
     const double gained = E.total() - at_most;
     const double rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));

@@ -25,9 +25,10 @@ struct EnergyFlow {
 
 // The powers at the state x in these modes.
 template <class S>
-EnergyFlow<S> powers_of(const State<S>& x, const double* u, const Modes<S>& modes) {
+EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
+                        const Modes<S>& modes) {
   EnergyFlow<S> power;
-  for_each_drive<S>([&](const auto& drive, int j) {
+  n.for_each_drive([&](const auto& drive, int j) {
     const auto at = input_of(drive, j, x, u[j]);
     power.given[j] = drive.given(at, modes.side[j] != 0.0);
     power.dissipated[j] = drive.dissipated(at);
@@ -43,21 +44,25 @@ class EnergyMeter {
  public:
   static constexpr int N = S::N;
 
+  explicit EnergyMeter(const Numbers<S>& numbers) : n(numbers) {}
+
   // A part from x to y, in these modes, t long.
   void part(State<S> x, State<S> y, const double* u, const Modes<S>& modes, double t) {
-    Modes<S>::settle_currents(x, u);
-    Modes<S>::settle_currents(y, u);
+    Modes<S>::settle_currents(n, x, u);
+    Modes<S>::settle_currents(n, y, u);
     const State<S> middle = middle_of(x, y, u, modes, t);
-    total.add(powers_of(x, u, modes), t / 6.0);
-    total.add(powers_of(middle, u, modes), 4.0 * t / 6.0);
-    total.add(powers_of(y, u, modes), t / 6.0);
+    total.add(powers_of(n, x, u, modes), t / 6.0);
+    total.add(powers_of(n, middle, u, modes), 4.0 * t / 6.0);
+    total.add(powers_of(n, y, u, modes), t / 6.0);
   }
 
   EnergyFlow<S> total;
 
  private:
-  static State<S> middle_of(const State<S>& x, const State<S>& y, const double* u,
-                            const Modes<S>& modes, double t) {
+  const Numbers<S>& n;
+
+  State<S> middle_of(const State<S>& x, const State<S>& y, const double* u, const Modes<S>& modes,
+                     double t) const {
     const State<S> before = rates_of(x, u, modes), after = rates_of(y, u, modes);
     State<S> middle = x;
     const auto put = [t](double& m, double x, double y, double before, double after) {
@@ -69,19 +74,19 @@ class EnergyMeter {
       put(middle.q[j], x.q[j], y.q[j], before.q[j], after.q[j]);
       put(middle.v[j], x.v[j], y.v[j], before.v[j], after.v[j]);
     }
-    Modes<S>::settle_currents(middle, u);
+    Modes<S>::settle_currents(n, middle, u);
     return middle;
   }
 
   // dx/dt; 0 for what follows at once.
-  static State<S> rates_of(const State<S>& x, const double* u, const Modes<S>& modes) {
+  State<S> rates_of(const State<S>& x, const double* u, const Modes<S>& modes) const {
     State<S> rates = {};
     typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(x.q, x.v, links);
+    Links<S>::dynamics_apart(n, x.q, x.v, links);
     double a[N];
-    Coulomb<S, double> coulomb;
+    Coulomb<S, double> coulomb(n);
     modes.accelerations(x, u, links, a, coulomb);
-    for_each_drive<S>([&](const auto& drive, int j) {
+    n.for_each_drive([&](const auto& drive, int j) {
       const bool limited = modes.side[j] != 0.0;
       const auto D = drive.D(limited);
       const auto is = drive.rates(input_of(drive, j, x, u[j], modes.side[j]), limited);

@@ -41,13 +41,18 @@ class LinearlyImplicit {
   using In = StepInput<K>;
   static constexpr int row = Tables::row;
 
-  explicit LinearlyImplicit(double step)
-      : h(step),
-        tables([step](const auto& drive) { return implicit_table<K>(drive, step, stages); }) {}
+  LinearlyImplicit(double step, const arm::Numbers<S>& numbers)
+      : h(step), n(numbers), tables(numbers, table_for(step)), coulomb(numbers) {}
 
   ~LinearlyImplicit() { delete half; }
   LinearlyImplicit(const LinearlyImplicit&) = delete;
   LinearlyImplicit& operator=(const LinearlyImplicit&) = delete;
+
+  // The numbers have changed.
+  void renew() {
+    tables.fill(table_for(h));
+    if (half) half->renew();
+  }
 
   // The links' accelerations in the first stage, and the torques M a + nle that they take there.
   struct Accelerations {
@@ -67,7 +72,7 @@ class LinearlyImplicit {
     if constexpr (!extrapolates) return;
     typename Links<S, X>::Kinematics kinematics;
     Links<S, X>::kinematics(x.q, kinematics);
-    Links<S, X>::inverse_dynamics(kinematics, x.v, nullptr, past.torque);
+    Links<S, X>::inverse_dynamics(n, kinematics, x.v, nullptr, past.torque);
   }
   const Memory& memory() const { return past; }
   void restore(const Memory& memory) { past = memory; }
@@ -97,15 +102,15 @@ class LinearlyImplicit {
   void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row]) {
     if constexpr (extrapolates) {
       Dynamics links;
-      Links<S, X>::dynamics_apart(x.q, x.v, links);
+      Links<S, X>::dynamics_apart(n, x.q, x.v, links);
       X a[N];
-      Modes<S>(x, u, links).accelerations(x, u, links, a, coulomb);
+      Modes<S>(n, x, u, links).accelerations(x, u, links, a, coulomb);
       typename Links<S, X>::Kinematics kinematics;
       Links<S, X>::kinematics(start.q, kinematics);
-      Links<S, X>::inverse_dynamics(kinematics, start.v, a, past.torque);
+      Links<S, X>::inverse_dynamics(n, kinematics, start.v, a, past.torque);
       for (int j = 0; j < N; ++j) {
         past.a[j] = a[j];
-        past.torque[j] += carried<S>[j] * a[j];
+        past.torque[j] += n.carried(j) * a[j];
       }
     }
   }
@@ -140,6 +145,10 @@ class LinearlyImplicit {
 
   using Numbers = Row<N, X>;
 
+  static auto table_for(double step) {
+    return [step](const auto& drive) { return implicit_table<K>(drive, step, stages); };
+  }
+
   ARM_INLINE static void begin(const State<S, X>& x, const X (&u)[row], Inputs& in) {
     for_each<K, kMostStates>([&](auto k)
                                  __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
@@ -151,7 +160,7 @@ class LinearlyImplicit {
 
   // k1 and k2 of the links. `k1.torque` holds rhs_1.
   ARM_INLINE void stages_of(const State<S, X>& x, Dynamics& links, Inputs& in, Accelerations& k1) {
-    for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += carried<S>[j]; });
+    for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n.carried(j); });
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
@@ -201,9 +210,9 @@ class LinearlyImplicit {
       v[j] = x.v[j] + h * k1.a[j];
     });
     Links<S, X>::kinematics(q, kinematics);
-    Links<S, X>::inverse_dynamics(kinematics, v, k1.a, change);
+    Links<S, X>::inverse_dynamics(n, kinematics, v, k1.a, change);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      change[j] = k1.torque[j] - change[j] - carried<S>[j] * k1.a[j];
+      change[j] = k1.torque[j] - change[j] - n.carried(j) * k1.a[j];
     });
   }
 
@@ -251,7 +260,7 @@ class LinearlyImplicit {
   // none: then the step is taken in halves.
   void step_within_limits(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past;
-    for_each_drive<S>([&](const auto& drive, int j) {
+    n.for_each_drive([&](const auto& drive, int j) {
       if constexpr (drive.driven)
         for (int lane = 0; drive.motor.has_limit() && lane < kWidth<X>; ++lane)
           tables.serve(j, lane, drive.motor.side_of(lane_of(x.z[drive.i][j], lane)));
@@ -282,14 +291,14 @@ class LinearlyImplicit {
       return;
     }
     if (!half) {
-      half = new LinearlyImplicit(0.5 * h);
+      half = new LinearlyImplicit(0.5 * h, n);
       half->halvings = halvings + 1;
     }
     half->past = past;
     for (int part = 0; part < 2; ++part) {
       Dynamics links;
       Inputs in;
-      Links<S, X>::dynamics(x.q, x.v, links);
+      Links<S, X>::dynamics(n, x.q, x.v, links);
       begin(x, u, in);
       half->step_within_limits(x, u, links, in);
     }
@@ -299,7 +308,7 @@ class LinearlyImplicit {
   // Whether all modes hold at the step's end y; those that do not are changed.
   bool modes_hold(const State<S, X>& y, const X (&u)[row]) {
     bool hold = true;
-    for_each_drive<S>([&](const auto& drive, int j) {
+    n.for_each_drive([&](const auto& drive, int j) {
       if constexpr (drive.driven) {
         if (!drive.motor.has_limit()) return;
         const auto end = input_of(drive, j, y, u[j]);
@@ -325,6 +334,7 @@ class LinearlyImplicit {
   static constexpr int kMostHalvings = 12;
 
   double h;
+  const arm::Numbers<S>& n;
   Tables tables;
   Memory past = {};
   Coulomb<S, X> coulomb;

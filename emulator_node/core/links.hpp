@@ -5,8 +5,8 @@
 // centrifugal and gravity terms, which the paper calls C.
 #pragma once
 
-#include "base_parameters.hpp"
 #include "cholesky.hpp"
+#include "numbers.hpp"
 #include "sincos.hpp"
 
 namespace arm {
@@ -20,7 +20,7 @@ struct Wrench {
 template <class S, class X = double>
 struct Links {
   static constexpr int N = S::N;
-  static constexpr BaseParameters<N> base = BaseParameters<N>(S::link);
+  using Numbers = arm::Numbers<S>;
 
   // All that depends on q alone.
   struct Kinematics {
@@ -38,12 +38,12 @@ struct Links {
   };
 
   static ARM_INLINE constexpr bool revolute(int i) {
-    return S::link[i].kind == JointKind::revolute;
+    return kLinks<S>.at[i].kind == JointKind::revolute;
   }
 
   static ARM_INLINE void kinematics(const X* q, Kinematics& k) {
     for_each<N>([&](auto i) __attribute__((always_inline)) {
-      const Link& joint = S::link[i];
+      const Link& joint = kLinks<S>.at[i];
       const X theta = revolute(i) ? joint.theta_0 + q[i] : X{} + joint.theta_0;
       const auto [sin, cos] = sincos(theta);
       const X d = revolute(i) ? X{} : q[i];
@@ -53,7 +53,8 @@ struct Links {
   }
 
   // Torques that give the accelerations `a` at (q, v): M a + nle. With `a` null: nle alone.
-  static ARM_INLINE void inverse_dynamics(const Kinematics& k, const X* v, const X* a, X* tau) {
+  static ARM_INLINE void inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
+                                          const X* a, X* tau) {
     Wrench<X> wrench[N];
     Vec3<X> omega, alpha;  // of the parent link, in its frame
     Vec3<X> acc =
@@ -71,7 +72,7 @@ struct Links {
       } else {
         acc = acc + Vec3<X>{2.0 * omega.y * v[i], -2.0 * omega.x * v[i], a_i};
       }
-      const Body<double>& body = base.body[i];
+      const Body<double> body = n.body(i);
       wrench[i].f = body.m * acc + cross(alpha, body.h) + cross(omega, cross(omega, body.h));
       wrench[i].n = body.I * alpha + cross(omega, body.I * omega) + cross(body.h, acc);
     });
@@ -83,10 +84,10 @@ struct Links {
 
   // Mass matrix: the inertia of all that joint j carries, moved with unit acceleration of joint j,
   // seen by every joint i <= j. The wrenches of all those j go down the chain side by side.
-  static ARM_INLINE void mass_matrix(const Kinematics& k, MassMatrix& M) {
-    constexpr int n = kPadded<N>;
-    X fx[n] = {}, fy[n] = {}, fz[n] = {}, nx[n] = {}, ny[n] = {}, nz[n] = {};
-    Body<X> carried = over<X>(base.body[N - 1]);
+  static ARM_INLINE void mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
+    constexpr int row = kPadded<N>;
+    X fx[row] = {}, fy[row] = {}, fz[row] = {}, nx[row] = {}, ny[row] = {}, nz[row] = {};
+    Body<X> carried = over<X>(n.body(std::integral_constant<int, N - 1>{}));
     for_each_reverse<N, kUnrollNested>([&](auto i) __attribute__((always_inline)) {
       const bool turns = revolute(i);
       fx[i] = turns ? -carried.h.y : X{};
@@ -103,32 +104,33 @@ struct Links {
         fx[j] = w.f.x, fy[j] = w.f.y, fz[j] = w.f.z;
         nx[j] = w.n.x, ny[j] = w.n.y, nz[j] = w.n.z;
       });
-      carried = joined(base.body[i > 0 ? i - 1 : 0], k.link[i], carried);
+      carried = joined(n.body(before(i)), k.link[i], carried);
     });
   }
 
-  static ARM_INLINE void dynamics(const X* q, const X* v, Dynamics& links) {
+  static ARM_INLINE void dynamics(const Numbers& n, const X* q, const X* v, Dynamics& links) {
     Kinematics k;
     kinematics(q, k);
-    inverse_dynamics(k, v, nullptr, links.nle);
-    mass_matrix(k, links.M);
+    inverse_dynamics(n, k, v, nullptr, links.nle);
+    mass_matrix(n, k, links.M);
   }
 
   // The same for those who need it seldom: a step's own is inlined into it.
-  static __attribute__((noinline)) void dynamics_apart(const X* q, const X* v, Dynamics& links) {
-    dynamics(q, v, links);
+  static __attribute__((noinline)) void dynamics_apart(const Numbers& n, const X* q, const X* v,
+                                                       Dynamics& links) {
+    dynamics(n, q, v, links);
   }
 
   // Kinetic energy is v^T M v / 2; this is the potential energy in the field S::gravity, zero with
   // every centre of mass at the world's origin.
-  static X potential_energy(const Kinematics& k) {
+  static X potential_energy(const Numbers& n, const Kinematics& k) {
     Vec3<X> carried_h;
     double m = 0.0;
     for (int i = N - 1; i >= 0; --i) {
-      m += base.body[i].m;
-      carried_h = k.link[i].to_parent(carried_h + base.body[i].h) + m * k.link[i].p;
+      m += n.body(i).m;
+      carried_h = k.link[i].to_parent(carried_h + n.body(i).h) + m * k.link[i].p;
     }
-    return -dot(S::gravity, carried_h + base.fixed.h);
+    return -dot(S::gravity, carried_h + n.fixed().h);
   }
 
  private:

@@ -27,7 +27,8 @@ class Located {
   using Memory = typename Method::Memory;
   static constexpr int N = S::N, row = Method::row;
 
-  explicit Located(double step) : h(step), whole(step) {}
+  Located(double step, const Numbers<S>& numbers) : h(step), n(numbers), whole(step, numbers) {}
+  void renew() { whole.renew(); }
   void reset(const State<S>& x) { whole.reset(x); }
   Memory memory() const { return whole.memory(); }
   void restore(const Memory& memory) { whole.restore(memory); }
@@ -38,8 +39,8 @@ class Located {
   template <class Exchange>
   void step(State<S>& x, const double (&u)[row], Dynamics& links, Exchange& exchange) {
     exchange.take(links);
-    Modes<S>::settle_currents(x, u);
-    const Modes<S> modes(x, u, links);
+    Modes<S>::settle_currents(n, x, u);
+    const Modes<S> modes(n, x, u, links);
     const Memory memory = whole.memory();
     State<S> y = x;
     whole.step_in(modes, y, u, links, Past::used);
@@ -65,13 +66,13 @@ class Located {
     const State<S> start = x;
     double left = h;
     for (int events = 0; left > kInstant * h; ++events) {
-      Method part(left);
+      Method part(left, n);
       if (events == kMostEvents) {
         y = x;
         Nobody nobody;
         part.reset(y);
         part.step(y, u, links, nobody);
-        Modes<S>::settle_currents(y, u);
+        Modes<S>::settle_currents(n, y, u);
         if (meter) meter->part(x, y, u, modes, left);
         x = y;
         break;
@@ -84,8 +85,8 @@ class Located {
       if (meter) meter->part(x, y, u, modes, t);
       x = y;
       left -= t;
-      Links<S>::dynamics_apart(x.q, x.v, links);
-      modes = Modes<S>(x, u, links);
+      Links<S>::dynamics_apart(n, x.q, x.v, links);
+      modes = Modes<S>(n, x, u, links);
     }
     whole.remember(start, x, u);
   }
@@ -108,7 +109,7 @@ class Located {
         t = t < least ? least : t > most ? most : t;
       }
       State<S> trial_end = x;
-      Method(t).step_in(modes, trial_end, u, links, Past::unknown);
+      Method(t, n).step_in(modes, trial_end, u, links, Past::unknown);
       const double margin = modes.margin(trial_end, u);
       if (margin < 0.0) {
         y = trial_end;
@@ -131,6 +132,7 @@ class Located {
   };
 
   double h;
+  const Numbers<S>& n;
   Method whole;
   EnergyMeter<S>* meter = nullptr;
 };

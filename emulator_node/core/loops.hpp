@@ -56,6 +56,15 @@ ARM_INLINE constexpr auto next(Index j) {
     return std::integral_constant<int, Index::value + 1>{};
 }
 
+// The index before i, or 0.
+template <class Index>
+ARM_INLINE constexpr auto before(Index i) {
+  if constexpr (std::is_same_v<Index, int>)
+    return i > 0 ? i - 1 : 0;
+  else
+    return std::integral_constant<int, (Index::value > 0 ? Index::value - 1 : 0)>{};
+}
+
 // body(j) for j = first .. N-1, with the constants of `first` kept.
 template <int N, class Index, class Body>
 ARM_INLINE void for_each_from(Index first, Body&& body) {

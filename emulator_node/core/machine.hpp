@@ -25,7 +25,7 @@ class Machine {
   using Threads = typename S::template Threads<Stepper>;
 
   // `core`: of the second thread, if there is one; -1: any.
-  Machine(double dt, int core) : h(dt), threads(dt, core) {}
+  Machine(double dt, int core) : h(dt), threads(dt, core, numbers) {}
 
   // Schedule all threads as the calling one; false if the system does not permit it.
   bool join_schedule() { return threads.join_schedule(); }
@@ -70,14 +70,27 @@ class Machine {
     fault = static_cast<int>(whole.fault);
   }
 
+  // Set a varied number, between two steps. The motion goes on from where it is.
+  void set_parameter(int k, double value) {
+    const typename Threads::Memory past = threads.memory();
+    numbers.set(k, value);
+    threads.renew();
+    threads.restore(past);
+    balance.reset(numbers, x);
+    power = EnergyBalance<S>::largest_power(numbers, x, applied);
+    checked = instant();
+  }
+  double parameter(int k) const { return numbers.value(k); }
+  const Numbers<S>& numbers_now() const { return numbers; }
+
   // Put the machine at a state without a past. Time goes on, or begins anew at 0.
   void put(const State<S>& at, bool anew) {
     x = at;
     threads.reset(x);
-    balance.reset(x);
+    balance.reset(numbers, x);
     fault = -1;
     for (double& u : applied) u = 0.0;
-    power = EnergyBalance<S>::largest_power(x, applied);
+    power = EnergyBalance<S>::largest_power(numbers, x, applied);
     if (anew) steps_taken = 0;
     checked = instant();
   }
@@ -85,7 +98,7 @@ class Machine {
   // Put the links at (q, v) at time 0, the motors along with them: no current, gears unloaded.
   void reset(const double* q, const double* v) {
     State<S> at = {};
-    for_each_drive<S>([&](const auto& drive, int j) {
+    numbers.for_each_drive([&](const auto& drive, int j) {
       const auto behind = drive.at_rest_behind(q[j], v[j]);
       for (int k = 0; k < drive.states; ++k) at.z[k][j] = behind.z[k];
       at.q[j] = q[j];
@@ -122,7 +135,7 @@ class Machine {
       }
       count -= chunk;
       if (chunk < due) continue;
-      fault = balance.broken_by(x, kCheckEvery);
+      fault = balance.broken_by(numbers, x, kCheckEvery);
       if (fault >= 0) {
         go_back(checked);
         return fault;
@@ -135,7 +148,7 @@ class Machine {
 
   // The same as `advance`. What the joints are given and dissipate [J] is added to `flow`.
   int advance_metered(const double* voltage, std::int64_t steps, EnergyFlow<S>& flow) {
-    EnergyMeter<S> meter;
+    EnergyMeter<S> meter(numbers);
     double u[Stepper::row] = {};
     for (int j = 0; j < N; ++j) u[j] = clamp(voltage[j], S::supply_voltage);
     if constexpr (locates) threads.watch(&meter);
@@ -156,8 +169,8 @@ class Machine {
     double u[N];
     for (int j = 0; j < N; ++j) u[j] = clamp(voltage[j], S::supply_voltage);
     State<S> at = x;
-    Modes<S>::settle_currents(at, u);
-    return powers_of(at, u, modes_at(at, u));
+    Modes<S>::settle_currents(numbers, at, u);
+    return powers_of(numbers, at, u, modes_at(at, u));
   }
 
   std::int64_t steps() const { return steps_taken; }
@@ -167,7 +180,7 @@ class Machine {
 
   // Current [A], angle [rad] and speed [rad/s] of each motor.
   void report(double* current, double* angle, double* speed) const {
-    for_each_drive<S>([&](const auto& drive, int j) {
+    numbers.for_each_drive([&](const auto& drive, int j) {
       const auto at = input_of(drive, j, x, 0.0);
       current[j] = drive.current(at);
       angle[j] = drive.motor_angle(at);
@@ -181,27 +194,27 @@ class Machine {
     double a[N] = {};
     if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; })) {
       typename Links<S>::Dynamics links;
-      Links<S>::dynamics_apart(x.q, x.v, links);
-      for_each_drive<S>([&](const auto& drive, int j) {
+      Links<S>::dynamics_apart(numbers, x.q, x.v, links);
+      numbers.for_each_drive([&](const auto& drive, int j) {
         links.M.at[j][j] += drive.carried();
         a[j] = drive.rates(input_of(drive, j, x, 0.0), false).g - links.nle[j];
       });
-      Coulomb<S, double>().solve(links.M.at, x.v, a);
+      Coulomb<S, double>(numbers).solve(links.M.at, x.v, a);
     }
-    for_each_drive<S>([&](const auto& drive, int j) {
+    numbers.for_each_drive([&](const auto& drive, int j) {
       T[j] = drive.gear_torque(input_of(drive, j, x, 0.0), a[j]);
     });
   }
 
   // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
-  double energy() const { return energy_of<S>(x).total(); }
+  double energy() const { return energy_of<S>(numbers, x).total(); }
 
  private:
-  static Modes<S> modes_at(State<S> x, const double* u) {
+  Modes<S> modes_at(State<S> x, const double* u) const {
     typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(x.q, x.v, links);
-    Modes<S>::settle_currents(x, u);
-    return Modes<S>(x, u, links);
+    Links<S>::dynamics_apart(numbers, x.q, x.v, links);
+    Modes<S>::settle_currents(numbers, x, u);
+    return Modes<S>(numbers, x, u, links);
   }
 
   static constexpr int kCheckEvery = 16;
@@ -240,7 +253,7 @@ class Machine {
     std::int64_t left = course.left;
     double most = balance.most(), given = h * power;
     const auto look_at_power = [&] {
-      power = EnergyBalance<S>::largest_power(y, u);
+      power = EnergyBalance<S>::largest_power(numbers, y, u);
       given = h * power;
     };
     if (steps_taken % kCheckEvery == 0) look_at_power();
@@ -297,7 +310,7 @@ class Machine {
   // means nothing; -1 if there is none.
   int joint_out_of_bounds(const State<S>& s) const {
     int found = -1;
-    for_each_drive<S>([&](const auto& drive, int j) {
+    numbers.for_each_drive([&](const auto& drive, int j) {
       if (found >= 0) return;
       const auto at = input_of(drive, j, s, 0.0);
       bool sound = is_finite(at.q) && is_finite(at.v);
@@ -311,6 +324,7 @@ class Machine {
   }
 
   double h;
+  Numbers<S> numbers;
   Threads threads;
   State<S> x = {};
   EnergyBalance<S> balance;

@@ -23,11 +23,10 @@ class Modes {
   typename Friction::Modes friction;
   double side[N] = {};  // of the limit at which the current is: 1 or -1, or 0 within
 
-  Modes() = default;
-
   // Those of the settled state x (see below) with its links' part.
-  Modes(const State<S>& x, const double* u, const Dynamics& links) {
-    for_each_drive<S>([&](const auto& drive, int j) {
+  Modes(const Numbers<S>& numbers, const State<S>& x, const double* u, const Dynamics& links)
+      : n(&numbers) {
+    n->for_each_drive([&](const auto& drive, int j) {
       if constexpr (drive.driven) {
         if (!drive.motor.has_limit()) return;
         const auto at = input_of(drive, j, x, u[j]);
@@ -37,7 +36,7 @@ class Modes {
       }
     });
     if constexpr (Friction::present) {
-      Friction coulomb;
+      Friction coulomb(*n);
       Dynamics at = links;
       double a[N];
       torques(x, u, at, a);
@@ -58,8 +57,8 @@ class Modes {
   double margin(const State<S>& x, const double* u) const {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
-    for_each_drive<S>([&](const auto& drive, int j) {
-      if (Friction::acts_on(j) && !friction.locked[j]) at_most(x.v[j] * friction.direction[j]);
+    n->for_each_drive([&](const auto& drive, int j) {
+      if (n->Dc(j) > 0.0 && !friction.locked[j]) at_most(x.v[j] * friction.direction[j]);
       if constexpr (drive.driven) {
         if (!drive.motor.has_limit()) return;
         const auto& motor = drive.motor;
@@ -76,12 +75,12 @@ class Modes {
     });
     if (least < 0.0 || !any_locked()) return least;
     Dynamics links;
-    Links<S>::dynamics_apart(x.q, x.v, links);
+    Links<S>::dynamics_apart(*n, x.q, x.v, links);
     double a[N];
-    Friction coulomb;
+    Friction coulomb(*n);
     accelerations(x, u, links, a, coulomb);
     for (int j = 0; j < N; ++j)
-      if (friction.locked[j]) at_most(coulomb.spare(j) + kRounding * Friction::breakaway(j));
+      if (friction.locked[j]) at_most(coulomb.spare(j) + kRounding * n->Ds(j));
     return least;
   }
 
@@ -90,11 +89,11 @@ class Modes {
   void settle(State<S>& x, const double* u) const {
     if constexpr (Friction::present)
       for (int j = 0; j < N; ++j)
-        if (Friction::acts_on(j) && x.v[j] * friction.direction[j] <= 0.0) x.v[j] = 0.0;
-    settle_currents(x, u);
+        if (n->Dc(j) > 0.0 && x.v[j] * friction.direction[j] <= 0.0) x.v[j] = 0.0;
+    settle_currents(*n, x, u);
   }
-  static void settle_currents(State<S>& x, const double* u) {
-    for_each_drive<S>([&](const auto& drive, int j) {
+  static void settle_currents(const Numbers<S>& n, State<S>& x, const double* u) {
+    n.for_each_drive([&](const auto& drive, int j) {
       if constexpr (drive.driven) {
         const auto at = input_of(drive, j, x, u[j]);
         double& i = x.z[drive.i][j];
@@ -106,6 +105,7 @@ class Modes {
 
  private:
   static constexpr double kRounding = 1e-12;
+  const Numbers<S>* n;
 
   bool any_locked() const {
     bool found = false;
@@ -116,8 +116,8 @@ class Modes {
 
   // What is left for the links to accelerate with, beside dry friction; M with the rotors that they
   // carry.
-  static void torques(const State<S>& x, const double* u, Dynamics& links, double* rhs) {
-    for_each_drive<S>([&](const auto& drive, int j) {
+  void torques(const State<S>& x, const double* u, Dynamics& links, double* rhs) const {
+    n->for_each_drive([&](const auto& drive, int j) {
       links.M.at[j][j] += drive.carried();
       rhs[j] = drive.rates(input_of(drive, j, x, u[j]), false).g - links.nle[j];
     });

@@ -15,8 +15,10 @@ class OneThread {
   using Memory = typename Stepper::Memory;
   using Dynamics = typename Links<S>::Dynamics;
 
-  OneThread(double step, int) : stepper(step) {}
+  OneThread(double step, int, const Numbers<S>& numbers) : n(numbers), stepper(step, numbers) {}
   bool join_schedule() { return true; }
+  // The numbers have changed.
+  void renew() { stepper.renew(); }
   void reset(const State<S>& x) { stepper.reset(x); }
   Memory memory() const { return stepper.memory(); }
   void restore(const Memory& memory) { stepper.restore(memory); }
@@ -24,7 +26,7 @@ class OneThread {
   void end() {}
   ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
     Dynamics links;
-    Links<S>::dynamics(x.q, x.v, links);
+    Links<S>::dynamics(n, x.q, x.v, links);
     stepper.step(x, u, links, *this);
   }
   void watch(auto* meter) { stepper.watch(meter); }
@@ -32,6 +34,7 @@ class OneThread {
   ARM_INLINE void give(const State<S>&) {}
 
  private:
+  const Numbers<S>& n;
   Stepper stepper;
 };
 

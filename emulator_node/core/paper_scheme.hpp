@@ -17,8 +17,12 @@ class PaperScheme {
   using In = StepInput<K>;
   static constexpr int row = Tables::row;
 
-  explicit PaperScheme(double step)
-      : h(step), tables([step](const auto& drive) { return paper_table<K>(drive, step); }) {}
+  PaperScheme(double step, const Numbers<S>& numbers)
+      : h(step), n(numbers), tables(numbers, table_for(step)), coulomb(numbers) {}
+  PaperScheme(const PaperScheme&) = delete;
+
+  // The numbers have changed.
+  void renew() { tables.fill(table_for(h)); }
 
   // It takes nothing from the past.
   struct Memory {
@@ -42,6 +46,10 @@ class PaperScheme {
   }
 
  private:
+  static auto table_for(double step) {
+    return [step](const auto& drive) { return paper_table<K>(drive, step); };
+  }
+
   // Eq. (3), the links held at sample k; `torque` is what the drives put on the links after it.
   ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
     typename Tables::Inputs in;
@@ -62,7 +70,7 @@ class PaperScheme {
 
   // Backward Euler's current grows with the voltage: what would pass the limit ends at it.
   void limit_currents(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
-    for_each_drive<S>([&](const auto& drive, int j) {
+    n.for_each_drive([&](const auto& drive, int j) {
       if constexpr (drive.driven) {
         for (int lane = 0; drive.motor.has_limit() && lane < kWidth<X>; ++lane) {
           const double i = tables.free_state(drive.i, j, lane, x, u[j]);
@@ -76,7 +84,7 @@ class PaperScheme {
   // Eq. (4) with the motors at sample k + 1.
   ARM_INLINE void accelerations(const State<S, X>& x, Dynamics& links, X (&a)[row]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      links.M.at[j][j] += carried<S>[j];
+      links.M.at[j][j] += n.carried(j);
       a[j] -= links.nle[j];
     });
     coulomb.solve(links.M.at, x.v, a);
@@ -91,6 +99,7 @@ class PaperScheme {
   }
 
   double h;
+  const Numbers<S>& n;
   Tables tables;
   Coulomb<S, X> coulomb;
 };

@@ -24,6 +24,15 @@ struct Body {
   Sym3<X> I;  // kg m2
 };
 
+// A body that carries m times what 1 kg of load is.
+constexpr Body<double> loaded(const Body<double>& bare, double m, const Body<double>& per_kg) {
+  const auto &I = bare.I, &J = per_kg.I;
+  return {bare.m + m * per_kg.m,
+          bare.h + m * per_kg.h,
+          {I.xx + m * J.xx, I.yy + m * J.yy, I.zz + m * J.zz, I.xy + m * J.xy, I.xz + m * J.xz,
+           I.yz + m * J.yz}};
+}
+
 // A joint's place and the link that it moves. The link's frame has its origin on the joint axis, z
 // along it, and x so that the turn from the parent's frame is Rx(alpha) Rz(q + theta_0).
 struct Link {
@@ -35,11 +44,38 @@ struct Link {
   Body<double> body;
 };
 
-// body(drive, j) for the drive of every joint of a scene.
+template <int N>
+struct LinkRow {
+  Link at[N];
+};
+
+// A number that a scene lists as varied, and its bounds.
+struct Parameter {
+  const char* name;
+  double value, least, most;
+};
+
+// Values of the varied numbers with which the structure of a scene is decided: what is zero now may
+// be set.
+template <class S>
+struct SomeValues {
+  double p[S::parameters + 1] = {};
+  constexpr SomeValues() {
+    for (int k = 0; k < S::parameters; ++k)
+      p[k] = S::parameter[k].value != 0.0 ? S::parameter[k].value : 1.0;
+  }
+};
+template <class S>
+inline constexpr auto kDrives = S::drives(SomeValues<S>().p);
+template <class S>
+inline constexpr auto kLinks = S::links(SomeValues<S>().p);
+
+// body(drive, j) for the drive of every joint of a scene, to learn its structure; its numbers are
+// in numbers.hpp.
 template <class S, class Body>
 constexpr void for_each_drive(Body&& body) {
   [&]<int... j>(std::integer_sequence<int, j...>) {
-    (body(std::get<j>(S::drive), j), ...);
+    (body(std::get<j>(kDrives<S>), j), ...);
   }(std::make_integer_sequence<int, S::N>{});
 }
 

@@ -52,7 +52,8 @@ class TwoThreads {
   using Dynamics = typename Links<S>::Dynamics;
 
   // `core`: of the Newton-Euler thread; -1: wherever the system puts it.
-  TwoThreads(double step, int core) : h(step), stepper(step), newton_euler([this] { work(); }) {
+  TwoThreads(double step, int core, const Numbers<S>& numbers)
+      : h(step), n(numbers), stepper(step, numbers), newton_euler([this] { work(); }) {
     if (core >= 0) {
       cpu_set_t cores;
       CPU_ZERO(&cores);
@@ -88,6 +89,9 @@ class TwoThreads {
       stepper.for_each_number(number);
     }
   };
+
+  // The numbers have changed; `restore` comes next.
+  void renew() { stepper.renew(); }
 
   // Begin at a state with no past.
   void reset(const State<S>& x) {
@@ -211,9 +215,9 @@ class TwoThreads {
   };
 
   // Not inlined: the same bits whichever thread works.
-  __attribute__((noinline)) static void evaluate(const double (&q)[N], const double (&v)[N],
-                                                 Dynamics& result) {
-    Links<S>::dynamics(q, v, result);
+  __attribute__((noinline)) void evaluate(const double (&q)[N], const double (&v)[N],
+                                          Dynamics& result) const {
+    Links<S>::dynamics(n, q, v, result);
   }
 
   // The Newton-Euler thread.
@@ -250,6 +254,7 @@ class TwoThreads {
   }
 
   double h;
+  const Numbers<S>& n;
   Memory past = {};
   Sample samples[2] = {};
   Parcel parcels[2] = {};
