@@ -267,6 +267,7 @@ def main() -> int:
     schemes = tuple(arguments.scheme or LOCATED)
     seeds = range(arguments.seed, arguments.seed + arguments.count)
     verdicts: list[Verdict] = []
+    failed: list[str] = []  # that could not be judged
     console = Console()
     with (
         tempfile.TemporaryDirectory() as cache,  # of libraries that nobody needs again
@@ -276,7 +277,10 @@ def main() -> int:
         waiting = {pool.submit(judge, seed, schemes): seed for seed in seeds}
         try:
             for judged in as_completed(waiting):
-                verdicts += judged.result()
+                if judged.exception():
+                    failed.append(f"seed {waiting[judged]}: {judged.exception()!r}")
+                else:
+                    verdicts += judged.result()
                 done(f"seed {waiting[judged]}")
                 figures = json.dumps([asdict(one) for one in verdicts], indent=1)
                 (arguments.out / "figures.json").write_text(figures)
@@ -291,7 +295,9 @@ def main() -> int:
     ]
     for one in broken:
         console.print(one)
-    return 1 if broken else 0
+    for line in failed:
+        console.print(line)
+    return 1 if broken or failed else 0
 
 
 def _begin(cache: str) -> None:
