@@ -84,6 +84,7 @@ class Options(_Sized):
         ("core", _int32),
         ("step", _double),
         ("steps_per_period", _count),
+        ("parameters", _pointer),
     )
 
 

@@ -143,10 +143,12 @@ class Plant:
         self.core = library_of(scene)
         self._N = N = len(scene.joints)
         self._shape = (N,)
+        values = np.array([one.value for one in scene.varied])
         options = Options(
             core=scene.cores[1],
             step=scene.integrator.dt,
             steps_per_period=scene.steps_per_period,
+            parameters=_address(values),
         )
         self.machine = self.core.arm_new(ctypes.byref(options))
         self._voltage = np.zeros(N)

@@ -75,7 +75,7 @@ class Load:
     """A payload whose mass is varied: the link that carries it, and what it adds to that link."""
 
     link: int
-    carried: Body  # link and payload of the scene
+    bare: Body  # the link without it
     per_kg: Body  # what 1 kg more adds
 
 
@@ -220,7 +220,7 @@ def _build(root: _Section, file: Path) -> Scene:
     varied = choose_varied(root.entries("varied"), _could_vary(joints, mass), where)
     load = None
     if payload_body is not None and any(one.name == "payload.mass" for one in varied):
-        load = _load(chain, read(payload_body + _one_kg(payload)))
+        load = _load(*(read(_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
     energy_flow = root.flag("energy_flow")
     for key in BESIDE:
         if root.has(key):
@@ -359,8 +359,10 @@ def _friction(section: _Section) -> Friction:
     return Friction(viscous, coulomb, breakaway)
 
 
-def _payload(section: _Section) -> Body:
-    mass = section.number("mass", "kg", above=0.0)
+def _payload(section: _Section, mass: float | None = None) -> Body:
+    """Return the payload in the frame of the tool; `mass` takes the place of the scene's."""
+    given = section.number("mass", "kg", above=0.0)
+    mass = given if mass is None else mass
     com = section.vector("com", "m", bound=100.0) or (0.0, 0.0, 0.0)
     entries = section.vector("inertia", "kg m2", size=6, bound=1e6)
     inertia = np.zeros((3, 3))
@@ -372,17 +374,12 @@ def _payload(section: _Section) -> Body:
     return Body.from_center(mass, np.array(com), inertia)
 
 
-def _one_kg(payload: _Section) -> Body:
-    """Return what one kilogram more of the payload adds at the tool."""
-    com = payload.vector("com", "m", bound=100.0) or (0.0, 0.0, 0.0)
-    return Body.from_center(1.0, np.array(com), np.zeros((3, 3)))
-
-
-def _load(chain: Chain, heavier: Chain) -> Load | None:
-    """Return the load that makes one chain of the other; None where it rests on the base."""
-    for link, (one, more) in enumerate(zip(chain.joints, heavier.joints, strict=True)):
-        if one.body.mass != more.body.mass:
-            return Load(link, one.body, more.body + one.body.scaled(-1.0))
+def _load(light: Chain, heavy: Chain) -> Load | None:
+    """Return the load of 1 and 2 kg in two chains; None where it rests on the base."""
+    for link, (one, two) in enumerate(zip(light.joints, heavy.joints, strict=True)):
+        if one.body.mass != two.body.mass:
+            per_kg = two.body + one.body.scaled(-1.0)
+            return Load(link, one.body + per_kg.scaled(-1.0), per_kg)
     return None
 
 

@@ -15,8 +15,8 @@ from emulator_node.varied import Varied
 def scene_unit(scene: Scene) -> str:
     """Return the C++ unit of a scene: its constants, then the core's C interface.
 
-    The step size is no constant, so that scenes that differ in it alone share a library. Numbers
-    that the scene lists as varied stand as p[k], and what they begin with beside their bounds.
+    Neither the step size nor the values of varied numbers, which stand as p[k], are part of it, so
+    that scenes that differ in these alone share a library.
     """
     threads, threads_header = {
         1: ("OneThread", "one_thread.hpp"),
@@ -27,8 +27,7 @@ def scene_unit(scene: Scene) -> str:
     places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
     bodies = [_body(geometry.body) for geometry in scene.chain.joints]
     if (load := scene.load) is not None:
-        mass = next(one.value for one in scene.varied if one.name == "payload.mass")
-        bare, per_kg = _body(load.carried + load.per_kg.scaled(-mass)), _body(load.per_kg)
+        bare, per_kg = _body(load.bare), _body(load.per_kg)
         bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
     links = ",\n".join(map(_link, scene.chain.joints, bodies))
     devices = ",\n".join(_device(joint) for joint in scene.joints)
@@ -69,7 +68,7 @@ struct Scene {{
 
 
 def _parameter(one: Varied) -> str:
-    numbers = _fields({"value": one.value, "least": one.least, "most": one.most})
+    numbers = _fields({"least": one.least, "most": one.most})
     return f"{{.name = {_text(one.name)}, {numbers}}}"
 
 

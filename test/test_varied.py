@@ -105,7 +105,9 @@ def test_one_library_serves_every_value(tmp_path: Path) -> None:
     )
     one, other = Plant(scene), Plant(scene)
     other.set_parameter("payload.mass", 3.0)
-    assert library_of(scene)._name == one.core._name == other.core._name
+    heavy = dataclasses.replace(scene, varied=(dataclasses.replace(scene.varied[0], value=2.5),))
+    assert library_of(heavy)._name == one.core._name == other.core._name
+    assert Plant(heavy).parameters == {"payload.mass": 2.5}
     assert one.parameters == {"payload.mass": 1.5} and other.parameters == {"payload.mass": 3.0}
     rows = rng.normal(0.0, 10.0, (20, 3))
     assert not np.allclose(motion(one, rows), motion(other, rows)), "the mass has no effect"

@@ -80,6 +80,7 @@ typedef struct arm_options {
   int32_t core;             /* processor core of a second thread; -1: any */
   double step;              /* s, of the integrator */
   int64_t steps_per_period; /* of a servo period */
+  const double* parameters; /* values of the varied numbers; null if there are none */
 } arm_options;
 
 /* Return a machine at rest at q = 0, or null if the options make no sense. */
@@ -142,7 +143,6 @@ typedef struct arm_parameter {
   uint32_t size;
   int32_t reserved;
   const char* name;
-  double value; /* that a machine begins with */
   double least, most;
 } arm_parameter;
 

@@ -43,7 +43,7 @@ struct arm_machine {
   }
 
   explicit arm_machine(const arm_options& options)
-      : machine(options.step, options.core),
+      : machine(options.step, options.core, options.parameters),
         step(options.step),
         steps_per_period(options.steps_per_period) {}
 
@@ -121,10 +121,21 @@ int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
   return ARM_OK;
 }
 
+namespace {
+
+bool within_bounds(int k, double value) {
+  const arm::Parameter& one = Scene::parameter[k];
+  return arm::is_finite(value) && value >= one.least && value <= one.most;
+}
+
+}  // namespace
+
 arm_machine* arm_new(const arm_options* options) {
-  const bool sound = options && options->size >= sizeof *options && options->core >= -1 &&
-                     arm::is_finite(options->step) && options->step > 0.0 &&
-                     options->steps_per_period > 0;
+  bool sound = options && options->size >= sizeof *options && options->core >= -1 &&
+               arm::is_finite(options->step) && options->step > 0.0 &&
+               options->steps_per_period > 0 && (options->parameters || !Scene::parameters);
+  for (int k = 0; sound && k < Scene::parameters; ++k)
+    sound = within_bounds(k, options->parameters[k]);
   if (!sound) return nullptr;
   arm_machine* machine = new arm_machine(*options);
   const double zero[arm_machine::N] = {};
@@ -191,7 +202,7 @@ int arm_describe_parameter(std::int32_t index, arm_parameter* out) {
   if (!out || out->size < sizeof *out || index < 0 || index >= Scene::parameters)
     return ARM_REFUSED;
   const arm::Parameter& one = Scene::parameter[index];
-  *out = {out->size, 0, one.name, one.value, one.least, one.most};
+  *out = {out->size, 0, one.name, one.least, one.most};
   return ARM_OK;
 }
 
@@ -205,8 +216,7 @@ int arm_get_parameter(const arm_machine* machine, const char* name, double* valu
 int arm_set_parameter(arm_machine* machine, const char* name, double value) {
   const int k = place_of(name);
   if (k < 0) return machine->refuse(-1, "parameter", "be varied in this scene", 0.0);
-  const arm::Parameter& one = Scene::parameter[k];
-  if (!arm::is_finite(value) || value < one.least || value > one.most)
+  if (!within_bounds(k, value))
     return machine->refuse(-1, "parameter", "be within its bounds", value);
   machine->machine.set_parameter(k, value);
   return ARM_OK;
@@ -238,7 +248,8 @@ struct Words {
 
 std::int64_t arm_saved_size(void) {
   static const std::int64_t size = [] {
-    arm_machine none({sizeof(arm_options), -1, 1.0, 1});
+    const arm::SomeValues<Scene> some;
+    arm_machine none({sizeof(arm_options), -1, 1.0, 1, some.p});
     arm_machine::Machine::Whole whole = {};
     arm_machine::Values values = {};
     std::int64_t words = 1;  // the fingerprint

@@ -25,7 +25,9 @@ class Machine {
   using Threads = typename S::template Threads<Stepper>;
 
   // `core`: of the second thread, if there is one; -1: any.
-  Machine(double dt, int core) : h(dt), threads(dt, core, numbers) {}
+  // `parameters`: values of the varied numbers.
+  Machine(double dt, int core, const double* parameters)
+      : h(dt), numbers(parameters), threads(dt, core, numbers) {}
 
   // Schedule all threads as the calling one; false if the system does not permit it.
   bool join_schedule() { return threads.join_schedule(); }

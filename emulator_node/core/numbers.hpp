@@ -31,7 +31,7 @@ struct Sheet {
   }
 };
 
-// A sheet with varied numbers that are not 0, and how it changes where one of them does.
+// A sheet of some values of the varied numbers, with one of them changed; -1: none.
 template <class S>
 constexpr Sheet<S> sheet_with(int changed) {
   SomeValues<S> values;
@@ -71,8 +71,9 @@ class Numbers {
   static constexpr int N = S::N;
   static constexpr bool varied = S::parameters > 0;
 
-  constexpr Numbers() : sheet(values_of_scene().p) {
-    for (int k = 0; k < S::parameters; ++k) p[k] = S::parameter[k].value;
+  // Of the values of the varied numbers.
+  constexpr explicit Numbers(const double* values) : sheet(values) {
+    for (int k = 0; k < S::parameters; ++k) p[k] = values[k];
   }
 
   double value(int k) const { return p[k]; }
@@ -117,12 +118,7 @@ class Numbers {
   ARM_INLINE constexpr double Ds(int j) const { return now().Ds[j]; }
 
  private:
-  static constexpr SomeValues<S> values_of_scene() {
-    SomeValues<S> values;
-    for (int k = 0; k < S::parameters; ++k) values.p[k] = S::parameter[k].value;
-    return values;
-  }
-  static constexpr Sheet<S> kConstant = Sheet<S>(values_of_scene().p);
+  static constexpr Sheet<S> kConstant = sheet_with<S>(-1);
   static constexpr VariedBodies<S> kVaried = {};
 
   ARM_INLINE constexpr const Sheet<S>& now() const {

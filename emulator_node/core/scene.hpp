@@ -49,20 +49,20 @@ struct LinkRow {
   Link at[N];
 };
 
-// A number that a scene lists as varied, and its bounds.
+// A number that a scene lists as varied, and its bounds. Its value is no part of the scene's
+// library: every machine brings its own.
 struct Parameter {
   const char* name;
-  double value, least, most;
+  double least, most;
 };
 
-// Values of the varied numbers with which the structure of a scene is decided: what is zero now may
-// be set.
+// Values of the varied numbers with which the structure of a scene is decided: none of them
+// is zero.
 template <class S>
 struct SomeValues {
   double p[S::parameters + 1] = {};
   constexpr SomeValues() {
-    for (int k = 0; k < S::parameters; ++k)
-      p[k] = S::parameter[k].value != 0.0 ? S::parameter[k].value : 1.0;
+    for (int k = 0; k < S::parameters; ++k) p[k] = 1.0;
   }
 };
 template <class S>
