@@ -55,6 +55,9 @@ def test_report_shows_every_outcome() -> None:
 
 # Bounded everywhere
 
+# Machines that differ in numbers only share a library.
+COMMON = {"servo_period": 1e-2, "varied": ["joints.*"]}
+
 
 def corners() -> Iterator[Any]:
     """The stability map's corners, and some that combine the worst. Its middle is three_axis."""
@@ -97,7 +100,7 @@ def test_bounded_up_to_ten_milliseconds(scheme: str, overrides: dict[str, Any]) 
     """No step up to 10 ms makes the arm faster than it is; the plant's own check stays silent."""
 
     def at(scheme: str, dt: float) -> Scene:
-        own = {"integrator.scheme": scheme, "integrator.dt": dt, "servo_period": 1e-2}
+        own = {"integrator.scheme": scheme, "integrator.dt": dt, **COMMON}
         return load_scene("three_axis", overrides={**own, **overrides})
 
     truth = fastest(at(scheme, 2e-5))
@@ -111,7 +114,7 @@ def test_bounded_up_to_ten_milliseconds(scheme: str, overrides: dict[str, Any]) 
 
 
 def paper(dt: float, **overrides: Any) -> Scene:
-    own = {"integrator.scheme": "paper", "integrator.dt": dt, "servo_period": 1e-2}
+    own = {"integrator.scheme": "paper", "integrator.dt": dt, **COMMON}
     return load_scene("three_axis", overrides={**own, **overrides})
 
 

@@ -37,6 +37,7 @@ def drawn_three_axis(
     overrides: dict[str, Any] = {f"joints.*.motor.{key}": value for key, value in motor.items()}
     overrides |= {f"joints.*.gear.{key}": value for key, value in gear.items()}
     overrides |= {"integrator.scheme": scheme, "integrator.dt": dt, "integrator.events": events}
+    overrides |= {"varied": ["joints.*"]}  # one library for all of them
     return load_scene("three_axis", overrides=overrides), rng.uniform(-30.0, 30.0, size=(4, 3))
 
 

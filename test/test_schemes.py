@@ -24,6 +24,7 @@ ROWS = 30
 
 RIGID = {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
 NO_INDUCTANCE = {"joints.*.motor.inductance": None}
+VARIED = ["joints.*"]
 MACHINES: dict[str, dict[str, Any]] = {
     "everything": {},
     "rigid gear": RIGID,
@@ -68,7 +69,10 @@ def scene_file(machine: str) -> str:
 
 
 def scene(machine: str, scheme: str, steps: int, **overrides: Any) -> Scene:
+    """Return a machine; those that differ from another in numbers only share its library."""
+    constants = machine in ("everything", "random chain") and not overrides
     integrator = {
+        "varied": [] if constants else VARIED,
         "integrator.scheme": scheme,
         "integrator.dt": PERIOD / steps,
         "servo_period": PERIOD,
