@@ -109,7 +109,7 @@ class _Series:
 
     def work(self, repetition: int) -> None:
         self.ends[repetition] = None
-        with contextlib.suppress(Diverged):
+        with contextlib.suppress(Diverged, PeerDiverged):
             self.ends[repetition] = self._work(repetition)
 
 
@@ -195,13 +195,17 @@ def _call_plant(plant: Plant, voltages: list[Array], case: Case) -> Callable[[in
     return work
 
 
+class PeerDiverged(RuntimeError):
+    """MuJoCo has left the world of sound motions."""
+
+
 def _run_mujoco(arm: MujocoArm, voltages: list[Array], case: Case) -> Callable[[int], Array]:
     steps = round(case.period / arm.model.opt.timestep)
 
     def work(repetition: int) -> Array:
         arm.run(voltages[repetition], steps)
         if arm.diverged:
-            raise Diverged("MuJoCo", 0.0, arm.model.opt.timestep, "")
+            raise PeerDiverged
         return arm.q
 
     return work

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,7 +26,6 @@ from emulator_node.core_calls import (
     Truth,
 )
 from emulator_node.scene import Scene
-from emulator_node.stability import Attempt, attempts, what_holds
 from words.bound import LARGEST_COUNT, POSITION, VELOCITY
 from words.count import check_count
 from words.refusal import Refusal
@@ -41,47 +38,40 @@ ROWS = ("current", "theta_m", "omega_m", "q", "v", "gear_torque")
 class Diverged(RuntimeError):
     """The integration left the world of sound motions; the plant stays at the last state within.
 
-    Its text says which joint, when, and which scheme and step would hold small motions there.
+    Its text says which joint and when. What would hold there `emulator_node.stability` finds out.
 
     Attributes:
         joint: the joint that left first, or that held the most of an energy from nowhere.
         t: logical time of the last state within bounds [s].
-
-    Args:
-        joint: see above.
-        t: see above.
-        dt: the step that it came of [s].
-        scheme: the scheme that it came of.
-        hint: what would hold, in words.
-        trial: tries what holds, for `advice`.
+        scene: the machine.
+        q: its link positions then (N,) [rad or m].
+        v: its link speeds then (N,) [rad/s or m/s].
+        voltage: applied then (N,) [V].
+        began: positions and speeds to which it was reset before.
+        hint: what would hold, in words, where somebody has found it out; part of the text.
     """
 
     def __init__(
         self,
         joint: str,
         t: float,
-        dt: float,
-        scheme: str,
-        hint: str = "",
-        trial: Callable[[], Iterator[Attempt]] | None = None,
+        scene: Scene,
+        q: Array,
+        v: Array,
+        voltage: Array,
+        began: tuple[Array, Array],
     ) -> None:
-        self.joint = joint
-        self.t = t
-        self._trial = trial
+        self.joint, self.t, self.scene = joint, t, scene
+        self.q, self.v, self.voltage, self.began = q, v, voltage, began
+        self.hint = ""
         super().__init__(
-            f"Plant.advance: joint {joint} diverged after t = {t:.6g} s with scheme {scheme} at "
-            f"dt = {dt:g} s; the plant stays at the last state before"
-            + (f"; {hint}" if hint else "")
+            f"Plant.advance: joint {joint} diverged after t = {t:.6g} s with scheme "
+            f"{scene.integrator.scheme} at dt = {scene.integrator.dt:g} s; the plant stays at the "
+            "last state before"
         )
 
-    def advice(self) -> list[Attempt]:
-        """Try what holds, and return every trial with its outcome; may compile and take seconds.
-
-        The machine starts where the plant was reset, under the voltages that were applied last,
-        and moves for twice the time to the divergence (half a second at least). Each other scheme
-        is tried at the same step, then at halves of it until it holds; then the same scheme.
-        """
-        return list(self._trial()) if self._trial is not None else []
+    def __str__(self) -> str:
+        return super().__str__() + (f"; {self.hint}" if self.hint else "")
 
 
 @dataclass(frozen=True)
@@ -352,12 +342,8 @@ class Plant:
             v: its link speeds (N,) [rad/s or m/s].
             voltage: applied then (N,) [V]; None: those of the last `advance`.
         """
-        now = self.scene.integrator
         applied = np.array(self._voltage if voltage is None else voltage)
-        duration = max(0.5, 2.0 * t)
-        trial = partial(attempts, self.scene, *self._reset_to, applied, duration)
-        hint = what_holds(self, q, v)
-        return Diverged(self.scene.joint_names[joint], t, now.dt, now.scheme, hint, trial)
+        return Diverged(self.scene.joint_names[joint], t, self.scene, q, v, applied, self._reset_to)
 
     def _diverged(self, voltage: ArrayLike) -> Diverged:
         state = self.state

@@ -17,6 +17,7 @@ from emulator_node.core_calls import VOLTAGE as VOLTAGE_MODE
 from emulator_node.plant import LARGEST_STEPS, ROWS, Plant, PlantState
 from emulator_node.scene import Scene
 from emulator_node.session import Session
+from emulator_node.stability import what_holds
 from words.bound import VOLTAGE
 from words.count import LARGEST, check_count
 
@@ -242,7 +243,9 @@ class RealTimeSession(Session):
         self.step_wall_ns += int(s["spent"])
         if s["fault"] >= 0:
             t = int(s["tick"]) * self.scene.servo_period
-            self.fault = self.plant.fault(int(s["fault"]), t, s["q"], s["v"], s["voltage"])
+            fault = self.plant.fault(int(s["fault"]), t, s["q"], s["v"], s["voltage"])
+            fault.hint = what_holds(fault)
+            self.fault = fault
             self._running = False
         self.tick = int(s["tick"])
         self._state = PlantState(

@@ -15,6 +15,7 @@ import numpy as np
 from emulator_node.chain import Array
 from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene
+from emulator_node.stability import what_holds
 from words.bound import VOLTAGE
 from words.count import LARGEST, check_count
 from words.joint_order import JointOrder
@@ -208,6 +209,7 @@ class Session:
         try:
             self.plant.exchange(voltage, answered)
         except Diverged as fault:
+            fault.hint = what_holds(fault)
             self.fault = fault
         self.voltage = self.plant.voltage
         self._state = None

@@ -11,16 +11,13 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from emulator_node.chain import Array
-from emulator_node.scene import SCHEMES, Integrator, Scene
+from emulator_node.plant import Diverged, Plant
+from emulator_node.scene import SCHEMES, Integrator
 from words.refusal import Refusal
-
-if TYPE_CHECKING:
-    from emulator_node.plant import Plant
 
 GAMMA = 1.0 - math.sqrt(0.5)  # of rosenbrock and extrapolated
 # 1/s. What grows more slowly than this, e-fold in ten seconds, is drift and no divergence.
@@ -155,19 +152,13 @@ class SmallMotions:
         return period / high
 
 
-def what_holds(plant: Plant, q: Array, v: Array) -> str:
-    """Return in words which scheme and step are stable for small motions in the pose q.
-
-    Args:
-        plant: the machine, which diverged.
-        q: its last sound link positions (N,) [rad or m].
-        v: its speeds then (N,) [rad/s or m/s].
-    """
-    now = plant.scene.integrator
+def what_holds(fault: Diverged) -> str:
+    """Return in words which scheme and step hold for small motions where a machine diverged."""
+    now = fault.scene.integrator
     try:
-        motions = SmallMotions(plant, q)
+        motions = SmallMotions(Plant(fault.scene), fault.q)
         if motions.holds(now.scheme, now.dt):
-            turn = float(np.abs(v).max()) * now.dt
+            turn = float(np.abs(fault.v).max()) * now.dt
             return (
                 "small motions about rest in this pose would hold: the motion is too fast for the "
                 f"step, {turn:.2g} rad or m per step"
@@ -201,23 +192,22 @@ class Attempt:
         )
 
 
-def attempts(
-    scene: Scene, q: Array, v: Array, voltage: Array, duration: float
-) -> Iterator[Attempt]:
-    """Try what would hold, from links at (q, v) under constant voltages, for some logical time.
+def attempts(fault: Diverged) -> Iterator[Attempt]:
+    """Try what would hold; may compile and take seconds.
 
-    Each scheme is tried at the scene's step and then at a half, a fourth, ... until it holds; the
-    scene's own scheme last, since it is known to fail at the scene's step.
+    The machine starts where it was reset before it diverged, under the voltages that were applied
+    last, and moves for twice the time to the divergence (half a second at least). Each scheme is
+    tried at the scene's step and then at a half, a fourth, ... until it holds; the scene's own
+    scheme last, since it is known to fail at the scene's step.
     """
-    from emulator_node.plant import Diverged, Plant
-
+    scene, voltage, duration = fault.scene, fault.voltage, max(0.5, 2.0 * fault.t)
     now = scene.integrator
     for scheme in (*(other for other in SCHEMES if other != now.scheme), now.scheme):
         dt = now.dt if scheme != now.scheme else now.dt / 2.0
         while duration / dt < LONGEST_TRIAL:
             integrator = dataclasses.replace(now, scheme=scheme, dt=dt)
             plant = Plant(dataclasses.replace(scene, integrator=integrator, threads=1))
-            plant.reset(q, v)
+            plant.reset(*fault.began)
             try:
                 plant.advance(voltage, math.ceil(duration / dt))
             except Diverged:
