@@ -110,7 +110,7 @@ export QUIET_START
 
 COLCON := colcon --log-base /dev/null build --base-paths . msg
 
-install/.messages: $(wildcard msg/*) .venv/.requirements
+install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 	@echo 'setup: messages ...'
 	@rm -rf build/arm_emulator_msgs install/arm_emulator_msgs
 	@$(call quietly,messages,$(ACTIVATE) && $(COLCON) --packages-select arm_emulator_msgs)

@@ -2,8 +2,10 @@
 
 A run depends on nothing but the voltages of each servo period, and every motor state tells those
 of the period before it. So the machine, driven by these voltages, must come to the recorded states;
-and in lock-step the voltages must be those of the recorded commands. A run is what lies between two
-resets; it is checked if the bag has it from tick 0 on.
+and in lock-step the voltages must be those of the recorded commands. What was changed by hand is
+changed again: a reset or a switch of the power is computed, and a machine that was set or restored
+is put where its event tells. A run is what lies between two resets; it is checked if the bag has it
+from tick 0 on.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, MotorState
+from emulator_node.plant import SET, Plant
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
 from ros_shell.bag import Bag
@@ -37,11 +40,18 @@ TYPES: dict[str, tuple[Any, str]] = {
     "motor_commands": (MotorCommand, "arm_emulator_msgs/msg/MotorCommand"),
     "motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
     "emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
+    "emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),
     "emulator/status": (EmulatorStatus, "arm_emulator_msgs/msg/EmulatorStatus"),
     "robot_description": (String, "std_msgs/msg/String"),
     "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
 }
-COMPARED = ("motor_states", "motor_commands", "emulator/joint_states")
+COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator/events")
+KINDS = {
+    MachineEvent.KIND_SET_STATE: "set_state",
+    MachineEvent.KIND_RESTORE: "restore_state",
+    MachineEvent.KIND_POWER: "power",
+    MachineEvent.KIND_RESET: "reset",
+}
 
 
 class Difference(Exception):
@@ -57,6 +67,7 @@ class Tally:
         states: motor states.
         truths: messages on `emulator/joint_states`.
         commands: ticks whose voltages are those of a recorded command.
+        changes: by hand, within runs.
         refused: commands that no machine would have taken.
         lost: motor states missing in the bag; the run was continued with commands.
         free: ticks at 0 V before the first command of a run.
@@ -67,6 +78,7 @@ class Tally:
     states: int = 0
     truths: int = 0
     commands: int = 0
+    changes: int = 0
     refused: int = 0
     lost: int = 0
     free: int = 0
@@ -124,6 +136,9 @@ class _Checker:
         self._lockstep = lockstep
         self._commanded = JointOrder("motor_commands", session.scene.joint_names)
         self._inside = False  # a run that began at tick 0
+        self._told = Plant(session.scene)  # machines as events tell them
+        self._event = (0, 0)  # emulator and number of the newest one
+        self._waiting: list[MachineEvent] = []  # at tick 0 of a run whose first state is to come
         self._begin()
 
     def take(self, name: str, message: Any) -> None:
@@ -131,6 +146,7 @@ class _Checker:
             "motor_commands": self._on_command,
             "motor_states": self._on_state,
             "emulator/joint_states": self._on_truth,
+            "emulator/events": self._on_event,
         }[name](message)
 
     def _begin(self) -> None:
@@ -156,6 +172,62 @@ class _Checker:
             return
         self._commands.setdefault(tick, []).append(voltage)
 
+    def _lead_past_a_lost_state(self, tick: int) -> None:
+        """Go on to a tick whose state the bag misses, if the command before it is there."""
+        session = self._session
+        known = self._commands.get(session.tick)
+        if tick == session.tick + 1 and known and self._lockstep:
+            self.tally.lost += 1
+            self._advance(known[-1] if session.powered else np.zeros_like(known[-1]))
+
+    def _on_event(self, event: MachineEvent) -> None:
+        session, number = self._session, int(event.number)
+        machine, before = self._event
+        self._event = int(event.machine), number
+        if event.kind == MachineEvent.KIND_RESET:
+            self._inside = False
+            self._waiting = [event]
+            return
+        if not self._inside:
+            if event.tick == 0:
+                self._waiting.append(event)
+            return
+        if machine == event.machine and number != before + 1:
+            rule = f"tell change {before + 1} by hand"
+            raise Refusal(self._where, "emulator/events", rule, f"{number}", "a bag without gaps")
+        self._lead_past_a_lost_state(int(event.tick))
+        if event.tick != session.tick or nanoseconds_of(event.header.stamp) != session.logical_ns:
+            raise Difference(
+                f"run {self.tally.runs}, tick {session.tick}, change {number} by hand: "
+                f"recorded at tick {event.tick}, stamp {nanoseconds_of(event.header.stamp)} ns"
+            )
+        self._change(event)
+
+    def _change(self, event: MachineEvent) -> None:
+        """Change the machine as it was changed by hand."""
+        session = self._session
+        what = KINDS.get(event.kind, f"kind {event.kind}")
+        place = (
+            f"run {self.tally.runs}, tick {session.tick}, change {event.number} by hand ({what})"
+        )
+        self.tally.changes += 1
+        try:
+            self._told.restore(bytes(event.state))
+        except Refusal as reason:
+            raise Difference(f"{place}: the state after it cannot be restored: {reason}") from None
+        if self._told.powered != event.powered or event.kind not in KINDS:
+            raise Difference(f"{place}: it does not tell one change of one machine")
+        if event.kind == MachineEvent.KIND_RESET:
+            session.powered = bool(event.powered)
+            session.reset()
+        elif event.kind == MachineEvent.KIND_POWER and self._told.diverged is None:
+            session.powered = bool(event.powered)
+        else:  # a machine that has diverged stands within a servo period
+            session.restore(bytes(event.state))
+        told, now = self._told.state, session.state
+        for name in SET:
+            self._same_bits(f"{name} after {what} by hand", getattr(told, name), getattr(now, name))
+
     def _on_state(self, state: MotorState) -> None:
         session, tick = self._session, int(state.tick)
         self._same_joints("motor_states", state.joint_names)
@@ -163,6 +235,9 @@ class _Checker:
             self._begin()
             self._inside = True
             self.tally.runs += 1
+            for event in self._waiting:
+                self._change(event)
+            self._waiting.clear()
         elif not self._inside or tick < session.tick:
             # A reset whose first state is not in the bag, or a bag that begins within a run.
             self._inside = False
@@ -194,7 +269,7 @@ class _Checker:
         if commands and self._lockstep and self._led and session.powered:
             self.tally.commands += 1
             U = session.scene.supply_voltage
-            if not any(_same_bits(applied, np.clip(one, -U, U)) for one in commands):
+            if not any(_are_equal(applied, np.clip(one, -U, U)) for one in commands):
                 joint = int(np.argmax(applied != commands[-1]))
                 raise Difference(
                     f"run {self.tally.runs}, tick {session.tick}, "
@@ -244,7 +319,9 @@ class _Checker:
         self, quantity: str, order: list[int], given: NDArray[Any], computed: NDArray[Any]
     ) -> None:
         self._has_values(quantity, order, len(given))
-        recorded = given[order]
+        self._same_bits(quantity, given[order], computed)
+
+    def _same_bits(self, quantity: str, recorded: NDArray[Any], computed: NDArray[Any]) -> None:
         # Of the bits: 0.0 and -0.0 differ, and a NaN is equal to itself.
         differ = recorded.view(np.int64) != computed.view(np.int64)
         if differ.any():
@@ -256,7 +333,7 @@ class _Checker:
             )
 
 
-def _same_bits(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def _are_equal(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     return one.tobytes() == other.tobytes()
 
 
@@ -333,6 +410,7 @@ def _told(tally: Tally, complete: bool) -> str:
         f"{tally.commands} commands",
     ]
     extra = {
+        "changes by hand": tally.changes,
         "commands answer no state": tally.refused,
         "states are missing": tally.lost,
         "ticks at 0 V before the first command": tally.free,
@@ -349,5 +427,7 @@ def _hints(bag: Bag, topics: dict[str, str], scene: Scene) -> Iterator[str]:
         if description.data != scene.urdf:
             yield f"the recorded robot_description is not that of scene {scene.name}"
         break
+    if "emulator/events" not in topics:
+        yield "without emulator/events nobody knows whether the machine was changed by hand"
     if "emulator/status" not in topics:
         yield "without emulator/status nobody knows whether this was lock-step, as assumed"

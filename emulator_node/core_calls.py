@@ -47,8 +47,8 @@ REAL_TIME_CALLS: Calls = {
     "arm_real_time_delete": (None, [_pointer]),
     "arm_real_time_start": (None, [_pointer, _count]),
     "arm_real_time_stop": (None, [_pointer]),
+    "arm_real_time_go_on": (None, [_pointer]),
     "arm_real_time_command": (None, [_pointer] * 2),
-    "arm_real_time_power": (None, [_pointer, _int]),
     "arm_real_time_take": (_int, [_pointer] * 2),
     "arm_real_time_snapshot_size": (_count, [_int32]),
     "arm_real_time_descriptor": (_int, [_pointer]),
@@ -124,7 +124,7 @@ class RealTimeOptions(_Sized):
     _fields_ = (
         ("size", _uint32),
         ("joints", _int32),
-        *((name, _pointer) for name in ("machine", "exchange", "get_truth", "power")),
+        *((name, _pointer) for name in ("machine", "exchange", "get_truth")),
         ("join_schedule", _pointer),
         ("period", _count),
         ("core", _int32),

@@ -11,7 +11,7 @@ import threading
 import time
 from array import array
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState, RecorderReport
+from arm_emulator_msgs.msg import (
+    EmulatorStatus,
+    MachineEvent,
+    MotorCommand,
+    MotorState,
+    RecorderReport,
+)
+from arm_emulator_msgs.srv import RestoreState, SaveState, SetState
 from emulator_node.plant import Diverged
 from emulator_node.real_time import RealTimeSession
 from emulator_node.recorders import Recorders
@@ -38,6 +45,7 @@ from ros_shell.doubles import STARTED, Doubles
 from ros_shell.node_shell import (
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
+    EVENT_QOS,
     KEPT,
     NANOSECONDS,
     STATE_PUB_QOS,
@@ -61,6 +69,7 @@ if TYPE_CHECKING:
 AT_ONCE = 10  # ticks in real time that are taken, and messages that are published, at a time
 UNPUBLISHED = 1000  # messages in real time that may wait: a controller needs the newest ones
 STATUS_PERIOD = 0.5  # s, wall
+MOST_SAVED = 1000  # states that are kept by name
 REPEAT_AFTER = (
     0.2  # s, wall: a state without an answer is published again, for partners that come late
 )
@@ -139,6 +148,9 @@ class EmulatorNode(Node):
         self._clocks = self.create_publisher(Clock, "clock", STATE_PUB_QOS)
         self._statuses = self.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
         self._descriptions = self.create_publisher(String, "robot_description", DESCRIPTION_QOS)
+        self._events = self.create_publisher(MachineEvent, "emulator/events", EVENT_QOS)
+        self._changes = 0  # by hand
+        self._saved: dict[str, bytes] = {}  # machines by name
 
         self.create_subscription(MotorCommand, "motor_commands", self._on_command, COMMAND_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
@@ -158,6 +170,9 @@ class EmulatorNode(Node):
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/power", self._on_power)
+        self.create_service(SaveState, "~/save_state", self._on_save_state)
+        self.create_service(RestoreState, "~/restore_state", self._on_restore_state)
+        self.create_service(SetState, "~/set_state", self._on_set_state)
 
         self._published_at = time.monotonic()  # when this tick's state was first published
         self._repeated_at = self._published_at
@@ -299,7 +314,7 @@ class EmulatorNode(Node):
 
         said = (
             self._motor_states, self._truths, self._clocks, self._statuses, self._descriptions,
-            self._diagnostics.publisher,
+            self._events, self._diagnostics.publisher,
         )  # fmt: skip
         publishers = [
             (one.topic_name, self.get_publishers_info_by_topic(one.topic_name)) for one in said
@@ -335,11 +350,22 @@ class EmulatorNode(Node):
     def _tell(self) -> None:
         """Publish this tick's state."""
         self._published_at = self._repeated_at = time.monotonic()
-        session, state = self._session, self._session.state
+        session = self._session
         self._say_motor_state()
         if session.tick % self._report_ticks == 0:
             self._say_truth()
             self._publish(self._clocks, Clock(clock=stamp(session.logical_ns)))
+        self._show()
+
+    def _tell_change(self) -> None:
+        """Tell this tick's state once more, as it is after a change by hand."""
+        self._repeated_at = time.monotonic()
+        self._say_motor_state()
+        self._say_truth()
+        self._show()
+
+    def _show(self) -> None:
+        session, state = self._session, self._session.state
         self._stream.offer(
             session.logical_ns,
             state.q,
@@ -471,9 +497,8 @@ class EmulatorNode(Node):
         with self._lock:
             session = self._session
             session.paused = request.data
-            if isinstance(session, RealTimeSession):
-                while self._catch_up(session):  # ticks that were reached before the pause
-                    pass
+            if request.data:
+                self._tell_reached()
             response.success = True
             response.message = f"{'paused' if request.data else 'going on'} at tick {session.tick}"
             if session.lockstep and session.answered:
@@ -500,7 +525,7 @@ class EmulatorNode(Node):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            self._session.reset()
+            self._by_hand(MachineEvent.KIND_RESET, self._session.reset)
             self._recorders.begin()
             self._status_mark = (time.monotonic_ns(), 0, 0)
             self._diagnostics.ok("reset")
@@ -510,12 +535,113 @@ class EmulatorNode(Node):
 
     def _on_power(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
-            self._session.powered = request.data
+            switch = partial(setattr, self._session, "powered", request.data)
+            self._by_hand(MachineEvent.KIND_POWER, switch)
         response.success = True
         response.message = (
             "power on" if request.data else "power off: motors at 0 V, windings shorted"
         )
         return response
+
+    def _on_save_state(
+        self, request: SaveState.Request, response: SaveState.Response
+    ) -> SaveState.Response:
+        with self._lock, self._session.between_ticks():
+            self._tell_reached()
+            if len(self._saved) >= MOST_SAVED and request.name not in {"", *self._saved}:
+                rule = f"be one of the {MOST_SAVED} that are kept already"
+                response.message = str(Refusal("save_state", "name", rule, request.name))
+                return response
+            saved = self._session.plant.save()
+            if request.name:
+                self._saved[request.name] = saved
+            response.success, response.state = True, array("B", saved)
+            response.message = f"at tick {self._session.tick}"
+            return response
+
+    def _on_restore_state(
+        self, request: RestoreState.Request, response: RestoreState.Response
+    ) -> RestoreState.Response:
+        def restore() -> None:
+            if bool(request.name) == bool(request.state):
+                got = "both" if request.name else "neither"
+                raise Refusal("restore_state", "what is restored", "be a name or a state", got)
+            if request.name and request.name not in self._saved:
+                known = ", ".join(self._saved) or "none"
+                raise Refusal("restore_state", "name", "be a saved one", request.name, known)
+            self._session.restore(self._saved.get(request.name, bytes(request.state)))
+
+        self._put(MachineEvent.KIND_RESTORE, restore, response)
+        return response
+
+    def _on_set_state(
+        self, request: SetState.Request, response: SetState.Response
+    ) -> SetState.Response:
+        given = {
+            "current": request.current,
+            "theta_m": request.motor_position,
+            "omega_m": request.motor_velocity,
+            "q": request.position,
+            "v": request.velocity,
+        }
+        change = partial(self._session.set_state, request.joint_names, given)
+        self._put(MachineEvent.KIND_SET_STATE, change, response)
+        return response
+
+    def _put(
+        self,
+        kind: int,
+        change: Callable[[], None],
+        response: RestoreState.Response | SetState.Response,
+    ) -> None:
+        """Put the machine elsewhere, tell its state there, and go on from there."""
+        with self._lock:
+            behind = self._without_room()
+            if behind:
+                response.message = f"recorder {behind} has to catch up first, ask again then"
+                return
+            try:
+                self._by_hand(kind, change)
+            except Refusal as reason:
+                response.message = str(reason)
+                return
+            session = self._session
+            response.success, response.message = True, f"at tick {session.tick}"
+            self._tell_change()
+            if session.lockstep and session.answered:
+                self._go_on()
+
+    def _by_hand(self, kind: int, change: Callable[[], None]) -> None:
+        """Change the machine between two ticks, and publish what is needed to repeat that."""
+        session = self._session
+        with session.between_ticks():
+            self._tell_reached()
+            change()
+            saved = session.plant.save()
+        self._changes += 1
+        event = MachineEvent(
+            tick=session.tick,
+            number=self._changes,
+            kind=kind,
+            powered=session.powered,
+            state=array("B", saved),
+            machine=STARTED,
+        )
+        event.header.stamp = stamp(session.logical_ns)
+        self._publish(self._events, event)
+
+    def _tell_reached(self) -> None:
+        """Publish all that waits, and tell the ticks that a loop in real time has reached.
+
+        In order, so that a change comes behind the ticks before it. The loop must stand still.
+        """
+        while self._unpublished:
+            publisher, data = self._unpublished.popleft()
+            publisher.publish(data)
+        if isinstance(self._session, RealTimeSession):
+            while self._session.take():
+                self._tell()
+        self._report_fault()
 
 
 def main() -> None:

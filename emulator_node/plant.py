@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,13 +27,14 @@ from emulator_node.core_calls import (
     Truth,
 )
 from emulator_node.scene import Scene
-from words.bound import LARGEST_COUNT, POSITION, VELOCITY
+from words.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY, Bound
 from words.count import check_count
 from words.refusal import Refusal
 
 LARGEST_STEPS = 10**15  # of one call
 PIECE = 2**20  # steps after which a long call looks whether Ctrl-C was pressed
-ROWS = ("current", "theta_m", "omega_m", "q", "v", "gear_torque")
+SET = ("current", "theta_m", "omega_m", "q", "v")  # what decides on the others of `PlantState`
+ROWS = (*SET, "gear_torque")
 
 
 class Diverged(RuntimeError):
@@ -120,6 +122,7 @@ class Plant:
         core: the scene's compiled core, through ctypes (core/arm.h).
         machine: the core's handle of this machine.
         link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
+        bounds: how large what is set may be, by its name in `PlantState`.
 
     Args:
         scene: from `emulator_node.scene.load_scene`.
@@ -154,6 +157,15 @@ class Plant:
         self.link_angle_per_count = np.array(
             [2.0 * math.pi / joint.counts_per_turn * joint.gear.ratio for joint in scene.joints]
         )
+        at_most = self._largest_position()
+        ratio = np.array([joint.gear.ratio for joint in scene.joints])
+        self.bounds = {
+            "current": CURRENT,
+            "theta_m": Bound("motor position", "rad", at_most / ratio),
+            "omega_m": Bound("motor velocity", "rad/s", VELOCITY.largest / ratio),
+            "q": Bound("position", "rad", at_most),
+            "v": VELOCITY,
+        }
         self.reset()
 
     def __del__(self) -> None:
@@ -178,7 +190,7 @@ class Plant:
         speed = (
             np.zeros(self._N) if v is None else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
         )
-        largest = np.minimum(POSITION.largest, LARGEST_COUNT * self.link_angle_per_count)
+        largest = self._largest_position()
         if (np.abs(at) > largest).any():
             raise Refusal("Plant.reset", "q", f"be at most {largest.min():g} rad or m", at)
         if (np.abs(speed) > VELOCITY.largest).any():
@@ -290,10 +302,17 @@ class Plant:
         """Continue from what `save` of a plant of the same scene has returned, to the last bit.
 
         Raises:
-            Refusal: it is of another scene, core, step or servo period; nothing has changed.
+            Refusal: it is of another scene, core, step or servo period, or it was spoiled; nothing
+                has changed.
         """
         if self.core.arm_restore(self.machine, saved, len(saved)) == REFUSED:
             raise self._refusal("Plant.restore", "another one")
+
+    @property
+    def diverged(self) -> Diverged | None:
+        """Why the machine stays where it is; None if it goes on."""
+        self._look()
+        return self._diverged(self._measured["voltage"]) if self._truth.fault >= 0 else None
 
     def run(self, voltages: ArrayLike, steps: int) -> Array:
         """Apply rows of voltages one after the other, without coming back to Python in between.
@@ -425,16 +444,30 @@ class Plant:
 
     @state.setter
     def state(self, state: PlantState) -> None:
-        where, largest = "Plant.state", {"q": POSITION.largest, "v": VELOCITY.largest}
+        self.put("Plant.state", {name: getattr(state, name) for name in SET})
+
+    def put(self, where: str, given: Mapping[str, ArrayLike]) -> None:
+        """Set some quantities of the state, see `state`; all others stay as they are.
+
+        Args:
+            where: name for refusals.
+            given: (N,) each, by names of `PlantState`: current, theta_m, omega_m, q, v. A motor
+                behind a rigid gear comes along with its link if it is not given.
+
+        Raises:
+            Refusal: as setting `state`.
+        """
         rows = {}
-        for name in ROWS[:-1]:
-            rows[name] = self._vector(getattr(state, name), where, name, "SI")
-            bound = largest.get(name, LARGEST_COUNT)
-            if (np.abs(rows[name]) > bound).any():
-                raise Refusal(where, name, f"be at most {bound:g}", rows[name])
+        for name, values in given.items():
+            bound = self.bounds[name]
+            rows[name] = np.ascontiguousarray(bound.vector(where, values, self._N))
         truth = Truth(**{name: _address(row) for name, row in rows.items()})
         if self.core.arm_set_truth(self.machine, ctypes.byref(truth)) == REFUSED:
             raise self._refusal(where, "another one")
+
+    def _largest_position(self) -> Array:
+        """Return how far a link may be (N,) [rad or m], so that its encoder's counts are exact."""
+        return np.minimum(POSITION.largest, LARGEST_COUNT * self.link_angle_per_count)
 
     def _look(self) -> None:
         self.core.arm_get_truth(self.machine, self._structs[2])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import os
 import select
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -69,7 +71,6 @@ class RealTimeLoop:
             machine=plant.machine,
             exchange=address(plant.core, "arm_exchange"),
             get_truth=address(plant.core, "arm_get_truth"),
-            power=address(plant.core, "arm_power"),
             join_schedule=address(plant.core, "arm_join_schedule"),
             period=period_ns,
             core=core,
@@ -108,6 +109,10 @@ class RealTimeLoop:
         """Stop within a period. Snapshots not taken yet stay."""
         self._calls.arm_real_time_stop(self._loop)
 
+    def go_on(self) -> None:
+        """Go on as if it had not been stopped; what was missed is lateness, and lost periods."""
+        self._calls.arm_real_time_go_on(self._loop)
+
     def command(self, answered: int, voltage: Array) -> None:
         """Set the voltages (N,) [V] for the periods to come; -1 answers no tick.
 
@@ -119,10 +124,6 @@ class RealTimeLoop:
         self._commands["value"] = VOLTAGE.vector(where, voltage, self._N)
         self._command.tick = answered
         self._calls.arm_real_time_command(self._loop, ctypes.byref(self._command))
-
-    def power(self, on: bool) -> None:
-        """Switch the drives on or off."""
-        self._calls.arm_real_time_power(self._loop, on)
 
     def wait(self, timeout: float) -> bool:
         """Wait for a snapshot, at most `timeout` [s], without Python's lock."""
@@ -157,6 +158,8 @@ class RealTimeSession(Session):
     def __init__(self, scene: Scene, start: str) -> None:
         self._loop: RealTimeLoop | None = None
         self._running = False
+        self._held = False  # between two ticks,
+        self._goes_on = False  # after which the loop goes on where it was
         super().__init__(scene, "realtime", start)
         self._loop = RealTimeLoop(
             self.plant, self.period_ns, scene.steps_per_period, scene.cores[0]
@@ -166,21 +169,17 @@ class RealTimeSession(Session):
 
     def reset(self) -> None:
         """Begin anew at tick 0."""
-        loop, self._loop = self._loop, None  # so that nothing starts half-way
-        if loop is None:  # within the base's constructor
+        if self._loop is None:  # within the base's constructor
             super().reset()
             return
-        if self._running:
-            loop.stop()
-            self._running = False
-        while loop.take() is not None:
-            pass
-        super().reset()
-        self._loop = loop
-        self._energy = self.plant.energy
-        self._loop.command(-1, self._zero)
-        self._loop.clear_figures()
-        self._follow_phase()
+        with self.between_ticks():
+            while self._loop.take() is not None:
+                pass
+            super().reset()
+            self._energy = self.plant.energy
+            self._loop.command(-1, self._zero)
+            self._loop.clear_figures()
+            self._goes_on = False
 
     def close(self) -> None:
         """Stop the loop for good."""
@@ -207,18 +206,33 @@ class RealTimeSession(Session):
         self._paused = value
         self._follow_phase()
 
-    @property
-    def powered(self) -> bool:
-        """Whether the drives have power."""
-        return self._powered
+    @contextmanager
+    def between_ticks(self) -> Iterator[None]:
+        """Within, the loop stands still: take what it has reached, then change the machine.
 
-    @powered.setter
-    def powered(self, on: bool) -> None:
-        self._powered = on
+        Afterwards it goes on as if it had not been stopped: periods that it has missed are counted.
+        """
         assert self._loop is not None
-        self._loop.power(on)
-        if not self._running:
-            self.plant.powered = on
+        if self._held:
+            yield
+            return
+        self._goes_on = self._running
+        self._halt()
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = False
+            if self._goes_on and self.may_advance:
+                self._running = True
+                self._loop.go_on()
+            else:
+                self._follow_phase()
+
+    def _take_machine(self) -> None:
+        super()._take_machine()
+        self._state = self.plant.state
+        self._energy = self.plant.energy
 
     def offer(self, tick: int, joint_names: Any, voltage: Any) -> None:
         """Take a motor command, see `Session.offer`."""
@@ -273,7 +287,7 @@ class RealTimeSession(Session):
         self._running = False
 
     def _follow_phase(self) -> None:
-        if self._loop is None:
+        if self._loop is None or self._held:
             return
         if self.may_advance and not self._running:
             while self.take():  # ticks that were reached before the loop was halted

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import enum
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -109,8 +110,67 @@ class Session:
 
     @powered.setter
     def powered(self, on: bool) -> None:
-        self._powered = on
-        self.plant.powered = on
+        with self.between_ticks():
+            self._powered = on
+            self.plant.powered = on
+
+    @contextmanager
+    def between_ticks(self) -> Iterator[None]:
+        """Within, no time passes: the machine can be saved, and changed by hand."""
+        yield
+
+    def restore(self, saved: bytes) -> None:
+        """Continue with a machine that was saved, with its power and its fault.
+
+        The machine's own time is that of the saved one. Ticks go on, and the commands that were
+        given hold.
+
+        Raises:
+            Refusal: see `Plant.restore`; nothing has changed.
+        """
+        with self.between_ticks():
+            self.plant.restore(saved)
+            self._take_machine()
+
+    def set_state(self, joint_names: Sequence[str], given: Mapping[str, Sequence[float]]) -> None:
+        """Set some quantities of some joints; whatever is not given stays as it is.
+
+        Args:
+            joint_names: joints of the scene, each at most once.
+            given: one value per name, by names of `PlantState`; an empty one is not given. A motor
+                behind a rigid gear comes along with its link if it is not given.
+
+        Raises:
+            Refusal: no or other names, another number of values, values that are not finite, too
+                large or contradict each other; nothing has changed.
+        """
+        where, known = "set_state", self.scene.joint_names
+        names = list(joint_names)
+        if not names or len(set(names)) < len(names) or not set(names) <= set(known):
+            rule, got = "name joints, each once", ", ".join(map(str, names)) or "none"
+            raise Refusal(where, "joint names", rule, got, ", ".join(known))
+        places = [known.index(name) for name in names]
+        values = {quantity: row for quantity, row in given.items() if len(row)}
+        if not values:
+            raise Refusal(where, "what is set", "be one quantity at least", "none")
+        for quantity, row in values.items():
+            if len(row) != len(names):
+                rule = f"have one value per joint name ({len(names)})"
+                called = self.plant.bounds[quantity].quantity
+                raise Refusal(where, called, rule, f"{len(row)} values")
+        with self.between_ticks():
+            now = self.plant.state
+            rows = {quantity: getattr(now, quantity) for quantity in values}
+            for quantity, row in values.items():
+                rows[quantity][places] = row
+            self.plant.put(where, rows)
+            self._take_machine()
+
+    def _take_machine(self) -> None:
+        """Take over what became of the machine."""
+        self._powered = self.plant.powered
+        self.fault = self.plant.diverged
+        self._state = None
 
     @property
     def state(self) -> PlantState:

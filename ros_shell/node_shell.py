@@ -48,6 +48,8 @@ DESCRIPTION_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+# Changes by hand: who comes late gets those before, since what follows depends on them.
+EVENT_QOS = QoSProfile(depth=KEPT, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Who comes late learns at once who is there.
 DIAGNOSTICS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

@@ -9,16 +9,18 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import rclpy
-from network import bits_of
+from network import bits_of, question
 from rclpy.serialization import deserialize_message, serialize_message
-from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator_msgs.msg import MotorState
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
+from ros_shell.bag import BagWriter, Topic
+from ros_shell.message_types import definition_of
 from ros_shell.ros_domain import own_domain
 from servo_node.node import ServoNode
 from words.config_files import find_config
@@ -33,6 +35,7 @@ class Wires:
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
         self.timers: list[Callable[[], None]] = []
         self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was said last on each topic
+        self.record: list[tuple[str, type, bytes]] | None = None  # all that was said, if wanted
 
     def join(self, kind: type) -> Any:
         """Return a node of that kind on these wires."""
@@ -72,6 +75,8 @@ class Publisher:
         data = message if isinstance(message, bytes) else serialize_message(message)
         said = self._topic, self._kind, data
         self._wires.newest[self._topic] = said
+        if self._wires.record is not None:
+            self._wires.record.append(said)
         if self._topic in self._wires.listeners:
             self._wires.waiting.append(said)
 
@@ -129,11 +134,25 @@ class InProcess:
         self.states.clear()
         self.tick = -1
 
-    def call(self, name: str, request: bool | None = None) -> Any:
-        """Call a service: True or False for SetBool, None for Trigger."""
-        kind = Trigger if request is None else SetBool
-        message = kind.Request() if request is None else kind.Request(data=request)
+    def call(self, name: str, request: Any = None) -> Any:
+        """Call a service, with a request as `question` takes it."""
+        kind, message = question(request)
         return self._wires.services[name](message, kind.Response())
+
+    def begin_record(self) -> None:
+        """Keep all that is said from now on, for `write`."""
+        self._wires.record = []
+
+    def write(self, bag: Path) -> Path:
+        """Write all that was kept into a new bag."""
+        numbers: dict[str, int] = {}
+        with BagWriter(bag) as writer:
+            for at, (topic, kind, data) in enumerate(self._wires.record or []):
+                if topic not in numbers:
+                    name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+                    numbers[topic] = writer.add_topic(Topic(f"/{topic}", name, definition_of(name)))
+                writer.write(numbers[topic], at, at, data)
+        return bag
 
     def timers(self) -> None:
         """Call every timer of every node once."""

@@ -26,6 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from arm_emulator.bringup import Bringup
 from arm_emulator.offline import OfflineRun
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
+from arm_emulator_msgs.srv import RestoreState, SaveState, SetState
 from ros_shell.node_shell import NANOSECONDS, nanoseconds_of, stamp
 from ros_shell.ros_domain import own_domain
 
@@ -42,12 +43,23 @@ RECEIVER = {
     "joint_states": "motion_controller",
 }
 
+SERVICES = {one.Request: one for one in (SetBool, Trigger, SaveState, RestoreState, SetState)}
+
 # Deep enough for every state in lock-step: what is recorded must not get lost. In real time
 # a Python listener is slower than the machine: it would fall behind by all that is kept for it.
 RECORD_QOS = QoSProfile(depth=20_000)
 NEWEST_QOS = QoSProfile(depth=5)
 # A depth of 1 would keep only the newest for a node that is just being discovered.
 SEND_QOS = QoSProfile(depth=100)
+
+
+def question(request: Any) -> tuple[type, Any]:
+    """Return type and request of a service: True or False for SetBool, None for Trigger."""
+    if request is None:
+        request = Trigger.Request()
+    elif isinstance(request, bool):
+        request = SetBool.Request(data=request)
+    return SERVICES[type(request)], request
 
 
 class User:
@@ -115,12 +127,12 @@ class User:
             )
             self.spin()
 
-    def call(self, name: str, request: bool | None = None) -> Any:
+    def call(self, name: str, request: Any = None) -> Any:
         """Call a service of the nodes and return its answer, see `calls`."""
         return self.calls((name, request))[0]
 
-    def calls(self, *calls: tuple[str, bool | None]) -> list[Any]:
-        """Call services one right after the other: True or False for SetBool, None for Trigger.
+    def calls(self, *calls: tuple[str, Any]) -> list[Any]:
+        """Call services one right after the other, with requests as `question` takes them.
 
         A server that has not found this client yet loses its answer, and a client does not notice
         that its server was killed: what no server has ever answered is asked again. So the first
@@ -128,12 +140,11 @@ class User:
         """
         asked = []
         for name, request in calls:
-            kind = Trigger if request is None else SetBool
+            kind, message = question(request)
             client = self._clients.get(name)
             if client is None:
                 client = self._clients[name] = self.node.create_client(kind, name)
             self.wait(f"service {name}", client.service_is_ready)
-            message = kind.Request() if request is None else kind.Request(data=request)
             asked.append((name, client, message, [client.call_async(message)]))
         ask_at = time.monotonic() + ASK_AGAIN
 

@@ -159,7 +159,8 @@ int arm_set_parameter(arm_machine* machine, const char* name, double value);
 int64_t arm_saved_size(void);
 /* Save all that decides how the machine goes on, and continue from it to the last bit: in any
  * machine of a library with the same fingerprint, and with the same options. Power, tick and fault
- * are part of it. The bytes hold no pointers and may be kept in a file. */
+ * are part of it. The bytes hold no pointers and may be kept in a file; spoiled ones are
+ * refused. */
 int arm_save(const arm_machine* machine, void* out, int64_t size);
 int arm_restore(arm_machine* machine, const void* saved, int64_t size);
 

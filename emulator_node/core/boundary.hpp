@@ -226,20 +226,29 @@ namespace {
 
 constexpr std::int64_t kWord = 8;
 
-// Where the words of a saved machine go, or come from.
+// Where the words of a saved machine go, or come from. They end with a sum, so that bytes that were
+// spoiled on their way are told from a machine.
 struct Words {
   unsigned char* at;
+  std::uint64_t sum = 0xcbf29ce484222325;
 
   template <class Number>
   void write(const Number& number) {
     static_assert(sizeof number == kWord);
     __builtin_memcpy(at, &number, kWord);
-    at += kWord;
+    pass();
   }
   template <class Number>
   void read(Number& number) {
     static_assert(sizeof number == kWord);
     __builtin_memcpy(&number, at, kWord);
+    pass();
+  }
+  void pass() {
+    std::uint64_t word;
+    __builtin_memcpy(&word, at, kWord);
+    sum = (sum ^ word) * 0x100000001b3;  // FNV-1a: any one word that is changed changes the sum
+    sum ^= sum >> 32;
     at += kWord;
   }
 };
@@ -252,7 +261,7 @@ std::int64_t arm_saved_size(void) {
     arm_machine none({sizeof(arm_options), -1, 1.0, 1, some.p});
     arm_machine::Machine::Whole whole = {};
     arm_machine::Values values = {};
-    std::int64_t words = 1;  // the fingerprint
+    std::int64_t words = 2;  // the fingerprint, the sum
     arm_machine::for_each_saved_number(none, whole, values, [&](const auto&) { ++words; });
     return words * kWord;
   }();
@@ -269,6 +278,7 @@ int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
   for (int k = 0; k < Scene::parameters; ++k) values[k] = machine->machine.parameter(k);
   arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), whole, values,
                                      [&](const auto& number) { words.write(number); });
+  words.write(std::uint64_t{words.sum});
   return ARM_OK;
 }
 
@@ -290,6 +300,11 @@ int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
   if (steps_per_period != machine->steps_per_period)
     return machine->refuse(-1, "saved machine", "have as many steps per period",
                            static_cast<double>(steps_per_period));
+  while (ahead.at != static_cast<const unsigned char*>(saved) + size - kWord) ahead.pass();
+  const std::uint64_t expected = ahead.sum;
+  std::uint64_t sum = 0;
+  ahead.read(sum);
+  if (sum != expected) return machine->refuse(-1, "saved machine", "be as it was saved", 0.0);
   arm_machine::Machine::Whole whole = {};
   arm_machine::Values values = {};
   arm_machine::for_each_saved_number(*machine, whole, values,

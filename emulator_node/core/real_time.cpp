@@ -163,6 +163,12 @@ struct arm_real_time {
   void start(std::int64_t at) {
     stop();
     tick.store(at);
+    due = now();
+    go_on();
+  }
+
+  void go_on() {
+    stop();
     stopping.store(false);
     thread = std::jthread([this] { run(); });
   }
@@ -181,7 +187,6 @@ struct arm_real_time {
     std::vector<arm_joint_measurement> measured(joints);
     arm_command command = {sizeof command, 0, -1, wanted.data()};
     arm_measurement measurement = {sizeof measurement, 0, 0, -1, measured.data()};
-    std::int64_t due = now();
     while (!stopping.load(std::memory_order_relaxed)) {
       due += arm.period;
       sleep_until(due);
@@ -195,7 +200,6 @@ struct arm_real_time {
       cell.read(command, wanted, scratch);
       const std::int64_t k = tick.load(std::memory_order_relaxed);
       if (command.tick >= 0 && k - command.tick > kOldAfter) old_commands.fetch_add(1);
-      arm.power(arm.machine, powered.load());
       const std::int64_t began = now();
       int result = arm.exchange(arm.machine, &command, &measurement);
       if (result == ARM_REFUSED) {  // a command that the machine does not know: no voltage
@@ -256,7 +260,8 @@ struct arm_real_time {
   Cell cell;
   Ring ring;
   Lateness late;
-  std::atomic<bool> powered = true, stopping = false;
+  std::atomic<bool> stopping = false;
+  std::int64_t due = 0;  // ns, when the newest period ended or should have
   std::atomic<std::int64_t> tick = 0, lost_periods = 0, old_commands = 0, unread = 0;
   std::atomic<std::int64_t> fifo = 0, locked = 0;
   std::jthread thread;  // last: it uses all of the above
@@ -272,10 +277,10 @@ arm_real_time* arm_real_time_new(const arm_real_time_options* options) {
 void arm_real_time_delete(arm_real_time* loop) { delete loop; }
 void arm_real_time_start(arm_real_time* loop, std::int64_t tick) { loop->start(tick); }
 void arm_real_time_stop(arm_real_time* loop) { loop->stop(); }
+void arm_real_time_go_on(arm_real_time* loop) { loop->go_on(); }
 void arm_real_time_command(arm_real_time* loop, const arm_command* command) {
   loop->cell.write(*command);
 }
-void arm_real_time_power(arm_real_time* loop, int on) { loop->powered.store(on != 0); }
 int arm_real_time_take(arm_real_time* loop, void* out) { return loop->ring.take(out); }
 std::int64_t arm_real_time_snapshot_size(std::int32_t joints) {
   return static_cast<std::int64_t>(sizeof(arm_snapshot)) + 8LL * 8LL * joints;

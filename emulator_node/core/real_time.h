@@ -18,7 +18,6 @@ typedef struct arm_real_time_options {
   arm_machine* machine;
   int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
   int (*get_truth)(const arm_machine*, arm_truth*);
-  void (*power)(arm_machine*, int);
   int (*join_schedule)(arm_machine*);
   int64_t period; /* ns */
   int32_t core;   /* processor core of the thread; -1: any */
@@ -54,11 +53,13 @@ void arm_real_time_delete(arm_real_time* loop);
 /* Run from `tick` on, the machine being there, until stopped or diverged. While it runs nobody else
  * may use the machine. */
 void arm_real_time_start(arm_real_time* loop, int64_t tick);
-/* Stop within a period. */
+/* Stop within a period. Then the machine may be changed, until the loop is started or goes on. */
 void arm_real_time_stop(arm_real_time* loop);
+/* Go on as if it had not been stopped: what was missed meanwhile counts as lateness, and as lost
+ * periods. */
+void arm_real_time_go_on(arm_real_time* loop);
 /* The newest command wins. It may be given and replaced at any time, by one thread. */
 void arm_real_time_command(arm_real_time* loop, const arm_command* command);
-void arm_real_time_power(arm_real_time* loop, int on);
 /* Copy the oldest snapshot that was not taken yet; 0 if there is none. */
 int arm_real_time_take(arm_real_time* loop, void* out);
 /* Bytes of a snapshot with its arrays. */

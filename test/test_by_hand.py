@@ -1,0 +1,464 @@
+"""A machine that is changed by hand: what services do, what bags tell of it, what is refused."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from in_process import InProcess, in_process
+from network import JOINTS, PATIENCE, User, user
+from rclpy.serialization import deserialize_message, serialize_message
+from test_bags import rewrite
+from test_recording import begun, end, network_of, recorder
+
+from arm_emulator.check import check
+from arm_emulator_msgs.msg import MachineEvent, MotorState
+from arm_emulator_msgs.srv import RestoreState, SaveState, SetState
+from emulator_node.plant import Plant
+from emulator_node.real_time import RealTimeLoop
+from emulator_node.scene import load_scene
+from ros_shell.bag import Bag, BagMessage
+from words.refusal import Refusal
+
+CLOCKS = ("lockstep", "realtime")
+QUANTITIES = ("position", "velocity", "motor_position", "motor_velocity", "current")
+RATIO = {joint.name: joint.gear.ratio for joint in load_scene("three_axis").joints}
+Call = Callable[[str, Any], Any]  # of a service
+
+
+def sound_set_state(draw: random.Random) -> SetState.Request:
+    """Some joints somewhere near, with their motors."""
+    names = draw.sample(JOINTS, draw.randrange(1, 4))
+    position = [draw.uniform(-1.0, 1.0) for _ in names]
+    velocity = [draw.uniform(-0.5, 0.5) for _ in names]
+    ratio = [RATIO[name] for name in names]
+    values = {
+        "position": position,
+        "velocity": velocity,
+        "motor_position": [
+            q / n + draw.gauss(0, 1e-3) for q, n in zip(position, ratio, strict=True)
+        ],
+        "motor_velocity": [v / n for v, n in zip(velocity, ratio, strict=True)],
+        "current": [draw.uniform(-0.5, 0.5) for _ in names],
+    }
+    given = draw.choice([QUANTITIES, ("position", "motor_position"), ("current",), ("velocity",)])
+    return SetState.Request(joint_names=names, **{name: values[name] for name in given})
+
+
+class ByHand:
+    """Changes a machine by random sound calls, and keeps what it has saved."""
+
+    def __init__(self, draw: random.Random, call: Call) -> None:
+        self.kinds: set[str] = set()  # what was done
+        self._draw, self._call = draw, call
+        self._saved: list[bytes] = []
+        self._names: list[str] = []
+
+    def change(self, reset: bool = True) -> None:
+        """Do one thing, at random."""
+        draw = self._draw
+        kinds = ["set_state", "save_state", "restore_state", "power"] + ["reset"] * reset
+        kind = draw.choices(kinds, [4, 3, 4, 2, 1][: len(kinds)])[0]
+        request: Any = None
+        if kind == "set_state":
+            request = sound_set_state(draw)
+        elif kind == "save_state":
+            request = SaveState.Request(name=draw.choice(["", "one", "another"]))
+        elif kind == "power":
+            request = draw.random() < 0.7
+        elif kind == "restore_state":
+            if not self._saved:
+                return
+            by_name = self._names and draw.random() < 0.5
+            request = (
+                RestoreState.Request(name=draw.choice(self._names)) if by_name
+                else RestoreState.Request(state=draw.choice(self._saved))
+            )  # fmt: skip
+        answer = self._call(f"emulator/{kind}", request)
+        assert answer.success, f"{kind}: {answer.message}"
+        self.kinds.add(kind)
+        if kind == "save_state":
+            self._saved.append(bytes(answer.state))
+            self._names += [request.name] if request.name else []
+
+    def changes(self, reset: bool = True) -> None:
+        """Do some things, one right after the other."""
+        while self._draw.random() < 0.7:
+            self.change(reset)
+
+
+def go_on(one: InProcess, ticks: int, between: Callable[[], None] = lambda: None) -> None:
+    """Deliver until so many ticks more were told, or the machine began anew."""
+    deadline, told, newest = time.monotonic() + PATIENCE, 0, one.tick
+    while told < ticks:
+        assert time.monotonic() < deadline, f"nobody says anything any more at tick {one.tick}"
+        between()
+        if not one.deliver():
+            time.sleep(1e-4)  # in real time the next tick is to come
+        if one.tick != newest:
+            told, newest = told + 1, one.tick
+
+
+def recorded(clock: str, seed: int, bag: Path) -> set[str]:
+    """Write a bag of a run with many changes at random ticks; return what was done."""
+    draw = random.Random(seed)
+    with in_process(clock) as one:
+        one.begin_record()
+        assert one.call("emulator/reset").success
+        hand = ByHand(draw, one.call)
+
+        def between() -> None:
+            if draw.random() < 0.02:
+                one.nodes["emulator"]._say_status()  # by which `check` knows the clock
+                hand.changes()
+
+        go_on(one, 400, between)
+        if clock == "realtime":
+            assert one.call("emulator/pause", True).success
+            hand.changes(reset=False)
+            assert one.call("emulator/pause", False).success
+            go_on(one, 50)
+        one.write(bag)
+    return hand.kinds
+
+
+@pytest.fixture(scope="module", params=CLOCKS)
+def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp(request.param) / "bag"
+    recorded(request.param, 1, folder)
+    return folder
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_run_with_changes_by_hand_is_equal_to_the_last_bit(
+    clock: str, seed: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    kinds = recorded(clock, seed, tmp_path / "bag")
+    code, said = check(tmp_path / "bag", "three_axis"), capfd.readouterr().out
+    assert code == 0 and "equal to the last bit" in said, said
+    assert ("in real time" in said) == (clock == "realtime"), said
+    # The test is of something: many changes, several of them at one tick.
+    told = re.search(r"(\d+) changes by hand", said)
+    assert told is not None and int(told[1]) > 5 and len(kinds) >= 3, (said, kinds)
+    ticks = [event.tick for event in events_of(tmp_path / "bag")]
+    assert len(set(ticks)) < len(ticks), f"each change at a tick of its own: {ticks}"
+
+
+def events_of(bag: Path) -> list[MachineEvent]:
+    said = Bag(bag).messages(["/emulator/events"])
+    return [deserialize_message(one.data, MachineEvent) for one in said]
+
+
+def spoil(which: int, change: Callable[[MachineEvent], None]) -> Callable[[BagMessage], bytes]:
+    """Change one event of a bag, by its number."""
+
+    def rewritten(one: BagMessage) -> bytes:
+        if one.topic != "/emulator/events":
+            return one.data
+        event = deserialize_message(one.data, MachineEvent)
+        if event.number == which:
+            change(event)
+        return serialize_message(event)
+
+    return rewritten
+
+
+def test_a_spoiled_event_is_named(
+    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    draw = random.Random(2)
+    events = events_of(bag)
+
+    def flip(event: MachineEvent) -> None:
+        event.state[draw.randrange(len(event.state))] ^= 1 << draw.randrange(8)
+
+    def elsewhere(event: MachineEvent) -> None:
+        event.tick = max(0, event.tick + draw.choice([-2, -1, 1, 2])) if event.tick else 3
+
+    def other_power(event: MachineEvent) -> None:
+        event.powered = not event.powered
+
+    for case in range(12):
+        change = (flip, elsewhere, other_power)[case % 3]
+        event = draw.choice(
+            [e for e in events if change is not elsewhere or e.kind != e.KIND_RESET]
+        )
+        copy = rewrite(bag, tmp_path / f"copy{case}", spoil(event.number, change))
+        code, said = check(copy, "three_axis"), capfd.readouterr().out
+        words = f"{change.__name__} of change {event.number} of kind {event.kind}: {said}"
+        assert code == 1, words
+        assert f"change {event.number} by hand" in said, words
+
+
+def test_a_missing_event_is_named(
+    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """By its number, or by what it would have changed."""
+    puts = (MachineEvent.KIND_SET_STATE, MachineEvent.KIND_RESTORE)
+    missing = next(event.number for event in events_of(bag) if event.kind in puts)
+
+    def without(one: BagMessage) -> bytes | None:
+        lost = one.topic == "/emulator/events" and (
+            deserialize_message(one.data, MachineEvent).number == missing
+        )
+        return None if lost else one.data
+
+    try:
+        assert check(rewrite(bag, tmp_path / "copy", without), "three_axis") == 1
+    except Refusal as reason:
+        assert f"must tell change {missing} by hand" in str(reason)
+    else:
+        assert "the first difference" in capfd.readouterr().out
+
+
+def test_without_events_a_difference_is_explained(
+    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    copy = rewrite(
+        bag, tmp_path / "copy", lambda m: None if m.topic == "/emulator/events" else m.data
+    )
+    assert check(copy, "three_axis") == 1
+    assert "without emulator/events nobody knows" in capfd.readouterr().out
+
+
+def session_of(one: InProcess) -> Any:
+    return one.nodes["emulator"]._session
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_what_is_set_is_set_and_all_else_stays(seed: int) -> None:
+    draw = random.Random(seed)
+    rows = dict(zip(QUANTITIES, ("q", "v", "theta_m", "omega_m", "current"), strict=True))
+    with in_process() as one:
+        go_on(one, 20)
+        for _ in range(20):
+            before, request = session_of(one).state, sound_set_state(draw)
+            tick, changes = session_of(one).tick, one.nodes["emulator"]._changes
+            answer = one.call("emulator/set_state", request)
+            assert answer.success and answer.message == f"at tick {tick}", answer
+            after = session_of(one).state
+            for name, row in rows.items():
+                values = dict(zip(request.joint_names, getattr(request, name), strict=False))
+                for j, joint in enumerate(JOINTS):
+                    expected = values.get(joint, getattr(before, row)[j])
+                    # Gears are elastic here: each quantity is one of its own, to the bit.
+                    assert getattr(after, row)[j] == expected, f"{name} of {joint} after {request}"
+            assert one.nodes["emulator"]._changes == changes + 1, "events"
+            # And it is told at once, at the same tick.
+            told = one.newest("motor_states")
+            assert told.tick == tick and list(told.current) == list(after.current)
+            assert list(one.newest("emulator/joint_states").position) == list(after.q)
+            go_on(one, draw.randrange(1, 4))
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_restored_machine_is_the_saved_one_and_ticks_go_on(clock: str) -> None:
+    with in_process(clock) as one:
+        go_on(one, 30)
+        assert one.call("emulator/power", False).success
+        saved = one.call("emulator/save_state", SaveState.Request(name="here"))
+        assert one.call("emulator/power", True).success
+        go_on(one, 30)
+        assert one.call("emulator/pause", True).success
+        tick, stamps = session_of(one).tick, one.newest("motor_states").header.stamp.nanosec
+        for request in (RestoreState.Request(state=saved.state), RestoreState.Request(name="here")):
+            assert one.call("emulator/set_state", SetState.Request(
+                joint_names=["elbow"], current=[0.1])).success  # fmt: skip
+            assert one.call("emulator/restore_state", request).success
+            assert session_of(one).plant.save() == bytes(saved.state), "all that the machine is"
+            assert not session_of(one).powered and not one.newest("motor_states").powered
+            assert session_of(one).tick == tick, "ticks neither stand nor run back"
+            assert one.newest("motor_states").header.stamp.nanosec == stamps
+        assert one.call("emulator/pause", False).success
+        go_on(one, 10)
+        assert session_of(one).tick > tick
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_machine_that_has_diverged_goes_on_when_it_is_put_elsewhere(
+    clock: str, tmp_path: Path
+) -> None:
+    draw = random.Random(5)
+    with in_process(clock) as one:
+        one.begin_record()
+        assert one.call("emulator/reset").success
+        go_on(one, 20)
+        saved = one.call("emulator/save_state", SaveState.Request()).state
+        for lead_on in (
+            ("emulator/restore_state", RestoreState.Request(state=saved)),
+            ("emulator/set_state", SetState.Request(joint_names=JOINTS, velocity=[0.0] * 3)),
+        ):
+            apart = SetState.Request(joint_names=[draw.choice(JOINTS)], velocity=[9e5])
+            assert one.call("emulator/set_state", apart).success
+            deadline = time.monotonic() + PATIENCE
+            while session_of(one).fault is None:
+                assert time.monotonic() < deadline, "no joint turns so fast"
+                one.deliver()
+            assert one.call("emulator/power", False).success  # while it stands still
+            assert one.call("emulator/power", True).success
+            tick = session_of(one).tick
+            assert one.call(*lead_on).success
+            go_on(one, 20)
+            assert session_of(one).fault is None and one.tick >= tick
+        one.nodes["emulator"]._say_status()
+        one.write(tmp_path / "bag")
+    assert check(tmp_path / "bag", "three_axis") == 0
+
+
+def bad_requests(draw: random.Random, saved: bytes) -> Iterator[tuple[str, Any]]:
+    """Requests of which each breaks a rule."""
+    for _ in range(40):
+        request = sound_set_state(draw)
+        given = [name for name in QUANTITIES if getattr(request, name)]
+        row = getattr(request, draw.choice(given))
+        match draw.randrange(5):
+            case 0:
+                number = draw.choice([math.nan, math.inf, -math.inf, 1e308, -1e300, 1e17])
+                row[draw.randrange(len(row))] = number
+            case 1:
+                row.append(0.0) if draw.random() < 0.5 else row.extend([0.0] * 10_000)
+            case 2:
+                names = request.joint_names
+                other = draw.choice(["hand", "", "\0", "x" * 10_000, JOINTS[0], "WAIST"])
+                names = [*names, other] if other != JOINTS[0] else [*names, names[0]]
+                request.joint_names = names
+            case 3:
+                request.joint_names = []
+            case 4:
+                for name in given:
+                    setattr(request, name, [])
+        yield "emulator/set_state", request
+    for _ in range(40):
+        spoiled = bytearray(saved)
+        match draw.randrange(4):
+            case 0:
+                spoiled[draw.randrange(len(saved))] ^= 1 << draw.randrange(8)
+            case 1:
+                spoiled = spoiled[: draw.randrange(1, len(saved))]
+            case 2:
+                spoiled = bytearray(draw.randbytes(len(saved)))
+            case 3:
+                spoiled[64:] = draw.randbytes(len(saved) - 64)
+        yield "emulator/restore_state", RestoreState.Request(state=bytes(spoiled))
+    yield "emulator/restore_state", RestoreState.Request()
+    yield "emulator/restore_state", RestoreState.Request(name="nobody")
+    yield "emulator/restore_state", RestoreState.Request(name="kept", state=saved)
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_bad_requests_are_refused_and_change_nothing(clock: str) -> None:
+    draw = random.Random(7)
+    with in_process(clock) as one:
+        go_on(one, 20)
+        saved = bytes(one.call("emulator/save_state", SaveState.Request(name="kept")).state)
+        assert one.call("emulator/pause", True).success
+        before, tick = session_of(one).plant.save(), session_of(one).tick
+        changes = one.nodes["emulator"]._changes
+        for name, request in bad_requests(draw, saved):
+            answer = one.call(name, request)
+            words = f"{name} {str(request)[:300]}: {answer.message}"
+            assert not answer.success and " must " in answer.message, words
+            assert "\n" not in answer.message, words
+            assert session_of(one).plant.save() == before, words
+        assert (session_of(one).tick, one.nodes["emulator"]._changes) == (tick, changes)
+        assert one.call("emulator/pause", False).success
+        # And while it runs.
+        for name, request in bad_requests(draw, saved):
+            assert not one.call(name, request).success, name
+            one.deliver()
+        go_on(one, 20)
+        assert one.nodes["emulator"]._changes == changes, "events"
+
+
+def test_a_machine_of_another_scene_is_refused() -> None:
+    with in_process() as one:
+        state = Plant(load_scene("three_axis", overrides={"integrator.dt": 2.5e-4})).save()
+        answer = one.call("emulator/restore_state", RestoreState.Request(state=state))
+        assert not answer.success and "saved machine must" in answer.message, answer
+
+
+def test_names_are_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("emulator_node.node.MOST_SAVED", 3)
+    with in_process() as one:
+        for name in ("a", "b", "c", "a"):
+            assert one.call("emulator/save_state", SaveState.Request(name=name)).success
+        assert not one.call("emulator/save_state", SaveState.Request(name="d")).success
+        assert one.call("emulator/save_state", SaveState.Request()).success
+
+
+def test_periods_in_which_the_loop_stands_still_are_lost_and_counted() -> None:
+    plant, period = Plant(load_scene("three_axis")), 1_000_000  # ns
+    loop = RealTimeLoop(plant, period, plant.scene.steps_per_period, -1)
+    began = time.monotonic_ns()
+    loop.start(0)
+    draw = np.random.default_rng(3)
+    for _ in range(5):
+        while loop.figures().tick < draw.integers(5, 20):
+            pass
+        loop.stop()
+        stands = time.monotonic_ns() + int(draw.uniform(3, 40)) * period
+        before = loop.figures()
+        while time.monotonic_ns() < stands:
+            pass
+        assert loop.figures() == before, "the loop stands still"
+        loop.go_on()
+        while loop.figures().tick == before.tick:
+            pass
+        # It began the newest period before it stopped.
+        assert loop.figures().tick >= before.tick + 1, "ticks go on where they were"
+    loop.stop()
+    figures, wall = loop.figures(), time.monotonic_ns() - began
+    passed = (figures.tick + figures.lost_periods) * period
+    # All time is either a tick or a lost period, but for the one that has begun.
+    assert wall - passed < 2 * period, f"{passed} of {wall} ns are told of"
+    assert passed <= wall
+
+
+@contextmanager
+def changed_network(one: User, folder: Path, clock: str) -> Iterator[None]:
+    with (
+        recorder(folder / "recorder") as process,
+        begun(process),
+        network_of(one, folder / "log", clock=clock, record=folder / "own", start="first_answer"),
+    ):
+        one.wait("the run", lambda: one.tick > 50)
+        yield
+        assert one.call("emulator/pause", True).success
+        code, said = end(process, signal.SIGINT)
+        assert clock == "realtime" or code == 0, said
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_network_changed_by_hand_is_recorded_and_checked(clock: str, tmp_path: Path) -> None:
+    draw = random.Random(11)
+    with user(clock=clock) as one, changed_network(one, tmp_path, clock):
+        hand = ByHand(draw, one.call)
+        for _ in range(12):
+            at = one.tick + draw.randrange(40)
+            one.wait("some ticks", lambda at=at: one.tick >= at or one.tick < 10)
+            hand.changes(reset=clock == "lockstep")
+        assert one.call("emulator/power", True).success
+        at = one.tick
+        one.wait("the rest", lambda: one.tick > at + 50)
+    assert {"set_state", "restore_state"} <= hand.kinds, hand.kinds
+    assert check(tmp_path / "own", "three_axis") == 0, "the emulator's own record"
+    events = [bytes(event.state) for event in events_of(tmp_path / "own")]
+    assert len(events) > 8, "changes"
+    # A recorder in real time may miss states, and says so; events are reliable.
+    assert [bytes(event.state) for event in events_of(tmp_path / "recorder")] == events
+    states = [
+        deserialize_message(m.data, MotorState).tick
+        for m in Bag(tmp_path / "recorder").messages(["/motor_states"])
+    ]
+    if clock == "lockstep":
+        assert check(tmp_path / "recorder", "three_axis") == 0, f"{len(states)} states"
