@@ -32,7 +32,6 @@ int main() {
                                               .machine = machine,
                                               .exchange = arm_exchange,
                                               .get_truth = arm_get_truth,
-                                              .power = arm_power,
                                               .join_schedule = arm_join_schedule,
                                               .period = 200'000,
                                               .core = -1,
@@ -47,12 +46,19 @@ int main() {
       arm_command command = {.size = sizeof command, .reserved = 0, .tick = 0, .joint = commands};
       for (; !enough.load(); ++command.tick) {
         arm_real_time_command(loop, &command);
-        arm_real_time_power(loop, command.tick % 7 != 0);
         arm_real_time_figures figures;
         arm_real_time_get_figures(loop, &figures);
       }
     });
-    for (int taken = 0; taken < 300;) taken += arm_real_time_take(loop, snapshot.data());
+    // Changed between two ticks now and then, while commands go on coming.
+    for (int taken = 0, change = 50; taken < 300;) {
+      taken += arm_real_time_take(loop, snapshot.data());
+      if (taken < change) continue;
+      change += 50;
+      arm_real_time_stop(loop);
+      arm_power(machine, change % 100 == 0);
+      arm_real_time_go_on(loop);
+    }
     enough.store(true);
     arm_real_time_stop(loop);
     while (arm_real_time_take(loop, snapshot.data())) {
