@@ -51,6 +51,7 @@ KINDS = {
     MachineEvent.KIND_RESTORE: "restore_state",
     MachineEvent.KIND_POWER: "power",
     MachineEvent.KIND_RESET: "reset",
+    MachineEvent.KIND_SET_VARIED: "set_varied",
 }
 
 
@@ -219,14 +220,23 @@ class _Checker:
             raise Difference(f"{place}: it does not tell one change of one machine")
         if event.kind == MachineEvent.KIND_RESET:
             session.powered = bool(event.powered)
+            self._set_varied()
             session.reset()
+        elif event.kind == MachineEvent.KIND_SET_VARIED and self._told.diverged is None:
+            self._set_varied()
         elif event.kind == MachineEvent.KIND_POWER and self._told.diverged is None:
             session.powered = bool(event.powered)
         else:  # a machine that has diverged stands within a servo period
             session.restore(bytes(event.state))
+        if self._told.parameters != session.plant.parameters:
+            raise Difference(f"{place}: varied numbers differ")
         told, now = self._told.state, session.state
         for name in SET:
             self._same_bits(f"{name} after {what} by hand", getattr(told, name), getattr(now, name))
+
+    def _set_varied(self) -> None:
+        for name, value in self._told.parameters.items():
+            self._session.set_varied(name, value)
 
     def _on_state(self, state: MotorState) -> None:
         session, tick = self._session, int(state.tick)

@@ -34,7 +34,7 @@ from arm_emulator_msgs.msg import (
     MotorState,
     RecorderReport,
 )
-from arm_emulator_msgs.srv import RestoreState, SaveState, SetState
+from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 from emulator_node.plant import Diverged
 from emulator_node.real_time import RealTimeSession
 from emulator_node.recorders import Recorders
@@ -173,6 +173,7 @@ class EmulatorNode(Node):
         self.create_service(SaveState, "~/save_state", self._on_save_state)
         self.create_service(RestoreState, "~/restore_state", self._on_restore_state)
         self.create_service(SetState, "~/set_state", self._on_set_state)
+        self.create_service(SetVaried, "~/set_varied", self._on_set_varied)
 
         self._published_at = time.monotonic()  # when this tick's state was first published
         self._repeated_at = self._published_at
@@ -588,13 +589,20 @@ class EmulatorNode(Node):
         self._put(MachineEvent.KIND_SET_STATE, change, response)
         return response
 
+    def _on_set_varied(
+        self, request: SetVaried.Request, response: SetVaried.Response
+    ) -> SetVaried.Response:
+        change = partial(self._session.set_varied, request.name, request.value)
+        self._put(MachineEvent.KIND_SET_VARIED, change, response)
+        return response
+
     def _put(
         self,
         kind: int,
         change: Callable[[], None],
-        response: RestoreState.Response | SetState.Response,
+        response: RestoreState.Response | SetState.Response | SetVaried.Response,
     ) -> None:
-        """Put the machine elsewhere, tell its state there, and go on from there."""
+        """Change the machine, publish its state as it is now, and go on from there."""
         with self._lock:
             behind = self._without_room()
             if behind:

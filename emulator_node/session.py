@@ -166,6 +166,16 @@ class Session:
             self.plant.put(where, rows)
             self._take_machine()
 
+    def set_varied(self, name: str, value: float) -> None:
+        """Set a number that the scene lists as varied, see `Plant.set_parameter`.
+
+        Raises:
+            Refusal: no such number, or out of its range; nothing has changed.
+        """
+        with self.between_ticks():
+            self.plant.set_parameter(name, value)
+            self._take_machine()
+
     def _take_machine(self) -> None:
         """Take over what became of the machine."""
         self._powered = self.plant.powered

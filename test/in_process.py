@@ -176,13 +176,18 @@ class InProcess:
 
 
 @contextmanager
-def in_process(clock: str = "lockstep", scene: str = "three_axis") -> Iterator[InProcess]:
-    """Run the three nodes of a scene in this process, from the first answer on."""
+def in_process(
+    clock: str = "lockstep", scene: str = "three_axis", file: Path | None = None
+) -> Iterator[InProcess]:
+    """Run the three nodes of a scene in this process, from the first answer on.
+
+    Of a scene that is another one only in its numbers, `file` may be given.
+    """
     arguments = ["--ros-args"]
     for kind in ("servo", "motion"):
         arguments += ["--params-file", str(find_config(scene, ".yaml", kind))]
     for node, name, value in (
-        ("emulator", "scene", scene),
+        ("emulator", "scene", file or scene),
         ("emulator", "start", "first_answer"),
         ("emulator", "clock", clock),
         ("servo", "clock", clock),

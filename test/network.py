@@ -26,7 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from arm_emulator.bringup import Bringup
 from arm_emulator.offline import OfflineRun
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
-from arm_emulator_msgs.srv import RestoreState, SaveState, SetState
+from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 from ros_shell.node_shell import NANOSECONDS, nanoseconds_of, stamp
 from ros_shell.ros_domain import own_domain
 
@@ -43,7 +43,9 @@ RECEIVER = {
     "joint_states": "motion_controller",
 }
 
-SERVICES = {one.Request: one for one in (SetBool, Trigger, SaveState, RestoreState, SetState)}
+SERVICES = {
+    one.Request: one for one in (SetBool, Trigger, SaveState, RestoreState, SetState, SetVaried)
+}
 
 # Deep enough for every state in lock-step: what is recorded must not get lost. In real time
 # a Python listener is slower than the machine: it would fall behind by all that is kept for it.

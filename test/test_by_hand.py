@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 import re
+import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -22,10 +23,11 @@ from test_recording import begun, end, network_of, recorder
 
 from arm_emulator.check import check
 from arm_emulator_msgs.msg import MachineEvent, MotorState
-from arm_emulator_msgs.srv import RestoreState, SaveState, SetState
+from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 from emulator_node.plant import Plant
 from emulator_node.real_time import RealTimeLoop
 from emulator_node.scene import load_scene
+from emulator_node.varied import Varied
 from ros_shell.bag import Bag, BagMessage
 from words.refusal import Refusal
 
@@ -57,7 +59,8 @@ def sound_set_state(draw: random.Random) -> SetState.Request:
 class ByHand:
     """Changes a machine by random sound calls, and keeps what it has saved."""
 
-    def __init__(self, draw: random.Random, call: Call) -> None:
+    def __init__(self, draw: random.Random, call: Call, varied: tuple[Varied, ...] = ()) -> None:
+        self._varied = varied
         self.kinds: set[str] = set()  # what was done
         self._draw, self._call = draw, call
         self._saved: list[bytes] = []
@@ -66,13 +69,18 @@ class ByHand:
     def change(self, reset: bool = True) -> None:
         """Do one thing, at random."""
         draw = self._draw
-        kinds = ["set_state", "save_state", "restore_state", "power"] + ["reset"] * reset
-        kind = draw.choices(kinds, [4, 3, 4, 2, 1][: len(kinds)])[0]
+        kinds = {"set_state": 4, "save_state": 3, "restore_state": 4, "power": 2}
+        kinds |= {"reset": int(reset), "set_varied": 3 * bool(self._varied)}
+        kind = draw.choices(list(kinds), list(kinds.values()))[0]
         request: Any = None
         if kind == "set_state":
             request = sound_set_state(draw)
         elif kind == "save_state":
             request = SaveState.Request(name=draw.choice(["", "one", "another"]))
+        elif kind == "set_varied":
+            number = draw.choice(self._varied)
+            value = max(number.value, 0.1) * draw.uniform(0.8, 1.25)
+            request = SetVaried.Request(name=number.name, value=value)
         elif kind == "power":
             request = draw.random() < 0.7
         elif kind == "restore_state":
@@ -97,24 +105,39 @@ class ByHand:
 
 
 def go_on(one: InProcess, ticks: int, between: Callable[[], None] = lambda: None) -> None:
-    """Deliver until so many ticks more were told, or the machine began anew."""
-    deadline, told, newest = time.monotonic() + PATIENCE, 0, one.tick
-    while told < ticks:
-        assert time.monotonic() < deadline, f"nobody says anything any more at tick {one.tick}"
+    """Deliver until the machine has gone through so many ticks more, or has begun anew."""
+    deadline, gone, newest = time.monotonic() + PATIENCE, 0, session_of(one).tick
+    while gone < ticks:
+        assert time.monotonic() < deadline, f"nobody says anything any more at tick {newest}"
         between()
         if not one.deliver():
             time.sleep(1e-4)  # in real time the next tick is to come
-        if one.tick != newest:
-            told, newest = told + 1, one.tick
+        now = session_of(one).tick
+        gone, newest = gone + (max(0, now - newest) if now >= newest else now), now
 
 
-def recorded(clock: str, seed: int, bag: Path) -> set[str]:
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The three-axis arm with numbers that can be set while it runs."""
+    folder, config = (
+        tmp_path_factory.mktemp("varied"),
+        Path(__file__).resolve().parents[1] / "config",
+    )
+    shutil.copytree(config / "urdf", folder / "urdf")
+    text = (config / "three_axis.yaml").read_text()
+    numbers = "[joints.*.friction.coulomb, joints.*.motor.resistance, joints.elbow.gear.stiffness]"
+    (folder / "three_axis.yaml").write_text(f"{text}\nvaried: {numbers}\n")
+    return folder / "three_axis.yaml"
+
+
+def recorded(clock: str, seed: int, bag: Path, varied: Path) -> set[str]:
     """Write a bag of a run with many changes at random ticks; return what was done."""
     draw = random.Random(seed)
-    with in_process(clock) as one:
+    with in_process(clock, file=varied) as one:
         one.begin_record()
+        hand = ByHand(draw, one.call, session_of(one).scene.varied)
+        hand.changes()  # of which the run that is checked begins with some
         assert one.call("emulator/reset").success
-        hand = ByHand(draw, one.call)
 
         def between() -> None:
             if draw.random() < 0.02:
@@ -132,19 +155,21 @@ def recorded(clock: str, seed: int, bag: Path) -> set[str]:
 
 
 @pytest.fixture(scope="module", params=CLOCKS)
-def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, varied: Path
+) -> Path:
     folder = tmp_path_factory.mktemp(request.param) / "bag"
-    recorded(request.param, 1, folder)
+    recorded(request.param, 1, folder, varied)
     return folder
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_run_with_changes_by_hand_is_equal_to_the_last_bit(
-    clock: str, seed: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    clock: str, seed: int, tmp_path: Path, varied: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    kinds = recorded(clock, seed, tmp_path / "bag")
-    code, said = check(tmp_path / "bag", "three_axis"), capfd.readouterr().out
+    kinds = recorded(clock, seed, tmp_path / "bag", varied)
+    code, said = check(tmp_path / "bag", str(varied)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in said, said
     assert ("in real time" in said) == (clock == "realtime"), said
     # The test is of something: many changes, several of them at one tick.
@@ -174,7 +199,7 @@ def spoil(which: int, change: Callable[[MachineEvent], None]) -> Callable[[BagMe
 
 
 def test_a_spoiled_event_is_named(
-    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, varied: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     draw = random.Random(2)
     events = events_of(bag)
@@ -194,14 +219,14 @@ def test_a_spoiled_event_is_named(
             [e for e in events if change is not elsewhere or e.kind != e.KIND_RESET]
         )
         copy = rewrite(bag, tmp_path / f"copy{case}", spoil(event.number, change))
-        code, said = check(copy, "three_axis"), capfd.readouterr().out
+        code, said = check(copy, str(varied)), capfd.readouterr().out
         words = f"{change.__name__} of change {event.number} of kind {event.kind}: {said}"
         assert code == 1, words
         assert f"change {event.number} by hand" in said, words
 
 
 def test_a_missing_event_is_named(
-    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, varied: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """By its number, or by what it would have changed."""
     puts = (MachineEvent.KIND_SET_STATE, MachineEvent.KIND_RESTORE)
@@ -214,7 +239,7 @@ def test_a_missing_event_is_named(
         return None if lost else one.data
 
     try:
-        assert check(rewrite(bag, tmp_path / "copy", without), "three_axis") == 1
+        assert check(rewrite(bag, tmp_path / "copy", without), str(varied)) == 1
     except Refusal as reason:
         assert f"must tell change {missing} by hand" in str(reason)
     else:
@@ -222,12 +247,12 @@ def test_a_missing_event_is_named(
 
 
 def test_without_events_a_difference_is_explained(
-    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, varied: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     copy = rewrite(
         bag, tmp_path / "copy", lambda m: None if m.topic == "/emulator/events" else m.data
     )
-    assert check(copy, "three_axis") == 1
+    assert check(copy, str(varied)) == 1
     assert "without emulator/events nobody knows" in capfd.readouterr().out
 
 
@@ -259,6 +284,29 @@ def test_what_is_set_is_set_and_all_else_stays(seed: int) -> None:
             assert told.tick == tick and list(told.current) == list(after.current)
             assert list(one.newest("emulator/joint_states").position) == list(after.q)
             go_on(one, draw.randrange(1, 4))
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_varied_number_is_set_and_bad_ones_are_refused(clock: str, varied: Path) -> None:
+    draw = random.Random(8)
+    with in_process(clock, file=varied) as one:
+        go_on(one, 10)
+        numbers = session_of(one).scene.varied
+        assert len(numbers) > 3, numbers
+        for _ in range(20):
+            number = draw.choice(numbers)
+            value = max(number.value, 0.1) * draw.uniform(0.8, 1.25)
+            request = SetVaried.Request(name=number.name, value=value)
+            answer = one.call("emulator/set_varied", request)
+            assert answer.success, answer.message
+            assert session_of(one).plant.parameters[number.name] == value
+            known = session_of(one).plant.parameters
+            for bad in (math.nan, math.inf, -math.inf, -1e308, 1e308):
+                request.value = bad
+                answer = one.call("emulator/set_varied", request)
+                assert not answer.success and f"{number.name} must" in answer.message, answer
+            assert session_of(one).plant.parameters == known
+            go_on(one, 2)
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -309,7 +357,7 @@ def test_a_machine_that_has_diverged_goes_on_when_it_is_put_elsewhere(
             tick = session_of(one).tick
             assert one.call(*lead_on).success
             go_on(one, 20)
-            assert session_of(one).fault is None and one.tick >= tick
+            assert session_of(one).fault is None and session_of(one).tick >= tick + 20
         one.nodes["emulator"]._say_status()
         one.write(tmp_path / "bag")
     assert check(tmp_path / "bag", "three_axis") == 0
@@ -350,6 +398,8 @@ def bad_requests(draw: random.Random, saved: bytes) -> Iterator[tuple[str, Any]]
             case 3:
                 spoiled[64:] = draw.randbytes(len(saved) - 64)
         yield "emulator/restore_state", RestoreState.Request(state=bytes(spoiled))
+    for name in ("payload.mass", "", "joints", "x" * 1000):
+        yield "emulator/set_varied", SetVaried.Request(name=name, value=1.0)  # not varied here
     yield "emulator/restore_state", RestoreState.Request()
     yield "emulator/restore_state", RestoreState.Request(name="nobody")
     yield "emulator/restore_state", RestoreState.Request(name="kept", state=saved)
