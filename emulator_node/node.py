@@ -283,14 +283,21 @@ class EmulatorNode(Node):
         """
         with self._lock:
             taken = 0
-            while taken < AT_ONCE and session.take():
-                self._tell()
+            while taken < AT_ONCE and self._take(session):
                 taken += 1
             self._report_fault()
             for _ in range(min(AT_ONCE, len(self._unpublished))):
                 publisher, data = self._unpublished.popleft()
                 publisher.publish(data)
             return taken == AT_ONCE or bool(self._unpublished)
+
+    def _take(self, session: RealTimeSession) -> bool:
+        """Take a tick and tell its state; False if there is none."""
+        if not session.take():
+            return False
+        if session.fault is None:  # else it has not come to another tick
+            self._tell()
+        return True
 
     def _advance(self) -> None:
         self._session.advance()
@@ -647,8 +654,8 @@ class EmulatorNode(Node):
             publisher, data = self._unpublished.popleft()
             publisher.publish(data)
         if isinstance(self._session, RealTimeSession):
-            while self._session.take():
-                self._tell()
+            while self._take(self._session):
+                pass
         self._report_fault()
 
 
