@@ -179,7 +179,10 @@ class Session:
     def _take_machine(self) -> None:
         """Take over what became of the machine."""
         self._powered = self.plant.powered
-        self.fault = self.plant.diverged
+        fault = self.plant.diverged
+        if fault is not None:
+            fault.hint = what_holds(fault)
+        self.fault = fault
         self._state = None
 
     @property
