@@ -22,6 +22,12 @@ from emulator_node.scene import SCHEMES, Scene, load_scene
 TITLE = "Stability map"
 
 SCENE = "three_axis"
+# One library per scheme serves the whole map.
+VARIED = [
+    "joints.*.gear.stiffness",
+    "joints.*.motor.inductance",
+    "joints.*.motor.rotor_inertia",
+]
 PERIOD = 1e-2  # s, over which a voltage is held: the largest step
 STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5)  # s
 ACCURATE = 1e-3  # rad, largest error within the second
@@ -106,7 +112,7 @@ def _link_inertia(scene: Scene) -> Array:
 
 def _scene(overrides: Mapping[str, Any], scheme: str, dt: float) -> Scene:
     own = {"servo_period": PERIOD, "integrator.scheme": scheme, "integrator.dt": dt}
-    return load_scene(SCENE, {**overrides, **own})
+    return load_scene(SCENE, {**overrides, **own, "varied": VARIED})
 
 
 def _column(overrides: Mapping[str, Any]) -> dict[str, Any]:

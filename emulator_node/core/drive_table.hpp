@@ -61,6 +61,30 @@ struct LinearDrive {
     return linear;
   }
 
+  // Whether a drive is its linear part: asked at a sum of inputs it gives the sum of its answers.
+  template <class TheDrive>
+  static constexpr bool is_all_of(const TheDrive& drive, bool limited) {
+    const LinearDrive linear = of(drive, limited);
+    DriveInput<TheDrive::states, double> x = {};
+    double input[K + 4] = {};
+    for (int column = 0; column < K + 4; ++column)
+      input[column] = column < K && column >= TheDrive::states ? 0.0 : 1.0 + 0.37 * column;
+    for (int k = 0; k < TheDrive::states; ++k) x.z[k] = input[k];
+    x.q = input[K], x.v = input[K + 1], x.u = input[K + 2], x.side = input[K + 3];
+    const auto rates = drive.rates(x, limited);
+    const auto agrees = [&](double answer, const double (&row)[K + 4]) {
+      double sum = 0.0, size = 0.0;
+      for (int column = 0; column < K + 4; ++column) {
+        sum += row[column] * input[column];
+        size += magnitude(row[column] * input[column]);
+      }
+      return magnitude(answer - sum) <= 1e-9 * size;
+    };
+    bool all = agrees(rates.g, linear.G);
+    for (int k = 0; k < TheDrive::states; ++k) all = all && agrees(rates.f[k], linear.F[k]);
+    return all;
+  }
+
   // E = (D - s F_z)^-1, by Gauss and Jordan with pivots.
   constexpr void inverse(double s, double (&E)[kRows][kRows]) const {
     double W[kRows][kRows] = {};
@@ -196,6 +220,12 @@ class DriveTables {
   DriveTables(const arm::Numbers<S>& numbers, Make&& make) : n(numbers) {
     fill(make);
   }
+  // A nonlinear part must enter at each stage, which no scheme does yet.
+  static_assert(!any_drive<S>([](const auto& drive) {
+    return !LinearDrive<K>::is_all_of(drive, false) || !LinearDrive<K>::is_all_of(drive, true);
+  }),
+                "a drive has a part that is not linear, which the schemes would leave out");
+
   // The same, when the numbers have changed.
   template <class Make>
   void fill(Make&& make) {

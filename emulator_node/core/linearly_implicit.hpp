@@ -350,4 +350,17 @@ class LinearlyImplicit {
   [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given;
 };
 
+template <class S>
+struct MethodOf<S, Scheme::implicit> {
+  using type = LinearlyImplicit<S>;
+};
+template <class S>
+struct MethodOf<S, Scheme::rosenbrock> {
+  using type = LinearlyImplicit<S>;
+};
+template <class S>
+struct MethodOf<S, Scheme::extrapolated> {
+  using type = LinearlyImplicit<S>;
+};
+
 }  // namespace arm

@@ -19,8 +19,8 @@ class Machine {
   static constexpr int N = S::N;
 
   static constexpr bool locates = S::events == Events::located && Modes<S>::present;
-  using Stepper = std::conditional_t<S::scheme == Scheme::paper, PaperScheme<S>,
-                                     std::conditional_t<locates, Located<S>, LinearlyImplicit<S>>>;
+  using Method = typename MethodOf<S, S::scheme>::type;
+  using Stepper = std::conditional_t<locates, Located<S>, Method>;
 
   using Threads = typename S::template Threads<Stepper>;
 

@@ -104,4 +104,9 @@ class PaperScheme {
   Coulomb<S, X> coulomb;
 };
 
+template <class S>
+struct MethodOf<S, Scheme::paper> {
+  using type = PaperScheme<S>;
+};
+
 }  // namespace arm

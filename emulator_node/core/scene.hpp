@@ -9,6 +9,7 @@
 
 namespace arm {
 
+// Each has its MethodOf, in the file that has its steps.
 enum class Scheme { paper, implicit, rosenbrock, extrapolated };
 // What two threads exchange: see two_threads.hpp.
 enum class Exchange { lag, predict };
@@ -69,6 +70,10 @@ template <class S>
 inline constexpr auto kDrives = S::drives(SomeValues<S>().p);
 template <class S>
 inline constexpr auto kLinks = S::links(SomeValues<S>().p);
+
+// MethodOf<S, scheme>::type takes the steps of a scheme. A scheme without one does not compile.
+template <class S, Scheme scheme>
+struct MethodOf;
 
 // body(drive, j) for the drive of every joint of a scene, to learn its structure; its numbers are
 // in numbers.hpp.
