@@ -172,7 +172,8 @@ def test_arrays_that_are_none_change_nothing(plant: Plant, controller: JacobianC
     calls: list[Callable[[Any], object]] = [
         lambda x: plant.advance(x, 1),
         lambda x: plant.run([x], 1),
-        plant.encoder_counts,
+        lambda x: plant.put("here", {"q": x}),
+        lambda x: plant.put("here", {"v": good, "current": x}),
         lambda x: plant.link_accelerations(x, good, good),
         lambda x: plant.link_accelerations(good, x, good),
         lambda x: plant.link_accelerations(good, good, x),
