@@ -11,6 +11,7 @@ namespace arm {
 struct Energy {
   double stored;     // J, kinetic, elastic and magnetic, of links, gears and motors: never negative
   double potential;  // J, of the links in the field S::gravity
+  double jolt;       // N2 m2/(kg m2), sum of Dc^2 / M_jj: how hard dry friction can pull
 
   double total() const { return stored + potential; }
 };
@@ -23,12 +24,13 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
   typename Links<S>::MassMatrix M;
   Links<S>::kinematics(x.q, k);
   Links<S>::mass_matrix(n, k, M);
-  Energy E = {0.0, Links<S>::potential_energy(n, k)};
+  Energy E = {0.0, Links<S>::potential_energy(n, k), 0.0};
   double most = -1.0;
   n.for_each_drive([&](const auto& drive, int j) {
     const double own =
         0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
     E.stored += own;
+    E.jolt += n.Dc(j) * n.Dc(j) / (M.at[j][j] + n.carried(j));
     for (int m = j + 1; m < S::N; ++m) E.stored += x.v[j] * M.at[j][m] * x.v[m];
     if (greediest && own > most) {
       most = own;
@@ -69,7 +71,7 @@ class EnergyBalance {
 
   // `count` steps have led to x. Returns -1, or the joint that holds the most of an energy that
   // came from nowhere.
-  int broken_by(const Numbers<S>& n, const State<S>& x, int count) {
+  int broken_by(const Numbers<S>& n, const State<S>& x, int count, double h) {
     steps += count;
     if (steps < kCheckEvery) return -1;
     steps = 0;
@@ -78,7 +80,10 @@ class EnergyBalance {
     if (E.stored > largest_stored) largest_stored = E.stored;
     const double gained = E.total() - at_most;
     const double rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));
-    if (gained > kTolerance * largest_stored + rounding) return greediest;
+    // A joint that stops within a step has pulled at the others till its end (coulomb.hpp): with
+    // Dc, for h at most, which gives them (Dc h)^2 / (2 M) where they hardly move.
+    const double jolt = kStops * E.jolt * h * h;
+    if (gained > kTolerance * largest_stored + rounding + jolt) return greediest;
     if (gained < 0.0) at_most = E.total();
     return -1;
   }
@@ -94,6 +99,7 @@ class EnergyBalance {
  private:
   static constexpr int kCheckEvery = 64;
   static constexpr double kTolerance = 0.5;
+  static constexpr double kStops = 10.0;     // so many of them between two looks
   static constexpr double kRounding = 1e-9;  // of 1 J, and of the potential energy
 
   double at_most = 0.0;         // J

@@ -137,7 +137,7 @@ class Machine {
       }
       count -= chunk;
       if (chunk < due) continue;
-      fault = balance.broken_by(numbers, x, kCheckEvery);
+      fault = balance.broken_by(numbers, x, kCheckEvery, h);
       if (fault >= 0) {
         go_back(checked);
         return fault;
