@@ -20,7 +20,7 @@ from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal
 
-MACHINES = 12
+MACHINES = 8
 Piece = tuple[np.ndarray, int]  # voltages, and for how many steps
 
 

@@ -8,7 +8,7 @@ from bench.random_machines import LOCATED, judge
 from emulator_node.advice import ORDERS
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
     (verdict,) = judge(seed, (LOCATED[seed % 2],))

@@ -69,7 +69,7 @@ def motion(plant: Plant, rows: np.ndarray, steps: int = 10) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("scheme", "threads"), [*((scheme, 1) for scheme in SCHEMES), ("paper", 2), ("extrapolated", 2)]
+    ("scheme", "threads"), [("rosenbrock", 1), ("implicit", 1), ("paper", 1), ("extrapolated", 2)]
 )
 def test_varied_numbers_give_the_motion_of_constants(
     scheme: str, threads: int, tmp_path: Path
@@ -169,7 +169,7 @@ def test_values_out_of_range_are_refused_and_change_nothing(tmp_path: Path) -> N
         assert plant.save() == kept, f"{name} = {value} was refused and has changed something"
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", ["rosenbrock", "paper"])
 def test_dry_friction_that_is_set_on_a_resting_arm_is_no_divergence(scheme: str) -> None:
     """Joints that creep stop within a step, which gives the others more than there was before."""
     overrides = {"varied": ["joints.*.friction.coulomb"], "integrator.scheme": scheme}
