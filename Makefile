@@ -152,7 +152,7 @@ fuzz: setup .venv/.robots
 bench: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench $(ARGS)
 
-CORE := $(wildcard emulator_node/core/*.hpp emulator_node/core/*.cpp emulator_node/core/*.h)
+CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h) test/*.c test/*.cpp bench/*.cpp)
 
 lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache

@@ -44,7 +44,8 @@ static pinocchio::Model read_model(int joints) {
     else if (axis == Eigen::Vector3d::UnitZ())
       parent = model.addJoint(parent, pinocchio::JointModelRZ(), placement, name);
     else
-      parent = model.addJoint(parent, pinocchio::JointModelRevoluteUnaligned(axis), placement, name);
+      parent =
+          model.addJoint(parent, pinocchio::JointModelRevoluteUnaligned(axis), placement, name);
     model.appendBodyToJoint(parent, pinocchio::Inertia(mass, c, I), pinocchio::SE3::Identity());
   }
   return model;

@@ -7,8 +7,7 @@
 #include "arm.h"
 
 #define MOST_JOINTS 16
-#define CALL(name) (*(void**)&name = dlsym(library, #name))
-
+#define CALL(name) (*(void**)& name = dlsym(library, #name))
 
 int main(int count, char** words) {
   int (*arm_describe)(arm_description*);
