@@ -164,11 +164,9 @@ class _Checker:
         except Refusal:
             self.tally.refused += 1
             return
-        tick, known = int(command.tick), self._commands.get(self._session.tick)
-        if tick == self._session.tick + 1 and known and self._lockstep:
-            self.tally.lost += 1  # it answers a state that is missing in the bag
-            self._advance(known[-1] if self._session.powered else np.zeros_like(voltage))
-        elif tick > self._session.tick:
+        tick = int(command.tick)
+        self._lead_past_a_lost_state(tick)
+        if tick > self._session.tick:
             self.tally.refused += 1
             return
         self._commands.setdefault(tick, []).append(voltage)

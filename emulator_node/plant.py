@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -362,7 +362,10 @@ class Plant:
             voltage: applied then (N,) [V]; None: those of the last `advance`.
         """
         applied = np.array(self._voltage if voltage is None else voltage)
-        return Diverged(self.scene.joint_names[joint], t, self.scene, q, v, applied, self._reset_to)
+        values = self.parameters
+        varied = tuple(replace(one, value=values[one.name]) for one in self.scene.varied)
+        scene = replace(self.scene, varied=varied)
+        return Diverged(scene.joint_names[joint], t, scene, q, v, applied, self._reset_to)
 
     def _diverged(self, voltage: ArrayLike) -> Diverged:
         state = self.state
