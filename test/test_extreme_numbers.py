@@ -254,7 +254,11 @@ def test_bad_messages_do_not_disturb_three_processes(
             user.wait(
                 "the servo to follow", lambda: user.diagnostics["servo"].message == "following"
             )
-            assert user.status.phase == EmulatorStatus.PHASE_RUNNING
+            # The status is published once in a second, the run was shorter.
+            user.wait(
+                "the status of a running machine",
+                lambda: user.status.phase == EmulatorStatus.PHASE_RUNNING,
+            )
         for name in ("servo", "motion_controller"):
             assert user.value(name, "began anew") == "", f"{name} had lost its state"
     assert "Traceback" not in logs(tmp_path) and "Warning" not in logs(tmp_path)
