@@ -1,4 +1,4 @@
-"""From C++ to shared libraries, cached by content: one per scene, and one for real time."""
+"""From C++ to shared libraries, cached by content: of scenes, of fleets, and of real time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 
 from emulator_node import library_cache
-from emulator_node.core_calls import ARM_CALLS, REAL_TIME_CALLS, Calls, declare
+from emulator_node.core_calls import ARM_CALLS, FLEET_CALLS, REAL_TIME_CALLS, Calls, declare
 from emulator_node.cxx import find_compiler, run_compiler
 from emulator_node.elf import why_no_library
 from emulator_node.scene import Scene
@@ -63,6 +63,11 @@ def library_of(scene: Scene) -> ctypes.CDLL:
     return _library(_unit_of(scene))
 
 
+def fleet_library_of(scene: Scene) -> ctypes.CDLL:
+    """Return the scene's compiled fleet, see `library_of`."""
+    return _library(_fleet_unit_of(scene))
+
+
 def real_time_library() -> ctypes.CDLL:
     """Return the compiled loop of core/real_time.h, see `library_of`."""
     return _library(_real_time_unit())
@@ -71,6 +76,12 @@ def real_time_library() -> ctypes.CDLL:
 def _unit_of(scene: Scene) -> Unit:
     about = f"scene {scene.name} ({len(scene.joints)} joints)"
     return Unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
+
+
+def _fleet_unit_of(scene: Scene) -> Unit:
+    about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
+    source = scene_unit(scene, "fleet_boundary.hpp")
+    return Unit(f"{scene.name}-fleet", source, FLEET_CALLS, scene.where, about)
 
 
 def _real_time_unit() -> Unit:

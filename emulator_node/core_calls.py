@@ -1,4 +1,4 @@
-"""What Python calls in compiled libraries: core/arm.h and core/real_time.h."""
+"""What Python calls in compiled libraries: core/arm.h, core/arm_fleet.h and core/real_time.h."""
 
 from __future__ import annotations
 
@@ -40,6 +40,16 @@ ARM_CALLS: Calls = {
     "arm_advance_metered": (_int, [_pointer, _pointer, _count, _pointer]),
     "arm_linear_drives": (_int, [_pointer] * 2),
     "arm_forward_dynamics": (None, [_pointer, _count] + [_pointer] * 4),
+}
+
+FLEET_CALLS: Calls = {
+    **ARM_CALLS,
+    "arm_fleet_lanes": (_int32, []),
+    "arm_fleet_new": (_pointer, [_pointer, _int32]),
+    "arm_fleet_delete": (None, [_pointer]),
+    "arm_fleet_machine": (_pointer, [_pointer, _int32]),
+    "arm_fleet_run": (_int, [_pointer, _int32, _int32, _pointer, _count, _count, _pointer]),
+    "arm_fleet_get_truth": (_int, [_pointer] * 2),
 }
 
 REAL_TIME_CALLS: Calls = {
@@ -114,6 +124,17 @@ class Truth(_Sized):
         ("fault", _int32),
         ("time", _double),
         ("energy", _double),
+        *((name, _pointer) for name in ("current", "theta_m", "omega_m", "q", "v", "gear_torque")),
+    )
+
+
+class FleetTruth(_Sized):
+    """``arm_fleet_truth``."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("reserved", _uint32),
+        *((name, _pointer) for name in ("fault", "t", "energy", "encoder_counts")),
         *((name, _pointer) for name in ("current", "theta_m", "omega_m", "q", "v", "gear_torque")),
     )
 

@@ -115,6 +115,16 @@ class LinearDrive:
     carried: float  # kg m2, of a rotor behind a rigid gear
 
 
+@dataclass(frozen=True)
+class Borrowed:
+    """A machine that belongs to somebody else, a `Fleet`."""
+
+    owner: object
+    core: ctypes.CDLL
+    machine: int
+    began: tuple[Array, Array]  # positions and speeds to which it was reset
+
+
 class Plant:
     """Motors, gears and links of one scene, stepped by the compiled core.
 
@@ -126,24 +136,19 @@ class Plant:
 
     Args:
         scene: from `emulator_node.scene.load_scene`.
+        of: a machine of this scene that belongs to a fleet; None: a new one.
 
     Raises:
         Refusal: the scene's core cannot be compiled.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, of: Borrowed | None = None) -> None:
         self.scene = scene
-        self.core = library_of(scene)
+        self.core = of.core if of else library_of(scene)
         self._N = N = len(scene.joints)
         self._shape = (N,)
-        values = np.array([one.value for one in scene.varied])
-        options = Options(
-            core=scene.cores[1],
-            step=scene.integrator.dt,
-            steps_per_period=scene.steps_per_period,
-            parameters=_address(values),
-        )
-        self.machine = self.core.arm_new(ctypes.byref(options))
+        self._owner = of.owner if of else None  # it must not go before
+        self.machine = of.machine if of else self._new()
         self._voltage = np.zeros(N)
         self._voltage_pointer = _pointer(self._voltage)
         self._rows = np.zeros((len(ROWS), N))
@@ -154,10 +159,8 @@ class Plant:
         self._measured = np.zeros(N, JOINT_MEASUREMENT)
         self._measurement = Measurement(joint=_address(self._measured))
         self._structs = tuple(map(ctypes.byref, (self._command, self._measurement, self._truth)))
-        self.link_angle_per_count = np.array(
-            [2.0 * math.pi / joint.counts_per_turn * joint.gear.ratio for joint in scene.joints]
-        )
-        at_most = self._largest_position()
+        self.link_angle_per_count = link_angle_per_count(scene)
+        at_most = largest_position(scene)
         ratio = np.array([joint.gear.ratio for joint in scene.joints])
         self.bounds = {
             "current": CURRENT,
@@ -166,11 +169,26 @@ class Plant:
             "q": Bound("position", "rad", at_most),
             "v": VELOCITY,
         }
-        self.reset()
+        if of:
+            self._reset_to = of.began
+        else:
+            self.reset()
+
+    def _new(self) -> int:
+        scene = self.scene
+        values = np.array([one.value for one in scene.varied])
+        options = Options(
+            core=scene.cores[1],
+            step=scene.integrator.dt,
+            steps_per_period=scene.steps_per_period,
+            parameters=_address(values),
+        )
+        machine: int = self.core.arm_new(ctypes.byref(options))
+        return machine
 
     def __del__(self) -> None:
-        machine, self.machine = getattr(self, "machine", None), None
-        if machine:
+        machine, self.machine = getattr(self, "machine", 0), 0
+        if machine and self._owner is None:
             self.core.arm_delete(machine)
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
@@ -190,12 +208,7 @@ class Plant:
         speed = (
             np.zeros(self._N) if v is None else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
         )
-        largest = self._largest_position()
-        if (np.abs(at) > largest).any():
-            raise Refusal("Plant.reset", "q", f"be at most {largest.min():g} rad or m", at)
-        if (np.abs(speed) > VELOCITY.largest).any():
-            rule = f"be at most {VELOCITY.largest:g} rad/s or m/s"
-            raise Refusal("Plant.reset", "v", rule, speed)
+        check_start("Plant.reset", self.scene, at, speed)
         self._reset_to = at, speed
         self.core.arm_reset(self.machine, _pointer(at), _pointer(speed))
 
@@ -328,7 +341,7 @@ class Plant:
             Refusal: wrong shape, not finite, or no such count; the state is as before.
             Diverged: as `advance`.
         """
-        rows = np.atleast_2d(_numbers(voltages, "Plant.run", "voltages", "V"))
+        rows = np.atleast_2d(as_numbers(voltages, "Plant.run", "voltages", "V"))
         if rows.ndim != 2 or rows.shape[1] != self._N:
             raise Refusal("Plant.run", "voltages", f"have shape (K, {self._N})", rows.shape)
         if not np.isfinite(rows).all():
@@ -468,10 +481,6 @@ class Plant:
         if self.core.arm_set_truth(self.machine, ctypes.byref(truth)) == REFUSED:
             raise self._refusal(where, "another one")
 
-    def _largest_position(self) -> Array:
-        """Return how far a link may be (N,) [rad or m], so that its encoder's counts are exact."""
-        return np.minimum(POSITION.largest, LARGEST_COUNT * self.link_angle_per_count)
-
     def _look(self) -> None:
         self.core.arm_get_truth(self.machine, self._structs[2])
 
@@ -492,7 +501,7 @@ class Plant:
         for values, quantity, unit in (
             (q, "q", "rad or m"), (v, "v", "rad/s or m/s"), (tau, "tau", "N m or N")
         ):  # fmt: skip
-            array = _numbers(values, where, quantity, unit)
+            array = as_numbers(values, where, quantity, unit)
             if array.ndim not in (1, 2) or array.shape[-1] != self._N:
                 rule = f"have shape (K, {self._N}) or ({self._N},)"
                 raise Refusal(where, quantity, rule, array.shape)
@@ -523,7 +532,7 @@ class Plant:
         return drives
 
     def _vector(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
-        array = _numbers(values, where, quantity, unit)
+        array = as_numbers(values, where, quantity, unit)
         if array.shape != (self._N,):
             raise Refusal(where, quantity, f"have shape ({self._N},)", array.shape)
         if not np.isfinite(array).all():
@@ -531,7 +540,32 @@ class Plant:
         return array
 
 
-def _numbers(values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
+def link_angle_per_count(scene: Scene) -> Array:
+    """Return what one encoder count means at the link (N,) [rad or m]."""
+    return np.array(
+        [2.0 * math.pi / joint.counts_per_turn * joint.gear.ratio for joint in scene.joints]
+    )
+
+
+def largest_position(scene: Scene) -> Array:
+    """Return how far a link may be (N,) [rad or m], so that its encoder's counts are exact."""
+    return np.minimum(POSITION.largest, LARGEST_COUNT * link_angle_per_count(scene))
+
+
+def check_start(where: str, scene: Scene, q: Array, v: Array) -> None:
+    """Refuse positions and speeds, rows of (N,), at which no motion can begin.
+
+    Raises:
+        Refusal: see above.
+    """
+    largest = largest_position(scene)
+    if (np.abs(q) > largest).any():
+        raise Refusal(where, "q", f"be at most {largest.min():g} rad or m", q)
+    if (np.abs(v) > VELOCITY.largest).any():
+        raise Refusal(where, "v", f"be at most {VELOCITY.largest:g} rad/s or m/s", v)
+
+
+def as_numbers(values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
     """Return a copy of `values` as numbers, row by row."""
     try:
         return np.array(values).astype(np.float64, order="C", casting="same_kind")

@@ -12,11 +12,15 @@ from emulator_node.scene import Joint, Scene
 from emulator_node.varied import Varied
 
 
-def scene_unit(scene: Scene) -> str:
+def scene_unit(scene: Scene, boundary: str = "boundary.hpp") -> str:
     """Return the C++ unit of a scene: its constants, then the core's C interface.
 
     Neither the step size nor the values of varied numbers, which stand as p[k], are part of it, so
     that scenes that differ in these alone share a library.
+
+    Args:
+        scene: the scene.
+        boundary: the header of the core that has the functions of the library.
     """
     threads, threads_header = {
         1: ("OneThread", "one_thread.hpp"),
@@ -63,7 +67,7 @@ struct Scene {{
 {devices}}};
 }};
 
-#include "boundary.hpp"
+#include "{boundary}"
 """
 
 

@@ -22,7 +22,7 @@ class Coulomb {
   static constexpr bool present =
       any_drive<S>([](const auto& drive) { return drive.friction.Dc > 0.0; });
 
-  explicit Coulomb(const Numbers<S>& numbers) : n(numbers) {}
+  explicit Coulomb(const Numbers<S, X>& numbers) : n(numbers) {}
 
   // Decide what each joint does in this step, for W x = rhs, and solve for x. The factors and the
   // decisions serve `solve_again` for a second right-hand side of the same step.
@@ -33,7 +33,7 @@ class Coulomb {
     } else {
       for (int j = 0; j < N; ++j) {
         direction[j] = select(v[j] > 0.0, X{} + 1.0, select(v[j] < 0.0, X{} - 1.0, X{}));
-        locked[j] = n.Dc(j) > 0.0 ? v[j] == 0.0 : v[j] != v[j];
+        locked[j] = where(n.Dc(j) > 0.0, v[j] == 0.0);
       }
       X rhs[N];
       for (int j = 0; j < N; ++j) rhs[j] = x[j];
@@ -91,7 +91,7 @@ class Coulomb {
   ARM_INLINE void stop_at_reversal(X* v) const {
     if constexpr (present)
       for (int j = 0; j < N; ++j)
-        if (n.Dc(j) > 0.0) v[j] = select(v[j] * direction[j] <= 0.0, X{}, v[j]);
+        v[j] = select(where(n.Dc(j) > 0.0, v[j] * direction[j] <= 0.0), X{}, v[j]);
   }
 
  private:
@@ -137,7 +137,7 @@ class Coulomb {
     return mask;
   }
 
-  const Numbers<S>& n;
+  const Numbers<S, X>& n;
   Cholesky<N, X> factors;
   Mask<X> locked[N] = {};
   X direction[N] = {};

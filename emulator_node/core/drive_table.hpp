@@ -208,8 +208,10 @@ class DriveTables {
   static constexpr int N = S::N, K = most_states<S>(), row = kRow<N, X>;
   using In = StepInput<K>;
   static constexpr bool limits = any_drive<S>([](const auto& d) { return d.motor.has_limit(); });
-  // Lanes may be at their limits each in its own way.
-  using Number = std::conditional_t<limits, X, double>;
+  static constexpr int width = kWidth<X>;
+  // Lanes may have drives of their own, and be at their limits each in its own way.
+  static constexpr bool own = arm::Numbers<S, X>::varied && width > 1;
+  using Number = std::conditional_t<limits || own, X, double>;
 
   // For each input a row of numbers.
   using Numbers = Number[In::count][row];
@@ -217,7 +219,7 @@ class DriveTables {
 
   // `make(linear drive)` gives a joint's table.
   template <class Make>
-  DriveTables(const arm::Numbers<S>& numbers, Make&& make) : n(numbers) {
+  DriveTables(const arm::Numbers<S, X>& numbers, Make&& make) : n(numbers) {
     fill(make);
   }
   // A nonlinear part must enter at each stage, which no scheme does yet.
@@ -229,25 +231,32 @@ class DriveTables {
   // The same, when the numbers have changed.
   template <class Make>
   void fill(Make&& make) {
-    for (X& side : served) side = X{};
-    n.for_each_drive([&](const auto& drive, int j) {
-      of_joint[0][j] = make(LinearDrive<K>::of(drive, false));
-      if constexpr (limits) of_joint[1][j] = make(LinearDrive<K>::of(drive, true));
-      for (int lane = 0; lane < kWidth<X>; ++lane) copy(of_joint[0][j], j, lane);
+    for (int lane = 0; lane < width; ++lane) fill_lane(lane, make);
+  }
+  // The same for one lane.
+  template <class Make>
+  void fill_lane(int lane, Make&& make) {
+    n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+      DriveTable<K>* of = of_joint[own ? lane : 0][j];
+      of[0] = make(LinearDrive<K>::of(drive, false));
+      if constexpr (limits) of[1] = make(LinearDrive<K>::of(drive, true));
+      set_lane(served[j], lane, 0.0);
+      copy(of[0], j, lane);
     });
   }
 
   // Use the table of joint j for a current at the limit `side`, or for one within if it is 0.
   void serve(int j, int lane, double side) {
-    if ((side != 0.0) != (lane_of(served[j], lane) != 0.0)) copy(of_joint[side != 0.0][j], j, lane);
-    set(served[j], lane, side);
+    if ((side != 0.0) != (lane_of(served[j], lane) != 0.0))
+      copy(of_joint[own ? lane : 0][j][side != 0.0], j, lane);
+    set_lane(served[j], lane, side);
   }
   double served_side(int j, int lane) const { return lane_of(served[j], lane); }
   ARM_INLINE arm::Row<N, X> sides() const { return arm::Row<N, X>::load(served); }
 
   // State k of joint j after the step, were the current free to pass its limit.
   double free_state(int k, int j, int lane, const State<S, X>& x, const X& u) const {
-    const double* number = of_joint[0][j].dz[k];
+    const double* number = of_joint[own ? lane : 0][j][0].dz[k];
     double z = lane_of(x.z[k][j], lane);
     for (int m = 0; m < K; ++m) z += number[m] * lane_of(x.z[m][j], lane);
     return z + number[In::q] * lane_of(x.q[j], lane) + number[In::v] * lane_of(x.v[j], lane) +
@@ -257,14 +266,16 @@ class DriveTables {
   // What rounding has moved: a current at its limit is at it to the last bit, one within not
   // beyond.
   void settle(State<S, X>& x) const {
-    n.for_each_drive([&](const auto& drive, int j) {
-      if constexpr (drive.driven) {
-        const double limit = drive.motor.current_limit;
-        if (!drive.motor.has_limit()) return;
-        X& i = x.z[drive.i][j];
-        i = select(served[j] != 0.0, served[j] * limit, clamp(i, limit));
-      }
-    });
+    for (int lane = 0; lane < width; ++lane) {
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        if constexpr (drive.driven) {
+          const double limit = drive.motor.current_limit;
+          if (!drive.motor.has_limit()) return;
+          const double side = lane_of(served[j], lane), i = lane_of(x.z[drive.i][j], lane);
+          set_lane(x.z[drive.i][j], lane, select(side != 0.0, side * limit, clamp(i, limit)));
+        }
+      });
+    }
   }
 
   // A row's numbers times the inputs, for all joints.
@@ -311,21 +322,15 @@ class DriveTables {
 
   void copy(const DriveTable<K>& table, int j, int lane) {
     for (int input = 0; input < In::count; ++input) {
-      set(rhs_1[input][j], lane, table.rhs_1[input]);
-      set(rhs_2[input][j], lane, table.rhs_2[input]);
-      for (int k = 0; k < K; ++k) set(dz[k][input][j], lane, table.dz[k][input]);
+      set_lane(rhs_1[input][j], lane, table.rhs_1[input]);
+      set_lane(rhs_2[input][j], lane, table.rhs_2[input]);
+      for (int k = 0; k < K; ++k) set_lane(dz[k][input][j], lane, table.dz[k][input]);
     }
-    set(diagonal[j], lane, table.diagonal);
+    set_lane(diagonal[j], lane, table.diagonal);
   }
 
-  ARM_INLINE static void set(double& number, int, double value) { number = value; }
-  template <class L>
-  ARM_INLINE static void set(L& number, int lane, double value) {
-    number[lane] = value;
-  }
-
-  const arm::Numbers<S>& n;
-  DriveTable<K> of_joint[limits ? 2 : 1][N];
+  const arm::Numbers<S, X>& n;
+  DriveTable<K> of_joint[own ? width : 1][N][limits ? 2 : 1];
   alignas(64) X served[row] = {};  // the side of the table in use
 };
 

@@ -57,11 +57,16 @@ class EnergyBalance {
   }
 
   // What the motors give at most under the commands u [W].
-  ARM_INLINE static double largest_power(const Numbers<S>& n, const State<S>& x, const double* u) {
-    double power = 0.0;
-    n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
-      power += drive.given_at_most(input_of(drive, j, x, u[j]));
-    });
+  template <class X>
+  ARM_INLINE static X largest_power(const Numbers<S, X>& n, const State<S, X>& x, const X* u) {
+    X power = {};
+    for (int lane = 0; lane < kWidth<X>; ++lane) {
+      double of_lane = 0.0;
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
+        of_lane += drive.given_at_most(input_in_lane(drive, j, x, u[j], lane));
+      });
+      set_lane(power, lane, of_lane);
+    }
     return power;
   }
 
@@ -69,12 +74,16 @@ class EnergyBalance {
   double most() const { return at_most; }
   void allow(double E) { at_most = E; }
 
-  // `count` steps have led to x. Returns -1, or the joint that holds the most of an energy that
-  // came from nowhere.
-  int broken_by(const Numbers<S>& n, const State<S>& x, int count, double h) {
+  // `count` steps have been taken. Whether a look is due now.
+  bool due_after(int count) {
     steps += count;
-    if (steps < kCheckEvery) return -1;
+    if (steps < kCheckEvery) return false;
     steps = 0;
+    return true;
+  }
+  // The steps have led to x. Returns -1, or the joint that holds the most of an energy that came
+  // from nowhere.
+  int broken_by(const Numbers<S>& n, const State<S>& x, double h) {
     int greediest = 0;
     const Energy E = energy_of<S>(n, x, &greediest);
     if (E.stored > largest_stored) largest_stored = E.stored;

@@ -41,7 +41,7 @@ class LinearlyImplicit {
   using In = StepInput<K>;
   static constexpr int row = Tables::row;
 
-  LinearlyImplicit(double step, const arm::Numbers<S>& numbers)
+  LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers)
       : h(step), n(numbers), tables(numbers, table_for(step)), coulomb(numbers) {}
 
   ~LinearlyImplicit() { delete half; }
@@ -260,29 +260,40 @@ class LinearlyImplicit {
   // none: then the step is taken in halves.
   void step_within_limits(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past;
-    n.for_each_drive([&](const auto& drive, int j) {
-      if constexpr (drive.driven)
-        for (int lane = 0; drive.motor.has_limit() && lane < kWidth<X>; ++lane)
-          tables.serve(j, lane, drive.motor.side_of(lane_of(x.z[drive.i][j], lane)));
-    });
+    for (int lane = 0; lane < kWidth<X>; ++lane) {
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        if constexpr (drive.driven)
+          if (drive.motor.has_limit())
+            tables.serve(j, lane, drive.motor.side_of(lane_of(x.z[drive.i][j], lane)));
+      });
+    }
+    State<S, X> y;
+    Mask<X> hold = {};
     for (int round = 0; round <= 2 * N; ++round) {
       Accelerations k1;
       Dynamics at_start = links;
       past = memory;
-      State<S, X> y = x;
+      y = x;
       in[In::side] = tables.sides();
       Tables::template answer<K + 4>(tables.rhs_1, in).store(k1.torque);
       stages_of(y, at_start, in, k1);
       move_links(y, in);
       move_drives(y, in);
-      if (modes_hold(y, u)) {
+      hold = modes_hold(y, u);
+      if (all(hold)) {
         x = y;
         tables.settle(x);
         return;
       }
     }
-    past = memory;
-    halve(x, u);
+    if constexpr (kWidth<X> == 1) {
+      past = memory;
+      halve(x, u);
+    } else {  // lanes without such modes are no numbers: their machines go on alone
+      x = y;
+      tables.settle(x);
+      x.v[0] = select(hold, x.v[0], X{} + __builtin_nan(""));
+    }
   }
 
   void halve(State<S, X>& x, const X (&u)[row]) {
@@ -306,35 +317,32 @@ class LinearlyImplicit {
   }
 
   // Whether all modes hold at the step's end y; those that do not are changed.
-  bool modes_hold(const State<S, X>& y, const X (&u)[row]) {
-    bool hold = true;
-    n.for_each_drive([&](const auto& drive, int j) {
-      if constexpr (drive.driven) {
-        if (!drive.motor.has_limit()) return;
-        const auto end = input_of(drive, j, y, u[j]);
-        for (int lane = 0; lane < kWidth<X>; ++lane) {
+  Mask<X> modes_hold(const State<S, X>& y, const X (&u)[row]) {
+    X changed = {};
+    for (int lane = 0; lane < kWidth<X>; ++lane) {
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        if constexpr (drive.driven) {
+          if (!drive.motor.has_limit()) return;
+          const auto end = input_in_lane(drive, j, y, u[j], lane);
           const double side = tables.served_side(j, lane);
-          const double i = lane_of(end.z[drive.i], lane);
-          const double wanted =
-              side == 0.0 ? drive.motor.side_beyond(i)
-              : side * drive.motor.surplus(i, lane_of(end.u, lane),
-                                           lane_of(drive.motor_speed(end), lane)) <
-                      0.0
-                  ? 0.0
-                  : side;
-          if (wanted == side) continue;
-          hold = false;
+          const double i = end.z[drive.i];
+          const double wanted = side == 0.0 ? drive.motor.side_beyond(i)
+                                : side * drive.motor.surplus(i, end.u, drive.motor_speed(end)) < 0.0
+                                    ? 0.0
+                                    : side;
+          if (wanted == side) return;
+          set_lane(changed, lane, 1.0);
           tables.serve(j, lane, wanted);
         }
-      }
-    });
-    return hold;
+      });
+    }
+    return changed == 0.0;
   }
 
   static constexpr int kMostHalvings = 12;
 
   double h;
-  const arm::Numbers<S>& n;
+  const arm::Numbers<S, X>& n;
   Tables tables;
   Memory past = {};
   Coulomb<S, X> coulomb;
@@ -350,17 +358,17 @@ class LinearlyImplicit {
   [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given;
 };
 
-template <class S>
-struct MethodOf<S, Scheme::implicit> {
-  using type = LinearlyImplicit<S>;
+template <class S, class X>
+struct MethodOf<S, Scheme::implicit, X> {
+  using type = LinearlyImplicit<S, X>;
 };
-template <class S>
-struct MethodOf<S, Scheme::rosenbrock> {
-  using type = LinearlyImplicit<S>;
+template <class S, class X>
+struct MethodOf<S, Scheme::rosenbrock, X> {
+  using type = LinearlyImplicit<S, X>;
 };
-template <class S>
-struct MethodOf<S, Scheme::extrapolated> {
-  using type = LinearlyImplicit<S>;
+template <class S, class X>
+struct MethodOf<S, Scheme::extrapolated, X> {
+  using type = LinearlyImplicit<S, X>;
 };
 
 }  // namespace arm

@@ -20,7 +20,7 @@ struct Wrench {
 template <class S, class X = double>
 struct Links {
   static constexpr int N = S::N;
-  using Numbers = arm::Numbers<S>;
+  using Numbers = arm::Numbers<S, X>;
 
   // All that depends on q alone.
   struct Kinematics {
@@ -72,7 +72,7 @@ struct Links {
       } else {
         acc = acc + Vec3<X>{2.0 * omega.y * v[i], -2.0 * omega.x * v[i], a_i};
       }
-      const Body<double> body = n.body(i);
+      const auto body = n.body(i);
       wrench[i].f = body.m * acc + cross(alpha, body.h) + cross(omega, cross(omega, body.h));
       wrench[i].n = body.I * alpha + cross(omega, body.I * omega) + cross(body.h, acc);
     });

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "course.hpp"
 #include "energy.hpp"
 #include "energy_flow.hpp"
 #include "finite.hpp"
@@ -19,7 +20,7 @@ class Machine {
   static constexpr int N = S::N;
 
   static constexpr bool locates = S::events == Events::located && Modes<S>::present;
-  using Method = typename MethodOf<S, S::scheme>::type;
+  using Method = typename MethodOf<S, S::scheme, double>::type;
   using Stepper = std::conditional_t<locates, Located<S>, Method>;
 
   using Threads = typename S::template Threads<Stepper>;
@@ -65,6 +66,11 @@ class Machine {
     }
   };
 
+  Instant instant() const {
+    Instant instant = {x, threads.memory(), balance, {}, power, steps_taken};
+    for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied[j];
+    return instant;
+  }
   Whole whole() const { return {instant(), checked, fault}; }
   void restore(const Whole& whole) {
     go_back(whole.now);
@@ -76,6 +82,7 @@ class Machine {
   void set_parameter(int k, double value) {
     const typename Threads::Memory past = threads.memory();
     numbers.set(k, value);
+    ++edition;
     threads.renew();
     threads.restore(past);
     balance.reset(numbers, x);
@@ -84,6 +91,8 @@ class Machine {
   }
   double parameter(int k) const { return numbers.value(k); }
   const Numbers<S>& numbers_now() const { return numbers; }
+  // It changes whenever the numbers do.
+  std::int64_t numbers_edition() const { return edition; }
 
   // Put the machine at a state without a past. Time goes on, or begins anew at 0.
   void put(const State<S>& at, bool anew) {
@@ -118,15 +127,19 @@ class Machine {
 
   // The same for `rows` rows of voltages. The links' positions after each row go to `q`.
   int follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
-    if (fault >= 0) return fault;
-    Course course = {voltage, q, steps, 0};
-    std::int64_t count = rows * steps;
-    if (steps == 0)
+    Course course({voltage}, {q}, N, steps);
+    if (steps == 0 && fault < 0)
       for (std::int64_t row = 0; row < rows; ++row) course.end_row(x);
+    return follow(course, rows * steps);
+  }
+
+  // The same for the next `count` steps of a course.
+  using Course = arm::Course<S, double, Stepper::row>;
+  int follow(Course& course, std::int64_t count) {
+    if (fault >= 0) return fault;
     threads.begin(count, x);
     while (count > 0) {
-      // Up to the next check, which is due after so many steps since the reset, whoever took them.
-      const int due = kCheckEvery - static_cast<int>(steps_taken % kCheckEvery);
+      const int due = steps_to_check(steps_taken);
       const int chunk = count < due ? static_cast<int>(count) : due;
       const Instant before = instant();
       const Course course_before = course;
@@ -137,7 +150,7 @@ class Machine {
       }
       count -= chunk;
       if (chunk < due) continue;
-      fault = balance.broken_by(numbers, x, kCheckEvery, h);
+      if (balance.due_after(kCheckEvery)) fault = balance.broken_by(numbers, x, h);
       if (fault >= 0) {
         go_back(checked);
         return fault;
@@ -173,6 +186,24 @@ class Machine {
     State<S> at = x;
     Modes<S>::settle_currents(numbers, at, u);
     return powers_of(numbers, at, u, modes_at(at, u));
+  }
+
+  // Whether the state of joint j is finite, and one step turns it by so little that the result has
+  // a meaning.
+  template <class Drive, class X>
+  static Mask<X> within_bounds(const Drive& drive, int j, const State<S, X>& s, double h) {
+    const auto at = input_of(drive, j, s, X{});
+    const X turns[] = {h * at.v, h * drive.gear.Ng * drive.motor_speed(at)};
+    Mask<X> sound = is_finite(at.q) & is_finite(at.v);
+    for (int k = 0; k < drive.states; ++k) sound &= is_finite(at.z[k]);
+    for (const X& turn : turns) sound &= (turn <= kLargestTurn) & (turn >= -kLargestTurn);
+    return sound;
+  }
+  // Checks are due after so many steps since the reset, whoever took them.
+  static constexpr int kCheckEvery = 16;
+  static bool is_check(std::int64_t steps) { return steps % kCheckEvery == 0; }
+  static int steps_to_check(std::int64_t steps) {
+    return kCheckEvery - static_cast<int>(steps % kCheckEvery);
   }
 
   std::int64_t steps() const { return steps_taken; }
@@ -219,32 +250,7 @@ class Machine {
     return Modes<S>(numbers, x, u, links);
   }
 
-  static constexpr int kCheckEvery = 16;
   static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
-
-  // What is to be done: rows of voltages, each for some steps.
-  struct Course {
-    const double* command;  // of the next row
-    double* q;              // for the positions after this row
-    std::int64_t steps;     // of a row
-    std::int64_t left;      // of this row
-
-    // True if the commands, within the supply, differ from those before.
-    ARM_INLINE bool begin_row(double (&u)[Stepper::row]) {
-      bool differ = false;
-      for_each<N>([&](auto j) __attribute__((always_inline)) {
-        const double wanted = clamp(command[j], S::supply_voltage);
-        differ |= wanted != u[j];
-        u[j] = wanted;
-      });
-      command += N;
-      return differ;
-    }
-    ARM_INLINE void end_row(const State<S>& x) {
-      for_each<N>([&](auto j) __attribute__((always_inline)) { q[j] = x.q[j]; });
-      q += N;
-    }
-  };
 
   // Neither inlined nor cloned: every step, however it is asked for, runs the same instructions and
   // gives the same bits.
@@ -252,33 +258,13 @@ class Machine {
     State<S> y = x;  // here, as what follows, where the compiler may keep it in registers
     alignas(64) double u[Stepper::row];
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied[j];
-    std::int64_t left = course.left;
-    double most = balance.most(), given = h * power;
-    const auto look_at_power = [&] {
-      power = EnergyBalance<S>::largest_power(numbers, y, u);
-      given = h * power;
-    };
-    if (steps_taken % kCheckEvery == 0) look_at_power();
-    for (int s = 0; s < count; ++s) {
-      if (left == 0) {
-        if (course.begin_row(u)) look_at_power();
-        left = course.steps;
-      }
-      threads.step(y, u);
-      most += given;
-      if (--left == 0) course.end_row(y);
-    }
-    course.left = left;
+    double most = balance.most();
+    if (is_check(steps_taken)) power = EnergyBalance<S>::largest_power(numbers, y, u);
+    course.march(numbers, threads, h, count, y, u, power, most);
     x = y;
     for (int j = 0; j < Stepper::row; ++j) applied[j] = u[j];
     balance.allow(most);
     steps_taken += count;
-  }
-
-  Instant instant() const {
-    Instant instant = {x, threads.memory(), balance, {}, power, steps_taken};
-    for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied[j];
-    return instant;
   }
 
   void go_back(const Instant& to) {
@@ -312,15 +298,8 @@ class Machine {
   // means nothing; -1 if there is none.
   int joint_out_of_bounds(const State<S>& s) const {
     int found = -1;
-    numbers.for_each_drive([&](const auto& drive, int j) {
-      if (found >= 0) return;
-      const auto at = input_of(drive, j, s, 0.0);
-      bool sound = is_finite(at.q) && is_finite(at.v);
-      for (int k = 0; k < drive.states; ++k) sound = sound && is_finite(at.z[k]);
-      const double turns[] = {h * at.v, h * drive.gear.Ng * drive.motor_speed(at)};
-      for (const double turn : turns)
-        sound = sound && turn <= kLargestTurn && turn >= -kLargestTurn;
-      if (!sound) found = j;
+    for_each_drive<S>([&](const auto& drive, int j) {
+      if (found < 0 && !within_bounds(drive, j, s, h)) found = j;
     });
     return found;
   }
@@ -333,6 +312,7 @@ class Machine {
   double applied[Stepper::row] = {};
   double power = 0.0;
   std::int64_t steps_taken = 0;
+  std::int64_t edition = 0;
   int fault = -1;  // the joint that went out of bounds
   Instant checked = {};
 };

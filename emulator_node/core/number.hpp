@@ -22,6 +22,15 @@ using Lanes = typename LanesOf<width>::type;
 template <class X>
 inline constexpr int kWidth = sizeof(X) / sizeof(double);
 
+// As many lanes as a vector register of this processor has.
+#if defined(__AVX512F__)
+inline constexpr int kNativeLanes = 8;
+#elif defined(__AVX__)
+inline constexpr int kNativeLanes = 4;
+#else
+inline constexpr int kNativeLanes = 2;
+#endif
+
 // The result of a comparison: a bool, or one per lane.
 template <class X>
 using Mask = decltype(X{} < X{});
@@ -33,6 +42,29 @@ ARM_INLINE bool any(const M& mask) {
   bool found = false;
   for (unsigned lane = 0; lane < sizeof(M) / sizeof(mask[0]); ++lane) found |= mask[lane] != 0;
   return found;
+}
+
+// Whether it holds in every lane.
+ARM_INLINE constexpr bool all(bool mask) { return mask; }
+template <class M>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE bool all(const M& mask) {
+  bool holds = true;
+  for (unsigned lane = 0; lane < sizeof(M) / sizeof(mask[0]); ++lane) holds &= mask[lane] != 0;
+  return holds;
+}
+
+// A mask where a condition that all lanes share holds, too.
+ARM_INLINE constexpr bool where(bool condition, bool mask) { return condition && mask; }
+template <class M>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE M where(bool condition, const M& mask) {
+  return condition ? mask : M{};
+}
+template <class M>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE M where(const M& condition, const M& mask) {
+  return condition & mask;
 }
 
 // `a` where the mask holds, else `b`.
@@ -58,6 +90,11 @@ ARM_INLINE constexpr double lane_of(double x, int) { return x; }
 template <class X>
 ARM_INLINE double lane_of(const X& x, int lane) {
   return x[lane];
+}
+ARM_INLINE constexpr void set_lane(double& x, int, double value) { x = value; }
+template <class X>
+ARM_INLINE void set_lane(X& x, int lane, double value) {
+  x[lane] = value;
 }
 
 }  // namespace arm

@@ -65,11 +65,39 @@ struct VariedBodies {
   }
 };
 
+// The constants of a scene, and which of its links' base parameters a varied number reaches.
 template <class S>
-class Numbers {
+struct Constants {
+  static constexpr Sheet<S> sheet = sheet_with<S>(-1);
+  static constexpr VariedBodies<S> varied = {};
+
+  // A link of which `own` has what may vary.
+  template <class X, class Index>
+  ARM_INLINE static constexpr Body<X> body(Index i, const Body<X>& own) {
+    const Body<double>& constant = sheet.base.body[i];
+    const BodyMask& mask = varied.at[i];
+    const auto choose = [](bool mine, const X& a, double b) { return mine ? a : X{} + b; };
+    const Vec3<double>& h = constant.h;
+    const Sym3<double>& I = constant.I;
+    return {choose(mask.m, own.m, constant.m),
+            {choose(mask.hx, own.h.x, h.x), choose(mask.hy, own.h.y, h.y),
+             choose(mask.hz, own.h.z, h.z)},
+            {choose(mask.xx, own.I.xx, I.xx), choose(mask.yy, own.I.yy, I.yy),
+             choose(mask.zz, own.I.zz, I.zz), choose(mask.xy, own.I.xy, I.xy),
+             choose(mask.xz, own.I.xz, I.xz), choose(mask.yz, own.I.yz, I.yz)}};
+  }
+};
+
+template <class S, class X = double>
+class Numbers;
+
+// Those of one machine.
+template <class S>
+class Numbers<S, double> {
  public:
   static constexpr int N = S::N;
   static constexpr bool varied = S::parameters > 0;
+  using Number = double;
 
   // Of the values of the varied numbers.
   constexpr explicit Numbers(const double* values) : sheet(values) {
@@ -90,26 +118,19 @@ class Numbers {
       (body(std::get<j>(now().drives), j), ...);
     }(std::make_integer_sequence<int, N>{});
   }
+  // The same of one lane, of which there is one.
+  template <class TheBody>
+  ARM_INLINE constexpr void for_each_drive_of(int, TheBody&& body) const {
+    for_each_drive(body);
+  }
 
   // A link in base parameters.
   template <class Index>
   ARM_INLINE constexpr Body<double> body(Index i) const {
-    Body<double> body = kConstant.base.body[i];
-    if constexpr (varied) {
-      const Body<double>& own = sheet.base.body[i];
-      const BodyMask& mask = kVaried.at[i];
-      if (mask.m) body.m = own.m;
-      if (mask.hx) body.h.x = own.h.x;
-      if (mask.hy) body.h.y = own.h.y;
-      if (mask.hz) body.h.z = own.h.z;
-      if (mask.xx) body.I.xx = own.I.xx;
-      if (mask.yy) body.I.yy = own.I.yy;
-      if (mask.zz) body.I.zz = own.I.zz;
-      if (mask.xy) body.I.xy = own.I.xy;
-      if (mask.xz) body.I.xz = own.I.xz;
-      if (mask.yz) body.I.yz = own.I.yz;
-    }
-    return body;
+    if constexpr (varied)
+      return Constants<S>::body(i, sheet.base.body[i]);
+    else
+      return Constants<S>::sheet.base.body[i];
   }
   constexpr const Body<double>& fixed() const { return now().base.fixed; }
 
@@ -118,18 +139,80 @@ class Numbers {
   ARM_INLINE constexpr double Ds(int j) const { return now().Ds[j]; }
 
  private:
-  static constexpr Sheet<S> kConstant = sheet_with<S>(-1);
-  static constexpr VariedBodies<S> kVaried = {};
-
   ARM_INLINE constexpr const Sheet<S>& now() const {
     if constexpr (varied)
       return sheet;
     else
-      return kConstant;
+      return Constants<S>::sheet;
   }
 
   double p[S::parameters + 1] = {};
   Sheet<S> sheet;
+};
+
+// Those of machines side by side, one in each lane. What is not varied is one number for all.
+template <class S, class X>
+class Numbers {
+ public:
+  static constexpr int N = S::N, width = kWidth<X>;
+  static constexpr bool varied = S::parameters > 0;
+  using Number = std::conditional_t<varied, X, double>;
+
+  // All lanes as `first`.
+  explicit Numbers(const Numbers<S>& first) {
+    for (int lane = 0; lane < width; ++lane) set(lane, first);
+  }
+
+  // `one` must stay where it is.
+  void set(int lane, const Numbers<S>& one) {
+    of[lane] = &one;
+    if constexpr (varied) {
+      for (int j = 0; j < N; ++j) {
+        const Body<double> from = one.body(j);
+        Body<X>& to = bodies[j];
+        set_lane(to.m, lane, from.m);
+        set_lane(to.h.x, lane, from.h.x), set_lane(to.h.y, lane, from.h.y);
+        set_lane(to.h.z, lane, from.h.z);
+        set_lane(to.I.xx, lane, from.I.xx), set_lane(to.I.yy, lane, from.I.yy);
+        set_lane(to.I.zz, lane, from.I.zz), set_lane(to.I.xy, lane, from.I.xy);
+        set_lane(to.I.xz, lane, from.I.xz), set_lane(to.I.yz, lane, from.I.yz);
+        set_lane(rotor[j], lane, one.carried(j));
+        set_lane(coulomb[j], lane, one.Dc(j)), set_lane(breakaway[j], lane, one.Ds(j));
+      }
+    }
+  }
+
+  // body(drive, j) for the drive of every joint of one lane.
+  template <class TheBody>
+  ARM_INLINE constexpr void for_each_drive_of(int lane, TheBody&& body) const {
+    of[lane]->for_each_drive(body);
+  }
+
+  template <class Index>
+  ARM_INLINE constexpr Body<Number> body(Index i) const {
+    if constexpr (varied)
+      return Constants<S>::body(i, bodies[i]);
+    else
+      return Constants<S>::sheet.base.body[i];
+  }
+
+  ARM_INLINE constexpr Number carried(int j) const { return number(rotor, j, &Sheet<S>::carried); }
+  ARM_INLINE constexpr Number Dc(int j) const { return number(coulomb, j, &Sheet<S>::Dc); }
+  ARM_INLINE constexpr Number Ds(int j) const { return number(breakaway, j, &Sheet<S>::Ds); }
+
+ private:
+  using Row = Number[varied ? N : 1];
+
+  ARM_INLINE static constexpr Number number(const Row& own, int j, double (Sheet<S>::*row)[N]) {
+    if constexpr (varied)
+      return own[j];
+    else
+      return (Constants<S>::sheet.*row)[j];
+  }
+
+  const Numbers<S>* of[width] = {};
+  Body<Number> bodies[varied ? N : 1] = {};
+  Row rotor = {}, coulomb = {}, breakaway = {};
 };
 
 }  // namespace arm

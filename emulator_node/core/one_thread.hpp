@@ -9,32 +9,32 @@
 
 namespace arm {
 
-template <class S, class Stepper>
+template <class S, class Stepper, class X = double>
 class OneThread {
  public:
   using Memory = typename Stepper::Memory;
-  using Dynamics = typename Links<S>::Dynamics;
+  using Dynamics = typename Links<S, X>::Dynamics;
 
-  OneThread(double step, int, const Numbers<S>& numbers) : n(numbers), stepper(step, numbers) {}
+  OneThread(double step, int, const Numbers<S, X>& numbers) : n(numbers), stepper(step, numbers) {}
   bool join_schedule() { return true; }
   // The numbers have changed.
   void renew() { stepper.renew(); }
-  void reset(const State<S>& x) { stepper.reset(x); }
+  void reset(const State<S, X>& x) { stepper.reset(x); }
   Memory memory() const { return stepper.memory(); }
   void restore(const Memory& memory) { stepper.restore(memory); }
-  void begin(std::int64_t, const State<S>&) {}
+  void begin(std::int64_t, const State<S, X>&) {}
   void end() {}
-  ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
+  ARM_INLINE void step(State<S, X>& x, const X (&u)[Stepper::row]) {
     Dynamics links;
-    Links<S>::dynamics(n, x.q, x.v, links);
+    Links<S, X>::dynamics(n, x.q, x.v, links);
     stepper.step(x, u, links, *this);
   }
   void watch(auto* meter) { stepper.watch(meter); }
   ARM_INLINE void take(Dynamics&) {}  // it is there already
-  ARM_INLINE void give(const State<S>&) {}
+  ARM_INLINE void give(const State<S, X>&) {}
 
  private:
-  const Numbers<S>& n;
+  const Numbers<S, X>& n;
   Stepper stepper;
 };
 

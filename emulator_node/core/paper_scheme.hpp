@@ -17,7 +17,7 @@ class PaperScheme {
   using In = StepInput<K>;
   static constexpr int row = Tables::row;
 
-  PaperScheme(double step, const Numbers<S>& numbers)
+  PaperScheme(double step, const Numbers<S, X>& numbers)
       : h(step), n(numbers), tables(numbers, table_for(step)), coulomb(numbers) {}
   PaperScheme(const PaperScheme&) = delete;
 
@@ -70,14 +70,15 @@ class PaperScheme {
 
   // Backward Euler's current grows with the voltage: what would pass the limit ends at it.
   void limit_currents(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
-    n.for_each_drive([&](const auto& drive, int j) {
-      if constexpr (drive.driven) {
-        for (int lane = 0; drive.motor.has_limit() && lane < kWidth<X>; ++lane) {
+    for (int lane = 0; lane < kWidth<X>; ++lane) {
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        if constexpr (drive.driven) {
+          if (!drive.motor.has_limit()) return;
           const double i = tables.free_state(drive.i, j, lane, x, u[j]);
           tables.serve(j, lane, drive.motor.side_of(i));
         }
-      }
-    });
+      });
+    }
     in[In::side] = tables.sides();
   }
 
@@ -99,14 +100,14 @@ class PaperScheme {
   }
 
   double h;
-  const Numbers<S>& n;
+  const Numbers<S, X>& n;
   Tables tables;
   Coulomb<S, X> coulomb;
 };
 
-template <class S>
-struct MethodOf<S, Scheme::paper> {
-  using type = PaperScheme<S>;
+template <class S, class X>
+struct MethodOf<S, Scheme::paper, X> {
+  using type = PaperScheme<S, X>;
 };
 
 }  // namespace arm

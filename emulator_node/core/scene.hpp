@@ -71,8 +71,9 @@ inline constexpr auto kDrives = S::drives(SomeValues<S>().p);
 template <class S>
 inline constexpr auto kLinks = S::links(SomeValues<S>().p);
 
-// MethodOf<S, scheme>::type takes the steps of a scheme. A scheme without one does not compile.
-template <class S, Scheme scheme>
+// MethodOf<S, scheme, X>::type takes the steps of a scheme, of numbers X. A scheme without one does
+// not compile.
+template <class S, Scheme scheme, class X>
 struct MethodOf;
 
 // body(drive, j) for the drive of every joint of a scene, to learn its structure; its numbers are

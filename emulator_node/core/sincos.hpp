@@ -15,24 +15,51 @@ struct SinCos {
 #ifdef __FMA__
 inline constexpr double kReducible = 1e5;  // rad; up to here the reduction has bits to spare
 
+// a b + c, rounded once, and the whole number next to x. Both are out of reach of the reassociation
+// that this unit is compiled with.
+ARM_INLINE double fused(double a, double b, double c) { return __builtin_fma(a, b, c); }
+ARM_INLINE double nearest(double x) { return __builtin_rint(x); }
+ARM_INLINE long whole(double x) { return static_cast<long>(x); }
+
+// In lanes, which are a register each; an empty instruction ends what may be reassociated.
+template <class X>
+ARM_INLINE X fused(const X& a, double b, const X& c) {
+  X result = a * b + c;
+  asm("" : "+x"(result));
+  return result;
+}
+inline constexpr double kOnes = 0x1.8p52;  // beside it the last bit of a number is worth 1
+template <class X>
+ARM_INLINE X nearest(const X& x) {
+  X beside = x + kOnes;
+  asm("" : "+x"(beside));
+  return beside - kOnes;
+}
+template <class X>
+ARM_INLINE Mask<X> whole(const X& x) {
+  X beside = x + kOnes;
+  asm("" : "+x"(beside));
+  return __builtin_bit_cast(Mask<X>, beside);  // but for its first bits
+}
+
 // Within 1 ulp of the correctly rounded value up to kReducible.
-ARM_INLINE SinCos<double> sincos_reduced(double x) {
-  // Cody and Waite: x - n pi/2, with pi/2 in three parts. The explicit fma is out of reach of the
-  // reassociation that this unit is compiled with.
-  const double n = __builtin_rint(x * 0.63661977236758134308);
-  double r = __builtin_fma(-n, 1.5707963267948966, x);
-  r = __builtin_fma(-n, 6.123233995736766e-17, r);
-  r = __builtin_fma(-n, -1.4973849048591833e-33, r);
-  const double z = r * r;
+template <class X>
+ARM_INLINE SinCos<X> sincos_reduced(const X& x) {
+  // Cody and Waite: x - n pi/2, with pi/2 in three parts.
+  const X n = nearest(X(x * 0.63661977236758134308));
+  X r = fused(X(-n), 1.5707963267948966, x);
+  r = fused(X(-n), 6.123233995736766e-17, r);
+  r = fused(X(-n), -1.4973849048591833e-33, r);
+  const X z = r * r;
   // Minimax polynomials on [-pi/4, pi/4] with the coefficients of fdlibm (k_sin.c, k_cos.c).
-  const double s =
+  const X s =
       r + r * z *
               (-1.66666666666666324348e-01 +
                z * (8.33333333332248946124e-03 +
                     z * (-1.98412698298579493134e-04 +
                          z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 +
                                                                 z * 1.58969099521155010221e-10)))));
-  const double c =
+  const X c =
       1.0 - 0.5 * z +
       z * z *
           (4.16666666666666019037e-02 +
@@ -40,37 +67,32 @@ ARM_INLINE SinCos<double> sincos_reduced(double x) {
                 z * (2.48015872894767294178e-05 +
                      z * (-2.75573143513906633035e-07 +
                           z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)))));
-  const long quadrant = static_cast<long>(n);
-  const double sin_r = quadrant & 1 ? c : s;
-  const double cos_r = quadrant & 1 ? s : c;
-  return {quadrant & 2 ? -sin_r : sin_r, (quadrant + 1) & 2 ? -cos_r : cos_r};
+  const auto quadrant = whole(n);
+  const auto odd = (quadrant & 1) != 0;
+  const X sin_r = select(odd, c, s);
+  const X cos_r = select(odd, s, c);
+  return {select((quadrant & 2) != 0, X(-sin_r), sin_r),
+          select(((quadrant + 1) & 2) != 0, X(-cos_r), cos_r)};
 }
 #endif
 
-ARM_INLINE SinCos<double> sincos(double x) {
-#ifdef __FMA__
-  if (__builtin_expect(std::fabs(x) < kReducible, 1)) return sincos_reduced(x);
-#endif
-  return {std::sin(x), std::cos(x)};
-}
-
-// The same for each lane.
+// Of each lane, one by one.
 template <class X>
-ARM_INLINE SinCos<X> sincos(const X& x) {
+__attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
   SinCos<X> result;
-#ifdef __FMA__
-  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) {
-    for (int lane = 0; lane < kWidth<X>; ++lane) {
-      const auto [sin, cos] = sincos_reduced(x[lane]);
-      result.sin[lane] = sin, result.cos[lane] = cos;
-    }
-    return result;
-  }
-#endif
   for (int lane = 0; lane < kWidth<X>; ++lane) {
-    result.sin[lane] = std::sin(x[lane]), result.cos[lane] = std::cos(x[lane]);
+    set_lane(result.sin, lane, std::sin(lane_of(x, lane)));
+    set_lane(result.cos, lane, std::cos(lane_of(x, lane)));
   }
   return result;
+}
+
+template <class X>
+ARM_INLINE SinCos<X> sincos(const X& x) {
+#ifdef __FMA__
+  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return sincos_reduced(x);
+#endif
+  return sincos_anywhere(x);
 }
 
 }  // namespace arm

@@ -71,6 +71,16 @@ constexpr void for_each_number(State<S, X>& x, Number&& number) {
   }
 }
 
+// What the drive of joint j is asked at, in one lane.
+template <class Drive, class S, class X>
+ARM_INLINE constexpr auto input_in_lane(const Drive&, int j, const State<S, X>& x, const X& u,
+                                        int lane) {
+  DriveInput<Drive::states, double> in = {
+      {}, lane_of(x.q[j], lane), lane_of(x.v[j], lane), lane_of(u, lane), 0.0};
+  for (int k = 0; k < Drive::states; ++k) in.z[k] = lane_of(x.z[k][j], lane);
+  return in;
+}
+
 // What the drive of joint j is asked at.
 template <class Drive, class S, class X>
 ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x, X u, X side = X{}) {
