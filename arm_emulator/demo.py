@@ -132,10 +132,9 @@ def _run(
     logical = (plan.settle_ns + plan.instructions * period_ns) / NANOSECONDS
     order = [servo.joint_names.index(name) for name in scene.joint_names]
     count_angle = np.array([servo.joints[index].count_angle for index in order])
-    stiffness = np.array([joint.gear.stiffness or np.inf for joint in scene.joints])
-    predicted = predicted_residual(
-        controller, observer.q[-1], count_angle, observer.gear_torque / stiffness
-    )
+    torques = zip(scene.joints, observer.gear_torque, strict=True)
+    wind_up = np.array([joint.gear.wind_up(torque) for joint, torque in torques])
+    predicted = predicted_residual(controller, observer.q[-1], count_angle, wind_up)
     return DemoResult(
         deviations=np.array([observer.deviation(k) for k in range(len(observer.q))]),
         rotations=np.array([observer.rotation(k) for k in range(len(observer.q))]),

@@ -51,7 +51,7 @@ class MachineWithModes(ReferenceMachine):
         T = np.where(
             self.rigid,
             self.Kt * i / self.Ng,
-            self.Kg * (self.Ng * tm - q) + self.Dg * (self.Ng * wm - v),
+            self.gear_torques(tm, wm, q, v),
         )
         M = pin.crba(self.model, self.data, q)
         M = np.triu(M) + np.triu(M, 1).T + np.diag(self.armature)

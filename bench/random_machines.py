@@ -3,8 +3,8 @@
     python -m bench.random_machines --count 500
 
 Each machine is a random chain of one to three links with a mixture of motors with and without
-inductance and limits, rigid and elastic gears, dry friction and gravity, moved by voltages that
-jump. Claims, for rosenbrock and extrapolated with events located:
+inductance and limits, rigid, elastic and progressive gears, dry friction and gravity, moved by
+voltages that jump. Claims, for rosenbrock and extrapolated with events located:
 
 - the error at a tenth of the step follows the scheme's order, or `Diverged` is raised;
 - what is left of energy given - stored - dissipated falls with the scheme's order, and is below
@@ -146,6 +146,9 @@ def _gear(rng: np.random.Generator) -> dict[str, float]:
     if rng.random() < 0.6:
         gear["stiffness"] = float(10 ** rng.uniform(3.0, 4.5))
         gear["damping"] = float(rng.choice([0.0, rng.uniform(1.0, 30.0)]))
+        if rng.random() < 0.4:  # the cube has a share of 20 N m
+            share = float(10 ** rng.uniform(-1.0, 0.5))
+            gear["cubic_stiffness"] = share * gear["stiffness"] ** 3 / 20.0**2
     return gear
 
 

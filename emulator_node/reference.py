@@ -152,6 +152,7 @@ class ReferenceMachine:
         self.limit = np.array([(m and m.current_limit) or np.inf for m in motors])
         self.Ng = np.array([gear.ratio for gear in gears])
         self.Kg = np.array([gear.stiffness or 0.0 for gear in gears])
+        self.Kg3 = np.array([gear.cubic_stiffness or 0.0 for gear in gears])
         self.Dg = np.array([gear.damping for gear in gears])
         self.Dl = np.array([joint.friction.viscous for joint in scene.joints])
         self.rigid = np.array([gear.stiffness is None for gear in gears])
@@ -181,6 +182,11 @@ class ReferenceMachine:
             J[:, k] = (self.rates(0.0, ahead, V) - self.rates(0.0, back, V)) / (2.0 * step)
         return float(np.abs(np.linalg.eigvals(J)).max())
 
+    def gear_torques(self, tm: Array, wm: Array, q: Array, v: Array) -> Array:
+        """Return what elastic gears put on their links (N,) [N m]."""
+        w = self.Ng * tm - q
+        return self.Kg * w + self.Kg3 * w**3 + self.Dg * (self.Ng * wm - v)
+
     def rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt, flat."""
         i, tm, wm, q, v = flat.reshape(5, self.N)
@@ -190,7 +196,7 @@ class ReferenceMachine:
         T = np.where(
             self.rigid,
             self.Kt * i / self.Ng,  # the rotor is part of the links' mass matrix
-            self.Kg * (self.Ng * tm - q) + self.Dg * (self.Ng * wm - v),
+            self.gear_torques(tm, wm, q, v),
         )
         dx = np.zeros((5, self.N))
         np.divide(V - self.R * i - self.Kb * wm, self.L, out=dx[0], where=self.inductive)

@@ -47,11 +47,23 @@ class Motor:
 
 @dataclass(frozen=True)
 class Gear:
-    """Gear between motor and link, eq. (2). `stiffness` None: rigid."""
+    """Gear between motor and link, eq. (2). `stiffness` None: rigid; `cubic_stiffness`: linear."""
 
     ratio: float = 1.0  # link turns per motor turn (m per rad for a prismatic joint)
     stiffness: float | None = None  # N m/rad at the link
     damping: float = 0.0  # N m s/rad at the link
+    cubic_stiffness: float | None = None  # N m/rad3 at the link
+
+    def wind_up(self, torque: float) -> float:
+        """Return the angle by which the gear gives way at rest [rad], seen at the link."""
+        if self.stiffness is None:
+            return 0.0
+        if not self.cubic_stiffness:
+            return torque / self.stiffness
+        # Kg w + Kg3 w^3 = T as 4 s^3 + 3 s = sinh(3 t), s = sinh(t): its only real root.
+        scale = math.sqrt(4.0 * self.stiffness / (3.0 * self.cubic_stiffness))
+        three_t = math.asinh(3.0 * torque / (self.stiffness * scale))
+        return scale * math.sinh(three_t / 3.0)
 
 
 @dataclass(frozen=True)
@@ -345,8 +357,14 @@ def _gear(section: _Section) -> Gear:
     elif "damping" in section.keys():
         raise section.refusal("damping", "come with a stiffness (a rigid gear has none)", "alone")
     damping = section.number("damping", "N m s/rad", default=0.0, at_least=0.0)
+    cubic = None
+    if section.has("cubic_stiffness"):
+        cubic = section.number("cubic_stiffness", "N m/rad3", at_least=0.0)
+        if stiffness is None:
+            rule = "come with a stiffness (a rigid gear has none)"
+            raise section.refusal("cubic_stiffness", rule, "alone")
     section.finish()
-    return Gear(ratio, stiffness, damping)
+    return Gear(ratio, stiffness, damping, cubic)
 
 
 def _friction(section: _Section) -> Friction:
@@ -403,6 +421,7 @@ def _could_vary(joints: tuple[Joint, ...], payload: float | None) -> dict[str, V
         if (gear := joint.gear).stiffness is not None:
             add(f"{at}.gear.stiffness", gear.stiffness, SMALLEST)
             add(f"{at}.gear.damping", gear.damping, 0.0)
+            add(f"{at}.gear.cubic_stiffness", gear.cubic_stiffness, 0.0)
         add(f"{at}.friction.viscous", joint.friction.viscous, 0.0)
         add(f"{at}.friction.coulomb", joint.friction.coulomb, 0.0)
     add("payload.mass", payload, SMALLEST)

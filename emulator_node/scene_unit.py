@@ -124,9 +124,14 @@ def _drive(joint: Joint, places: Mapping[str, str]) -> str:
         motor = f"arm::DcMotor{{{numbers}}}"
     if (g := joint.gear).stiffness is not None:
         numbers = part(
-            "gear", Ng=("ratio", g.ratio), Kg=("stiffness", g.stiffness), Dg=("damping", g.damping)
+            "gear",
+            Ng=("ratio", g.ratio),
+            Kg=("stiffness", g.stiffness),
+            Kg3=("cubic_stiffness", g.cubic_stiffness),
+            Dg=("damping", g.damping),
         )
-        gear = f"arm::ElasticGear{{{numbers}}}"
+        kind = "ElasticGear" if g.cubic_stiffness is None else "ProgressiveGear"
+        gear = f"arm::{kind}{{{numbers}}}"
     f = joint.friction
     friction = part("friction", Dl=("viscous", f.viscous), Dc=("coulomb", f.coulomb))
     coulomb = places.get(f"joints.{joint.name}.friction.coulomb")

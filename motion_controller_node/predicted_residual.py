@@ -75,15 +75,15 @@ def predicted_residual(
     d / (2 w). So crossing does not leave the bound, but for the part of a count by which the motor
     overshoots the edge (below 0.01 counts with the scene three_axis, 0.1 with ur5 and panda).
 
-    What an encoder on the motor cannot see is the gear's wind-up ``T / Kg`` between motor and link.
-    It displaces the tool by ``X(q + T / Kg) - X(q)``, for example by the arm's weight. No weight w
-    and no number of instructions takes that away.
+    What an encoder on the motor cannot see is the gear's wind-up u between motor and link, T / Kg
+    of a linear gear. It displaces the tool by ``X(q + u) - X(q)``, for example by the arm's weight.
+    No weight w and no number of instructions takes that away.
 
     Args:
         controller: of the arm; its weight is the w meant here.
         q: link angles at rest, true ones where wind-up is asked for, (N,) [rad].
         count_angle: link angle of one encoder count, (N,) [rad].
-        wind_up: gear torque over gear stiffness T / Kg at rest, (N,) [rad]; None: no gear winds up.
+        wind_up: u of the gears at rest, seen at the link, (N,) [rad]; None: no gear winds up.
         held_within: h, how near the servo holds the measured angle to its target at rest [counts].
 
     Returns:

@@ -21,6 +21,9 @@ struct DcMotor {
   static constexpr bool present = true;
   static constexpr int states = 1;  // i [A]
 
+  // See drive.hpp.
+  constexpr const DcMotor& linear() const { return *this; }
+
   constexpr bool has_limit() const { return current_limit > 0.0; }
   // What stands before di/dt in (1), and (1) itself. `side` is 1 or -1 at a limit, 0 within: then
   // the current is what the limit says.
@@ -79,6 +82,7 @@ struct NoMotor {
   static constexpr bool present = false;
   static constexpr int states = 0;
   static constexpr double Mm = 0.0, current_limit = 0.0;
+  constexpr const NoMotor& linear() const { return *this; }
   constexpr bool has_limit() const { return false; }
 };
 

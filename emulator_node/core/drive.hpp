@@ -5,11 +5,19 @@
 //
 // D may have zeros: no inductance, a current at its limit. Whatever a scheme, an energy balance or
 // a report needs of a drive comes from here (drive_table.hpp, energy.hpp).
+//
+// Each part names a part that is linear, by `linear()`: itself if it is, else the one that stands
+// in its place in the matrix A of the schemes. What the two differ by is the drive's rest, which
+// enters each stage (linearly_implicit.hpp).
 #pragma once
+
+#include <type_traits>
+#include <utility>
 
 #include "dc_motor.hpp"
 #include "gear.hpp"
 #include "link_friction.hpp"
+#include "progressive_gear.hpp"
 
 namespace arm {
 
@@ -53,6 +61,14 @@ struct Drive {
     return D;
   }
 
+  // The drive of the linear parts, which is this one where all parts are linear.
+  template <class Part>
+  using LinearOf = std::remove_cvref_t<decltype(std::declval<Part>().linear())>;
+  using Linear = Drive<LinearOf<Motor>, LinearOf<Gear>>;
+  static constexpr bool is_linear =
+      std::is_same_v<LinearOf<Motor>, Motor> && std::is_same_v<LinearOf<Gear>, Gear>;
+  constexpr Linear linear() const { return {motor.linear(), gear.linear(), friction}; }
+
   // f and g, eq. (1), (2) and the drive's part of (4).
   template <class X>
   ARM_INLINE constexpr DriveRates<states, X> rates(const Input<X>& x, bool limited) const {
@@ -71,6 +87,16 @@ struct Drive {
       }
     }
     return r;
+  }
+
+  // What `rates` has beyond those of the linear drive.
+  template <class X>
+  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, bool limited) const {
+    DriveRates<states, X> all = rates(x, limited);
+    const DriveRates<states, X> of_linear = linear().rates(x, limited);
+    for (int k = 0; k < states; ++k) all.f[k] -= of_linear.f[k];
+    all.g -= of_linear.g;
+    return all;
   }
 
   // The states of a motor with a current [A], an angle [rad] and a speed [rad/s].

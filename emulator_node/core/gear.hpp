@@ -1,4 +1,4 @@
-// Gears between motor and link, eq. (2).
+// Gears between motor and link, eq. (2). One that is not linear: progressive_gear.hpp.
 #pragma once
 
 #include "number.hpp"
@@ -13,6 +13,9 @@ struct ElasticGear {
 
   static constexpr bool rigid = false;
   static constexpr int states = 2;  // tm [rad], wm [rad/s] of the rotor
+
+  // See drive.hpp.
+  constexpr const ElasticGear& linear() const { return *this; }
 
   // Torque T on the link.
   template <class X>
@@ -37,6 +40,7 @@ struct RigidGear {
 
   static constexpr bool rigid = true;
   static constexpr int states = 0;
+  constexpr const RigidGear& linear() const { return *this; }
 };
 
 }  // namespace arm

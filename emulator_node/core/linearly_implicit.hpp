@@ -15,7 +15,7 @@
 //
 //                 (I - s A) k2 = sqrt(2) k1 + d,  x' = x + h (gamma k1 + k2 / 2)
 //
-// d has only torques on the links: M(x) k1 + nle(x) - M(y) k1 - nle(y) at y = x + h k1. (That is
+// d has torques on the links: M(x) k1 + nle(x) - M(y) k1 - nle(y) at y = x + h k1. (That is
 // M(x) f_v(y) - M(x) f_v(x) with k1 in the place of f_v(y) where M(x) - M(y) multiplies it: the
 // error is O(h^2), which order 2 allows.)
 //
@@ -23,6 +23,9 @@
 //   extrapolated  takes what it was from the last step to this one: each step evaluates the links
 //                 only once. The error is O(h^2) again; where an acceleration jumps it is O(h),
 //                 but in the one step after it, which keeps the order.
+//
+// Drives that are not linear add their rest n (drive.hpp) to f, and n(y) - n(x) to d: both schemes
+// work it out, joint by joint.
 #pragma once
 
 #include "coulomb.hpp"
@@ -38,7 +41,7 @@ class LinearlyImplicit {
   static constexpr int N = S::N, K = most_states<S>();
   using Dynamics = typename Links<S, X>::Dynamics;
   using Tables = DriveTables<S, X>;
-  using In = StepInput<K>;
+  using In = typename Tables::In;
   static constexpr int row = Tables::row;
 
   LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers)
@@ -90,9 +93,9 @@ class LinearlyImplicit {
       in[In::side] = tables.sides();
     }
     Accelerations k1;
-    Tables::template answer<K + 4>(tables.rhs_1, in).store(k1.torque);
+    begin_links(x, u, in, k1);
     given = {&modes.friction, from};
-    stages_of(x, links, in, k1);
+    stages_of(x, u, links, in, k1);
     move_links(x, in);
     move_drives(x, in);
     given = {};
@@ -123,9 +126,9 @@ class LinearlyImplicit {
     begin(x, u, in);
     if constexpr (!Tables::limits) {
       Accelerations k1;
-      Tables::template answer<K + 4>(tables.rhs_1, in).store(k1.torque);
+      begin_links(x, u, in, k1);
       exchange.take(links);
-      stages_of(x, links, in, k1);
+      stages_of(x, u, links, in, k1);
       move_links(x, in);
       exchange.give(x);
       move_drives(x, in);
@@ -146,7 +149,7 @@ class LinearlyImplicit {
   using Numbers = Row<N, X>;
 
   static auto table_for(double step) {
-    return [step](const auto& drive) { return implicit_table<K>(drive, step, stages); };
+    return [step](const auto& drive) { return implicit_table<K, Tables::R>(drive, step, stages); };
   }
 
   ARM_INLINE static void begin(const State<S, X>& x, const X (&u)[row], Inputs& in) {
@@ -158,8 +161,16 @@ class LinearlyImplicit {
     in[In::side] = in[In::k1] = in[In::k2] = {};
   }
 
+  // What the links' first stage takes from the drives goes to `k1.torque`.
+  ARM_INLINE void begin_links(const State<S, X>& x, const X (&u)[row], Inputs& in,
+                              Accelerations& k1) const {
+    if constexpr (!Tables::linear) tables.rest_at(x, u).put(in);
+    Tables::template answer<In::k1>(tables.rhs_1, in).store(k1.torque);
+  }
+
   // k1 and k2 of the links. `k1.torque` holds rhs_1.
-  ARM_INLINE void stages_of(const State<S, X>& x, Dynamics& links, Inputs& in, Accelerations& k1) {
+  ARM_INLINE void stages_of(const State<S, X>& x, const X (&u)[row], Dynamics& links, Inputs& in,
+                            Accelerations& k1) {
     for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n.carried(j); });
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
@@ -168,6 +179,7 @@ class LinearlyImplicit {
     if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
     if constexpr (extrapolates && locates)
       if (given.past == Past::unknown) evaluate_change(x, k1, change);
+    if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in);
     if constexpr (stages == 2) second_stage(links, change, in);
   }
 
@@ -192,12 +204,40 @@ class LinearlyImplicit {
 
   ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) const {
     alignas(64) X k2[row];
-    Tables::template answer<K + 5>(tables.rhs_2, in).store(k2);
+    Tables::template answer<In::k2>(tables.rhs_2, in).store(k2);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k2[j] += change[j] - kSqrt2 * (links.nle[j] + coulomb.force(j));
     });
     coulomb.solve_again(k2);
     in[In::k2] = Numbers::gather(k2);
+  }
+
+  // The drives' part of d: how their rest changes from x to x + h k1.
+  ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in) const {
+    State<S, X> y;
+    Numbers number;
+    const auto store = [&](auto&& of_group, X(&to)[row]) __attribute__((always_inline)) {
+      for_each<Numbers::groups>([&](auto g)
+                                    __attribute__((always_inline)) { number.at[g] = of_group(g); });
+      number.store(to);
+    };
+    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+      const Numbers rate = Tables::template answer<In::change>(tables.k_z[k], in);
+      store([&](auto g) { return in[k].at[g] + h * rate.at[g]; }, y.z[k]);
+    });
+    store(
+        [&](auto g) {
+          return in[In::q].at[g] + h * (in[In::v].at[g] + gamma * h * in[In::k1].at[g]);
+        },
+        y.q);
+    store([&](auto g) { return in[In::v].at[g] + h * in[In::k1].at[g]; }, y.v);
+    const auto rest = tables.rest_at(y, u);
+    for_each<Tables::R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
+      const Numbers there = Numbers::gather(rest.at[r]);
+      for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
+        in[In::change + r].at[g] = there.at[g] - in[In::rest + r].at[g];
+      });
+    });
   }
 
   // d of `rosenbrock`.
@@ -247,7 +287,7 @@ class LinearlyImplicit {
 
   ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) const {
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      Numbers z = Tables::template answer<K + (stages == 2 ? 6 : 5)>(tables.dz[k], in);
+      Numbers z = Tables::template answer<(stages == 2 ? In::count : In::change)>(tables.dz[k], in);
       for_each<Numbers::groups>([&](auto g)
                                     __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
@@ -275,8 +315,8 @@ class LinearlyImplicit {
       past = memory;
       y = x;
       in[In::side] = tables.sides();
-      Tables::template answer<K + 4>(tables.rhs_1, in).store(k1.torque);
-      stages_of(y, at_start, in, k1);
+      begin_links(y, u, in, k1);
+      stages_of(y, u, at_start, in, k1);
       move_links(y, in);
       move_drives(y, in);
       hold = modes_hold(y, u);

@@ -14,7 +14,7 @@ class PaperScheme {
   static constexpr int N = S::N, K = most_states<S>();
   using Dynamics = typename Links<S, X>::Dynamics;
   using Tables = DriveTables<S, X>;
-  using In = StepInput<K>;
+  using In = typename Tables::In;
   static constexpr int row = Tables::row;
 
   PaperScheme(double step, const Numbers<S, X>& numbers)
@@ -47,7 +47,7 @@ class PaperScheme {
 
  private:
   static auto table_for(double step) {
-    return [step](const auto& drive) { return paper_table<K>(drive, step); };
+    return [step](const auto& drive) { return paper_table<K, Tables::R>(drive, step); };
   }
 
   // Eq. (3), the links held at sample k; `torque` is what the drives put on the links after it.
@@ -59,9 +59,10 @@ class PaperScheme {
     in[In::v] = Row<N, X>::load(x.v);
     in[In::u] = Row<N, X>::load(u);
     if constexpr (Tables::limits) limit_currents(x, u, in);
-    Tables::template answer<K + 4>(tables.rhs_1, in).store(torque);
+    if constexpr (!Tables::linear) tables.rest_at(x, u).put(in);
+    Tables::template answer<In::k1>(tables.rhs_1, in).store(torque);
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      auto z = Tables::template answer<K + 4>(tables.dz[k], in);
+      auto z = Tables::template answer<In::k1>(tables.dz[k], in);
       for_each<z.groups>([&](auto g) __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
     });
@@ -70,11 +71,13 @@ class PaperScheme {
 
   // Backward Euler's current grows with the voltage: what would pass the limit ends at it.
   void limit_currents(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
+    typename Tables::Rest rest;
+    if constexpr (!Tables::linear) rest = tables.rest_at(x, u, {});
     for (int lane = 0; lane < kWidth<X>; ++lane) {
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
         if constexpr (drive.driven) {
           if (!drive.motor.has_limit()) return;
-          const double i = tables.free_state(drive.i, j, lane, x, u[j]);
+          const double i = tables.free_state(drive.i, j, lane, x, u[j], rest);
           tables.serve(j, lane, drive.motor.side_of(i));
         }
       });

@@ -76,6 +76,8 @@ def random_joint(rng: np.random.Generator) -> dict[str, Any]:
             joint["gear"] = {"ratio": float(min(size(rng, 0.01), 1000.0))}
             if rng.random() < 0.7:
                 joint["gear"] |= {"stiffness": size(rng, 1e4), "damping": size(rng, 10.0)}
+                if rng.random() < 0.4:
+                    joint["gear"]["cubic_stiffness"] = size(rng, 1e9)
         if rng.random() < 0.7:
             joint["encoder"] = {"counts_per_turn": int(rng.integers(1, 100_000))}
     if rng.random() < 0.5:

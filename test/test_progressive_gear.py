@@ -1,0 +1,264 @@
+"""Gears that stiffen as they wind up: a part of the drive that is not linear."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import one_link_urdf, random_chain_urdf, write_scene
+from scipy.special import ellipj, ellipk
+
+from emulator_node.advice import ORDERS
+from emulator_node.chain import Array
+from emulator_node.compiler import CORE, FLAGS
+from emulator_node.cxx import find_compiler
+from emulator_node.plant import Plant
+from emulator_node.reference import reference_states
+from emulator_node.scene import SCHEMES, Gear, Scene, load_scene
+from emulator_node.scene_unit import scene_unit
+
+LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # of one_link_urdf about its joint
+PERIOD = 1e-2  # s, over which a voltage is held
+
+
+def drawn_gear(rng: np.random.Generator, torque: float) -> dict[str, float]:
+    """A gear in which the cube has a tenth to three times the linear share at that torque."""
+    Kg = float(10 ** rng.uniform(3.0, 4.0))
+    share = float(10 ** rng.uniform(-1.0, 0.5))
+    return {
+        "ratio": float(rng.uniform(0.01, 0.03)),
+        "stiffness": Kg,
+        "cubic_stiffness": share * Kg * (Kg / torque) ** 2,
+        "damping": float(rng.choice([0.0, rng.uniform(0.5, 5.0)])),
+    }
+
+
+def drawn_motor(rng: np.random.Generator, inductance: bool) -> dict[str, float]:
+    motor = {
+        "resistance": float(rng.uniform(0.5, 2.0)),
+        "torque_constant": 0.05,
+        "back_emf_constant": float(rng.uniform(0.04, 0.05)),
+        "rotor_inertia": float(10 ** rng.uniform(-4.3, -3.5)),
+    }
+    return motor | ({"inductance": 2e-3} if inductance else {})
+
+
+def drawn_arm(folder: Path, seed: int) -> Path:
+    """Three random joints, at least one with such a gear; others linear, rigid or without motor."""
+    rng = np.random.default_rng([seed, 77])
+    urdf = random_chain_urdf(rng, 3)
+    names = [
+        line.split('"')[1]
+        for line in urdf.splitlines()
+        if "<joint" in line and 'type="fixed"' not in line
+    ]
+    joints: dict[str, dict[str, Any]] = {}
+    kinds = rng.permutation(
+        ["progressive", *rng.choice(["progressive", "linear", "rigid", "no"], 2)]
+    )
+    for place, (name, kind) in enumerate(zip(names, kinds, strict=True)):
+        joints[name] = {"friction": {"viscous": float(rng.uniform(0.0, 1.0))}}
+        if kind == "no":
+            continue
+        gear = drawn_gear(rng, torque=20.0)
+        if kind != "progressive":
+            del gear["cubic_stiffness"]
+        if kind == "rigid":
+            gear = {"ratio": gear["ratio"]}
+        joints[name] |= {"motor": drawn_motor(rng, (seed + place) % 2 == 0), "gear": gear}
+    return write_scene(folder, urdf, joints, gravity=[0.0, 0.0, -9.81], servo_period=PERIOD)
+
+
+def with_steps(file: Path, scheme: str, steps: int) -> Scene:
+    return load_scene(file, {"integrator": {"scheme": scheme, "dt": PERIOD / steps}})
+
+
+def orders_of(errors: list[float]) -> Array:
+    return np.log2(np.array(errors[:-1]) / errors[1:])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) -> None:
+    file = drawn_arm(tmp_path, seed)
+    voltages = np.random.default_rng(seed).uniform(-20.0, 20.0, (6, 3))
+    truth = reference_states(load_scene(file), voltages, PERIOD, 1e-12, method="DOP853")
+    for scheme, order in ORDERS.items():
+        errors = []
+        for steps in (40, 80, 160, 320):
+            plant = Plant(with_steps(file, scheme, steps))
+            errors.append(float(np.abs(plant.run(voltages, steps) - truth[:, 3]).max()))
+        # What comes next in the error's expansion may be 10 % of it, and a bit more with order 1.
+        slack = 0.15 if order == 2 else 0.3
+        assert orders_of(errors)[-2:] == pytest.approx(order, abs=slack), (scheme, errors)
+        x = plant.state
+        end = np.array([x.theta_m, x.omega_m, x.v]) - truth[-1, [1, 2, 4]]
+        moving = np.array([j.motor is not None and j.gear.stiffness is not None
+                           for j in plant.scene.joints])  # fmt: skip
+        size = np.abs(truth[:, 2:]).max() * (1e-3 if order == 2 else 0.05)
+        assert np.abs(end[:2, moving]).max(initial=0.0) < size, "motors beside the truth"
+        assert np.abs(end[2]).max() < size, "speeds beside the truth"
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_an_undamped_gear_swings_as_duffing_says(tmp_path: Path, scheme: str) -> None:
+    """Rotor and link swing against each other: d2w/dt2 = -a w - b w^3, wound up by A at rest.
+
+    w = A cn(W t) with W^2 = a + b A^2 and the elliptic parameter m = b A^2 / (2 W^2).
+    """
+    rng = np.random.default_rng([SCHEMES.index(scheme), 5])
+    gear = drawn_gear(rng, torque=20.0) | {"damping": 0.0}
+    rotor = LINK_INERTIA * gear["ratio"] ** 2 * float(10 ** rng.uniform(-0.5, 0.5))
+    motor = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.0}
+    motor["rotor_inertia"] = rotor
+    A = Gear(1.0, gear["stiffness"], 0.0, gear["cubic_stiffness"]).wind_up(20.0)
+    mobility = 1.0 / LINK_INERTIA + gear["ratio"] ** 2 / rotor
+    a, b = gear["stiffness"] * mobility, gear["cubic_stiffness"] * mobility
+    W, m = np.sqrt(a + b * A**2), 0.5 * b * A**2 / (a + b * A**2)
+    period, rows = float(round(4.0 * ellipk(m) / W / 9.3, 9)), 14  # one swing and a half
+    w = A * ellipj(W * period * np.arange(1, rows + 1), m)[1]
+    # What turns the link turns the rotor back: the sum of both momenta stays 0.
+    q = (A - w) / (1.0 + LINK_INERTIA * gear["ratio"] ** 2 / rotor)
+    stored = 0.5 * gear["stiffness"] * A**2 + 0.25 * gear["cubic_stiffness"] * A**4
+    errors, gained = [], []
+    for steps in (50, 100, 200, 400):
+        file = write_scene(
+            tmp_path,
+            one_link_urdf(),
+            {"joint": {"motor": motor, "gear": gear}},
+            servo_period=period,
+            integrator={"scheme": scheme, "dt": period / steps},
+        )
+        plant = Plant(load_scene(file))
+        plant.put("the gear", {"theta_m": [A / gear["ratio"]]})
+        assert plant.energy == pytest.approx(stored, rel=1e-12), "energy of the wound gear"
+        errors.append(float(np.abs(plant.run(np.zeros((rows, 1)), steps)[:, 0] - q).max()))
+        gained.append(abs(plant.energy - stored))
+    # First order damps or drives the swing by some per cent, which bends its error.
+    slack = 0.1 if ORDERS[scheme] == 2 else 0.3
+    assert orders_of(errors)[1:] == pytest.approx(ORDERS[scheme], abs=slack), errors
+    # These schemes may keep energy better than the phase.
+    assert (orders_of(gained)[1:] > ORDERS[scheme] - slack).all(), gained
+    assert gained[-1] < (1e-4 if ORDERS[scheme] == 2 else 0.3) * stored, gained
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_energy_balances_with_the_order(tmp_path: Path, seed: int) -> None:
+    """Given less dissipated is what the machine has more, but for a part that falls as h^2."""
+    file = drawn_arm(tmp_path, 10 + seed)
+    scheme = ("rosenbrock", "extrapolated")[seed % 2]
+    voltages = np.random.default_rng(seed).uniform(-20.0, 20.0, (4, 3))
+    left = []
+    for steps in (40, 80, 160, 320):
+        integrator = {"scheme": scheme, "dt": PERIOD / steps}
+        plant = Plant(load_scene(file, {"integrator": integrator, "energy_flow": True}))
+        before, flow, exchanged = plant.energy, 0.0, 0.0
+        for row in voltages:
+            one = plant.advance_metered(row, steps)
+            flow += float(one.given.sum() - one.dissipated.sum())
+            exchanged += float(np.abs(one.given).sum() + one.dissipated.sum())
+        left.append(abs(plant.energy - before - flow) / exchanged)
+    # The order is at least 2; by chance a coefficient may be small.
+    assert left[-1] < max(left[0] / 4.0**3 * 1.6, 1e-12), left
+    assert left[-1] < 1e-5, left
+
+
+def test_the_gear_is_wound_up_by_its_torque(tmp_path: Path) -> None:
+    """At rest under gravity: torque, wind-up and Kg w + Kg3 w^3 agree."""
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        gear = drawn_gear(rng, torque=6.0) | {"damping": 5.0, "ratio": 0.02}
+        motor = drawn_motor(rng, inductance=True)
+        joint = {"motor": motor, "gear": gear, "friction": {"viscous": 2.0}}
+        file = write_scene(
+            tmp_path, one_link_urdf(), {"joint": joint}, gravity=[0.0, 0.0, -9.81],
+            integrator={"scheme": "rosenbrock", "dt": 1e-4}, varied=["joints.*"],
+        )  # fmt: skip
+        scene = load_scene(file)
+        plant = Plant(scene)
+        # Held by a voltage that is less than the weight's: the link hangs aslant.
+        hold = 0.6 * 2.0 * 0.3 * 9.81 * gear["ratio"] / motor["torque_constant"]
+        plant.advance([hold * motor["resistance"]], 1_000_000)
+        x = plant.state
+        assert abs(x.v[0]) < 1e-9 and abs(x.q[0]) > 0.1, "at rest, aslant"
+        w = gear["ratio"] * x.theta_m[0] - x.q[0]
+        T = gear["stiffness"] * w + gear["cubic_stiffness"] * w**3
+        assert x.gear_torque[0] == pytest.approx(T, rel=1e-9), "the torque that is reported"
+        weight = -2.0 * 0.3 * 9.81 * np.cos(x.q[0])  # q turns the link down
+        assert x.gear_torque[0] == pytest.approx(weight, rel=1e-6), "the torque of the weight"
+        assert scene.joints[0].gear.wind_up(T) == pytest.approx(w, rel=1e-9), "Gear.wind_up"
+
+
+def test_wind_up_solves_the_cubic() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        Kg, Kg3, T = 10 ** rng.uniform((-2.0, -15.0, -6.0), (8.0, 15.0, 6.0))
+        T *= rng.choice([-1.0, 1.0])
+        w = Gear(1.0, Kg, 0.0, Kg3).wind_up(T)
+        assert Kg * w + Kg3 * w**3 == pytest.approx(T, rel=1e-9), (Kg, Kg3, T)
+    assert Gear(1.0, 100.0, 0.0, 0.0).wind_up(5.0) == 0.05, "no cube"
+    assert Gear(1.0).wind_up(5.0) == 0.0, "rigid"
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_without_a_cube_the_gear_is_the_linear_one(tmp_path: Path, scheme: str) -> None:
+    """A part that is absent is not compiled; one of no effect changes rounding alone."""
+    rng = np.random.default_rng([SCHEMES.index(scheme), 4])
+    motor = drawn_motor(rng, inductance=True) | {"current_limit": 8.0}
+    file = write_scene(
+        tmp_path,
+        one_link_urdf(),
+        {"joint": {"motor": motor, "gear": drawn_gear(rng, torque=10.0)}},
+        servo_period=PERIOD,
+        integrator={"scheme": scheme, "dt": PERIOD / 100},
+    )
+    scenes = [load_scene(file, {"joints.joint.gear.cubic_stiffness": Kg3}) for Kg3 in (None, 0.0)]
+    named = ["ProgressiveGear" in scene_unit(scene) for scene in scenes]
+    assert named == [False, True], "which gear the core is compiled with"
+    voltages = rng.uniform(-20.0, 20.0, (10, 1))
+    one, other = (Plant(scene).run(voltages, 100) for scene in scenes)
+    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12, err_msg="the motions")
+
+
+def test_what_calls_itself_linear_and_is_not_does_not_compile(tmp_path: Path) -> None:
+    """Nobody can forget to say that a part is not linear."""
+    core = shutil.copytree(CORE, tmp_path / "core")
+    gear = core / "gear.hpp"
+    text = gear.read_text()
+    torque = "return Kg * (Ng * tm - q) + Dg * (Ng * wm - v);"
+    assert text.count(torque) == 1, "the line of the linear gear's torque"
+    unit = tmp_path / "unit.cpp"
+    unit.write_text(scene_unit(load_scene("three_axis")))
+    outcomes = {}
+    for more in ("", " + 1e3 * (tm - q) * (tm - q)"):
+        gear.write_text(text.replace(torque, torque[:-1] + more + ";"))
+        command = [*find_compiler(), *FLAGS, "-fsyntax-only", f"-I{core}", str(unit)]
+        outcomes[more] = subprocess.run(command, capture_output=True, text=True, check=False)
+    first, second = outcomes.values()
+    assert first.returncode == 0, first.stderr
+    assert second.returncode != 0 and "calls linear what is not" in second.stderr, second.stderr
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_limited_currents_move_the_gear_as_the_equations_say(tmp_path: Path, scheme: str) -> None:
+    """A light rotor without inductance at and off its limit: the current is a clipped function."""
+    rng = np.random.default_rng([SCHEMES.index(scheme), 9])
+    gear = drawn_gear(rng, torque=10.0) | {"damping": 2.0}
+    motor = drawn_motor(rng, inductance=False) | {"current_limit": 4.0}
+    file = write_scene(
+        tmp_path, one_link_urdf(), {"joint": {"motor": motor, "gear": gear}}, servo_period=PERIOD
+    )
+    voltages = rng.uniform(-20.0, 20.0, (10, 1))
+    truth = reference_states(load_scene(file), voltages, PERIOD, 1e-11, method="Radau")
+    assert (np.abs(truth[:, 2, 0]) > 1.0).any(), "the motor shall turn"
+    errors = []
+    for steps in (50, 500):
+        plant = Plant(with_steps(file, scheme, steps))
+        errors.append(float(np.abs(plant.run(voltages, steps)[:, 0] - truth[:, 3, 0]).max()))
+        assert abs(plant.state.current[0]) <= 4.0, "the limit"
+    # Without location the order at a limit is 1 at least, here with a tenth of the step.
+    assert errors[1] < errors[0] / 5.0, errors
+    assert errors[1] < 0.02 * np.abs(truth[:, 3, 0]).max(), errors
