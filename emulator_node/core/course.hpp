@@ -12,8 +12,8 @@ class Course {
  public:
   static constexpr int N = S::N, width = kWidth<X>;
 
-  // For each lane the first row of its voltages, and where its positions after that row go.
-  // `stride`: numbers from one row to the next, of both.
+  // For each lane the first row of its voltages, and where its positions after that row go, if not
+  // null. `stride`: numbers from one row to the next, of both.
   Course(const double* const (&voltage)[width], double* const (&positions)[width],
          std::int64_t stride, std::int64_t steps_per_row, std::int64_t left_of_this = 0)
       : steps(steps_per_row), step_over(stride), left(left_of_this) {
@@ -43,10 +43,12 @@ class Course {
     return differ;
   }
   ARM_INLINE void end_row(const State<S, X>& x) {
-    for_each<N>([&](auto j) __attribute__((always_inline)) {
-      for (int lane = 0; lane < width; ++lane) q[lane][j] = lane_of(x.q[j], lane);
-    });
-    for (double*& next : q) next += step_over;
+    for (int lane = 0; lane < width; ++lane) {
+      if (!q[lane]) continue;
+      for_each<N>([&](auto j)
+                      __attribute__((always_inline)) { q[lane][j] = lane_of(x.q[j], lane); });
+      q[lane] += step_over;
+    }
   }
 
   // Take `count` steps. `power` is what the motors can be given at most under u, of which `most`

@@ -39,8 +39,8 @@ struct Placement {
   }
 };
 
-template <class X>
-ARM_INLINE constexpr Body<X> over(const Body<double>& body) {
+template <class X, class B>
+ARM_INLINE constexpr Body<X> over(const Body<B>& body) {
   return {X{} + body.m, Vec3<X>{} + body.h, Sym3<X>{} + body.I};
 }
 

@@ -34,10 +34,9 @@ class SideBySide {
     double* positions[width];
     std::int64_t began[width];
     for (int lane = 0; lane < width; ++lane) {
-      const int from = lane < used ? lane : 0;
-      commands[lane] = voltage + from * N;
-      positions[lane] = q + from * N;
-      began[lane] = machine[from]->steps();
+      commands[lane] = voltage + (lane < used ? lane : 0) * N;
+      positions[lane] = lane < used ? q + lane * N : nullptr;
+      if (lane < used) began[lane] = machine[lane]->steps();
     }
     Course course(commands, positions, stride, steps);
     for (std::int64_t left = rows * steps; left > 0;) {

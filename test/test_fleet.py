@@ -1,0 +1,247 @@
+"""Arms in lanes: each moves as it would alone, whatever its neighbours do."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.random_machines import machine
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Diverged, Plant
+from emulator_node.scene import SCHEMES, Scene, load_scene
+from words.refusal import Refusal
+
+STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart
+NAMES = ("current", "theta_m", "omega_m", "q", "v", "gear_torque")
+
+
+def mixture(folder: Path, seed: int, scheme: str = "extrapolated", **keys: Any) -> Scene:
+    """Return a chain that sticks and meets current limits, all its numbers varied."""
+    file, _ = machine(folder, seed)
+    overrides = {"integrator.scheme": scheme, "varied": ["joints.*"], "integrator.dt": 2e-4}
+    return load_scene(file, {**overrides, **keys})
+
+
+def drawn(scene: Scene, rng: np.random.Generator, count: int) -> dict[str, np.ndarray]:
+    """Values for all that is varied, other ones for each arm."""
+    return {one.name: one.value * rng.uniform(0.7, 1.4, count) for one in scene.varied}
+
+
+def alone(
+    scene: Scene, values: dict[str, np.ndarray], arm: int, q: np.ndarray, v: np.ndarray
+) -> Plant:
+    plant = Plant(scene)
+    for name, of_arms in values.items():
+        plant.set_parameter(name, float(of_arms[arm]))
+    plant.reset(q[arm], v[arm])
+    return plant
+
+
+def assert_state_of(fleet: Fleet, arm: int, plant: Plant, atol: float) -> None:
+    state, expected = fleet.state, plant.state
+    for name in NAMES:
+        of_arm, of_plant = getattr(state, name)[arm], getattr(expected, name)
+        # The gear multiplies a rounding of 1e-16 rad by up to 1e4 N m/rad, and back on the motor's
+        # side by the gear's ratio, 100.
+        scale = 1.0 + np.abs(of_plant)
+        np.testing.assert_allclose(
+            of_arm / scale, of_plant / scale, rtol=0.0, atol=1e6 * atol if "m" in name else atol,
+            err_msg=f"{name} of arm {arm}",
+        )  # fmt: skip
+    assert state.t[arm] == expected.t, f"time of arm {arm}"
+
+
+@pytest.mark.parametrize(
+    ("seed", "scheme"), [*enumerate(SCHEMES, 2), *enumerate(["extrapolated", "rosenbrock"], 6)]
+)
+def test_each_arm_moves_as_alone(seed: int, scheme: str, tmp_path: Path) -> None:
+    """Random machines that stick and meet limits; numbers, states and voltages of their own."""
+    rng = np.random.default_rng(seed)
+    scene = mixture(tmp_path, seed, scheme)
+    count, N = 11, len(scene.joints)  # more than one group, and none that is full
+    values = drawn(scene, rng, count)
+    q, v = rng.uniform(-1.0, 1.0, (count, N)), rng.uniform(-0.5, 0.5, (count, N))
+    v[rng.random((count, N)) < 0.5] = 0.0  # many begin locked
+    voltages = rng.uniform(-20.0, 20.0, (60, count, N))
+    fleet = Fleet(scene, count, varied=values, q=q, v=v, workers=2)
+    moved = fleet.run(voltages, STEPS)
+    assert (fleet.faults == -1).all(), f"tame machines: {fleet.diverged}"
+    furthest = 0.0
+    for arm in range(count):
+        plant = alone(scene, values, arm, q, v)
+        expected = plant.run(voltages[:, arm], STEPS)
+        # Rounding alone differs, some 1e-16 a step, which 420 steps let grow.
+        np.testing.assert_allclose(moved[:, arm], expected, rtol=0.0, atol=1e-12, err_msg=f"{arm}")
+        assert_state_of(fleet, arm, plant, 1e-11)
+        furthest = max(furthest, float(np.abs(expected - q[arm]).max()))
+    assert furthest > 0.01, f"the arms hardly moved: {furthest} rad"
+
+
+def test_limits_and_locks_are_met_in_lanes(tmp_path: Path) -> None:
+    """What the test above relies on: its machines stick, and their currents are at their limits."""
+    stuck = limited = 0
+    for seed in (2, 3, 4, 5, 6, 7):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        scene = mixture(folder, seed)
+        limits = np.array([j.motor.current_limit or np.inf if j.motor else np.inf
+                           for j in scene.joints])  # fmt: skip
+        rng = np.random.default_rng(seed)
+        plant = Plant(scene)
+        for row in rng.uniform(-20.0, 20.0, (60, len(scene.joints))):
+            plant.advance(row, STEPS)
+            stuck += int((plant.state.v == 0.0).sum())
+            limited += int((np.abs(plant.state.current) >= limits * (1.0 - 1e-12)).sum())
+    assert stuck > 50 and limited > 50, f"{stuck} stuck, {limited} limited"
+
+
+@pytest.mark.parametrize("way", ["it turns too far in a step", "its gear is too stiff"])
+def test_an_arm_that_diverges_is_told_and_touches_no_neighbour(way: str, tmp_path: Path) -> None:
+    """It stays at the last sound state, as alone; the bits of all others are as without it."""
+    rng = np.random.default_rng(8)
+    stiff = "stiff" in way
+    scene = mixture(tmp_path, 6, "paper" if stiff else "extrapolated")
+    count, N, wild = 19, len(scene.joints), [0, 9, 18]
+    values = drawn(scene, rng, count)
+    q, v = rng.uniform(-1.0, 1.0, (count, N)), np.zeros((count, N))
+    voltages = rng.uniform(-20.0, 20.0, (40, count, N))
+    tame = Fleet(scene, count, varied=values, q=q, v=v)
+    expected = tame.run(voltages, STEPS)
+    if stiff:  # for a spring that is explicit where it acts on the link
+        springs = [name for name in values if name.endswith("gear.stiffness")]
+        assert springs, "no elastic gear was drawn"
+        for name in springs:
+            values[name][wild] = 1e9  # N m/rad
+    else:
+        v[wild, 0] = 1.1 * np.pi / scene.integrator.dt  # rad/s: more than half a turn
+    fleet = Fleet(scene, count, varied=values, q=q, v=v)
+    moved = fleet.run(voltages, STEPS)
+    others = [arm for arm in range(count) if arm not in wild]
+    assert moved[:, others].tobytes() == expected[:, others].tobytes(), "a neighbour's bits differ"
+    diverged = fleet.diverged
+    assert sorted(diverged) == wild, f"diverged: {sorted(diverged)}"
+    for arm in wild:
+        plant = alone(scene, values, arm, q, v)
+        with pytest.raises(Diverged) as found:
+            plant.run(voltages[:, arm], STEPS)
+        assert diverged[arm].joint == found.value.joint, f"joint of arm {arm}"
+        assert diverged[arm].t == found.value.t, f"time of arm {arm}"
+        np.testing.assert_allclose(moved[-1, arm], plant.state.q, rtol=1e-9, atol=1e-9,
+                                   err_msg=f"where arm {arm} is")  # fmt: skip
+        # It stays there, and a reset sets it free.
+        fleet.advance(voltages[0], STEPS)
+        assert fleet.state.q[arm].tobytes() == moved[-1, arm].tobytes(), f"arm {arm} went on"
+        for name in values:
+            fleet[arm].set_parameter(name, float(values[name][1]))
+        fleet[arm].reset()
+    fleet.advance(voltages[0], STEPS)
+    assert (fleet.faults == -1).all(), "an arm was reset and did not go on"
+
+
+def test_bits_depend_neither_on_pieces_nor_on_neighbours(tmp_path: Path) -> None:
+    rng = np.random.default_rng(9)
+    scene = mixture(tmp_path, 6)
+    count, N = 13, len(scene.joints)
+    values = drawn(scene, rng, count)
+    q = rng.uniform(-1.0, 1.0, (count, N))
+    voltages = rng.uniform(-20.0, 20.0, (100, count, N))
+    whole = Fleet(scene, count, varied=values, q=q, workers=1).run(voltages, STEPS)
+    pieces = Fleet(scene, count, varied=values, q=q, workers=2)
+    moved, at = [], 0
+    while at < len(voltages):
+        rows = int(rng.integers(1, 20))
+        moved.append(pieces.run(voltages[at : at + rows], STEPS))
+        at += rows
+    assert np.concatenate(moved).tobytes() == whole.tobytes(), "pieces change bits"
+    order = rng.permutation(count)[:5]
+    some = {name: of_arms[order] for name, of_arms in values.items()}
+    few = Fleet(scene, 5, varied=some, q=q[order]).run(voltages[:, order], STEPS)
+    assert few.tobytes() == whole[:, order].tobytes(), "neighbours change bits"
+
+
+def test_one_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
+    """What is saved, set and restored through it counts in its lane."""
+    rng = np.random.default_rng(10)
+    scene = mixture(tmp_path, 5)
+    fleet = Fleet(scene, 9)
+    rows = rng.uniform(-20.0, 20.0, (20, len(scene.joints)))
+    fleet.run(rows, STEPS)
+    saved = fleet[3].save()
+    one = fleet.run(rows, STEPS)[:, 3]
+    fleet[8].restore(saved)
+    assert fleet.run(rows, STEPS)[:, 8].tobytes() == one.tobytes(), "a restored arm goes elsewhere"
+    name = scene.varied[0].name
+    fleet.reset()
+    fleet[4].set_parameter(name, 1.3 * scene.varied[0].value)
+    moved = fleet.run(rows, STEPS)
+    plant = Plant(scene)
+    plant.set_parameter(name, 1.3 * scene.varied[0].value)
+    np.testing.assert_allclose(moved[:, 4], plant.run(rows, STEPS), rtol=0.0, atol=1e-12)
+    assert not np.array_equal(moved[:, 4], moved[:, 5]), "the number has no effect"
+    state = plant.state
+    fleet[-1].state = state
+    assert fleet.state.q[8].tobytes() == state.q.tobytes(), "the state was not set"
+    kept = fleet[2]
+    del fleet
+    kept.advance(rows[0], STEPS)  # the fleet lives as long as one of its arms is held
+
+
+@pytest.mark.parametrize(
+    "keys", [{"integrator.events": "located"}, {"threads": 2}], ids=["located", "threads"]
+)
+def test_scenes_that_have_no_lanes_move_as_well(keys: dict[str, Any], tmp_path: Path) -> None:
+    """Located events and two threads: one arm after the other, to the last bit as alone."""
+    rng = np.random.default_rng(11)
+    scene = mixture(tmp_path, 4, **keys)
+    rows = rng.uniform(-20.0, 20.0, (10, 3, len(scene.joints)))
+    fleet = Fleet(scene, 3)
+    assert fleet.lanes == 1, "lanes"
+    moved = fleet.run(rows, STEPS)
+    for arm in range(3):
+        expected = Plant(scene).run(rows[:, arm], STEPS)
+        assert moved[:, arm].tobytes() == expected.tobytes(), f"arm {arm}"
+
+
+def refusals() -> Iterator[tuple[str, Any, str]]:
+    three = np.zeros(3)
+    yield "count", lambda s: Fleet(s, 0), "count must be >= 1"
+    yield "part", lambda s: Fleet(s, 1.5), "count must be a whole number"  # type: ignore[arg-type]
+    yield "unknown", lambda s: Fleet(s, 2, varied={"gravity": 1.0}), "must be varied in the scene"
+    yield "many", lambda s: Fleet(s, 2, varied={s.varied[0].name: three}), "must have shape (2,)"
+    yield "range", lambda s: Fleet(s, 2, varied={s.varied[0].name: -1e9}), "must be a number from"
+    yield "NaN", lambda s: Fleet(s, 2, varied={s.varied[0].name: np.nan}), "must be a number from"
+    yield "q", lambda s: Fleet(s, 2, q=np.zeros((3, 3))), "q must have shape"
+    yield "far", lambda s: Fleet(s, 2, q=[1e300] * 3), "q must be at most"
+    yield "v", lambda s: Fleet(s, 2, v=[np.inf] * 3), "v must be finite"
+    yield "voltage", lambda s: Fleet(s, 2).advance([1.0, np.nan, 0.0], 1), "must be finite"
+    yield "shape", lambda s: Fleet(s, 2).run(np.zeros((4, 3, 3)), 1), "voltages must have shape"
+    yield "words", lambda s: Fleet(s, 2).run("fast", 1), "must be numbers"
+    yield "steps", lambda s: Fleet(s, 2).run(np.zeros((4, 3)), -1), "steps must be >= 0"
+    yield "arm", lambda s: Fleet(s, 2)[2], "arm must be at most 1"
+    yield "workers", lambda s: Fleet(s, 2, workers=0), "workers must be >= 1"
+
+
+@pytest.mark.parametrize(
+    ("attempt", "words"), [one[1:] for one in refusals()], ids=[one[0] for one in refusals()]
+)
+def test_what_makes_no_sense_is_refused(attempt: Any, words: str) -> None:
+    scene = load_scene("three_axis", {"varied": ["joints.*"]})
+    with pytest.raises(Refusal) as refused:
+        attempt(scene)
+    assert words in str(refused.value), str(refused.value)
+
+
+def test_the_header_is_c(tmp_path: Path) -> None:
+    """A user in C99 includes arm_fleet.h without a warning."""
+    core = Path(__file__).parents[1] / "emulator_node" / "core"
+    source = tmp_path / "user.c"
+    source.write_text('#include "arm_fleet.h"\nint main(void) { return arm_fleet_lanes() < 1; }\n')
+    command = ["cc", "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]
+    done = subprocess.run([*command, f"-I{core}", source], capture_output=True, text=True,
+                          check=False)  # fmt: skip
+    assert done.returncode == 0, done.stderr
