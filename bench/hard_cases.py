@@ -76,6 +76,16 @@ def three_axis(scheme: str, dt: float, period: float = 1e-2, **overrides: Any) -
 
 RIGID = {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
 NO_INDUCTANCE = {"joints.*.motor.inductance": None}
+# Machines that differ in these numbers share a library.
+SHARED: dict[str, Any] = {"varied": ["joints.*"]}
+# All options of a scene at once, dry friction and current limits too.
+EVERYTHING: dict[str, Any] = {
+    **SHARED,
+    "gravity": EARTH,
+    "payload": {"mass": 1.0, "com": [0.0, 0.02, 0.05]},
+    "joints.*.motor.current_limit": 8.0,
+    "joints.*.friction": {"viscous": 0.5, "coulomb": 3.0, "breakaway": 4.0},
+}
 LINKS_ALONE: dict[str, Any] = {
     f"joints.*.{part}": None for part in ("motor", "gear", "encoder", "friction")
 }
@@ -177,7 +187,7 @@ def undamped_stiff_gear(quick: bool) -> Iterator[Outcome]:
     """Gear of 1e7 N m/rad without damping: rings at 8 kHz, and may not be seen to."""
     period, rows = 1e-2, sines(3, 50, 1e-2)
     truth = reference(three_axis("paper", 1e-3, **RIGID), rows, period)
-    machine = {"joints.*.gear.stiffness": 1e7, "joints.*.gear.damping": 0.0}
+    machine = {**SHARED, "joints.*.gear.stiffness": 1e7, "joints.*.gear.damping": 0.0}
     # Wind-up of T / Kg, twice when it rings: T = 25 N m. The scheme's own error is that of the
     # rigid machine: 0.45 dt, and 0.65 dt^2.
     wind_up, own = 5e-6, of_order(0.5, 1.0)
@@ -195,12 +205,13 @@ def fast_current(quick: bool) -> Iterator[Outcome]:
     """L/R = 1e-7 s at steps of up to 1 ms."""
     period, rows = 1e-3, sines(3, 300, 1e-3)
     truth = reference(three_axis("paper", 1e-3, period, **NO_INDUCTANCE), rows, period)
+    machine = {**SHARED, "joints.*.motor.inductance": 1e-7}
     lag, own = 5e-7, of_order(3.0, 8.0)  # L/R at 3 rad/s; the errors without inductance
     yield from against(
         truth,
         rows,
         period,
-        lambda scheme, dt: three_axis(scheme, dt, period, **{"joints.*.motor.inductance": 1e-7}),
+        lambda scheme, dt: three_axis(scheme, dt, period, **machine),
         all_schemes(1e-3, 1e-4),
         lambda scheme, dt: lag + own(scheme, dt),
     )
@@ -366,8 +377,8 @@ def stick_slip(quick: bool) -> Iterator[Outcome]:
             for dt in (1e-2, 1e-3):
                 own = {"integrator.scheme": scheme, "integrator.dt": dt, "servo_period": dt}
                 # The gear is wound up by the motor to Kt V / (R Ng) = 25 N m, and rings up to 50.
-                friction = {"viscous": 0.5, "coulomb": 40.0, "breakaway": 51.0}
-                pulled = three_axis(scheme, dt, dt, **{"joints.*.friction": friction})
+                friction = {"viscous": 0.5, "coulomb": 32.0, "breakaway": 51.2}
+                pulled = three_axis(scheme, dt, dt, **SHARED, **{"joints.*.friction": friction})
                 moved = 0.0
                 for scene, volts in ((load_scene(hanging, overrides=own), 0.0), (pulled, 5.0)):
                     plant = Plant(scene)
@@ -377,24 +388,18 @@ def stick_slip(quick: bool) -> Iterator[Outcome]:
 
 
 def everything_at_ten_milliseconds(quick: bool) -> Iterator[Outcome]:
-    """All options of a scene at once, dry friction and current limits too, at steps of 10 ms."""
-    machine = {
-        "gravity": EARTH,
-        "payload": {"mass": 1.0, "com": [0.0, 0.02, 0.05]},
-        "joints.*.motor.current_limit": 8.0,
-        "joints.*.friction": {"viscous": 0.5, "coulomb": 3.0, "breakaway": 4.0},
-    }
+    """All options of a scene at once, at steps of 10 ms."""
     period, rows = 1e-2, sines(3, 100, 1e-2, 30.0)
     steps = 2_000 if quick else 10_000
     # No reference knows dry friction: the finest rosenbrock stands in. Its own last step of
     # refinement changes 1e-5 rad.
-    truth = Plant(three_axis("rosenbrock", period / steps, **machine)).run(rows, steps)
+    truth = Plant(three_axis("rosenbrock", period / steps, **EVERYTHING)).run(rows, steps)
     bounds = {1: 5e-2, 2: 2e-2}
     yield from against(
         truth,
         rows,
         period,
-        lambda scheme, dt: three_axis(scheme, dt, **machine),
+        lambda scheme, dt: three_axis(scheme, dt, **EVERYTHING),
         all_schemes(1e-2),
         lambda scheme, dt: bounds[ORDERS[scheme]],
     )

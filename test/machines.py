@@ -14,6 +14,19 @@ from emulator_node.scene import Scene, load_scene
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 
+# Of random arms: links of some kg behind a gear of 1 to 50.
+MOTOR = {
+    "resistance": 1.0,
+    "inductance": 1e-3,
+    "torque_constant": 0.05,
+    "back_emf_constant": 0.05,
+    "rotor_inertia": 1e-4,
+}
+
+
+GRAVITY = [1.0, -2.0, -9.0]  # m/s2, aslant
+LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2, of one_link_urdf() about its joint
+
 
 def one_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) -> str:
     """A link that turns about y, its centre of mass at distance `com` along x."""
@@ -27,10 +40,13 @@ def one_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) ->
 
 
 def write_scene(folder: Path, urdf: str, joints: dict[str, Any], **keys: Any) -> Path:
-    """Write a scene and its URDF into `folder` and return the scene's path."""
+    """Write a scene and its URDF into `folder` and return the scene's path.
+
+    All have the same name, which is part of a library's, so that equal machines share one.
+    """
     (folder / "robot.urdf").write_text(urdf)
     data = {
-        "name": folder.name,
+        "name": "machine",
         "urdf": "robot.urdf",
         "tool": "base",
         "supply_voltage": 48.0,
@@ -44,11 +60,14 @@ def write_scene(folder: Path, urdf: str, joints: dict[str, Any], **keys: Any) ->
     return file
 
 
+def moving_joints(urdf: str) -> list[str]:
+    return [name for name in pin.buildModelFromXML(urdf).names if name != "universe"]
+
+
 def random_chain(folder: Path, seed: int, joints: int, **keys: Any) -> Scene:
     """A random chain whose joints swing freely."""
     urdf = random_chain_urdf(np.random.default_rng(seed), joints)
-    names = [n for n in pin.buildModelFromXML(urdf).names if n != "universe"]
-    return load_scene(write_scene(folder, urdf, {name: {} for name in names}, **keys))
+    return load_scene(write_scene(folder, urdf, {name: {} for name in moving_joints(urdf)}, **keys))
 
 
 class Oracle:

@@ -24,7 +24,7 @@ from emulator_node.compiler import (
     library_of,
 )
 from emulator_node.cxx import find_compiler
-from emulator_node.library_cache import CACHE_VARIABLE
+from emulator_node.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from emulator_node.scene import load_scene
 from emulator_node.scene_unit import scene_unit
 from words.refusal import Refusal
@@ -42,27 +42,43 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.fixture
+def quick_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that gives three_axis' library without the work, but not at once."""
+    body = Path(library_of(load_scene("three_axis"))._name).read_bytes()[:-SEAL_SIZE]
+    (tmp_path / "made").write_bytes(body)
+    does = f'sleep 0.5; cp {tmp_path / "made"} "$out"'
+    monkeypatch.setenv("CXX", fake_compiler(tmp_path, does))
+
+
 def no_compiler(monkeypatch: pytest.MonkeyPatch, empty: Path) -> None:
     monkeypatch.setenv("PATH", str(empty))
     monkeypatch.delenv("CXX", raising=False)
 
 
 def test_second_use_compiles_nothing(
-    cache: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    quick_compiler: None,
+    cache: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     library_of(load_scene("three_axis"))
-    assert "compiling scene three_axis (3 joints) ... " in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "compiling scene three_axis (3 joints) ... " in said, said
     no_compiler(monkeypatch, tmp_path)
     library_of(load_scene("three_axis"))
-    assert capsys.readouterr().err == ""
+    assert capsys.readouterr().err == "", "what is said at the second use"
 
 
-def test_the_step_is_no_part_of_the_library_but_physics_is(cache: Path) -> None:
+def test_the_step_is_no_part_of_the_library_but_physics_is(
+    quick_compiler: None, cache: Path
+) -> None:
     for overrides in ({}, {"integrator.dt": 1e-5}, {"joints.waist.start": 1.0}):
         library_of(load_scene("three_axis", overrides=overrides))
-    assert len(list(cache.glob("*.so"))) == 1
+    assert len(list(cache.glob("*.so"))) == 1, "libraries for three steps and starts"
     library_of(load_scene("three_axis", overrides={"joints.elbow.gear.stiffness": 2e4}))
-    assert len(list(cache.glob("*.so"))) == 2
+    assert len(list(cache.glob("*.so"))) == 2, "libraries for two gears"
 
 
 @pytest.mark.parametrize("joints", [4, 14])
@@ -81,7 +97,7 @@ def test_the_core_compiles_without_a_warning(
     warnings = ["-O1", "-c", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{CORE}"]
     command = [*find_compiler(), *flags, *warnings, str(source), "-o", str(tmp_path / "unit.o")]
     built = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (built.returncode, built.stderr) == (0, "")
+    assert (built.returncode, built.stderr) == (0, ""), "exit code and words of the compiler"
 
 
 def test_without_a_compiler_it_says_what_to_do(
@@ -144,10 +160,11 @@ def test_whatever_a_compiler_does_ends_in_one_line(
     monkeypatch.setattr(cxx, "LONGEST_RUN", 0.5 if "no end" in MISCHIEF[does] else 60.0)
     with pytest.raises(Refusal) as refusal:
         library_of(load_scene("three_axis"))
-    assert MISCHIEF[does] in str(refusal.value)
-    assert len(str(refusal.value).splitlines()) == 1
-    assert [line[-6:] for line in capsys.readouterr().err.splitlines()] in ([], ["failed"])
-    assert not cache.exists() or list(cache.iterdir()) == []
+    assert MISCHIEF[does] in str(refusal.value), refusal.value
+    assert len(str(refusal.value).splitlines()) == 1, f"one line, got {refusal.value}"
+    said = capsys.readouterr().err
+    assert [line[-6:] for line in said.splitlines()] in ([], ["failed"]), said
+    assert not cache.exists() or list(cache.iterdir()) == [], "nothing half made stays"
 
 
 def test_random_output_of_a_compiler_is_never_loaded(
@@ -185,7 +202,7 @@ def test_a_compiler_that_leaves_somebody_behind_is_not_waited_for(
     started = time.monotonic()
     with pytest.raises(Refusal, match="exit code 1"):
         library_of(load_scene("three_axis"))
-    assert time.monotonic() - started < 15.0
+    assert time.monotonic() - started < 15.0, "it waited for a process that takes 20 s"
     os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
 
 
@@ -206,22 +223,24 @@ main()
         lines = done.stderr.splitlines()
         assert len(lines) == 2 and lines[0].endswith("failed"), done.stderr
         assert "three_axis.yaml: " in lines[1], done.stderr
-        assert list(cache.iterdir()) == []
+        assert list(cache.iterdir()) == [], "nothing half made stays"
 
 
-def test_two_processes_at_once_share_one_compilation(cache: Path) -> None:
+def test_two_processes_at_once_share_one_compilation(quick_compiler: None, cache: Path) -> None:
     command = [sys.executable, "-c", READY]
     processes = [
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         for _ in range(3)
     ]
     said = [process.communicate(timeout=600) for process in processes]
-    assert [out for out, _ in said] == ["0.0\n"] * 3
-    assert sum("compiling" in err for _, err in said) == 1
-    assert len(list(cache.glob("*.so"))) == 1
+    assert [out for out, _ in said] == ["0.0\n"] * 3, f"time of three new machines: {said}"
+    assert sum("compiling" in err for _, err in said) == 1, f"one of them compiles: {said}"
+    assert len(list(cache.glob("*.so"))) == 1, "libraries of one scene"
 
 
-def test_a_read_only_cache_falls_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_read_only_cache_falls_back(
+    quick_compiler: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The user's cache cannot be made: libraries go to a folder of ours in /tmp."""
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     blocked = tmp_path / "a_file"
@@ -231,8 +250,9 @@ def test_a_read_only_cache_falls_back(tmp_path: Path, monkeypatch: pytest.Monkey
     done = subprocess.run(
         [sys.executable, "-c", READY], capture_output=True, text=True, timeout=600, check=True
     )
-    assert done.stdout == "0.0\n"
-    assert len(list((tmp_path / f"arm_emulator-{os.getuid()}").glob("*.so"))) == 1
+    assert done.stdout == "0.0\n", "time of a new machine"
+    folder = tmp_path / f"arm_emulator-{os.getuid()}"
+    assert len(list(folder.glob("*.so"))) == 1, f"libraries in {folder}"
 
 
 def test_no_place_for_a_cache_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from machines import Oracle, random_chain
+from machines import GRAVITY, Oracle, random_chain
 
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene, example_robot_data, load_scene
@@ -42,17 +42,17 @@ def worst_error(scene: Scene, seed: int) -> float:
     ],
 )
 def test_shipped_scenes_equal_aba(name: str) -> None:
-    assert worst_error(load_scene(name), seed=1) < TOLERANCE
+    assert worst_error(load_scene(name), seed=1) < TOLERANCE, "accelerations, relative"
 
 
-@pytest.mark.parametrize(("seed", "joints"), [(1, 1), (2, 2), (3, 5), (4, 12), (5, 12), (6, 14)])
+@pytest.mark.parametrize(("seed", "joints"), [(1, 1), (2, 2), (3, 5), (4, 12), (5, 7), (6, 14)])
 def test_random_chains_equal_aba(tmp_path: Path, seed: int, joints: int) -> None:
     """Revolute and prismatic joints about any axis, fixed joints merged, gravity aslant.
 
     14 joints lie beyond the core's limit of unrolling.
     """
-    scene = random_chain(tmp_path, seed, joints, gravity=[1.0, -2.0, -9.0])
-    assert worst_error(scene, seed) < TOLERANCE
+    scene = random_chain(tmp_path, seed, joints, gravity=GRAVITY)
+    assert worst_error(scene, seed) < TOLERANCE, "accelerations, relative"
 
 
 def test_payload_is_a_body_at_the_tool(tmp_path: Path) -> None:
@@ -69,7 +69,8 @@ def test_payload_is_a_body_at_the_tool(tmp_path: Path) -> None:
     oracle.data = oracle.model.createData()
     q, v, tau = rng.normal(size=(3, 4))
     expected = oracle.aba(q, v, tau)
-    assert plant.link_accelerations(q, v, tau) == pytest.approx(expected, rel=TOLERANCE)
+    got = plant.link_accelerations(q, v, tau)
+    assert got == pytest.approx(expected, rel=TOLERANCE), "accelerations with a payload"
 
 
 @needs_robots
@@ -85,14 +86,15 @@ def test_locked_joints_hold_their_position() -> None:
     model = pin.buildReducedModel(full, [full.getJointId(name) for name in locked], at)
     q, v, tau = np.random.default_rng(3).normal(size=(3, 7))
     expected = pin.aba(model, model.createData(), q, v, tau)
-    assert Plant(scene).link_accelerations(q, v, tau) == pytest.approx(expected, rel=TOLERANCE)
-    assert Oracle(scene).aba(q, v, tau) == pytest.approx(expected, rel=TOLERANCE)
+    expected = pytest.approx(expected, rel=TOLERANCE)
+    assert Plant(scene).link_accelerations(q, v, tau) == expected, "accelerations by the core"
+    assert Oracle(scene).aba(q, v, tau) == expected, "accelerations by the tests' oracle"
 
 
 def test_energy_equals_pinocchio(tmp_path: Path) -> None:
-    scene = random_chain(tmp_path, 8, 5, gravity=[1.0, -2.0, -9.0])
+    scene = random_chain(tmp_path, 8, 5, gravity=GRAVITY)
     plant, oracle, rng = Plant(scene), Oracle(scene), np.random.default_rng(8)
     q, v = rng.normal(size=(2, 5))
     plant.reset(q, v)
     # The same few hundred operations in another order.
-    assert plant.energy == pytest.approx(oracle.energy(q, v), rel=1e-12)
+    assert plant.energy == pytest.approx(oracle.energy(q, v), rel=1e-12), "energy [J]"

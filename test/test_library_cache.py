@@ -57,7 +57,7 @@ class Sound:
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     folder = tmp_path_factory.mktemp("one_link")
-    at = write_scene(folder, one_link_urdf(), {"joint": {}})
+    at = write_scene(folder, one_link_urdf(), {"joint": {}}, name="one_link")
     scene = load_scene(at)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(CACHE_VARIABLE, str(folder / "cache"))
@@ -154,7 +154,7 @@ def test_a_spoiled_library_is_never_loaded_but_made_anew(
         said = capsys.readouterr().err.splitlines()
         assert len(said) == 2, (way, said)
         assert said[0].startswith(f"arm_emulator: cached library {file} is not used: "), way
-        assert said[1].startswith("compiling scene one_link0 (1 joints) ... "), way
+        assert said[1].startswith("compiling scene one_link (1 joints) ... "), way
         assert stat.S_ISREG(file.lstat().st_mode), way
         assert file.read_bytes() == sound.stored, way
         assert file.stat().st_uid == os.geteuid() and not file.stat().st_mode & 0o022, way
@@ -491,7 +491,7 @@ def test_what_is_used_is_not_what_goes(cache: Path, sound: Sound) -> None:
     os.utime(file, (0.0, 0.0))
     library_of(sound.scene)
     (entry,) = library_cache.entries(cache)
-    assert (entry.file, entry.scene, entry.size) == (file, "one_link0", len(sound.stored))
+    assert (entry.file, entry.scene, entry.size) == (file, "one_link", len(sound.stored))
     assert abs(entry.used - time.time()) < 60.0
 
 
@@ -517,7 +517,7 @@ def test_the_command_lists_and_clears(cache: Path, sound: Sound) -> None:
     lines = shown.stdout.splitlines()
     assert lines[0] == f"{cache}: trusted"
     size = f"{len(sound.stored) / 1e6:.3f}"
-    assert lines[1].split()[2:] == [size, "MB", "one_link0", file.name], lines
+    assert lines[1].split()[2:] == [size, "MB", "one_link", file.name], lines
     assert lines[2] == f"  1 libraries, {size} of 500 MB ({SIZE_VARIABLE})"
     with library_cache.locked(file):
         busy = arm_emulator("cache", "--clear")

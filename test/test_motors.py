@@ -7,21 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import one_link_urdf, write_scene
+from machines import LINK_INERTIA, MOTOR, one_link_urdf, write_scene
 from scipy.linalg import expm
 
 from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
 
-MOTOR = {
-    "resistance": 1.0,
-    "inductance": 1e-3,
-    "torque_constant": 0.05,
-    "back_emf_constant": 0.05,
-    "rotor_inertia": 1e-4,
-}
 GEAR = {"ratio": 0.01, "stiffness": 1e4, "damping": 10.0}
-LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2 about the joint, of machines.one_link_urdf
 VISCOUS = 0.5  # N m s/rad
 VOLTAGE = 10.0
 
@@ -30,7 +22,8 @@ def plant_with(folder: Path, dt: float, motor: Any = MOTOR, gear: Any = GEAR) ->
     joint = {"motor": motor, "friction": {"viscous": VISCOUS}}
     if gear is not None:
         joint["gear"] = gear
-    file = write_scene(folder, one_link_urdf(), {"joint": joint})
+    # Motors that differ in numbers only share a library.
+    file = write_scene(folder, one_link_urdf(), {"joint": joint}, varied=["joints.*.motor.*"])
     overrides = {"integrator.dt": dt, "servo_period": 1e-2}
     return Plant(load_scene(file, overrides=overrides))
 
@@ -44,10 +37,11 @@ def test_current_rises_as_in_an_rl_circuit(tmp_path: Path) -> None:
         exact = VOLTAGE * (1.0 - np.exp(-plant.t / tau))
         # Backward Euler lags by at most dt / (2 tau) of t/tau exp(-t/tau) V/R, to first order.
         bound = VOLTAGE * dt / (2 * tau) * (plant.t / tau) * np.exp(-plant.t / tau)
-        assert plant.state.current[0] == pytest.approx(exact, abs=1.05 * bound + 1e-12)
+        current = plant.state.current[0]
+        assert current == pytest.approx(exact, abs=1.05 * bound + 1e-12), "the circuit's current"
         steps = round(plant.t / dt)
         discrete = VOLTAGE * (1.0 - (1.0 + dt / tau) ** -steps)
-        assert plant.state.current[0] == pytest.approx(discrete, rel=1e-12)
+        assert current == pytest.approx(discrete, rel=1e-12), "backward Euler's current"
 
 
 def linear_machine(gear: bool, inductance: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -102,8 +96,10 @@ def test_step_response_converges_to_the_closed_form(
         plant.advance([VOLTAGE], round(0.2 / dt))
         errors.append(np.abs(np.array([plant.state.q[0], plant.state.v[0]]) - exact))
     scale = np.abs(exact)
-    assert np.all(errors[1] / scale < 1e-3)  # dt over the machine's slowest time constants
-    assert errors[0] / errors[1] == pytest.approx([2.0, 2.0], abs=0.2)  # first order
+    # dt over the machine's slowest time constants.
+    assert np.all(errors[1] / scale < 1e-3), f"relative errors of q and v: {errors[1] / scale}"
+    falls = errors[0] / errors[1]
+    assert falls == pytest.approx([2.0, 2.0], abs=0.2), "first order of the errors of q and v"
 
 
 def test_direct_drive_is_a_rigid_gear_of_ratio_one(tmp_path: Path) -> None:
@@ -111,8 +107,8 @@ def test_direct_drive_is_a_rigid_gear_of_ratio_one(tmp_path: Path) -> None:
     geared = plant_with(tmp_path, 1e-4, gear={"ratio": 1.0})
     for plant in (direct, geared):
         plant.advance([VOLTAGE], 100)
-    assert direct.state.q == geared.state.q
-    assert direct.state.theta_m == direct.state.q
+    assert direct.state.q == geared.state.q, "link with and without a gear"
+    assert direct.state.theta_m == direct.state.q, "motor and link"
 
 
 def test_gear_torque_is_the_torque_on_the_link(tmp_path: Path) -> None:
@@ -125,14 +121,15 @@ def test_gear_torque_is_the_torque_on_the_link(tmp_path: Path) -> None:
         dv = (plant.state.v[0] - before.v[0]) / 1e-6
         T = LINK_INERTIA * dv + VISCOUS * before.v[0]
         # The motor moves on before the link does: one step of difference.
-        assert before.gear_torque[0] == pytest.approx(T, rel=1e-2)
+        told = before.gear_torque[0]
+        assert told == pytest.approx(T, rel=1e-2), "gear torque, and what moves the link"
 
 
 def test_voltage_is_limited_by_the_supply(tmp_path: Path) -> None:
     plants = [plant_with(tmp_path, 1e-4) for _ in range(2)]
     plants[0].advance([48.0], 50)
     plants[1].advance([1e6], 50)
-    assert plants[0].state.v == plants[1].state.v
+    assert plants[0].state.v == plants[1].state.v, "speeds at the supply's voltage and beyond"
 
 
 def test_current_limit_holds(tmp_path: Path) -> None:
@@ -141,12 +138,13 @@ def test_current_limit_holds(tmp_path: Path) -> None:
     for _ in range(100):
         plant.advance([VOLTAGE], 1)
         reached.append(plant.state.current[0])
-    assert max(reached) == 2.0
+    assert max(reached) == 2.0, "the largest current"
     # Meanwhile the rotor accelerates with Kt times the limit, the gear still unloaded.
     fresh = plant_with(tmp_path, 1e-6, motor={**MOTOR, "current_limit": 2.0, "inductance": 0.0})
     fresh.advance([VOLTAGE], 10)
     # The gear's torque and damping are below 1e-3 of the motor's after 10 us.
-    assert fresh.state.omega_m[0] == pytest.approx(0.05 * 2.0 / 1e-4 * 1e-5, rel=2e-3)
+    speed = 0.05 * 2.0 / 1e-4 * 1e-5
+    assert fresh.state.omega_m[0] == pytest.approx(speed, rel=2e-3), "the rotor at the limit"
 
 
 def test_encoder_counts_are_the_floor_of_the_motor_angle(tmp_path: Path) -> None:
@@ -155,4 +153,4 @@ def test_encoder_counts_are_the_floor_of_the_motor_angle(tmp_path: Path) -> None
     plant = Plant(load_scene(file))
     for turns, counts in ((0.0, 0), (0.0015, 1), (-0.0005, -1), (-2.5004, -2501)):
         plant.reset(q=[turns * 2 * np.pi * 0.01])
-        assert plant.state.encoder_counts[0] == counts
+        assert plant.state.encoder_counts[0] == counts, f"counts after {turns} motor turns"

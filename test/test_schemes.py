@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from machines import one_link_urdf, random_chain_urdf, write_scene
+from machines import (
+    GRAVITY,
+    LINK_INERTIA,
+    MOTOR,
+    moving_joints,
+    one_link_urdf,
+    random_chain_urdf,
+    write_scene,
+)
 from scipy.linalg import expm
 
 from emulator_node.plant import Plant
@@ -49,18 +57,11 @@ def random_scene() -> Path:
     """A chain of four random joints, prismatic ones among them, with motors, and gravity aslant."""
     folder = Path(tempfile.mkdtemp())
     urdf = random_chain_urdf(np.random.default_rng(11), 4)
-    motor = {
-        "resistance": 1.0,
-        "inductance": 1e-3,
-        "torque_constant": 0.05,
-        "back_emf_constant": 0.05,
-        "rotor_inertia": 1e-4,
-    }
     gear = {"ratio": 0.02, "stiffness": 5e3, "damping": 20.0}
-    names = [name for name in pin.buildModelFromXML(urdf).names if name != "universe"]
-    assert any("prismatic" in name for name in names)
-    joints = {name: {"motor": motor, "gear": gear, "friction": {"viscous": 0.5}} for name in names}
-    return write_scene(folder, urdf, joints, gravity=[1.0, -2.0, -9.0])
+    names = moving_joints(urdf)
+    assert any("prismatic" in name for name in names), f"no prismatic joint among {names}"
+    joint = {"motor": MOTOR, "gear": gear, "friction": {"viscous": 0.5}}
+    return write_scene(folder, urdf, dict.fromkeys(names, joint), gravity=GRAVITY)
 
 
 @cache
@@ -115,7 +116,7 @@ def test_reference_by_two_methods() -> None:
     rows = voltages(3)[:5]
     implicit, explicit = (reference(one, rows, PERIOD, method=m) for m in ("Radau", "DOP853"))
     # Each makes an error of 1e-11 per step at most, in some hundred steps that damping forgets.
-    assert implicit == pytest.approx(explicit, abs=1e-11)
+    assert implicit == pytest.approx(explicit, abs=1e-11), "motions by Radau and by DOP853"
 
 
 @pytest.mark.parametrize("rigid", [False, True], ids=["elastic", "rigid"])
@@ -152,8 +153,9 @@ def test_reference_equals_the_closed_form(tmp_path: Path, rigid: bool, L: float)
     for k, state in enumerate(states):
         exact = expm(A * PERIOD * (k + 1))[:5, 5]
         # 1e-11 of the largest entry, the motor's 90 rad/s, in each of a hundred steps.
-        assert state[:, 0] == pytest.approx(exact, abs=1e-9)
-        assert state[3:, 0] == pytest.approx(exact[3:], abs=1e-11)
+        at = f"after period {k + 1}"
+        assert state[:, 0] == pytest.approx(exact, abs=1e-9), f"current, motor, link {at}"
+        assert state[3:, 0] == pytest.approx(exact[3:], abs=1e-11), f"link {at}"
 
 
 def test_reference_says_what_it_cannot_solve() -> None:
@@ -175,9 +177,9 @@ def test_orders(machine: str, scheme: str) -> None:
     coarse, fine = (error(machine, scheme, steps) for steps in (800, 1600))
     # The next term of the error's expansion is one order higher: at 12 us and below it is some per
     # cent of the first for the fastest motions of these machines (300 rad/s without damping).
-    assert np.log2(coarse / fine) == pytest.approx(ORDERS[scheme], abs=0.06)
+    assert np.log2(coarse / fine) == pytest.approx(ORDERS[scheme], abs=0.06), "order of the error"
     # A constant of the right size: the motions have accelerations of 10 rad/s2 (1e3 1/s3).
-    assert fine < {1: 1e-3, 2: 1e-6}[ORDERS[scheme]]
+    assert fine < {1: 1e-3, 2: 1e-6}[ORDERS[scheme]], "error of the fine step [rad or m]"
 
 
 def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
@@ -186,7 +188,7 @@ def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
     t = PERIOD * np.arange(100)[:, None]
     rows = 12.0 * np.sin(2.0 * np.pi * (0.5 + 0.3 * np.arange(3)) * t + np.arange(3))
     exact = reference(one, rows, PERIOD)
-    assert Plant(one).run(rows, 1)[-1] == pytest.approx(exact[-1], abs=5e-4)
+    assert Plant(one).run(rows, 1)[-1] == pytest.approx(exact[-1], abs=5e-4), "arm after 1 s"
 
 
 # Limits
@@ -200,11 +202,12 @@ def test_stiff_gears_converge_to_the_rigid_gear(scheme: str) -> None:
         np.abs(motion("everything", scheme, 200, **{"joints.*.gear.stiffness": Kg}) - rigid).max()
         for Kg in (1e6, 1e7, 1e8)
     ]
-    assert away[0] < 5e-5  # T = 20 N m, and some overshoot
+    # T = 20 N m, and some overshoot.
+    assert away[0] < 5e-5, f"distances from the rigid gear [rad]: {away}"
     # The largest difference is a peak of the gears' ringing after the first jump of the voltage,
     # seen every 10 ms: its height over T / Kg changes by up to 15 % with the frequency.
-    assert away[0] / away[1] == pytest.approx(10.0, abs=2.0)
-    assert away[1] / away[2] == pytest.approx(10.0, abs=2.0)
+    falls = [away[0] / away[1], away[1] / away[2]]
+    assert falls == pytest.approx([10.0, 10.0], abs=2.0), "distances per ten times the stiffness"
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -215,10 +218,10 @@ def test_small_inductances_converge_to_none(scheme: str) -> None:
         np.abs(motion("everything", scheme, 200, **{"joints.*.motor.inductance": L}) - none).max()
         for L in (1e-6, 1e-7, 1e-8)
     ]
-    assert away[0] < 5e-6  # 1 us at 2 rad/s
+    assert away[0] < 5e-6, f"1 us at 2 rad/s; distances from no inductance [rad]: {away}"
     # Linear in L as far as L/R is short beside the step of 50 us: 2 % at 1e-6.
-    assert away[0] / away[1] == pytest.approx(10.0, rel=0.05)
-    assert away[1] / away[2] == pytest.approx(10.0, rel=0.05)
+    falls = [away[0] / away[1], away[1] / away[2]]
+    assert falls == pytest.approx([10.0, 10.0], rel=0.05), "distances per tenth of the inductance"
 
 
 # What is not smooth
@@ -247,8 +250,9 @@ def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str,
         errors = np.array([np.abs(run(scheme, n) - fine).max() for n in (50, 400)])
         # Eight times the steps: an eighth of the error; a switch may fall well or badly into its
         # step, which for the second order is nearly all of the (small) error.
-        assert errors[0] / errors[1] > {1: 6.0, 2: 2.0}[ORDERS[scheme]]
-        assert errors[1] < {1: 2e-4, 2: 2e-5}[ORDERS[scheme]]
+        told = f"{scheme}, errors of coarse and fine steps [rad]: {errors}"
+        assert errors[0] / errors[1] > {1: 6.0, 2: 2.0}[ORDERS[scheme]], told
+        assert errors[1] < {1: 2e-4, 2: 2e-5}[ORDERS[scheme]], told
 
 
 @pytest.mark.parametrize("machine", ["everything", "no inductance", "rigid gear"])
@@ -262,14 +266,13 @@ def test_no_current_exceeds_its_limit(machine: str, scheme: str) -> None:
         for _ in range(10):
             plant.advance(V, 1)
             reached = max(reached, float(np.abs(plant.state.current).max()))
-    assert reached == 3.0
-
-
-INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2 about the joint, of machines.one_link_urdf
+    assert reached == 3.0, "the largest current [A]"
 
 
 def sliding(folder: Path, scheme: str, dt: float, friction: dict[str, float], **keys: Any) -> Plant:
-    file = write_scene(folder, one_link_urdf(), {"joint": {"friction": friction}}, **keys)
+    file = write_scene(
+        folder, one_link_urdf(), {"joint": {"friction": friction}}, varied=VARIED, **keys
+    )
     return Plant(load_scene(file, overrides={"integrator.scheme": scheme, "integrator.dt": dt}))
 
 
@@ -280,24 +283,25 @@ def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: flo
     dt, v0, Dc = 1e-4, 3.0, 0.7
     plant = sliding(tmp_path, scheme, dt, {"viscous": viscous, "coulomb": Dc})
     if viscous:
-        time = INERTIA / viscous * np.log(1.0 + viscous * v0 / Dc)
-        distance = INERTIA / viscous * (v0 - Dc / viscous * np.log(1.0 + viscous * v0 / Dc))
+        time = LINK_INERTIA / viscous * np.log(1.0 + viscous * v0 / Dc)
+        distance = LINK_INERTIA / viscous * (v0 - Dc / viscous * np.log(1.0 + viscous * v0 / Dc))
     else:
-        time, distance = INERTIA * v0 / Dc, INERTIA * v0**2 / (2.0 * Dc)
+        time, distance = LINK_INERTIA * v0 / Dc, LINK_INERTIA * v0**2 / (2.0 * Dc)
     plant.reset(v=[v0])
     while plant.state.v[0] > 0.0:
         plant.advance([0.0], 1)
     # It stops at the end of the step in which it reverses; a first-order scheme is off by about a
     # step more (relative error of dt Dl / (2 I) over the whole time with viscous friction).
-    slack = 0.0 if ORDERS[scheme] == 2 or not viscous else dt * viscous / INERTIA * time
-    assert -slack - 1e-9 <= plant.t - time <= dt + slack + 1e-9
+    slack = 0.0 if ORDERS[scheme] == 2 or not viscous else dt * viscous / LINK_INERTIA * time
+    late = plant.t - time
+    assert -slack - 1e-9 <= late <= dt + slack + 1e-9, f"it comes to rest {late:.2g} s late"
     # Of first order: v0 dt / 2 from the sum over speeds at one end of each step; of second: the
     # step of the reversal, (Dc / I) dt^2.
-    bound = 0.6 * v0 * dt if ORDERS[scheme] == 1 else Dc / INERTIA * dt**2
+    bound = 0.6 * v0 * dt if ORDERS[scheme] == 1 else Dc / LINK_INERTIA * dt**2
     rest = plant.state.q[0]
-    assert rest == pytest.approx(distance, abs=bound)
+    assert rest == pytest.approx(distance, abs=bound), "how far it slid [rad]"
     plant.advance([0.0], 100_000)
-    assert plant.state.q[0] == rest and plant.state.v[0] == 0.0
+    assert plant.state.q[0] == rest and plant.state.v[0] == 0.0, "it stays where it came to rest"
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -307,24 +311,26 @@ def test_a_joint_breaks_away_at_its_breakaway_torque(tmp_path: Path, scheme: str
     gravity = [0.0, 0.0, -9.81]
     # The torque is computed with a few roundings.
     for factor, moves in ((1.0 + 1e-12, False), (1.0 - 1e-12, True)):
-        friction = {"coulomb": 0.5 * torque, "breakaway": torque * factor}
+        friction = {"coulomb": 0.5 * torque * factor, "breakaway": torque * factor}
         plant = sliding(tmp_path, scheme, 1e-3, friction, gravity=gravity)
         plant.advance([0.0], 1000)
         if not moves:
-            assert plant.state.q[0] == 0.0 and plant.state.v[0] == 0.0
+            held = plant.state.q[0] == 0.0 and plant.state.v[0] == 0.0
+            assert held, "friction that is stronger than the weight lets the arm go"
             continue
         # Sliding costs half the torque: falls with half the angular acceleration at first.
         plant.reset()
         plant.advance([0.0], 10)
-        assert plant.state.v[0] == pytest.approx(0.5 * torque / INERTIA * 0.01, rel=1e-2)
+        speed = 0.5 * torque / LINK_INERTIA * 0.01
+        assert plant.state.v[0] == pytest.approx(speed, rel=1e-2), "speed after 10 ms [rad/s]"
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
     """A thrown chain of four joints with dry friction alone loses energy till all of it is gone."""
     urdf = random_chain_urdf(np.random.default_rng(7), 4)
-    names = [name for name in pin.buildModelFromXML(urdf).names if name != "universe"]
-    joints = {name: {"friction": {"coulomb": 1.5, "breakaway": 2.5}} for name in names}
+    joint = {"friction": {"coulomb": 1.5, "breakaway": 2.5}}
+    joints = dict.fromkeys(moving_joints(urdf), joint)
     plant = Plant(
         load_scene(
             write_scene(tmp_path, urdf, joints),
@@ -336,11 +342,12 @@ def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
     while energies[-1] > 0.0:
         plant.advance(np.zeros(4), 100)
         energies.append(plant.energy)
-        assert plant.t < 30.0
+        assert plant.t < 30.0, f"{plant.energy:.2g} J are left after 30 s"
     # With forces quadratic in v, of 10 N m, a first-order scheme may gain h a^2 ... in a step, far
     # less than friction of 1.5 N m takes.
-    assert np.all(np.diff(energies) < 1e-9 * energies[0])
-    assert not plant.state.v.any()
+    gains = np.diff(energies)
+    assert np.all(gains < 1e-9 * energies[0]), f"friction gives {gains.max():.2g} J"
+    assert not plant.state.v.any(), f"speeds without energy: {plant.state.v}"
 
 
 def test_the_reference_knows_the_payload_as_the_core_does() -> None:
@@ -351,4 +358,5 @@ def test_the_reference_knows_the_payload_as_the_core_does() -> None:
     q, v, tau = np.random.default_rng(2).normal(size=(3, 3))
     expected = pin.aba(model, model.createData(), q, v, tau)
     # As in test_dynamics.py.
-    assert Plant(one).link_accelerations(q, v, tau) == pytest.approx(expected, rel=1e-10)
+    got = Plant(one).link_accelerations(q, v, tau)
+    assert got == pytest.approx(expected, rel=1e-10), "accelerations with a payload"

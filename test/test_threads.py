@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import random_chain
+from machines import GRAVITY, random_chain
 
 from bench.busy import busy_processes
 from emulator_node.compiler import CORE, FLAGS
@@ -61,7 +61,7 @@ def test_same_bits_a_hundred_times_under_load(exchange: str) -> None:
                 one.advance([10.0, -20.0, 15.0], steps)
             s = one.state
             seen.add(b"".join(a.tobytes() for a in (s.q, s.v, s.omega_m, s.current)))
-    assert len(seen) == 1
+    assert len(seen) == 1, "different last states of a hundred runs"
 
 
 def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
@@ -70,10 +70,11 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
     for dt, papers in PAPER_TABLE_1.items():
         one, two = (after_one_second(plant(threads, dt)) for threads in (1, 2))
         differences[dt] = np.abs(one - two)
-        assert np.all(differences[dt] <= papers)
+        assert np.all(differences[dt] <= papers), f"at {dt} s, one thread and two: {differences}"
     # Ten times smaller with a tenth of the step; 15 % are left for the next order at 1e-3.
-    assert differences[1e-3] / differences[1e-4] == pytest.approx([10.0] * 3, rel=0.15)
-    assert differences[1e-4] / differences[1e-5] == pytest.approx([10.0] * 3, rel=0.02)
+    for dt, rel in ((1e-3, 0.15), (1e-4, 0.02)):
+        falls = differences[dt] / differences[dt / 10]
+        assert falls == pytest.approx([10.0] * 3, rel=rel), f"differences, from {dt} s to a tenth"
 
 
 @pytest.mark.parametrize("scheme", ["paper", "implicit", "extrapolated"])
@@ -84,20 +85,20 @@ def test_predicting_makes_the_lag_an_error_of_second_order(scheme: str) -> None:
         two = after_one_second(plant(2, dt, "predict", scheme))
         differences.append(float(np.linalg.norm(one - two)))
     orders = np.log2(np.array(differences[:-1]) / differences[1:])
-    assert orders == pytest.approx([2.0, 2.0], abs=0.3)
+    assert orders == pytest.approx([2.0, 2.0], abs=0.3), "orders of the difference"
 
 
 def test_a_long_chain_agrees_too(tmp_path: Path) -> None:
     """14 free joints, more than the core unrolls: the difference vanishes with the step."""
     differences = []
     for threads in (1, 2):
-        scene = random_chain(tmp_path, 6, 14, gravity=[0, 0, -9.81], threads=threads)
+        scene = random_chain(tmp_path, 6, 14, gravity=GRAVITY, threads=threads)
         one = Plant(load_scene(tmp_path / "scene.yaml", overrides={"integrator.dt": 1e-6}))
         one.reset(q=np.linspace(-0.5, 0.5, len(scene.joints)))
         one.advance(np.zeros(len(scene.joints)), 10_000)
         differences.append(one.state.q)
     # Predicted to second order: dt^2 times second derivatives of up to 1e4 in 10 ms.
-    assert differences[0] == pytest.approx(differences[1], abs=1e-7)
+    assert differences[0] == pytest.approx(differences[1], abs=1e-7), "one thread and two"
 
 
 def test_a_fault_is_caught_in_two_threads_as_in_one() -> None:
@@ -110,22 +111,23 @@ def test_a_fault_is_caught_in_two_threads_as_in_one() -> None:
         diverging.reset()
         with pytest.raises(Diverged) as fault:
             diverging.advance([20.0, -20.0, 10.0], 100_000)
-        assert np.isfinite(diverging.state.q).all()
-        assert fault.value.t == diverging.t > 0.0
+        assert np.isfinite(diverging.state.q).all(), diverging.state
+        assert fault.value.t == diverging.t > 0.0, "when it diverged, by the fault and the plant"
     del diverging, fault
-    assert thread_count() == before
+    assert thread_count() == before, "threads that are left"
     two.advance([0.0, 0.0, 0.0], 10)
 
 
 def test_no_thread_is_left_and_no_core_is_busy() -> None:
     before = thread_count()
     one = plant(2)
-    assert thread_count() == before + 1
+    assert thread_count() == before + 1, "threads with a plant of two"
     one.advance([5.0, 5.0, 5.0], 1000)
     began, used = time.monotonic(), time.process_time()
     time.sleep(0.3)  # the interval of the measurement
     share = (time.process_time() - used) / (time.monotonic() - began)
-    assert share < 0.2  # a spinning thread would take a whole core, or its half on a busy machine
+    # A spinning thread would take a whole core, or its half on a busy machine.
+    assert share < 0.2, "part of a core that a resting plant uses"
     del one
     # A thread that has been joined may be listed for a moment more.
     deadline = time.monotonic() + 10.0
@@ -144,13 +146,13 @@ def test_in_real_time_no_thread_waits_for_one_that_is_less_urgent() -> None:
     two = plant(2)
     loop = RealTimeLoop(two, 1_000_000, 10, -1)
     loop.start(0)
-    assert loop.wait(10.0)
+    assert loop.wait(10.0), "the loop does not begin"
     if not loop.figures().fifo:
         loop.stop()
         pytest.skip("the system does not permit SCHED_FIFO")
-    assert urgent() == 2
+    assert urgent() == 2, "urgent threads while the loop runs"
     loop.stop()
-    assert urgent() == 0
+    assert urgent() == 0, "urgent threads when it has ended"
 
 
 def test_no_data_race(tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 // Sine and cosine of joint angles, inline so that the compiler can work on several joints at once.
 #pragma once
 
-#include <cmath>
-
 #include "number.hpp"
 
 namespace arm {
@@ -81,8 +79,8 @@ template <class X>
 __attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
   SinCos<X> result;
   for (int lane = 0; lane < kWidth<X>; ++lane) {
-    set_lane(result.sin, lane, std::sin(lane_of(x, lane)));
-    set_lane(result.cos, lane, std::cos(lane_of(x, lane)));
+    set_lane(result.sin, lane, __builtin_sin(lane_of(x, lane)));
+    set_lane(result.cos, lane, __builtin_cos(lane_of(x, lane)));
   }
   return result;
 }
