@@ -105,6 +105,8 @@ class EnergyFlow:
 class LinearDrive:
     """The linear part of one joint's drive, as the core states it (core/drive.hpp).
 
+    Of a progressive gear it is the linearisation where that is not wound up.
+
     With its n states z, D dz/dt = F (z, q, v, u), and the torque on the link is G (z, q, v, u) less
     `carried` times the link's acceleration.
     """

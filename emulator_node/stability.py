@@ -29,7 +29,8 @@ LONGEST_TRIAL = 3e6  # steps; about a second of computing for an arm of six join
 class SmallMotions:
     """The machine linearised about rest in a pose, all motors at 0 V, held by constant torques.
 
-    Coulomb friction and current limits are left out: both only take energy.
+    Those torques hold the links, so that no gear is wound up. Coulomb friction and current limits
+    are left out: both only take energy.
 
     Args:
         plant: whose links are asked for accelerations; its state is not touched.

@@ -16,8 +16,8 @@ from emulator_node.advice import ORDERS
 from emulator_node.chain import Array
 from emulator_node.compiler import CORE, FLAGS
 from emulator_node.cxx import find_compiler
-from emulator_node.plant import Plant
-from emulator_node.reference import reference_states
+from emulator_node.plant import Diverged, Plant
+from emulator_node.reference import reference, reference_states
 from emulator_node.scene import SCHEMES, Gear, Scene, load_scene
 from emulator_node.scene_unit import scene_unit
 
@@ -221,6 +221,37 @@ def test_without_a_cube_the_gear_is_the_linear_one(tmp_path: Path, scheme: str) 
     voltages = rng.uniform(-20.0, 20.0, (10, 1))
     one, other = (Plant(scene).run(voltages, 100) for scene in scenes)
     np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12, err_msg="the motions")
+
+
+@pytest.mark.parametrize("scheme", ["rosenbrock", "implicit"])
+def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, scheme: str) -> None:
+    """What a scheme does not damp never gives a wrong motion in silence."""
+    rng = np.random.default_rng([SCHEMES.index(scheme), 3])
+    name, rows, outcomes = "joints.joint.gear.cubic_stiffness", 15, []
+    joint = {
+        "motor": drawn_motor(rng, inductance=True),
+        "gear": drawn_gear(rng, torque=20.0) | {"damping": 1.0},
+        "friction": {"viscous": 0.1},
+    }
+    file = write_scene(
+        tmp_path, one_link_urdf(), {"joint": joint}, gravity=[0.0, 0.0, -9.81], varied=[name],
+        servo_period=PERIOD, integrator={"scheme": scheme, "dt": 1e-3},
+    )  # fmt: skip
+    for Kg3 in 10.0 ** rng.permutation(np.arange(8.0, 16.0)):
+        voltages = rng.uniform(-20.0, 20.0, (rows, 1))
+        plant = Plant(load_scene(file))
+        plant.set_parameter(name, float(Kg3))
+        plant.reset()
+        try:
+            q = plant.run(voltages, 10)
+        except Diverged:
+            outcomes.append("diverged")
+            continue
+        truth = reference(load_scene(file, {name: float(Kg3)}), voltages, PERIOD, 1e-8)
+        off = float(np.abs(q - truth).max() / np.abs(truth).max())
+        assert off < 0.1, f"Kg3 = {Kg3:g}: a wrong motion in silence, off by {off:.0%}"
+        outcomes.append("followed")
+    assert set(outcomes) == {"diverged", "followed"}, outcomes
 
 
 def test_what_calls_itself_linear_and_is_not_does_not_compile(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ ALL = ["payload.mass", "joints.*.motor.*", "joints.*.gear.*", "joints.*.friction
 
 
 def random_arm(folder: Path, rng: np.random.Generator, scheme: str, threads: int) -> Path:
-    """Three random joints: elastic, rigid with a limit, free; all with friction; and a payload."""
+    """Three random joints: progressive, rigid with a limit, free; all with friction; a payload."""
     urdf = random_chain_urdf(rng, 3)
     names = [
         line.split('"')[1]
@@ -34,7 +34,7 @@ def random_arm(folder: Path, rng: np.random.Generator, scheme: str, threads: int
         "rotor_inertia": 1e-4,
     }
     friction = {"viscous": 0.1, "coulomb": 0.3, "breakaway": 0.6}
-    gear = {"ratio": 0.02, "stiffness": 2e3, "damping": 4.0}
+    gear = {"ratio": 0.02, "stiffness": 2e3, "damping": 4.0, "cubic_stiffness": 5e6}
     joints = {
         names[0]: {"motor": motor, "gear": gear, "friction": friction},
         names[1]: {
@@ -78,7 +78,7 @@ def test_varied_numbers_give_the_motion_of_constants(
     rng = np.random.default_rng([SCHEMES.index(scheme), threads])
     file = random_arm(tmp_path, rng, scheme, threads)
     scene = load_scene(str(file), overrides={"varied": ALL})
-    assert len(scene.varied) == 20, [one.name for one in scene.varied]
+    assert len(scene.varied) == 21, [one.name for one in scene.varied]
     plant = Plant(scene)
     rows = rng.normal(0.0, 10.0, (200, 3))
     values = drawn(scene, rng)
