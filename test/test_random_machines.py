@@ -8,7 +8,8 @@ from bench.random_machines import LOCATED, judge
 from emulator_node.advice import ORDERS
 
 
-@pytest.mark.parametrize("seed", range(5))
+# The last two have progressive gears, limits and dry friction.
+@pytest.mark.parametrize("seed", [*range(5), 34, 41])
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
     (verdict,) = judge(seed, (LOCATED[seed % 2],))
@@ -20,7 +21,7 @@ def test_error_and_energy_follow_the_order(seed: int) -> None:
     assert verdict.left[2] < bound, f"more than {bound:.1e} of the energy is left: {verdict}"
 
 
-@pytest.mark.parametrize(("seed", "scheme"), [(20, "implicit"), (21, "paper")])
+@pytest.mark.parametrize(("seed", "scheme"), [(20, "implicit"), (21, "paper"), (37, "implicit"), (37, "paper")])
 def test_first_order_remains_without_location(seed: int, scheme: str) -> None:
     assert ORDERS[scheme] == 1
     (verdict,) = judge(seed, (scheme,))
