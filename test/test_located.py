@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import one_link_urdf, write_scene
-from test_limits import LINK_INERTIA, drawn_joint, drawn_three_axis, limited_truth
+from machines import LINK_INERTIA, one_link_urdf, write_scene
+from test_limits import drawn_joint, drawn_three_axis, limited_truth
 
 from emulator_node.chain import Array
 from emulator_node.plant import Plant
@@ -110,6 +110,7 @@ def test_currents_at_limits_follow_the_closed_form_with_order_two(
             tmp_path,
             one_link_urdf(),
             {"joint": {"motor": motor, "gear": gear}},
+            varied=["joints.*.motor.*", "joints.*.gear.*"],  # one library for all that are drawn
             **located(scheme, dt, 1e-2),
         )
         q = Plant(load_scene(file)).run(V[:, None], round(1e-2 / dt))
@@ -127,7 +128,8 @@ def test_motors_far_faster_than_a_step_are_followed_where_events_are_located(see
     scene, _ = drawn_three_axis(seed, "rosenbrock", 1e-3, events="located")
     q = Plant(scene).run(voltages, 20)
     # As for steps that are not cut, test_limits.py.
-    assert np.abs(q - truth).max() < 0.03 * np.abs(truth - scene.start).max()
+    way = np.abs(truth - scene.start).max()
+    assert np.abs(q - truth).max() < 0.03 * way, f"of a way of {way:.3g} rad"
 
 
 def test_without_events_nothing_is_cut() -> None:
@@ -209,9 +211,9 @@ def test_powers_are_those_of_the_equations(tmp_path: Path) -> None:
         x, power = plant.state, plant.powers([volts])
         i, wm, v = x.current[0], x.omega_m[0], x.v[0]
         at_limit = i == 3.0
-        assert at_limit == (volts == 30.0)
+        assert at_limit == (volts == 30.0), f"{i} A at {volts} V"
         applied = 2.0 * i + 0.05 * wm if at_limit else volts
         given = applied * i + (0.06 - 0.05) * wm * i
         lost = 2.0 * i**2 + 5.0 * (0.02 * wm - v) ** 2 + 0.5 * v**2 + 1.0 * abs(v)
-        assert power.given[0] == pytest.approx(given, rel=1e-12)
-        assert power.dissipated[0] == pytest.approx(lost, rel=1e-12)
+        assert power.given[0] == pytest.approx(given, rel=1e-12), "power given [W]"
+        assert power.dissipated[0] == pytest.approx(lost, rel=1e-12), "power dissipated [W]"
