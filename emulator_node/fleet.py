@@ -133,7 +133,7 @@ class Fleet:
         at = self._rows(self.scene.start if q is None else q, where, "q", "rad or m")
         speed = self._rows(np.zeros(self._N) if v is None else v, where, "v", "rad/s or m/s")
         check_start(where, self.scene, at, speed)
-        self._began = at, speed
+        self._began = at.copy(), speed.copy()
         for arm, (of_q, of_v) in enumerate(zip(at, speed, strict=True)):
             machine = self.core.arm_fleet_machine(self._fleet, arm)
             self.core.arm_reset(machine, of_q.ctypes.data, of_v.ctypes.data)
@@ -221,10 +221,11 @@ class Fleet:
         self.core.arm_fleet_get_truth(self._fleet, ctypes.byref(truth))
 
     def _run(self, rows: Array, steps: int) -> Array:
-        if not np.isfinite(rows).all():
+        # A sum is quick, and not finite if any of them is not.
+        if not np.isfinite(rows.sum()) and not np.isfinite(rows).all():
             raise Refusal("Fleet.run", "voltages", "be finite [V]", rows)
         rows = np.ascontiguousarray(rows)
-        q = np.zeros_like(rows)
+        q = np.empty_like(rows)
         longest = max(1, PIECE * self.lanes // self._count)  # steps after which Ctrl-C is heard
         if steps > longest:
             for row, after in zip(rows, q, strict=True):

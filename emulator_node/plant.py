@@ -211,7 +211,7 @@ class Plant:
             np.zeros(self._N) if v is None else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
         )
         check_start("Plant.reset", self.scene, at, speed)
-        self._reset_to = at, speed
+        self._reset_to = at.copy(), speed.copy()
         self.core.arm_reset(self.machine, _pointer(at), _pointer(speed))
 
     def advance(self, voltage: ArrayLike, steps: int) -> None:
@@ -568,9 +568,10 @@ def check_start(where: str, scene: Scene, q: Array, v: Array) -> None:
 
 
 def as_numbers(values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
-    """Return a copy of `values` as numbers, row by row."""
+    """Return `values` as numbers, row by row; a copy only where they are something else."""
     try:
-        return np.array(values).astype(np.float64, order="C", casting="same_kind")
+        array = np.asarray(values)
+        return array.astype(np.float64, order="C", casting="same_kind", copy=False)
     except (TypeError, ValueError):
         raise Refusal(where, quantity, f"be numbers [{unit}]", values) from None
 

@@ -60,6 +60,12 @@ class EnergyBalance {
   template <class X>
   ARM_INLINE static X largest_power(const Numbers<S, X>& n, const State<S, X>& x, const X* u) {
     X power = {};
+    if constexpr (kWidth<X> == 1 || !Numbers<S, X>::varied) {
+      n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
+        power += drive.given_at_most(input_of(drive, j, x, u[j]));
+      });
+      return power;
+    }
     for (int lane = 0; lane < kWidth<X>; ++lane) {
       double of_lane = 0.0;
       n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {

@@ -182,7 +182,14 @@ class Numbers {
     }
   }
 
-  // body(drive, j) for the drive of every joint of one lane.
+  // body(drive, j) for the drive of every joint, which all lanes have in common.
+  template <class TheBody>
+  ARM_INLINE constexpr void for_each_drive(TheBody&& body) const
+    requires(!varied)
+  {
+    of[0]->for_each_drive(body);
+  }
+  // The same of one lane.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive_of(int lane, TheBody&& body) const {
     of[lane]->for_each_drive(body);
