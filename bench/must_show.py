@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from bench import fleet
 from bench.clocks import FACTOR_ERROR, OLD_SHARE, punctual
 from bench.ns_per_step import fastest_mujoco
 from bench.stability_map import everywhere_bounded
@@ -20,6 +21,8 @@ AT_ERROR: dict[str, dict[str, float | None]] = {
     "ur5": {"0.0001": None, "1e-05": 500.0, "1e-06": None},
     "panda": {"0.0001": None, "1e-05": 500.0, "1e-06": None},
 }
+# Many arms: gain of lanes, time of a step and time at 1e-5 rad over MuJoCo's rollout.
+FLEET_GAIN, FLEET_PER_STEP, FLEET_AT_ERROR = 4.0, 120.0, 1000.0
 LARGE_STEP_ERROR = 5e-4  # rad, rosenbrock at 10 ms on three_axis
 READY = 0.05  # s, from the cache
 # Of the paper's Table 1, and the N that is to pay as two threads paid there.
@@ -32,6 +35,7 @@ def must_show(sections: dict[str, Any]) -> list[Row]:
     rows: list[Row] = []
     for name, make in (
         ("ns_per_step", _per_step),
+        ("fleet", _fleet),
         ("work_precision", _at_error),
         ("stability_map", _stability),
         ("energy_drift", _energy),
@@ -58,6 +62,19 @@ def _per_step(figures: dict[str, Any]) -> Iterator[Row]:
             f"{ratio:.1f} ({mujoco * 1e9:.0f} / {paper * 1e9:.1f} ns)",
             ratio >= wanted,
         )
+
+
+def _fleet(figures: dict[str, Any]) -> Iterator[Row]:
+    gain = min(fleet.lanes_gain(figures, fleet.PEER, scheme) for scheme in SCHEMES)
+    what = f"{figures['count']} {fleet.PEER} on one core: arm-steps/s over one arm's, every scheme"
+    yield what, f"at least {FLEET_GAIN:g}", f"{gain:.2f}", gain >= FLEET_GAIN
+    peer, ours, ratio = fleet.per_step_ratio(figures)
+    what = f"{figures['count']} {fleet.PEER}: time per step, {peer} by rollout / {ours}"
+    yield what, f"at least {FLEET_PER_STEP:g}", f"{ratio:.0f}", ratio >= FLEET_PER_STEP
+    at = fleet.at_error_ratio(figures)
+    what = f"{figures['count']} {fleet.PEER}: time at {fleet.TARGET:g} rad, rollout / ours"
+    reached = f"{at[2]:.0f} ({at[0]} / {at[1]})" if at else "one of them did not get there"
+    yield what, f"at least {FLEET_AT_ERROR:g}", reached, at[2] >= FLEET_AT_ERROR if at else None
 
 
 def _at_error(figures: dict[str, Any]) -> Iterator[Row]:

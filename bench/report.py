@@ -23,6 +23,7 @@ from words.refusal import Refusal
 SECTIONS = (
     "work_precision",
     "ns_per_step",
+    "fleet",
     "what_each_part_costs",
     "stability_map",
     "energy_drift",

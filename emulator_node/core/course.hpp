@@ -38,7 +38,10 @@ class Course {
       differ |= wanted != u[j];
       u[j] = wanted;
     });
-    for (const double*& next : command) next += step_over;
+    for (const double*& next : command) {
+      next += step_over;
+      if (width > 1) __builtin_prefetch(next + kAhead * step_over);
+    }
     left = steps;
     return differ;
   }
@@ -48,6 +51,7 @@ class Course {
       for_each<N>([&](auto j)
                       __attribute__((always_inline)) { q[lane][j] = lane_of(x.q[j], lane); });
       q[lane] += step_over;
+      if (width > 1) __builtin_prefetch(q[lane] + kAhead * step_over, 1);
     }
   }
 
@@ -74,6 +78,8 @@ class Course {
   const std::int64_t steps;  // of a row
 
  private:
+  // Rows of many machines lie far apart: those to come are fetched so many ahead.
+  static constexpr int kAhead = 8;
   const double* command[width];  // of the next row
   double* q[width];              // for the positions after this row
   std::int64_t step_over;

@@ -68,9 +68,12 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
   if (first < 0 || first % lanes || arms < 0 || end > fleet->arms || rows < 0 || steps < 0)
     return ARM_REFUSED;
   const std::int64_t stride = std::int64_t{fleet->arms} * N;
-  for (std::int64_t row = 0; row < rows; ++row)
+  for (std::int64_t row = 0; row < rows; ++row) {
+    bool finite = true;
     for (std::int64_t k = first * N; k < end * N; ++k)
-      if (!arm::is_finite(voltage[row * stride + k])) return ARM_REFUSED;
+      finite &= arm::is_finite(voltage[row * stride + k]);
+    if (!finite) return ARM_REFUSED;
+  }
   int result = ARM_OK;
   for (std::int32_t k = first; k < end; k += lanes)
     fleet->group[k / lanes]->follow(voltage + k * N, stride, rows, steps, q + k * N);

@@ -1,0 +1,349 @@
+"""Many arms side by side, beside one arm and beside MuJoCo's rollout."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from numpy.typing import NDArray
+
+from bench.measure import Task, Timing, interleaved, progress
+from bench.motion import SERVO_PERIOD, sines
+from bench.mujoco_peer import INTEGRATORS, MujocoArm
+from bench.pictures import COLOURS, new_figure, save
+from bench.time_at_error import time_at_error
+from bench.work_precision import steps_of
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Diverged, Plant
+from emulator_node.reference import reference
+from emulator_node.scene import SCHEMES, Scene, load_scene
+
+TITLE = "Many arms"
+
+Array = NDArray[np.float64]
+
+COUNT = 64  # arms
+ARMS = ("three_axis", "ur5", "panda")
+PEER = "ur5"  # for the comparison with rollout
+STEPS_PER_PERIOD = 2
+INPUTS = 3  # motions; the error is the root mean square over them
+TARGET = 1e-5  # rad
+COARSEST, FINEST, FINEST_THEIRS = SERVO_PERIOD, 2e-5, 1e-5  # s
+PART = 20  # of the second, that rollout is timed for: each of its steps takes the same
+CHUNK = 2000  # steps of one call of rollout: of its states, which it keeps, some 30 MB
+
+
+def run(quick: bool) -> dict[str, Any]:
+    """Measure throughput of every arm, then time per step and time at an error."""
+    repetitions = 3 if quick else 9
+    cores = len(os.sched_getaffinity(0))
+    figures: dict[str, Any] = {"cores": cores, "count": COUNT, "throughput": {}}
+    with progress("many arms", repetitions * len(ARMS) * len(SCHEMES)) as done:
+        for name in ARMS:
+            figures["throughput"][name] = {
+                scheme: _throughput(name, scheme, repetitions, done) for scheme in SCHEMES
+            }
+    figures["per_step"] = _per_step(repetitions)
+    figures["at_error"] = _at_error(quick)
+    return figures
+
+
+def _scene(name: str, scheme: str, dt: float) -> Scene:
+    return load_scene(
+        name,
+        {"servo_period": SERVO_PERIOD, "integrator.scheme": scheme, "integrator.dt": dt},
+    )
+
+
+def _throughput(
+    name: str, scheme: str, repetitions: int, done: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return arm-steps per second: of one arm, and of a fleet on one core and on all."""
+    scene = _scene(name, scheme, SERVO_PERIOD / STEPS_PER_PERIOD)
+    N = len(scene.joints)
+    one = sines(N, 0)
+    rows = np.stack([sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
+    plant, fleet, wide = Plant(scene), Fleet(scene, COUNT, workers=1), Fleet(scene, COUNT)
+    tasks = {
+        "one arm": _task(plant, one, plant.reset),
+        "one core": _task(fleet, rows, fleet.reset),
+        "all cores": _task(wide, rows, wide.reset),
+    }
+    timings = interleaved(
+        tasks, repetitions, lambda task: done(name) if task in "one arm" else None
+    )
+    steps = {"one arm": len(one), "one core": rows.size // N, "all cores": rows.size // N}
+    per_step = {
+        task: asdict(timing.per(steps[task] * STEPS_PER_PERIOD)) for task, timing in timings.items()
+    }
+    return {"lanes": fleet.lanes, "per_step": per_step}
+
+
+def _task(machine: Plant | Fleet, rows: Array, reset: Callable[[], None]) -> Task:
+    return Task(lambda _: machine.run(rows, STEPS_PER_PERIOD), lambda _: reset())
+
+
+class Rollout:
+    """MuJoCo's arms of one model, on some threads.
+
+    Args:
+        scene: of all arms.
+        integrator: one of `INTEGRATORS`.
+        dt: step [s].
+        count: of arms.
+        threads: of its pool.
+    """
+
+    def __init__(self, scene: Scene, integrator: str, dt: float, count: int, threads: int) -> None:
+        self.arm = MujocoArm(scene, integrator, dt)
+        self.model, self.count = self.arm.model, count
+        self._data = [mujoco.MjData(self.model) for _ in range(threads)]
+        self._pool = rollout.Rollout(nthread=threads)
+        self._kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        self._size = mujoco.mj_stateSize(self.model, self._kind)
+        self._driven = [k for k, joint in enumerate(scene.joints) if joint.motor is not None]
+        self.reset()
+
+    def reset(self) -> None:
+        """Put all arms at the start."""
+        self.arm.reset()
+        state = np.empty(self._size)
+        mujoco.mj_getState(self.model, self.arm.data, state, self._kind)
+        self._state = np.tile(state, (self.count, 1))
+
+    def run(self, voltages: Array, steps: int) -> None:
+        """Hold each row of voltages (K, count, N) [V] for `steps` steps."""
+        rows = max(1, CHUNK // steps)
+        for first in range(0, len(voltages), rows):
+            held = voltages[first : first + rows, :, self._driven].transpose(1, 0, 2)
+            control = np.repeat(held, steps, axis=1)
+            states, _ = self._pool.rollout(self.model, self._data, self._state, control)
+            self._state = states[:, -1].copy()
+
+
+def _per_step(repetitions: int) -> dict[str, Any]:
+    """Return the time of a step of one arm of many [s], on all cores."""
+    cores = len(os.sched_getaffinity(0))
+    dt = SERVO_PERIOD / STEPS_PER_PERIOD
+    scenes = {scheme: _scene(PEER, scheme, dt) for scheme in SCHEMES}
+    N = len(scenes["paper"].joints)
+    rows = np.stack([sines(N, arm, duration=0.1) for arm in range(COUNT)], axis=1)
+    few = np.ascontiguousarray(rows[:20])
+    tasks: dict[str, Task] = {}
+    for scheme, scene in scenes.items():
+        fleet = Fleet(scene, COUNT)
+        tasks[scheme] = _task(fleet, rows, fleet.reset)
+    for integrator in INTEGRATORS:
+        peer = Rollout(scenes["paper"], integrator, dt, COUNT, cores)
+        tasks[f"MuJoCo {integrator}"] = Task(
+            lambda _, peer=peer: peer.run(few, STEPS_PER_PERIOD),  # type: ignore[misc]
+            lambda _, peer=peer: peer.reset(),  # type: ignore[misc]
+        )
+    with progress("per step", repetitions * len(tasks)) as done:
+        timings = interleaved(tasks, repetitions, done)
+    return {
+        task: asdict(timing.per((few if task not in SCHEMES else rows).size / N * STEPS_PER_PERIOD))
+        for task, timing in timings.items()
+    }
+
+
+@dataclass
+class _Way:
+    """One way to move the arms, at some steps: errors first, then times where they matter."""
+
+    name: str
+    errors: list[tuple[float, float]]  # dt [s], error [rad]
+    at: Callable[[float], Task]
+
+    def steps_around(self, target: float) -> list[float]:
+        """Return the two steps between which the error passes the target; one if none is worse."""
+        good = [k for k, (_, error) in enumerate(self.errors) if error <= target]
+        if not good:
+            return []
+        around = self.errors[max(0, good[0] - 1) : good[0] + 1]
+        return [dt for dt, error in around if math.isfinite(error)]
+
+
+def _at_error(quick: bool) -> dict[str, Any]:
+    """Return the wall time of a simulated second of one arm of many at an error of `TARGET`."""
+    cores = len(os.sched_getaffinity(0))
+    scene = _scene(PEER, "rosenbrock", SERVO_PERIOD)
+    N = len(scene.joints)
+    inputs = [sines(N, seed) for seed in range(INPUTS)]
+    truths = [reference(scene, rows, SERVO_PERIOD)[-1] for rows in inputs]
+    rows = np.stack([inputs[arm % INPUTS] for arm in range(COUNT)], axis=1)
+
+    def rms(end: Callable[[Array], Array]) -> float:
+        errors = [
+            float(np.abs(end(i) - truth).max()) for i, truth in zip(inputs, truths, strict=True)
+        ]
+        return math.sqrt(sum(error**2 for error in errors) / INPUTS)
+
+    def steps(dt: float) -> int:
+        return round(SERVO_PERIOD / dt)
+
+    ways = []
+    for scheme in SCHEMES:
+        errors = []
+        for dt in steps_of(COARSEST, FINEST):
+            plant = Plant(_scene(PEER, scheme, dt))
+
+            def end(voltages: Array, plant: Plant = plant, count: int = steps(dt)) -> Array:
+                plant.reset()
+                try:
+                    q: Array = plant.run(voltages, count)[-1]
+                except Diverged:
+                    return np.full(N, np.inf)
+                return q
+
+            errors.append((dt, rms(end)))
+
+        def of_fleet(dt: float, scheme: str = scheme) -> Task:
+            fleet = Fleet(_scene(PEER, scheme, dt), COUNT)
+            return Task(lambda _: fleet.run(rows, steps(dt)), lambda _: fleet.reset())
+
+        ways.append(_Way(scheme, errors, of_fleet))
+    integrators = INTEGRATORS[-2:] if quick else INTEGRATORS
+    with progress("error of MuJoCo", len(integrators)) as done:
+        for integrator in integrators:
+            errors = []
+            for dt in steps_of(COARSEST, FINEST_THEIRS):
+                arm = MujocoArm(scene, integrator, dt)
+
+                def end_of(voltages: Array, arm: MujocoArm = arm, count: int = steps(dt)) -> Array:
+                    arm.reset()
+                    arm.run(voltages, count)
+                    return arm.q if not arm.diverged else np.full(N, np.inf)
+
+                errors.append((dt, rms(end_of)))
+                if errors[-1][1] <= TARGET:
+                    break
+
+            def of_rollout(dt: float, integrator: str = integrator) -> Task:
+                peer = Rollout(scene, integrator, dt, COUNT, cores)
+                part = np.ascontiguousarray(rows[: len(rows) // PART])
+                return Task(lambda _: peer.run(part, steps(dt)), lambda _: peer.reset())
+
+            ways.append(_Way(f"MuJoCo {integrator}", errors, of_rollout))
+            done(integrator)
+    tasks = {f"{way.name}, {dt:g} s": way.at(dt) for way in ways for dt in way.steps_around(TARGET)}
+    with progress("time at an error", len(tasks) * (1 if quick else 3)) as done:
+        timings = interleaved(tasks, 1 if quick else 3, done)
+    times = {way.name: _time_at_target(way, timings) for way in ways}
+    return {"target": TARGET, "times": {name: t for name, t in times.items() if t is not None}}
+
+
+def _time_at_target(way: _Way, timings: dict[str, Timing]) -> float | None:
+    errors, part = dict(way.errors), 1.0 if way.name in SCHEMES else 1.0 / PART
+    points = [
+        {"error": errors[dt], "time": asdict(timings[f"{way.name}, {dt:g} s"].per(COUNT * part))}
+        for dt in way.steps_around(TARGET)
+    ]
+    return time_at_error(points, TARGET)
+
+
+# The report
+
+
+def _best(times: dict[str, float], theirs: bool) -> tuple[str, float]:
+    name = min((n for n in times if (n in SCHEMES) != theirs), key=times.__getitem__)
+    return name, times[name]
+
+
+def per_step_ratio(figures: dict[str, Any]) -> tuple[str, str, float]:
+    """Return MuJoCo's quickest, ours, and how many times longer its step takes."""
+    times = {name: timing["median"] for name, timing in figures["per_step"].items()}
+    (ours, own), (peer, other) = _best(times, False), _best(times, True)
+    return peer, ours, other / own
+
+
+def at_error_ratio(figures: dict[str, Any]) -> tuple[str, str, float] | None:
+    """Return the same for the time at the error; None if one of them does not get there."""
+    times = figures["at_error"]["times"]
+    if not set(times) & set(SCHEMES) or not set(times) - set(SCHEMES):
+        return None
+    (ours, own), (peer, other) = _best(times, False), _best(times, True)
+    return peer, ours, other / own
+
+
+def lanes_gain(figures: dict[str, Any], arm: str, scheme: str) -> float:
+    """Return how many times the arm-steps of one arm a fleet takes on one core."""
+    per_step = figures["throughput"][arm][scheme]["per_step"]
+    return float(per_step["one arm"]["median"] / per_step["one core"]["median"])
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section in Markdown."""
+    lines = [
+        f"A `Fleet` of {figures['count']} arms, each with voltages of its own, {STEPS_PER_PERIOD} "
+        f"steps in a servo period of {SERVO_PERIOD * 1e3:g} ms: nanoseconds of one step of one "
+        f"arm, on one core and on all {figures['cores']}.",
+        "",
+        "| arm | scheme | lanes | one arm | fleet, one core | times | fleet, all cores | times |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for arm, schemes in figures["throughput"].items():
+        for scheme, of in schemes.items():
+            one, core, cores = (
+                of["per_step"][task]["median"] for task in ("one arm", "one core", "all cores")
+            )
+            lines.append(
+                f"| {arm} | {scheme} | {of['lanes']} | {one * 1e9:.1f} | {core * 1e9:.1f} | "
+                f"{one / core:.2f} | {cores * 1e9:.1f} | {one / cores:.2f} |"
+            )
+    peer, ours, ratio = per_step_ratio(figures)
+    lines += [
+        "",
+        f"MuJoCo's `rollout` of as many {PEER} on the same {figures['cores']} cores, a step of one "
+        "arm:",
+        "",
+        "| | ns |",
+        "|---|---|",
+        *(
+            f"| {name} | {timing['median'] * 1e9:.1f} |"
+            for name, timing in figures["per_step"].items()
+        ),
+        "",
+        f"Its quickest, {peer}, takes {ratio:.0f} times as long as {ours}. A simulated second of "
+        f"one arm at an error of {figures['at_error']['target']:g} rad:",
+        "",
+        "| | us |",
+        "|---|---|",
+        *(
+            f"| {name} | {time * 1e6:.1f} |"
+            for name, time in sorted(figures["at_error"]["times"].items(), key=lambda item: item[1])
+        ),
+        "",
+    ]
+    if (at := at_error_ratio(figures)) is not None:
+        lines += [f"There {at[0]} takes {at[2]:.0f} times as long as {at[1]}.", ""]
+    lines += ["![Arm-steps per second](fleet.png)", ""]
+    return "\n".join(lines)
+
+
+def draw(figures: dict[str, Any], folder: Path) -> None:
+    """Draw arm-steps per second of one arm and of fleets."""
+    figure = new_figure(10.0, 4.2)
+    arms = list(figures["throughput"])
+    panels = figure.subplots(1, len(arms), sharey=True, squeeze=False)[0]
+    ways = ("one arm", "one core", "all cores")
+    for axes, arm in zip(panels, arms, strict=True):
+        for k, scheme in enumerate(SCHEMES):
+            per_step = figures["throughput"][arm][scheme]["per_step"]
+            rates = [1e-6 / per_step[way]["median"] for way in ways]
+            at = np.arange(len(ways)) + 0.2 * (k - 1.5)
+            axes.bar(at, rates, width=0.18, color=COLOURS[scheme], label=scheme)
+        axes.set_xticks(range(len(ways)), ("one arm", "fleet,\none core", "fleet,\nall cores"))
+        axes.set_title(arm)
+        axes.grid(True, axis="y", color="0.9", linewidth=0.8)
+        axes.set_axisbelow(True)
+    panels[0].set_ylabel("million arm-steps per second")
+    panels[-1].legend(frameon=False)
+    save(figure, folder, "fleet")
