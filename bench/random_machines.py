@@ -97,6 +97,9 @@ def machine(folder: Path, seed: int) -> tuple[Path, Array]:
     joints = {name: _joint(rng) for name in names}
     if not any("motor" in joint for joint in joints.values()):
         joints[names[0]] |= {"motor": _motor(rng), "gear": _gear(rng)}
+    apart = np.random.default_rng([seed, 1])  # so that all else is drawn as without
+    for joint in joints.values():
+        _stiffen(apart, joint.get("gear", {}))
     data: dict[str, Any] = {
         "name": f"random_{seed}",
         "urdf": "robot.urdf",
@@ -146,10 +149,14 @@ def _gear(rng: np.random.Generator) -> dict[str, float]:
     if rng.random() < 0.6:
         gear["stiffness"] = float(10 ** rng.uniform(3.0, 4.5))
         gear["damping"] = float(rng.choice([0.0, rng.uniform(1.0, 30.0)]))
-        if rng.random() < 0.4:  # the cube has a share of 20 N m
-            share = float(10 ** rng.uniform(-1.0, 0.5))
-            gear["cubic_stiffness"] = share * gear["stiffness"] ** 3 / 20.0**2
     return gear
+
+
+def _stiffen(rng: np.random.Generator, gear: dict[str, float]) -> None:
+    """Make some elastic gears progressive: the cube has a share of 20 N m."""
+    if "stiffness" in gear and rng.random() < 0.4:
+        share = float(10 ** rng.uniform(-1.0, 0.5))
+        gear["cubic_stiffness"] = share * gear["stiffness"] ** 3 / 20.0**2
 
 
 def judge(seed: int, schemes: tuple[str, ...] = LOCATED) -> list[Verdict]:

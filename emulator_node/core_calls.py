@@ -123,8 +123,8 @@ class Truth(_Sized):
         ("size", _uint32),
         ("fault", _int32),
         ("time", _double),
-        ("energy", _double),
-        *((name, _pointer) for name in ("current", "theta_m", "omega_m", "q", "v", "gear_torque")),
+        *((name, _pointer) for name in ("energy", "current", "theta_m", "omega_m")),
+        *((name, _pointer) for name in ("q", "v", "gear_torque")),
     )
 
 

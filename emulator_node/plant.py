@@ -154,13 +154,17 @@ class Plant:
         self._voltage = np.zeros(N)
         self._voltage_pointer = _pointer(self._voltage)
         self._rows = np.zeros((len(ROWS), N))
+        self._energy = np.zeros(1)
+        # What is asked for, apart: without a place, energy and torques are not worked out.
+        self._clock = Truth()
+        self._energy_alone = Truth(energy=_address(self._energy))
         self._truth = Truth(**dict(zip(ROWS, map(_address, self._rows), strict=True)))
         self._commands = np.zeros(N, JOINT_COMMAND)
         self._commands["mode"], self._commands["enable"] = VOLTAGE, 1
         self._command = Command(tick=-1, joint=_address(self._commands))
         self._measured = np.zeros(N, JOINT_MEASUREMENT)
         self._measurement = Measurement(joint=_address(self._measured))
-        self._structs = tuple(map(ctypes.byref, (self._command, self._measurement, self._truth)))
+        self._structs = tuple(map(ctypes.byref, (self._command, self._measurement)))
         self.link_angle_per_count = link_angle_per_count(scene)
         at_most = largest_position(scene)
         ratio = np.array([joint.gear.ratio for joint in scene.joints])
@@ -256,7 +260,7 @@ class Plant:
         """
         self._commands["value"] = voltage
         self._command.tick = tick
-        command, measurement, _ = self._structs
+        command, measurement = self._structs
         result = self.core.arm_exchange(self.machine, command, measurement)
         if result == REFUSED:
             raise self._refusal("Plant.exchange", "a number")
@@ -326,8 +330,8 @@ class Plant:
     @property
     def diverged(self) -> Diverged | None:
         """Why the machine stays where it is; None if it goes on."""
-        self._look()
-        return self._diverged(self._measured["voltage"]) if self._truth.fault >= 0 else None
+        diverged = self._look(self._clock).fault >= 0
+        return self._diverged(self._measured["voltage"]) if diverged else None
 
     def run(self, voltages: ArrayLike, steps: int) -> Array:
         """Apply rows of voltages one after the other, without coming back to Python in between.
@@ -397,14 +401,13 @@ class Plant:
     @property
     def t(self) -> float:
         """Logical time [s]."""
-        self._look()
-        return float(self._truth.time)
+        return float(self._look(self._clock).time)
 
     @property
     def energy(self) -> float:
         """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
-        self._look()
-        return float(self._truth.energy)
+        self._look(self._energy_alone)
+        return float(self._energy[0])
 
     def powers(self, voltage: ArrayLike) -> EnergyFlow:
         """Return what the joints are given and dissipate now, under voltages (N,) [V], in W.
@@ -453,7 +456,7 @@ class Plant:
             Refusal: wrong shapes, not finite, too large, or a motor that contradicts its link;
                 nothing has changed.
         """
-        self._look()
+        self._look(self._truth)
         self.core.arm_measure(self.machine, self._structs[1])
         current, theta_m, omega_m, q, v, gear_torque = self._rows.copy()
         counts = self._measured["encoder"].copy()
@@ -483,8 +486,10 @@ class Plant:
         if self.core.arm_set_truth(self.machine, ctypes.byref(truth)) == REFUSED:
             raise self._refusal(where, "another one")
 
-    def _look(self) -> None:
-        self.core.arm_get_truth(self.machine, self._structs[2])
+    def _look(self, truth: Truth) -> Truth:
+        """Have what has a place in `truth` written there."""
+        self.core.arm_get_truth(self.machine, ctypes.byref(truth))
+        return truth
 
     def link_accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
         """Return the accelerations of the links alone: M(q) a + nle(q, v) = tau.

@@ -9,7 +9,7 @@ from emulator_node.advice import ORDERS
 
 
 # The last two have progressive gears, limits and dry friction.
-@pytest.mark.parametrize("seed", [*range(5), 34, 41])
+@pytest.mark.parametrize("seed", [*range(5), 10, 31])
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
     (verdict,) = judge(seed, (LOCATED[seed % 2],))
@@ -21,7 +21,9 @@ def test_error_and_energy_follow_the_order(seed: int) -> None:
     assert verdict.left[2] < bound, f"more than {bound:.1e} of the energy is left: {verdict}"
 
 
-@pytest.mark.parametrize(("seed", "scheme"), [(20, "implicit"), (21, "paper"), (37, "implicit"), (37, "paper")])
+@pytest.mark.parametrize(
+    ("seed", "scheme"), [(20, "implicit"), (21, "paper"), (14, "implicit"), (14, "paper")]
+)
 def test_first_order_remains_without_location(seed: int, scheme: str) -> None:
     assert ORDERS[scheme] == 1
     (verdict,) = judge(seed, (scheme,))

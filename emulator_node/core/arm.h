@@ -166,12 +166,13 @@ int arm_restore(arm_machine* machine, const void* saved, int64_t size);
 
 /* -------------------------------------------------------------------------------------- truth */
 
-/* Every array may be null. */
+/* Every pointer may be null: what has no place to go is not worked out, and energy and gear torques
+ * take time. */
 typedef struct arm_truth {
   uint32_t size;
   int32_t fault;       /* joint that diverged; -1: none */
   double time;         /* s */
-  double energy;       /* J, kinetic, potential, elastic and magnetic */
+  double* energy;      /* J, one number: kinetic, potential, elastic and magnetic */
   double* current;     /* A */
   double* motor_angle; /* rad */
   double* motor_speed; /* rad/s */

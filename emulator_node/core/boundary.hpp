@@ -328,7 +328,7 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
     for (int j = 0; to[row] && j < N; ++j) to[row][j] = from[row][j];
   out->fault = machine->machine.faulty_joint();
   out->time = machine->machine.time();
-  out->energy = machine->machine.energy();
+  if (out->energy) *out->energy = machine->machine.energy();
   return machine->result();
 }
 

@@ -91,7 +91,7 @@ int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {
     arm_truth truth = {sizeof truth,
                        0,
                        0.0,
-                       0.0,
+                       out->energy ? out->energy + arm : nullptr,
                        row(out->current, arm),
                        row(out->motor_angle, arm),
                        row(out->motor_speed, arm),
@@ -101,7 +101,6 @@ int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {
     arm_get_truth(&machine, &truth);
     if (out->fault) out->fault[arm] = truth.fault;
     if (out->time) out->time[arm] = truth.time;
-    if (out->energy) out->energy[arm] = truth.energy;
     if (!out->encoder) continue;
     arm_joint_measurement joint[N];
     arm_measurement measurement = {sizeof measurement, 0, 0, 0, joint};

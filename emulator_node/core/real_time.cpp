@@ -223,8 +223,8 @@ struct arm_real_time {
     }
     const int N = arm.joints;
     double* const rows = reinterpret_cast<double*>(out + sizeof snapshot);
-    arm_truth truth = {sizeof truth, -1,           0.0,          0.0,          rows,
-                       rows + N,     rows + 2 * N, rows + 3 * N, rows + 4 * N, rows + 5 * N};
+    arm_truth truth = {sizeof truth, -1,           0.0,          &snapshot.energy, rows,
+                       rows + N,     rows + 2 * N, rows + 3 * N, rows + 4 * N,     rows + 5 * N};
     arm.get_truth(arm.machine, &truth);
     auto* const counts = reinterpret_cast<std::int64_t*>(rows + 7 * N);
     for (int j = 0; j < N; ++j) {
@@ -232,7 +232,6 @@ struct arm_real_time {
       counts[j] = measured[static_cast<std::size_t>(j)].encoder;
     }
     snapshot.fault = truth.fault;
-    snapshot.energy = truth.energy;
     std::memcpy(out, &snapshot, sizeof snapshot);
     ring.publish();
     const std::uint64_t one = 1;
