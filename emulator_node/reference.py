@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import pinocchio as pin
@@ -25,16 +25,41 @@ Array = NDArray[np.float64]
 STIFF = 3e4
 
 
+class Beginning(TypedDict, total=False):
+    """Where a motion begins and how it is solved.
+
+    Keys:
+        method: of `scipy.integrate.solve_ivp`: "Radau" takes stiff machines, "DOP853" is twenty
+            times faster where nothing is stiff; each checks the other. By the machine's fastest
+            time constant if it is not given.
+        q: link positions (N,) [rad or m], the scene's start if not given; motors along.
+        v: link speeds (N,) [rad/s or m/s], zero if not given.
+        payload: the scene file's section `payload`, which a loaded scene holds no more by itself.
+    """
+
+    method: str | None
+    q: ArrayLike | None
+    v: ArrayLike | None
+    payload: Mapping[str, Any] | None
+
+
 def reference(
     scene: Scene,
     voltages: ArrayLike,
     period: float,
     rtol: float = 1e-11,
-    *,
-    method: str | None = None,
-    q: ArrayLike | None = None,
-    v: ArrayLike | None = None,
-    payload: Mapping[str, Any] | None = None,
+    **beginning: Unpack[Beginning],
+) -> Array:
+    """Return link positions after each row, (K, N) [rad or m]; else as `reference_states`."""
+    return reference_states(scene, voltages, period, rtol, **beginning)[:, 3]
+
+
+def reference_states(
+    scene: Scene,
+    voltages: ArrayLike,
+    period: float,
+    rtol: float = 1e-11,
+    **beginning: Unpack[Beginning],
 ) -> Array:
     """Solve the machine's equations from rest at the scene's start.
 
@@ -45,42 +70,19 @@ def reference(
             there the right-hand side jumps.
         rtol: relative error per step of the variable-step method; absolute: a hundredth of it.
             DOP853 takes a hundredth of both: at the edge of its stability its estimate is poor.
-        method: of `scipy.integrate.solve_ivp`: "Radau" takes stiff machines, "DOP853" is twenty
-            times faster where nothing is stiff; each checks the other. None: by the machine's
-            fastest time constant.
-        q: link positions at the beginning (N,) [rad or m], the scene's start if None; motors along.
-        v: link speeds at the beginning (N,) [rad/s or m/s], zero if None.
-        payload: the scene file's section `payload`, which a loaded scene holds no more by itself.
+        beginning: see `Beginning`.
 
     Returns:
-        Link positions after each row, (K, N) [rad or m].
+        i, tm, wm, q, v after each row, (K, 5, N). What a joint lacks (current of a joint without
+        inductance, motor behind a rigid gear) is zero.
 
     Raises:
         Refusal: Coulomb friction or a limit of an inductive current (the right-hand side jumps), or
             a payload that is not given.
     """
-    return reference_states(
-        scene, voltages, period, rtol, method=method, q=q, v=v, payload=payload
-    )[:, 3]
-
-
-def reference_states(
-    scene: Scene,
-    voltages: ArrayLike,
-    period: float,
-    rtol: float = 1e-11,
-    *,
-    method: str | None = None,
-    q: ArrayLike | None = None,
-    v: ArrayLike | None = None,
-    payload: Mapping[str, Any] | None = None,
-) -> Array:
-    """Return i, tm, wm, q, v after each row, (K, 5, N); else as `reference`.
-
-    What a joint lacks (current of a joint without inductance, motor behind a rigid gear) is zero.
-    """
-    machine = ReferenceMachine(scene, payload)
-    x = machine.at_rest(scene.start if q is None else q, v)
+    machine = ReferenceMachine(scene, beginning.get("payload"))
+    q, method = beginning.get("q"), beginning.get("method")
+    x = machine.at_rest(scene.start if q is None else q, beginning.get("v"))
     if method is None:
         method = "Radau" if machine.fastest_rate(x) > STIFF else "DOP853"
     if method == "DOP853":
