@@ -78,7 +78,8 @@ class Oracle:
         self.model.gravity.linear = np.array(scene.gravity or (0.0, 0.0, 0.0))
         self.data = self.model.createData()
         joints = [self.model.joints[self.model.getJointId(name)] for name in scene.joint_names]
-        assert [joint.idx_v for joint in joints] == list(range(self.model.nv))
+        places = [joint.idx_v for joint in joints]
+        assert places == list(range(self.model.nv)), "the order of joints is another in Pinocchio"
         self._joints = joints
 
     def configuration(self, q: np.ndarray) -> np.ndarray:

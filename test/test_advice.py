@@ -35,7 +35,7 @@ def demo() -> tuple[Motion, np.ndarray]:
 def error(scheme: str, steps: int) -> float:
     motion, truth = demo()
     q = motion.q(scheme, steps)
-    assert q is not None
+    assert q is not None, f"{scheme} diverges with {steps} steps"
     return float(np.abs(q - truth).max())
 
 
@@ -146,7 +146,7 @@ def scene_copy(folder: Path, **replaced: str) -> Path:
     shutil.copytree(CONFIG / "urdf", folder / "urdf")
     text = (CONFIG / "three_axis.yaml").read_text()
     for old, new in replaced.items():
-        assert old in text
+        assert old in text, f"{old} is not in the scene"
         text = text.replace(old, new)
     file = folder / "three_axis.yaml"
     file.write_bytes(text.encode())

@@ -110,7 +110,8 @@ def _heed_ctrl_c() -> None:
 
 
 def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
-    assert find_config("three_axis", ".yaml", "servo").is_file()
+    file = find_config("three_axis", ".yaml", "servo")
+    assert file.is_file(), f"{file} is what refusals name"
     cases = [((module, "--ros-args", *more), words, 1) for (module, *more), words in REFUSED_NODES]
     cases += [((one, "--ros-args", *more), words, 2) for (one, *more), words in REFUSED_BY_ROS]
     cases += [(("arm_emulator", *command), words, 1) for command, words in REFUSED_COMMANDS]
@@ -256,10 +257,11 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
             user.wait("its parameters", client.services_are_ready)
             asked = client.get_parameters(["weight"])
             user.wait("the weight", asked.done)
-            assert asked.result().values[0].double_value == 0.125
+            weight = asked.result().values[0].double_value
+            assert weight == 0.125, "the weight of the file"
             launcher.send_signal(signal.SIGINT)
-            launcher.communicate(timeout=PATIENCE)
-            assert launcher.returncode == 0
+            _, complaint = launcher.communicate(timeout=PATIENCE)
+            assert launcher.returncode == 0, complaint
         finally:
             user.close()
             launcher.kill()
@@ -293,7 +295,7 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(set_up: str, words: s
     command = [sys.executable, "-c", INTERRUPTED.format(set_up=set_up)]
     with own_domain():
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
-    assert (done.stdout, done.stderr) == (words, "")
+    assert (done.stdout, done.stderr) == (words, ""), "what it says"
 
 
 LOCKED_UP = """
@@ -310,7 +312,8 @@ ctypes.PyDLL(None).sleep(600)  # with Python's lock
 def test_a_middleware_that_locks_up_does_not_keep_a_process(code: int) -> None:
     command = [sys.executable, "-c", LOCKED_UP.format(code=code)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert (done.returncode, done.stdout) == (code, "ended, but for the middleware\n")
+    assert done.returncode == code, done.stderr
+    assert done.stdout == "ended, but for the middleware\n", "what it says"
 
 
 # ---------------------------------------------------------------------------------- arm_emulator up
@@ -337,7 +340,8 @@ def up(
             finally:
                 user.close()
             children = psutil.Process(launcher.pid).children(recursive=True)
-            assert sorted(map(node_of, children)) == ["emulator", "motion_controller", "servo"]
+            names = sorted(map(node_of, children))
+            assert names == ["emulator", "motion_controller", "servo"], "nodes of `up`"
             yield launcher, children
             for child in children:
                 what = f"{child} to end"
@@ -368,8 +372,8 @@ def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) 
     with up(ignores_ctrl_c=True) as (launcher, _):
         launcher.send_signal(stop)
         said, complaint = launcher.communicate(timeout=PATIENCE)
-        assert launcher.returncode == 0
-        assert said == ""
+        assert launcher.returncode == 0, complaint
+        assert said == "", "what it says"
         assert "Traceback" not in complaint, complaint
 
 
@@ -378,8 +382,8 @@ def test_up_ends_all_when_one_ends(name: str) -> None:
     with up() as (launcher, children):
         next(child for child in children if node_of(child) == name).kill()
         said, complaint = launcher.communicate(timeout=PATIENCE)
-        assert launcher.returncode == 128 + signal.SIGKILL
-        assert f"{name} ended with exit code {-signal.SIGKILL}; ending the others" in said
+        assert launcher.returncode == 128 + signal.SIGKILL, complaint
+        assert f"{name} ended with exit code {-signal.SIGKILL}; ending the others" in said, said
         assert "Traceback" not in complaint, complaint
 
 
@@ -394,9 +398,9 @@ def test_up_tells_of_a_node_that_cannot_start() -> None:
     with own_domain(), socket_on_a_port() as port:
         launcher = start("arm_emulator", "up", "three_axis", "--rerun-port", str(port))
         said, complaint = launcher.communicate(timeout=PATIENCE)
-        assert launcher.returncode == 2
-        assert "emulator ended with exit code 2; ending the others" in said
-        assert f"{port}" in complaint and "Traceback" not in complaint
+        assert launcher.returncode == 2, complaint
+        assert "emulator ended with exit code 2; ending the others" in said, said
+        assert f"{port}" in complaint and "Traceback" not in complaint, complaint
 
 
 @contextmanager

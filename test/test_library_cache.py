@@ -295,7 +295,7 @@ def test_only_a_folder_that_nobody_else_can_change_is_searched(
         assert hasattr(core, "planted") == (not wrong), (folder, wrong)
         assert len(said) == bool(wrong), (folder, wrong, said)
         if wrong:
-            assert said[0].startswith(f"arm_emulator: cache folder {folder} is passed over: ")
+            assert said[0].startswith(f"arm_emulator: cache folder {folder} is passed over: "), said
         outcomes.append(wrong)
     assert len(set(outcomes)) >= (8 if ROOT else 5), set(outcomes)
 
@@ -346,11 +346,11 @@ def test_a_library_that_another_user_plants_in_the_temporary_folder_never_runs(
         env=victim(shared, CXX=sound.compiler),
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
-    assert not planted.ran()
+    assert not planted.ran(), "what somebody else put there has run"
     said = done.stderr.splitlines()
     assert done.returncode == 1 and len(said) == 2, done.stderr
-    assert f"{folder} is passed over: {folder} belongs to user" in said[0]
-    assert "cache folder must be writable" in said[1]
+    assert f"{folder} is passed over: {folder} belongs to user" in said[0], said
+    assert "cache folder must be writable" in said[1], said
 
 
 @as_root
@@ -411,7 +411,8 @@ def test_what_we_make_is_ours_alone_whatever_the_umask(
     assert capsys.readouterr().err == "", "it is found, and trusted"
     for folder in (cache, cache / "a", cache / "a" / "b"):
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700, folder
-    assert stat.S_IMODE((cache / "a" / "b" / sound.name).stat().st_mode) == 0o644 & ~umask
+    mode = stat.S_IMODE((cache / "a" / "b" / sound.name).stat().st_mode)
+    assert mode == 0o644 & ~umask, f"mode {mode:o} of the library"
 
 
 def test_a_library_compiled_into_a_folder_is_found_there(
@@ -426,20 +427,24 @@ def test_a_library_compiled_into_a_folder_is_found_there(
         file = compile_ahead(sound.scene, "native", tmp_path / "a" / "b")[0]
     finally:
         os.umask(before)
-    assert file == tmp_path / "a" / "b" / sound.name and file.read_bytes() == sound.stored
+    assert file == tmp_path / "a" / "b" / sound.name, "where it is"
+    assert file.read_bytes() == sound.stored, "the library"
     monkeypatch.setenv(CACHE_VARIABLE, str(file.parent))
     monkeypatch.setenv("CXX", "false")
-    assert library_of(sound.scene).arm_exchange
-    assert len(capsys.readouterr().err.splitlines()) == 2  # of the compilations
+    assert library_of(sound.scene).arm_exchange, "without a compiler"
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 2, f"a line for each compilation, got {said}"
 
     monkeypatch.setenv(CACHE_VARIABLE, str(cache))
     open_to_all = tmp_path / "open"
     open_to_all.mkdir()
     open_to_all.chmod(0o777)
     file = compile_ahead(sound.scene, "native", open_to_all / "c")[0]
-    assert file.read_bytes() == sound.stored
+    assert file.read_bytes() == sound.stored, "the library"
     said = capsys.readouterr().err
-    assert f"no library is loaded from {file.parent} as it is: {open_to_all} can be wr" in said
+    assert f"no library is loaded from {file.parent} as it is: {open_to_all} can be wr" in said, (
+        said
+    )
     for nowhere in (file, file / "below"):
         with pytest.raises(Refusal, match=r"compile: the folder .* be writable, got (File|Not a)"):
             compile_ahead(sound.scene, "native", nowhere)
@@ -491,8 +496,9 @@ def test_what_is_used_is_not_what_goes(cache: Path, sound: Sound) -> None:
     os.utime(file, (0.0, 0.0))
     library_of(sound.scene)
     (entry,) = library_cache.entries(cache)
-    assert (entry.file, entry.scene, entry.size) == (file, "one_link", len(sound.stored))
-    assert abs(entry.used - time.time()) < 60.0
+    found = (entry.file, entry.scene, entry.size)
+    assert found == (file, "one_link", len(sound.stored)), "file, scene, size"
+    assert abs(entry.used - time.time()) < 60.0, "when it was used, and now [s]"
 
 
 @pytest.mark.parametrize("size", ["-1", "nan", "much", "1e-3x"])
@@ -515,14 +521,16 @@ def test_the_command_lists_and_clears(cache: Path, sound: Sound) -> None:
     shown = arm_emulator("cache")
     assert shown.returncode == 0, shown.stderr
     lines = shown.stdout.splitlines()
-    assert lines[0] == f"{cache}: trusted"
+    assert lines[0] == f"{cache}: trusted", lines
     size = f"{len(sound.stored) / 1e6:.3f}"
     assert lines[1].split()[2:] == [size, "MB", "one_link", file.name], lines
-    assert lines[2] == f"  1 libraries, {size} of 500 MB ({SIZE_VARIABLE})"
+    assert lines[2] == f"  1 libraries, {size} of 500 MB ({SIZE_VARIABLE})", lines
     with library_cache.locked(file):
         busy = arm_emulator("cache", "--clear")
         assert busy.returncode == 1 and f"{file.name} stays" in busy.stdout, busy.stdout
-    assert arm_emulator("cache", "--clear").stdout == f"{cache}: 1 libraries removed\n"
-    assert [item.name for item in cache.iterdir()] == ["notes.txt"]
+    cleared = arm_emulator("cache", "--clear").stdout
+    assert cleared == f"{cache}: 1 libraries removed\n", "what it says"
+    assert [item.name for item in cache.iterdir()] == ["notes.txt"], "what stays"
     cache.chmod(0o777)
-    assert f"{cache}: not trusted" in arm_emulator("cache").stdout
+    said = arm_emulator("cache").stdout
+    assert f"{cache}: not trusted" in said, said

@@ -170,4 +170,4 @@ def test_no_data_race(tmp_path: Path) -> None:
     assert built.returncode == 0, built.stderr
     ran = subprocess.run([str(program)], capture_output=True, text=True, timeout=600, check=False)
     assert ran.returncode == 0 and ran.stdout == "done\n", ran.stderr[-3000:]
-    assert "WARNING: ThreadSanitizer" not in ran.stderr
+    assert "WARNING: ThreadSanitizer" not in ran.stderr, ran.stderr[-3000:]
