@@ -92,6 +92,7 @@ def _parser() -> argparse.ArgumentParser:
         "for machines without a compiler",
     )
     compile_.add_argument("--into", type=Path, help="folder for the library (default: the cache)")
+    compile_.add_argument("--fleet", action="store_true", help="also many arms side by side")
     compile_.set_defaults(run=_compile)
 
     cache = commands.add_parser("cache", help="list the compiled scenes that are kept")
@@ -197,7 +198,8 @@ def _compile(arguments: argparse.Namespace) -> int:
     from emulator_node.compiler import compile_ahead
     from emulator_node.scene import load_scene
 
-    for library in compile_ahead(load_scene(arguments.scene), arguments.target, arguments.into):
+    scene = load_scene(arguments.scene)
+    for library in compile_ahead(scene, arguments.target, arguments.into, fleet=arguments.fleet):
         print(library)
     return 0
 

@@ -109,13 +109,16 @@ def _library(unit: Unit) -> ctypes.CDLL:
     raise AssertionError("writable_caches ends with a refusal")
 
 
-def compile_ahead(scene: Scene, target: str, folder: Path | None) -> list[Path]:
+def compile_ahead(
+    scene: Scene, target: str, folder: Path | None, fleet: bool = False
+) -> list[Path]:
     """Compile machine and real-time loop for `target`, for machines without a compiler.
 
     Args:
         scene: the scene.
         target: "native" or one of `PORTABLE_TARGETS`.
         folder: gets copies of the libraries in the cache; None: the cache is enough.
+        fleet: also for many arms side by side.
 
     Returns:
         Where the libraries are.
@@ -127,7 +130,8 @@ def compile_ahead(scene: Scene, target: str, folder: Path | None) -> list[Path]:
     if target not in targets:
         raise Refusal("compile", "target", "be known", target, ", ".join(targets))
     cache = next(library_cache.writable_caches())
-    return [_ahead(unit, target, cache, folder) for unit in (_unit_of(scene), _real_time_unit())]
+    units = [_unit_of(scene), _real_time_unit(), *([_fleet_unit_of(scene)] if fleet else [])]
+    return [_ahead(unit, target, cache, folder) for unit in units]
 
 
 def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:

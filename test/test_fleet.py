@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from bench.random_machines import machine
+from emulator_node.compiler import compile_ahead
 from emulator_node.fleet import Fleet
+from emulator_node.library_cache import CACHE_VARIABLE
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import SCHEMES, Scene, load_scene
 from words.refusal import Refusal
@@ -205,6 +207,22 @@ def test_scenes_that_have_no_lanes_move_as_well(keys: dict[str, Any], tmp_path: 
     for arm in range(3):
         expected = Plant(scene).run(rows[:, arm], STEPS)
         assert moved[:, arm].tobytes() == expected.tobytes(), f"arm {arm}"
+
+
+@pytest.mark.parametrize(("target", "lanes"), [("x86-64", 2), ("x86-64-v3", 4)])
+def test_processors_with_narrower_registers_have_fewer_lanes(
+    target: str, lanes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(12)
+    scene = mixture(tmp_path, 6)
+    rows = rng.uniform(-20.0, 20.0, (20, 5, len(scene.joints)))
+    expected = Fleet(scene, 5).run(rows, STEPS)
+    cache = tmp_path / "cache"
+    monkeypatch.setenv(CACHE_VARIABLE, str(cache))
+    assert len(compile_ahead(scene, target, None, fleet=True)) == 3, "machine, real time, fleet"
+    narrow = Fleet(scene, 5)
+    assert narrow.lanes == lanes, "lanes"
+    np.testing.assert_allclose(narrow.run(rows, STEPS), expected, rtol=0.0, atol=1e-12)
 
 
 def refusals() -> Iterator[tuple[str, Any, str]]:
