@@ -326,15 +326,25 @@ class LinearlyImplicit {
         return;
       }
     }
-    if constexpr (kWidth<X> == 1) {
-      past = memory;
-      halve(x, u);
-    } else {  // lanes without such modes are no numbers: their machines go on alone
-      x = y;
-      tables.settle(x);
-      x.v[0] = select(hold, x.v[0], X{} + __builtin_nan(""));
+    tables.settle(y);
+    Memory later = past;
+    past = memory;
+    halve(x, u);
+    if constexpr (kWidth<X> > 1) {  // lanes whose modes hold have no need of halves
+      keep(hold, y, x);
+      keep(hold, later, past);
     }
   }
+
+  // Put what `from` is where the mask holds.
+  static void keep(const Mask<X>& mask, auto& from, auto& to) {
+    X numbers[(sizeof to) / sizeof(X)];
+    X *in = numbers, *out = numbers;
+    each_number(from, [&](const X& number) { *in++ = number; });
+    each_number(to, [&](X& number) { number = select(mask, *out++, number); });
+  }
+  static void each_number(State<S, X>& x, auto&& number) { for_each_number(x, number); }
+  static void each_number(Memory& memory, auto&& number) { memory.for_each_number(number); }
 
   void halve(State<S, X>& x, const X (&u)[row]) {
     if (halvings == kMostHalvings) {
