@@ -60,7 +60,6 @@ REAL_TIME_CALLS: Calls = {
     "arm_real_time_go_on": (None, [_pointer]),
     "arm_real_time_command": (None, [_pointer] * 2),
     "arm_real_time_take": (_int, [_pointer] * 2),
-    "arm_real_time_snapshot_size": (_count, [_int32]),
     "arm_real_time_descriptor": (_int, [_pointer]),
     "arm_real_time_get_figures": (None, [_pointer] * 2),
     "arm_real_time_clear_figures": (None, [_pointer]),
@@ -136,6 +135,18 @@ class FleetTruth(_Sized):
         ("reserved", _uint32),
         *((name, _pointer) for name in ("fault", "t", "energy", "encoder_counts")),
         *((name, _pointer) for name in ("current", "theta_m", "omega_m", "q", "v", "gear_torque")),
+    )
+
+
+class Snapshot(_Sized):
+    """``arm_snapshot``; `joint` points to an array of JOINT_MEASUREMENT."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("reserved", _uint32),
+        *((name, _count) for name in ("tick", "answered", "lateness", "spent")),
+        ("truth", Truth),
+        ("joint", _pointer),
     )
 
 

@@ -11,10 +11,19 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulator_node.chain import Array
 from emulator_node.compiler import real_time_library
-from emulator_node.core_calls import JOINT_COMMAND, Command, RealTimeOptions, address
+from emulator_node.core_calls import (
+    JOINT_COMMAND,
+    JOINT_MEASUREMENT,
+    Command,
+    RealTimeOptions,
+    Snapshot,
+    Truth,
+    address,
+)
 from emulator_node.core_calls import VOLTAGE as VOLTAGE_MODE
 from emulator_node.plant import LARGEST_STEPS, ROWS, Plant, PlantState
 from emulator_node.scene import Scene
@@ -40,6 +49,19 @@ class RealTimeFigures:
     unread: int  # snapshots that nobody fetched in time
     fifo: int  # 1: the core's threads run under SCHED_FIFO
     locked: int  # 1: memory is locked
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The machine at a tick that the loop has reached."""
+
+    tick: int
+    spent: int  # ns, on the period that led there
+    fault: int  # joint that diverged; -1: none
+    energy: float  # J
+    rows: Array  # (len(ROWS), N), see `PlantState`
+    voltage: Array  # (N,) V, in that period
+    encoder_counts: NDArray[np.int64]  # (N,)
 
 
 class RealTimeLoop:
@@ -77,16 +99,13 @@ class RealTimeLoop:
         )
         self._loop = self._calls.arm_real_time_new(ctypes.byref(options))
         self._bell = self._calls.arm_real_time_descriptor(self._loop)
-        counters = ("tick", "answered", "lateness", "spent", "fault")
-        self._snapshot = np.zeros(
-            1,
-            dtype=[(name, "i8") for name in counters]
-            + [("energy", "f8")]
-            + [(name, "f8", (N,)) for name in (*ROWS, "voltage")]
-            + [("encoder", "i8", (N,))],
+        self._energy, self._rows = np.zeros(1), np.zeros((len(ROWS), N))
+        self._measured = np.zeros(N, JOINT_MEASUREMENT)
+        places = {name: row.ctypes.data for name, row in zip(ROWS, self._rows, strict=True)}
+        self._snapshot = Snapshot(
+            truth=Truth(energy=self._energy.ctypes.data, **places),
+            joint=self._measured.ctypes.data,
         )
-        assert self._snapshot.nbytes == self._calls.arm_real_time_snapshot_size(N)
-        self._snapshot_pointer = self._snapshot.ctypes.data_as(ctypes.c_void_p)
         self._commands = np.zeros(N, JOINT_COMMAND)
         self._commands["mode"], self._commands["enable"] = VOLTAGE_MODE, 1
         self._command = Command(tick=-1, joint=self._commands.ctypes.data)
@@ -132,11 +151,19 @@ class RealTimeLoop:
         os.read(self._bell, 8)
         return True
 
-    def take(self) -> Any:
-        """Return the oldest snapshot not taken yet, None if there is none."""
-        if not self._calls.arm_real_time_take(self._loop, self._snapshot_pointer):
+    def take(self) -> Reached | None:
+        """Return the oldest tick not taken yet, None if there is none."""
+        if not self._calls.arm_real_time_take(self._loop, ctypes.byref(self._snapshot)):
             return None
-        return self._snapshot[0].copy()
+        return Reached(
+            self._snapshot.tick,
+            self._snapshot.spent,
+            self._snapshot.truth.fault,
+            float(self._energy[0]),
+            self._rows.copy(),
+            self._measured["voltage"].copy(),
+            self._measured["encoder"].copy(),
+        )
 
     def figures(self) -> RealTimeFigures:
         """Return the loop's figures."""
@@ -249,29 +276,19 @@ class RealTimeSession(Session):
     def take(self) -> bool:
         """Go on to the next tick that the loop has reached; False if there is none."""
         assert self._loop is not None
-        s = self._loop.take()
-        if s is None:
+        reached = self._loop.take()
+        if reached is None:
             return False
-        self.voltage = s["voltage"]
-        self._energy = float(s["energy"])
-        self.step_wall_ns += int(s["spent"])
-        if s["fault"] >= 0:
-            t = int(s["tick"]) * self.scene.servo_period
-            fault = self.plant.fault(int(s["fault"]), t, s["q"], s["v"], s["voltage"])
-            fault.hint = what_holds(fault)
-            self.fault = fault
+        self.tick, self.voltage, self._energy = reached.tick, reached.voltage, reached.energy
+        self.step_wall_ns += reached.spent
+        t = reached.tick * self.scene.servo_period
+        current, theta_m, omega_m, q, v, gear_torque = reached.rows
+        counts = reached.encoder_counts
+        self._state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque, counts)
+        if reached.fault >= 0:
+            self.fault = self.plant.fault(reached.fault, t, q, v, reached.voltage)
+            self.fault.hint = what_holds(self.fault)
             self._running = False
-        self.tick = int(s["tick"])
-        self._state = PlantState(
-            self.tick * self.scene.servo_period,
-            s["current"],
-            s["theta_m"],
-            s["omega_m"],
-            s["q"],
-            s["v"],
-            s["gear_torque"],
-            s["encoder"],
-        )
         return True
 
     def step(self) -> str:

@@ -38,7 +38,14 @@ int main() {
                                               .reserved = 0};
   arm_real_time* loop = arm_real_time_new(&loop_options);
   if (!loop) return 2;
-  std::vector<std::byte> snapshot(arm_real_time_snapshot_size(N));
+  double energy, torques[N];
+  arm_joint_measurement measured[N];
+  arm_snapshot snapshot = {};
+  snapshot.size = sizeof snapshot;
+  snapshot.truth.size = sizeof snapshot.truth;
+  snapshot.truth.energy = &energy;
+  snapshot.truth.gear_torque = torques;
+  snapshot.joint = measured;
   for (int round = 0; round < 3; ++round) {
     arm_real_time_start(loop, 0);
     std::atomic<bool> enough = false;
@@ -52,7 +59,7 @@ int main() {
     });
     // Changed between two ticks now and then, while commands go on coming.
     for (int taken = 0, change = 50; taken < 300;) {
-      taken += arm_real_time_take(loop, snapshot.data());
+      taken += arm_real_time_take(loop, &snapshot);
       if (taken < change) continue;
       change += 50;
       arm_real_time_stop(loop);
@@ -61,7 +68,7 @@ int main() {
     }
     enough.store(true);
     arm_real_time_stop(loop);
-    while (arm_real_time_take(loop, snapshot.data())) {
+    while (arm_real_time_take(loop, &snapshot)) {
     }
     arm_reset(machine, q, v);
   }

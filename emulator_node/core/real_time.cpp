@@ -15,9 +15,9 @@
 #include <time.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
-#include <bit>
-#include <cstring>
+#include <iterator>
 #include <thread>
 #include <vector>
 
@@ -68,36 +68,61 @@ class Cell {
   std::vector<std::atomic<double>> values;
 };
 
+// The arrays of an arm_truth, with an entry per joint.
+constexpr double* arm_truth::* kRows[] = {&arm_truth::current,     &arm_truth::motor_angle,
+                                          &arm_truth::motor_speed, &arm_truth::q,
+                                          &arm_truth::v,           &arm_truth::gear_torque};
+
 // Snapshots that one thread writes and another takes.
 class Ring {
  public:
-  explicit Ring(std::int64_t snapshot) : size(snapshot), bytes(kSnapshots * snapshot) {}
+  explicit Ring(int joints)
+      : N(static_cast<std::size_t>(joints)),
+        numbers(kSnapshots * (1 + std::size(kRows) * N)),
+        measured(kSnapshots * N),
+        snapshots(kSnapshots) {
+    double* next = numbers.data();
+    for (std::size_t k = 0; k < kSnapshots; ++k) {
+      arm_snapshot& snapshot = snapshots[k] = {};
+      snapshot.truth.size = sizeof snapshot.truth;
+      snapshot.truth.energy = next++;
+      for (const auto row : kRows) snapshot.truth.*row = next, next += N;
+      snapshot.joint = &measured[k * N];
+    }
+  }
 
   // Where the next snapshot goes, null if nobody has taken the oldest one.
-  char* free() {
-    const std::int64_t w = written.load(std::memory_order_relaxed);
-    return w - taken.load(std::memory_order_acquire) == kSnapshots
-               ? nullptr
-               : &bytes[static_cast<std::size_t>(w % kSnapshots * size)];
+  arm_snapshot* free() {
+    const std::size_t w = written.load(std::memory_order_relaxed);
+    return w - taken.load(std::memory_order_acquire) == kSnapshots ? nullptr
+                                                                   : &snapshots[w % kSnapshots];
   }
   void publish() { written.fetch_add(1, std::memory_order_release); }
 
-  bool take(void* out) {
-    const std::int64_t t = taken.load(std::memory_order_relaxed);
+  bool take(arm_snapshot& out) {
+    const std::size_t t = taken.load(std::memory_order_relaxed);
     if (t == written.load(std::memory_order_acquire)) return false;
-    std::memcpy(out, &bytes[static_cast<std::size_t>(t % kSnapshots * size)],
-                static_cast<std::size_t>(size));
+    const arm_snapshot& from = snapshots[t % kSnapshots];
+    out.tick = from.tick, out.answered = from.answered;
+    out.lateness = from.lateness, out.spent = from.spent;
+    out.truth.fault = from.truth.fault, out.truth.time = from.truth.time;
+    if (out.truth.energy) *out.truth.energy = *from.truth.energy;
+    for (const auto row : kRows)
+      if (out.truth.*row) std::copy_n(from.truth.*row, N, out.truth.*row);
+    if (out.joint) std::copy_n(from.joint, N, out.joint);
     taken.store(t + 1, std::memory_order_release);
     return true;
   }
 
  private:
-  static constexpr int kSnapshots = 16384;  // 16 s at 1 kHz: a busy machine may let us wait
+  static constexpr std::size_t kSnapshots = 16384;  // 16 s at 1 kHz: a busy machine may let us wait
 
-  const std::int64_t size;
-  std::vector<char> bytes;
-  alignas(64) std::atomic<std::int64_t> written = 0;
-  alignas(64) std::atomic<std::int64_t> taken = 0;
+  const std::size_t N;  // joints
+  std::vector<double> numbers;
+  std::vector<arm_joint_measurement> measured;
+  std::vector<arm_snapshot> snapshots;
+  alignas(64) std::atomic<std::size_t> written = 0;
+  alignas(64) std::atomic<std::size_t> taken = 0;
 };
 
 // How late the thread woke up.
@@ -150,10 +175,7 @@ struct arm_real_time {
   static constexpr std::int64_t kOldAfter = 2;  // servo periods
 
   explicit arm_real_time(const arm_real_time_options& options)
-      : arm(options),
-        bell(eventfd(0, EFD_NONBLOCK)),
-        cell(options.joints),
-        ring(arm_real_time_snapshot_size(options.joints)) {}
+      : arm(options), bell(eventfd(0, EFD_NONBLOCK)), cell(options.joints), ring(options.joints) {}
 
   ~arm_real_time() {
     stop();
@@ -210,29 +232,22 @@ struct arm_real_time {
       const bool sound = result == ARM_OK;
       const std::int64_t spent = now() - began;
       if (sound) tick.store(k + 1);
-      tell({sound ? k + 1 : k, command.tick, lateness, spent, -1, 0.0}, measured);
+      tell(sound ? k + 1 : k, command.tick, lateness, spent, measured);
       if (!sound) return;
     }
   }
 
-  void tell(arm_snapshot snapshot, const std::vector<arm_joint_measurement>& measured) {
-    char* const out = ring.free();
+  void tell(std::int64_t at, std::int64_t answered, std::int64_t lateness, std::int64_t spent,
+            const std::vector<arm_joint_measurement>& measured) {
+    arm_snapshot* const out = ring.free();
     if (!out) {
       unread.fetch_add(1);
       return;
     }
-    const int N = arm.joints;
-    double* const rows = reinterpret_cast<double*>(out + sizeof snapshot);
-    arm_truth truth = {sizeof truth, -1,           0.0,          &snapshot.energy, rows,
-                       rows + N,     rows + 2 * N, rows + 3 * N, rows + 4 * N,     rows + 5 * N};
-    arm.get_truth(arm.machine, &truth);
-    auto* const counts = reinterpret_cast<std::int64_t*>(rows + 7 * N);
-    for (int j = 0; j < N; ++j) {
-      rows[6 * N + j] = measured[static_cast<std::size_t>(j)].voltage;
-      counts[j] = measured[static_cast<std::size_t>(j)].encoder;
-    }
-    snapshot.fault = truth.fault;
-    std::memcpy(out, &snapshot, sizeof snapshot);
+    out->tick = at, out->answered = answered;
+    out->lateness = lateness, out->spent = spent;
+    arm.get_truth(arm.machine, &out->truth);
+    std::copy(measured.begin(), measured.end(), out->joint);
     ring.publish();
     const std::uint64_t one = 1;
     [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
@@ -280,9 +295,9 @@ void arm_real_time_go_on(arm_real_time* loop) { loop->go_on(); }
 void arm_real_time_command(arm_real_time* loop, const arm_command* command) {
   loop->cell.write(*command);
 }
-int arm_real_time_take(arm_real_time* loop, void* out) { return loop->ring.take(out); }
-std::int64_t arm_real_time_snapshot_size(std::int32_t joints) {
-  return static_cast<std::int64_t>(sizeof(arm_snapshot)) + 8LL * 8LL * joints;
+int arm_real_time_take(arm_real_time* loop, arm_snapshot* out) {
+  return out && out->size >= sizeof *out && out->truth.size >= sizeof out->truth &&
+         loop->ring.take(*out);
 }
 int arm_real_time_descriptor(const arm_real_time* loop) { return loop->bell; }
 void arm_real_time_get_figures(const arm_real_time* loop, arm_real_time_figures* out) {

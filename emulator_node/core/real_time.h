@@ -24,16 +24,17 @@ typedef struct arm_real_time_options {
   int32_t reserved;
 } arm_real_time_options;
 
-/* What a period leaves behind: the machine at the tick that ends it. In memory this is followed by
- * eight arrays, each with an entry per joint: current, motor angle, motor speed, q, v, gear torque,
- * voltage (double), encoder counts (int64_t). */
+/* What a period leaves behind: the machine at the tick that ends it. Every pointer may be null, in
+ * `truth` as in arm_get_truth; the sizes of both structs must be set. */
 typedef struct arm_snapshot {
+  uint32_t size;
+  uint32_t reserved;
   int64_t tick;
   int64_t answered; /* tick that the command of the period answered; -1: none yet */
   int64_t lateness; /* ns, of the wake-up that computed it */
   int64_t spent;    /* ns, on the exchange */
-  int64_t fault;    /* joint that diverged; -1: none */
-  double energy;    /* J */
+  arm_truth truth;
+  arm_joint_measurement* joint; /* an entry per joint */
 } arm_snapshot;
 
 /* Since `arm_real_time_clear_figures`; times in ns. */
@@ -60,10 +61,9 @@ void arm_real_time_stop(arm_real_time* loop);
 void arm_real_time_go_on(arm_real_time* loop);
 /* The newest command wins. It may be given and replaced at any time, by one thread. */
 void arm_real_time_command(arm_real_time* loop, const arm_command* command);
-/* Copy the oldest snapshot that was not taken yet; 0 if there is none. */
-int arm_real_time_take(arm_real_time* loop, void* out);
-/* Bytes of a snapshot with its arrays. */
-int64_t arm_real_time_snapshot_size(int32_t joints);
+/* Copy the oldest snapshot that was not taken yet; 0 if there is none, or if a size is not that of
+ * its struct. */
+int arm_real_time_take(arm_real_time* loop, arm_snapshot* out);
 /* A descriptor that is readable when there is a snapshot. */
 int arm_real_time_descriptor(const arm_real_time* loop);
 void arm_real_time_get_figures(const arm_real_time* loop, arm_real_time_figures* out);
