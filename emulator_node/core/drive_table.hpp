@@ -127,7 +127,7 @@ struct DriveTable {
   double rhs_2[In::count];                   // (M + diagonal) k2 = rhs_2 - sqrt(2) nle
   double dz[kRows][In::count];               // what the step adds to z
   double diagonal;                           // s b
-  double k_z[R > 0 ? kRows : 0][In::count];  // the rates of z in the first stage
+  double k_z[R > 0 ? kRows : 1][In::count];  // the rates of z in the first stage
 };
 
 inline constexpr double kSqrt2 = 1.4142135623730951;
@@ -376,7 +376,7 @@ class DriveTables {
   }
 
   alignas(64) Numbers rhs_1 = {}, rhs_2 = {}, dz[K > 0 ? K : 1] = {};
-  alignas(64) Numbers k_z[linear ? 0 : K] = {};
+  alignas(64) Numbers k_z[linear ? 1 : K] = {};
   alignas(64) Number diagonal[row] = {};
 
  private:
