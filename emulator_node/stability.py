@@ -16,7 +16,7 @@ import numpy as np
 
 from emulator_node.chain import Array
 from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import SCHEMES, Integrator
+from emulator_node.scene import SCHEMES, Integrator, Scene
 from words.refusal import Refusal
 
 GAMMA = 1.0 - math.sqrt(0.5)  # of rosenbrock and extrapolated
@@ -162,7 +162,7 @@ def what_holds(fault: Diverged) -> str:
             turn = float(np.abs(fault.v).max()) * now.dt
             return (
                 "small motions about rest in this pose would hold: the motion is too fast for the "
-                f"step, {turn:.2g} rad or m per step"
+                f"step, {turn:.2g} rad or m per step{_stiffened(fault.scene)}"
             )
         growth = motions.growth(now.scheme, now.dt)
         steps = {scheme: motions.largest_step(scheme) for scheme in SCHEMES}
@@ -176,6 +176,11 @@ def what_holds(fault: Diverged) -> str:
         f"each step multiplies a small motion about rest in this pose by {growth:.3g}; "
         f"what holds there: {', '.join(found)}"
     )
+
+
+def _stiffened(scene: Scene) -> str:
+    progressive = any(joint.gear.cubic_stiffness for joint in scene.joints)
+    return ", or a gear is wound up beyond what is linear in it" if progressive else ""
 
 
 @dataclass(frozen=True)

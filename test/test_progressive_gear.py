@@ -16,6 +16,7 @@ from emulator_node.advice import ORDERS
 from emulator_node.chain import Array
 from emulator_node.compiler import CORE, FLAGS
 from emulator_node.cxx import find_compiler
+from emulator_node.fleet import Fleet
 from emulator_node.plant import Diverged, Plant
 from emulator_node.reference import reference, reference_states
 from emulator_node.scene import SCHEMES, Gear, Scene, load_scene
@@ -252,6 +253,33 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
         assert off < 0.1, f"Kg3 = {Kg3:g}: a wrong motion in silence, off by {off:.0%}"
         outcomes.append("followed")
     assert set(outcomes) == {"diverged", "followed"}, outcomes
+
+
+@pytest.mark.parametrize("varied", [[], ["joints.*.gear.cubic_stiffness"]])
+def test_lanes_move_as_single_arms(tmp_path: Path, varied: list[str]) -> None:
+    """With current limits, and with one gear for all arms or gears of their own."""
+    rng = np.random.default_rng(len(varied))
+    motor = drawn_motor(rng, inductance=True) | {"current_limit": 4.0}
+    file = write_scene(
+        tmp_path,
+        one_link_urdf(),
+        {"joint": {"motor": motor, "gear": drawn_gear(rng, torque=10.0)}},
+        varied=varied,
+        integrator={"scheme": "rosenbrock", "dt": 2e-4},
+    )
+    scene, count = load_scene(file), 9  # more than a group
+    values = {one.name: one.value * rng.uniform(0.3, 3.0, count) for one in scene.varied}
+    q = rng.normal(0.0, 1.0, (count, 1))
+    voltages = rng.uniform(-20.0, 20.0, (20, count, 1))
+    moved = Fleet(scene, count, varied=values, q=q).run(voltages, 10)
+    for arm in range(count):
+        plant = Plant(scene)
+        for name, of_arms in values.items():
+            plant.set_parameter(name, float(of_arms[arm]))
+        plant.reset(q[arm])
+        alone = plant.run(voltages[:, arm], 10)
+        np.testing.assert_allclose(moved[:, arm], alone, rtol=0, atol=1e-12, err_msg=f"arm {arm}")
+    assert np.ptp(moved[-1] - q) > 1e-4, "the arms move apart"
 
 
 def test_what_calls_itself_linear_and_is_not_does_not_compile(tmp_path: Path) -> None:
