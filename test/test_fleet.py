@@ -30,7 +30,7 @@ def mixture(folder: Path, seed: int, scheme: str = "extrapolated", **keys: Any) 
 
 
 def springy(folder: Path) -> Scene:
-    """Return the first mixture with a spring, explicit in its scheme, at a link without friction."""
+    """Return the first mixture with a spring, explicit in its scheme, at a frictionless link."""
     for seed in range(2, 200):
         scene = mixture(folder, seed, "paper")
         if any(j.gear.stiffness and j.motor and not j.friction.coulomb for j in scene.joints):
