@@ -130,7 +130,7 @@ bool within_bounds(int k, double value) {
 
 }  // namespace
 
-arm_machine* arm_new(const arm_options* options) {
+ARM_ONCE arm_machine* arm_new(const arm_options* options) {
   bool sound = options && options->size >= sizeof *options && options->core >= -1 &&
                arm::is_finite(options->step) && options->step > 0.0 &&
                options->steps_per_period > 0 && (options->parameters || !Scene::parameters);
@@ -244,7 +244,7 @@ struct Words {
     __builtin_memcpy(&number, at, kWord);
     pass();
   }
-  void pass() {
+  ARM_ONCE void pass() {
     std::uint64_t word;
     __builtin_memcpy(&word, at, kWord);
     sum = (sum ^ word) * 0x100000001b3;  // FNV-1a: any one word that is changed changes the sum
@@ -255,7 +255,7 @@ struct Words {
 
 }  // namespace
 
-std::int64_t arm_saved_size(void) {
+ARM_ONCE std::int64_t arm_saved_size(void) {
   static const std::int64_t size = [] {
     const arm::SomeValues<Scene> some;
     arm_machine none({sizeof(arm_options), -1, 1.0, 1, some.p});
@@ -268,7 +268,7 @@ std::int64_t arm_saved_size(void) {
   return size;
 }
 
-int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
+ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
   if (size != arm_saved_size())
     return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
   Words words = {static_cast<unsigned char*>(out)};
@@ -282,7 +282,7 @@ int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
   return ARM_OK;
 }
 
-int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
+ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
   if (size != arm_saved_size())
     return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
   Words words = {const_cast<unsigned char*>(static_cast<const unsigned char*>(saved))};
@@ -332,7 +332,7 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
   return machine->result();
 }
 
-int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
+ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   constexpr int N = arm_machine::N;
   if (machine->check_size(truth)) return ARM_REFUSED;
   double current[N], angle[N], speed[N];
@@ -421,7 +421,7 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_
   }
 }
 
-int arm_linear_drives(const arm_machine* machine, double* out) {
+ARM_ONCE int arm_linear_drives(const arm_machine* machine, double* out) {
   constexpr int K = arm::most_states<Scene>();
   if (!out) return K;
   const auto copy = [&](const double* from, int count) {

@@ -42,7 +42,7 @@ struct LinearDrive {
   double D[kRows], F[kRows][K + 4], G[K + 4];
 
   template <class TheDrive>
-  static constexpr LinearDrive of(const TheDrive& whole, bool limited) {
+  ARM_ONCE static constexpr LinearDrive of(const TheDrive& whole, bool limited) {
     using Input = DriveInput<TheDrive::states, double>;
     LinearDrive linear = {};
     const auto drive = whole.linear();
@@ -137,7 +137,7 @@ constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 
 
 // The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp).
 template <int K, int R>
-DriveTable<K, R> implicit_table(const LinearDrive<K>& drive, double h, int stages) {
+ARM_ONCE DriveTable<K, R> implicit_table(const LinearDrive<K>& drive, double h, int stages) {
   using In = StepInput<K, R>;
   constexpr int n = LinearDrive<K>::kRows;
   const double s = gamma_of(stages) * h;
@@ -202,7 +202,7 @@ DriveTable<K, R> implicit_table(const LinearDrive<K>& drive, double h, int stage
 // The table of the paper's scheme: backward Euler of the drive with the link held; `rhs_1` is the
 // torque on the link at the states after it. The drive's rest stays what it is at the step's start.
 template <int K, int R>
-DriveTable<K, R> paper_table(const LinearDrive<K>& drive, double h) {
+ARM_ONCE DriveTable<K, R> paper_table(const LinearDrive<K>& drive, double h) {
   using In = StepInput<K, R>;
   constexpr int n = LinearDrive<K>::kRows;
   double E[n][n] = {};

@@ -13,6 +13,10 @@ inline constexpr int kUnrollNested = 12;
 
 #define ARM_INLINE __attribute__((always_inline)) inline
 
+// For what no step runs: compiled for size, and once, not for each joint with its constants. The
+// compiler would take longer over it than over the step.
+#define ARM_ONCE __attribute__((cold, noinline, noclone))
+
 // body(i) for i = 0 .. N-1; `i` converts to int and, when unrolled, is a compile-time constant.
 template <int N, int limit = kUnrollLimit, class Body>
 ARM_INLINE void for_each(Body&& body) {

@@ -72,14 +72,14 @@ class Machine {
     return instant;
   }
   Whole whole() const { return {instant(), checked, fault}; }
-  void restore(const Whole& whole) {
+  ARM_ONCE void restore(const Whole& whole) {
     go_back(whole.now);
     checked = whole.checked;
     fault = static_cast<int>(whole.fault);
   }
 
   // Set a varied number, between two steps. The motion goes on from where it is.
-  void set_parameter(int k, double value) {
+  ARM_ONCE void set_parameter(int k, double value) {
     const typename Threads::Memory past = threads.memory();
     numbers.set(k, value);
     ++edition;
@@ -95,7 +95,7 @@ class Machine {
   std::int64_t numbers_edition() const { return edition; }
 
   // Put the machine at a state without a past. Time goes on, or begins anew at 0.
-  void put(const State<S>& at, bool anew) {
+  ARM_ONCE void put(const State<S>& at, bool anew) {
     x = at;
     threads.reset(x);
     balance.reset(numbers, x);
@@ -267,7 +267,7 @@ class Machine {
     steps_taken += count;
   }
 
-  void go_back(const Instant& to) {
+  ARM_ONCE void go_back(const Instant& to) {
     threads.end();
     threads.restore(to.past);
     x = to.x;
@@ -278,7 +278,7 @@ class Machine {
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
-  int creep_to_the_fault(const Course& from, int chunk) {
+  ARM_ONCE int creep_to_the_fault(const Course& from, int chunk) {
     Course course = from;
     for (int s = 0; s < chunk; ++s) {
       const Instant before = instant();
