@@ -99,6 +99,15 @@ class MachineWithModes(ReferenceMachine):
         _, surplus = self.currents(x, V)
         self.side = np.where(at * surplus >= 0.0, at, 0.0)
 
+    def meet_limit(self, j: int, x: Array, V: Array) -> None:
+        """Hold the current of joint j at its limit, unless it has left it, beyond by rounding."""
+        currents, surplus = self.currents(x, V)
+        side = np.sign(currents[j])
+        leaves = side * surplus[j] < 0.0
+        self.side[j] = 0.0 if leaves else side
+        if self.inductive[j]:
+            x[0, j] = side * self.limit[j] * (1.0 - ROUNDING * 1e-3 if leaves else 1.0)
+
     def margins(self, V: Array) -> list[tuple[str, int, Margin]]:
         """Return what ends each mode, by falling through zero."""
         out: list[tuple[str, int, Margin]] = []
@@ -171,9 +180,7 @@ def reference_with_events(
                 elif what == "away":
                     freed = j
                 elif what == "limit":
-                    machine.side[j] = np.sign(machine.currents(x, V)[0][j])
-                    if machine.inductive[j]:
-                        x[0, j] = machine.side[j] * machine.limit[j]
+                    machine.meet_limit(j, x, V)
                 else:
                     machine.side[j] = 0.0
             machine.choose_locks(x, V, freed)
