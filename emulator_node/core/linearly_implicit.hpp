@@ -30,6 +30,7 @@
 
 #include "coulomb.hpp"
 #include "drive_table.hpp"
+#include "finite.hpp"
 #include "links.hpp"
 #include "modes.hpp"
 
@@ -373,6 +374,7 @@ class LinearlyImplicit {
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
         if constexpr (drive.driven) {
           if (!drive.motor.has_limit()) return;
+          if (!is_finite(lane_of(y.v[0], lane))) return;  // it has diverged, whatever its modes
           const auto end = input_in_lane(drive, j, y, u[j], lane);
           const double side = tables.served_side(j, lane);
           const double i = end.z[drive.i];

@@ -12,6 +12,11 @@ struct SinCos {
 
 #ifdef __FMA__
 inline constexpr double kReducible = 1e5;  // rad; up to here the reduction has bits to spare
+#else
+inline constexpr double kReducible = -1.0;  // none is
+#endif
+
+#ifdef __FMA__
 
 // a b + c, rounded once, and the whole number next to x. Both are out of reach of the reassociation
 // that this unit is compiled with.
@@ -74,11 +79,11 @@ ARM_INLINE SinCos<X> sincos_reduced(const X& x) {
 }
 #endif
 
-// Of each lane, one by one.
+// Of each lane, one by one, where it is too large to be reduced: the others have `result`.
 template <class X>
-__attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
-  SinCos<X> result;
+__attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x, SinCos<X> result) {
   for (int lane = 0; lane < kWidth<X>; ++lane) {
+    if (magnitude(lane_of(x, lane)) < kReducible) continue;
     set_lane(result.sin, lane, __builtin_sin(lane_of(x, lane)));
     set_lane(result.cos, lane, __builtin_cos(lane_of(x, lane)));
   }
@@ -88,9 +93,12 @@ __attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
 template <class X>
 ARM_INLINE SinCos<X> sincos(const X& x) {
 #ifdef __FMA__
-  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return sincos_reduced(x);
+  const SinCos<X> reduced = sincos_reduced(x);
+  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return reduced;
+  return sincos_anywhere(x, reduced);
+#else
+  return sincos_anywhere(x, SinCos<X>{});
 #endif
-  return sincos_anywhere(x);
 }
 
 }  // namespace arm
