@@ -79,9 +79,14 @@ ARM_INLINE SinCos<X> sincos_reduced(const X& x) {
 }
 #endif
 
-// Of each lane, one by one, where it is too large to be reduced: the others have `result`.
+// Of each lane, one by one where it is too large to be reduced.
 template <class X>
-__attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x, SinCos<X> result) {
+__attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x) {
+#ifdef __FMA__
+  SinCos<X> result = sincos_reduced(x);
+#else
+  SinCos<X> result;
+#endif
   for (int lane = 0; lane < kWidth<X>; ++lane) {
     if (magnitude(lane_of(x, lane)) < kReducible) continue;
     set_lane(result.sin, lane, __builtin_sin(lane_of(x, lane)));
@@ -93,12 +98,9 @@ __attribute__((noinline)) SinCos<X> sincos_anywhere(const X& x, SinCos<X> result
 template <class X>
 ARM_INLINE SinCos<X> sincos(const X& x) {
 #ifdef __FMA__
-  const SinCos<X> reduced = sincos_reduced(x);
-  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return reduced;
-  return sincos_anywhere(x, reduced);
-#else
-  return sincos_anywhere(x, SinCos<X>{});
+  if (__builtin_expect(!any(magnitude(x) >= kReducible), 1)) return sincos_reduced(x);
 #endif
+  return sincos_anywhere(x);
 }
 
 }  // namespace arm
