@@ -69,10 +69,12 @@ def _fleet(figures: dict[str, Any]) -> Iterator[Row]:
     what = f"{figures['count']} {fleet.PEER} on one core: arm-steps/s over one arm's, every scheme"
     yield what, f"at least {FLEET_GAIN:g}", f"{gain:.2f}", gain >= FLEET_GAIN
     peer, ours, ratio = fleet.per_step_ratio(figures)
-    what = f"{figures['count']} {fleet.PEER}: time per step, {peer} by rollout / {ours}"
+    what = f"{figures['count']} {fleet.PEER}, one core: time per step, {peer} by rollout / {ours}"
     yield what, f"at least {FLEET_PER_STEP:g}", f"{ratio:.0f}", ratio >= FLEET_PER_STEP
     at = fleet.at_error_ratio(figures)
-    what = f"{figures['count']} {fleet.PEER}: time at {fleet.TARGET:g} rad, rollout / ours"
+    what = (
+        f"{figures['count']} {fleet.PEER}, one core: time at {fleet.TARGET:g} rad, rollout / ours"
+    )
     reached = f"{at[2]:.0f} ({at[0]} / {at[1]})" if at else "one of them did not get there"
     yield what, f"at least {FLEET_AT_ERROR:g}", reached, at[2] >= FLEET_AT_ERROR if at else None
 

@@ -30,6 +30,8 @@ from emulator_node.scene import Scene
 from words.count import check_count
 from words.refusal import Refusal
 
+SHARES_OF_WORKER = 4
+WORTH_A_THREAD = 5000  # steps of arms in one call; fewer take no longer than it takes to share them
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
 
 
@@ -98,7 +100,9 @@ class Fleet:
         self._fleet = self.core.arm_fleet_new(ctypes.byref(options), self._count)
         groups = -(-self._count // self.lanes)
         workers = min(workers, groups)
-        bounds = [groups * k // workers * self.lanes for k in range(workers + 1)]
+        # More shares than workers: cores need not be equally fast.
+        shares = min(SHARES_OF_WORKER * workers if workers > 1 else 1, groups)
+        bounds = [groups * k // shares * self.lanes for k in range(shares + 1)]
         self._shares = [
             (first, min(end, self._count) - first) for first, end in itertools.pairwise(bounds)
         ]
@@ -243,10 +247,10 @@ class Fleet:
             run: Callable[..., int] = self.core.arm_fleet_run
             run(self._fleet, *of, rows.ctypes.data, len(rows), steps, q.ctypes.data)
 
-        if self._pool:
+        if self._pool and rows[..., 0].size * steps > WORTH_A_THREAD:
             list(self._pool.map(share, self._shares))
         else:
-            share(self._shares[0])
+            share((0, self._count))
 
     def _values(self, varied: Mapping[str, ArrayLike]) -> Array:
         """Return the varied numbers' values, a row for each arm."""
