@@ -77,7 +77,7 @@ def _throughput(
         "all cores": _task(wide, rows, wide.reset),
     }
     timings = interleaved(
-        tasks, repetitions, lambda task: done(name) if task in "one arm" else None
+        tasks, repetitions, lambda task: done(name) if task == "one arm" else None
     )
     steps = {"one arm": len(one), "one core": rows.size // N, "all cores": rows.size // N}
     per_step = {

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from emulator_node.chain import Array
 from emulator_node.compiler import fleet_library_of
-from emulator_node.core_calls import FleetTruth, Options
+from emulator_node.core_calls import FleetTruth
 from emulator_node.plant import (
     LARGEST_STEPS,
     PIECE,
@@ -25,6 +25,7 @@ from emulator_node.plant import (
     Plant,
     as_numbers,
     check_start,
+    options_of,
 )
 from emulator_node.scene import Scene
 from words.count import check_count
@@ -91,12 +92,7 @@ class Fleet:
         self.core = fleet_library_of(scene)
         self.lanes = int(self.core.arm_fleet_lanes())
         values = self._values(varied or {})
-        options = Options(
-            core=scene.cores[1],
-            step=scene.integrator.dt,
-            steps_per_period=scene.steps_per_period,
-            parameters=values.ctypes.data,
-        )
+        options = options_of(scene, values)
         self._fleet = self.core.arm_fleet_new(ctypes.byref(options), self._count)
         groups = -(-self._count // self.lanes)
         workers = min(workers, groups)

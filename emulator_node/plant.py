@@ -181,14 +181,8 @@ class Plant:
             self.reset()
 
     def _new(self) -> int:
-        scene = self.scene
-        values = np.array([one.value for one in scene.varied])
-        options = Options(
-            core=scene.cores[1],
-            step=scene.integrator.dt,
-            steps_per_period=scene.steps_per_period,
-            parameters=_address(values),
-        )
+        values = np.array([one.value for one in self.scene.varied])
+        options = options_of(self.scene, values)
         machine: int = self.core.arm_new(ctypes.byref(options))
         return machine
 
@@ -545,6 +539,16 @@ class Plant:
         if not np.isfinite(array).all():
             raise Refusal(where, quantity, f"be finite [{unit}]", array)
         return array
+
+
+def options_of(scene: Scene, values: Array) -> Options:
+    """Return what the core makes machines of; `values` of the varied numbers must outlive it."""
+    return Options(
+        core=scene.cores[1],
+        step=scene.integrator.dt,
+        steps_per_period=scene.steps_per_period,
+        parameters=_address(values),
+    )
 
 
 def link_angle_per_count(scene: Scene) -> Array:

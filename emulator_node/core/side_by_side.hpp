@@ -147,12 +147,12 @@ class SideBySide {
 
   // Whether the energy of a lane is one that a machine can have.
   bool balanced(int lane, Abreast& at) {
-    Whole one = {};
-    take(lane, at, one.now);
+    typename Machine::Instant now = {};
+    take(lane, at, now);
     const int joint =
-        one.now.balance.broken_by(machine[lane < used ? lane : 0]->numbers_now(), one.now.x, h);
-    at.balance[lane] = one.now.balance;
-    at.most[lane] = one.now.balance.most();
+        now.balance.broken_by(machine[lane < used ? lane : 0]->numbers_now(), now.x, h);
+    at.balance[lane] = now.balance;
+    at.most[lane] = now.balance.most();
     return joint < 0;
   }
 
@@ -162,7 +162,7 @@ class SideBySide {
     past.for_each_number(number);
   }
 
-  static void put(int lane, typename Machine::Instant now, Abreast& at,
+  static void put(int lane, typename Machine::Instant& now, Abreast& at,
                   typename Threads::Memory& past) {
     double numbers[sizeof now / sizeof(double)];
     double *to = numbers, *from = numbers;
