@@ -86,7 +86,7 @@ def record(scene: Scene, file: Path) -> tuple[Array, str]:
         run = OfflineRun(fine, gains.servo, gains.motion)
     except Refusal:
         return _sines(scene), "sines of a quarter of the supply voltage for 1 s (it has no demo)"
-    R_WT, p_WT = run.controller.forward(scene.start)
+    R_WT, p_WT = run.controller.kinematics.forward(scene.start)
     settle = plan.settle_ns / NANOSECONDS
     run.instructor.add(plan.settle_ns, Pose(p_WT + plan.displacement, R_WT))
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from arm_emulator.gains import check_fit, load_gains
 from emulator_node.scene import load_scene
+from motion_controller_node.motion_config import MotionConfig
 from words.config_files import find_beside, find_scene
 from words.refusal import Refusal
 
@@ -27,14 +28,12 @@ def check_scene(name: str) -> str:
         return "; ".join((line, *missing))
     gains = load_gains(file)
     check_fit(scene, gains.servo, gains.motion)
-    _check_controller(scene.urdf, scene.joint_names, gains.motion.controller_arguments())
+    _check_controller(scene.urdf, scene.joint_names, gains.motion)
     return line
 
 
-def _check_controller(
-    urdf: str, joint_names: tuple[str, ...], arguments: dict[str, object]
-) -> None:
+def _check_controller(urdf: str, joint_names: tuple[str, ...], motion: MotionConfig) -> None:
     # Pinocchio, which is slow to import, only where there is a motion controller to check.
-    from motion_controller_node.jacobian import JacobianController
+    from motion_controller_node.controller import controller_for
 
-    JacobianController(urdf, joint_names, **arguments)  # type: ignore[arg-type]
+    controller_for(urdf, joint_names, motion)

@@ -30,7 +30,7 @@ from arm_emulator.fig4 import draw_fig4
 from arm_emulator.gains import Gains, check_fit, load_gains
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.scene import Scene, load_scene
-from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.controller import Controller, controller_for
 from motion_controller_node.pose import Pose
 from motion_controller_node.predicted_residual import PredictedResidual, predicted_residual
 from ros_shell.node_shell import (
@@ -96,9 +96,9 @@ def _run(
     scene: Scene, gains: Gains, plan: DemoPlan, network: Bringup, console: Console
 ) -> DemoResult:
     motion, servo = gains.motion, gains.servo
-    controller = JacobianController(scene.urdf, scene.joint_names, **motion.controller_arguments())
+    controller = controller_for(scene.urdf, scene.joint_names, motion)
     period_ns = round(motion.period * NANOSECONDS)
-    R_WT, p_WT = controller.forward(scene.start)
+    R_WT, p_WT = controller.kinematics.forward(scene.start)
     target = Pose(p_WT + plan.displacement, R_WT)
     observer = _Observer(controller, target, period_ns, plan)
     try:
@@ -147,14 +147,14 @@ class _Observer(Node):
     """Sends the target and watches the true arm, at every instruction."""
 
     def __init__(
-        self, controller: JacobianController, target: Pose, period_ns: int, plan: DemoPlan
+        self, controller: Controller, target: Pose, period_ns: int, plan: DemoPlan
     ) -> None:
         super().__init__("demo")
         self.q: list[Array] = []  # true joint angles at each instruction
-        self.gear_torque = np.zeros(len(controller.joint_names))
+        self.gear_torque = np.zeros(len(controller.kinematics.joint_names))
         self.answered = False
         self.target_taken = False
-        self._controller, self._target = controller, target
+        self._kinematics, self._target = controller.kinematics, target
         self._period_ns, self._start_ns = period_ns, plan.settle_ns
         self._targets = self.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
         self._pause = self.create_client(SetBool, "emulator/pause")
@@ -213,11 +213,11 @@ class _Observer(Node):
 
     def deviation(self, k: int) -> Array:
         """Target minus tool before instruction k, (3,) [m]."""
-        return self._target.p_WT - self._controller.forward(self.q[k])[1]
+        return self._target.p_WT - self._kinematics.forward(self.q[k])[1]
 
     def rotation(self, k: int) -> float:
         """Angle between the tool and its target before instruction k [rad]."""
-        R = self._controller.forward(self.q[k])[0].T @ self._target.R_WT
+        R = self._kinematics.forward(self.q[k])[0].T @ self._target.R_WT
         # Of the skew part, since the arc cosine of the trace is coarse near 0.
         skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
         return float(np.arctan2(np.linalg.norm(skew), np.trace(R) - 1.0))

@@ -17,8 +17,10 @@ from arm_emulator.gains import check_fit, load_gains
 from emulator_node.plant import Diverged
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
+from motion_controller_node.controller import controller_for
+from motion_controller_node.instruction import Instruction
 from motion_controller_node.instructor import Instructor
-from motion_controller_node.jacobian import JacobianController, moving_joints
+from motion_controller_node.kinematics import moving_joints
 from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.pose import Pose
 from servo_node.drives import Drives, Target
@@ -38,7 +40,7 @@ class OfflineRun:
     Attributes:
         session: the machine; tick, logical time, state, energy.
         drives: the servo.
-        controller: eq. (6) for the arm.
+        controller: the control law for the arm.
         instructor: takes the tool targets.
         motion_ticks: servo periods in a motion period.
 
@@ -55,16 +57,15 @@ class OfflineRun:
         check_fit(scene, servo, motion)
         self.session = Session(scene, "lockstep", "first_answer")
         self.drives = Drives(servo)
-        self.controller = JacobianController(
-            scene.urdf, moving_joints(scene.urdf), **motion.controller_arguments()
-        )
+        self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
         self.instructor = Instructor()
         self.motion_ticks = round(motion.period / servo.period)
         self._servo_names = list(servo.joint_names)
         # Indices of one side's joints in the other's arrays; a slice where the order is the same.
         self._to_servo = _places("servo", scene.joint_names, servo.joint_names)
-        self._to_motion = _places("joint_states", servo.joint_names, self.controller.joint_names)
-        self._from_motion = _places("joint_targets", self.controller.joint_names, servo.joint_names)
+        names = self.controller.kinematics.joint_names
+        self._to_motion = _places("joint_states", servo.joint_names, names)
+        self._from_motion = _places("joint_targets", names, servo.joint_names)
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods.
@@ -82,12 +83,21 @@ class OfflineRun:
             drives.measure(now, state.encoder_counts[to_servo], state.current[to_servo])
             if tick % motion_ticks == 0:
                 q = drives.servo.q_measured[self._to_motion]
-                q_target = self.instructor.instruct(self.controller, now, q)
-                drives.aim(Target(q_target[self._from_motion]))
+                instruction = self.instructor.instruct(self.controller, now, q)
+                drives.aim(self._target(instruction))
             session.offer(tick, names, drives.voltage(session.powered).tolist())
             session.advance()
             if session.fault is not None:
                 raise session.fault
+
+    def _target(self, instruction: Instruction) -> Target:
+        """Return joint targets in the servo's order of joints."""
+        order = self._from_motion
+        return Target(
+            instruction.q[order],
+            None if instruction.v is None else instruction.v[order],
+            None if instruction.tau is None else instruction.tau[order],
+        )
 
 
 def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> slice | list[int]:
@@ -118,13 +128,13 @@ def run(scene_name: str, seconds: float, displacement: list[float] | None) -> in
         displacement: of the tool in the world (3,) [m]; None: the arm holds where it starts.
     """
     one = load_offline_run(scene_name)
-    session, controller = one.session, one.controller
+    session, kinematics = one.session, one.controller.kinematics
     scene = session.scene
     ticks = round(seconds / scene.servo_period) if np.isfinite(seconds) else 0
     if ticks < 1:
         rule = f"be at least the servo period, {scene.servo_period:g} s"
         raise Refusal("run", "seconds", rule, f"{seconds:g}")
-    R_WT, p_WT = controller.forward(scene.start)
+    R_WT, p_WT = kinematics.forward(scene.start)
     # By way of the quaternion, as in a message: the rotation has the same rounding then.
     orientation = Pose(p_WT, R_WT).quaternion()
     target = Pose.from_quaternion(
@@ -140,7 +150,7 @@ def run(scene_name: str, seconds: float, displacement: list[float] | None) -> in
         return 1
     wall = time.perf_counter() - started
     logical = session.logical_ns / 1e9
-    x, y, z = (target.p_WT - controller.forward(session.state.q)[1]) * 1e3
+    x, y, z = (target.p_WT - kinematics.forward(session.state.q)[1]) * 1e3
     print(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")
     print(
         f"real-time factor  {logical / wall:.1f}   ({wall / ticks * 1e6:.1f} us per servo period)"

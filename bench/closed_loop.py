@@ -11,7 +11,8 @@ from arm_emulator.gains import load_gains
 from bench.motion import Array
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene
-from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.controller import controller_for
+from motion_controller_node.instruction import Instruction
 from motion_controller_node.pose import Pose
 from servo_node.servo import Servo
 from servo_node.servo_config import ServoConfig
@@ -32,13 +33,11 @@ class DemoMotion:
         motion, self._config = gains.motion, gains.servo
         plan = DemoPlan.load(file, round(motion.period * NANOSECONDS))
         self._names = scene.joint_names
-        self._controller = JacobianController(
-            scene.urdf, self._names, **motion.controller_arguments()
-        )
+        self._controller = controller_for(scene.urdf, self._names, motion)
         self._cycle = round(motion.period / scene.servo_period)
         self.settle = round(plan.settle_ns / NANOSECONDS / scene.servo_period)
         self.periods = self.settle + round(1.0 / scene.servo_period)
-        R_WT, p_WT = self._controller.forward(scene.start)
+        R_WT, p_WT = self._controller.kinematics.forward(scene.start)
         self._target = Pose(p_WT + plan.displacement, R_WT)
 
     def run(self, scene: Scene) -> tuple[Array, Array]:
@@ -52,20 +51,21 @@ class DemoMotion:
         steps = scene.steps_per_period
         q = np.empty((self.periods, len(self._names)))
         voltages = np.empty_like(q)
-        q_target = scene.start
+        target = Instruction(scene.start)
+        self._controller.begin(scene.start)
         for k in range(self.periods):
             state = plant.state
             servo.observe(state.encoder_counts, state.current)
             if k >= self.settle and k % self._cycle == 0:
-                q_target = self._controller.update(servo.q_measured, self._target)
-            voltages[k] = servo.control(q_target)
+                target = self._controller.update(servo.q_measured, self._target)
+            voltages[k] = servo.control(target.q, target.v, target.tau)
             plant.advance(voltages[k], steps)
             q[k] = plant.state.q
         return q, voltages
 
     def tool(self, q: Array) -> Array:
         """Return the tool's position for each row of link positions, (K, 3) [m]."""
-        return np.array([self._controller.forward(row)[1] for row in q])
+        return np.array([self._controller.kinematics.forward(row)[1] for row in q])
 
     def _servo_config(self, scene: Scene) -> ServoConfig:
         """Return the servo's parameters, in the scene's order, told of the encoders it has."""

@@ -1,12 +1,15 @@
 """From a robot description to Pinocchio's model, of what its kinematics need and nothing else.
 
 Shapes, masses, transmissions and limits of effort are left out: they need not even be
-readable. Fixed links cost nothing, however many they are.
+readable. Fixed links cost nothing, however many they are. Limits of speed and acceleration are read
+here, since readers of a URDF drop them with a joint that has no limits of position.
 """
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from typing import Any
 
 import pinocchio as pin
@@ -45,6 +48,48 @@ def whole_model(urdf_xml: str, tool: str = "") -> Any:
         return pin.buildModelFromXML(ET.tostring(bare, encoding="unicode"))
     except (ValueError, RuntimeError, IndexError) as error:
         raise Refusal(WHERE, "the text", "be a URDF", error) from error
+
+
+@dataclass(frozen=True)
+class RateLimits:
+    """How fast a joint may move; infinite where the description does not say."""
+
+    velocity: float
+    """[rad/s or m/s]"""
+    acceleration: float
+    """[rad/s2 or m/s2]"""
+
+
+def rate_limits(urdf_xml: str) -> dict[str, RateLimits]:
+    """Return the limits of a robot description's joints by their names.
+
+    They are the attributes `velocity` and `acceleration` of <limit>; 0 is how descriptions leave
+    one open.
+
+    Raises:
+        Refusal: not a robot description, or a limit that is no number or below 0.
+    """
+    limits = {}
+    for joint in parse_urdf(urdf_xml, WHERE).findall("joint"):
+        if joint.get("type") == "fixed":
+            continue
+        limits[joint.get("name", "")] = RateLimits(
+            _rate_limit(joint, "velocity"), _rate_limit(joint, "acceleration")
+        )
+    return limits
+
+
+def _rate_limit(joint: ET.Element, key: str) -> float:
+    limit = joint.find("limit")
+    text = None if limit is None else limit.get(key)
+    try:
+        value = float(text or "0")
+    except ValueError:
+        value = math.nan
+    if not value >= 0.0:
+        what = f"joint {joint.get('name')}: limit {key}"
+        raise Refusal(WHERE, what, "be a number >= 0", repr(text))
+    return value or math.inf
 
 
 def link_names(model: Any) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from words.parameters import load_parameters, parameter
 
@@ -16,6 +15,11 @@ class MotionConfig:
     tool: str = parameter("tool", "link of the robot description that is the tool")
     period: float = parameter(
         0.05, "logical time between joint targets", unit="s", minimum=1e-4, maximum=10.0
+    )
+    method: str = parameter(
+        "auto",
+        "control law: paper, eq. (6) of the paper; auto: paper",
+        choices=("auto", "paper"),
     )
     weight: float = parameter(0.5, "w of eq. (6)", minimum=1e-6, maximum=1.0, settable=True)
     task: str = parameter(
@@ -38,11 +42,6 @@ class MotionConfig:
         maximum=1.0,
         settable=True,
     )
-
-    def controller_arguments(self) -> dict[str, Any]:
-        """Return what `JacobianController` is built with, beside the robot and its joints."""
-        names = ("tool", "weight", "task", "step_limit", "singular_below")
-        return {name: getattr(self, name) for name in names}
 
 
 def load_motion_config(path: Path) -> MotionConfig:

@@ -18,8 +18,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from motion_controller_node.controller import Controller, controller_for
 from motion_controller_node.instructor import Instructor
-from motion_controller_node.jacobian import JacobianController, moving_joints
+from motion_controller_node.kinematics import moving_joints
 from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.pose import Pose
 from ros_shell.doubles import Doubles
@@ -47,7 +48,7 @@ class MotionControllerNode(Node):
     """The motion controller as a ROS node.
 
     It answers the joint states at every multiple of its period with joint targets of the same time
-    stamp: where the arm stood at first, until a tool target holds; then eq. (6).
+    stamp: where the arm stood at first, until a tool target holds; then those of the control law.
     """
 
     def __init__(self) -> None:
@@ -67,7 +68,7 @@ class MotionControllerNode(Node):
         self._diagnostics.values["tool targets"] = 0
         self._diagnostics.warn("waiting for robot_description")
         self._urdf = ""
-        self._controller: JacobianController | None = None
+        self._controller: Controller | None = None
         self._instructor = Instructor()
         self._answer: JointState | None = None
         self._targets = self.create_publisher(JointState, "joint_targets", COMMAND_QOS)
@@ -83,9 +84,7 @@ class MotionControllerNode(Node):
         """Work with other parameters from the next motion period on."""
         self._config = config
         if self._controller is not None:
-            self._controller.weight = config.weight
-            self._controller.step_limit = config.step_limit
-            self._controller.singular_below = config.singular_below
+            self._controller.retune(config)
 
     def close(self) -> None:
         """Nothing to release."""
@@ -98,16 +97,14 @@ class MotionControllerNode(Node):
         if self._controller is not None and message.data == self._urdf:
             return
         try:
-            controller = JacobianController(
-                message.data, moving_joints(message.data), **self._config.controller_arguments()
-            )
+            controller = controller_for(message.data, moving_joints(message.data), self._config)
         except Refusal as reason:
             self._diagnostics.refuse("robot_description", reason)
             return
         if self._controller is not None:  # targets for another arm
             self._start_over()
         self._urdf, self._controller = message.data, controller
-        self._order = JointOrder("joint_states", controller.joint_names)
+        self._order = JointOrder("joint_states", controller.kinematics.joint_names)
         self._diagnostics.ok("waiting for joint_states")
 
     def _on_tool_target(self, message: PoseStamped) -> None:
@@ -150,16 +147,20 @@ class MotionControllerNode(Node):
                 self._targets.publish(self._answer)  # somebody came late or lost it
                 return
             self._start_over()
-        q_target = self._instructor.instruct(controller, now, q)
+        instruction = self._instructor.instruct(controller, now, q)
         self._tell(controller)
         # What is published is within the bounds: the instructor sees to that.
-        answer = JointState(name=controller.joint_names)
+        answer = JointState(name=controller.kinematics.joint_names)
         answer.header.stamp = message.header.stamp
-        answer.position = array("d", q_target.tobytes())
+        answer.position = array("d", instruction.q.tobytes())
+        if instruction.v is not None:
+            answer.velocity = array("d", instruction.v.tobytes())
+        if instruction.tau is not None:
+            answer.effort = array("d", instruction.tau.tobytes())
         self._answer = answer
         self._targets.publish(answer)
 
-    def _tell(self, controller: JacobianController) -> None:
+    def _tell(self, controller: Controller) -> None:
         restarts = self._instructor.restarts
         if restarts != self._diagnostics.values.get("began anew", 0):
             self._diagnostics.values["began anew"] = restarts
@@ -181,7 +182,7 @@ class MotionControllerNode(Node):
         return response
 
     def _root(self) -> tuple[str, ...]:
-        return (self._controller.base,) if self._controller is not None else ()
+        return (self._controller.kinematics.base,) if self._controller is not None else ()
 
 
 def main() -> None:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from motion_controller_node.jacobian import POSITION_ROWS, JacobianController
+from motion_controller_node.controller import Controller
+from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.kinematics import POSITION_ROWS
 from motion_controller_node.pose import Pose
 from words.bound import LARGEST_COUNT, POSITION
 from words.refusal import Refusal
@@ -38,13 +40,13 @@ class PredictedResidual:
 
 
 def predicted_residual(
-    controller: JacobianController,
+    controller: Controller,
     q: npt.ArrayLike,
     count_angle: npt.ArrayLike,
     wind_up: npt.ArrayLike | None = None,
     held_within: float = 0.5,
 ) -> PredictedResidual:
-    """Bound the deviation of the true tool from its target, once eq. (6) moves it no more.
+    """Bound the deviation of the true tool from its target, once it moves no more.
 
     Let d_j be `count_angle`, the angle of one count at the link, and h be `held_within`.
 
@@ -92,11 +94,9 @@ def predicted_residual(
     Raises:
         Refusal: values of a wrong length or sign, or a singular pose, where no bound exists.
     """
-    q = _Q.vector("predicted_residual", q, len(controller.joint_names))
-    smallest = float(controller.singular_values(q)[-1])
-    if smallest < controller.singular_below:
-        rule = f"be away from singular poses (singular value >= {controller.singular_below:g})"
-        raise Refusal("predicted_residual", "q", rule, f"one of {smallest:.2g}")
+    kinematics = controller.kinematics
+    q = _Q.vector("predicted_residual", q, len(kinematics.joint_names))
+    times = _times_held(controller, q)
     count = _COUNT.vector("predicted_residual", count_angle, len(q))
     if (count < 0.0).any() or not 0.0 <= held_within <= LARGEST_COUNT:
         got = f"{count} and {held_within}"
@@ -106,11 +106,22 @@ def predicted_residual(
         if wind_up is None
         else _WIND_UP.vector("predicted_residual", wind_up, len(q))
     )
-    off = count * (held_within / controller.weight + 0.5)
-    second = np.full(controller.rows, off.sum() * (0.5 * off.sum() + np.abs(wound).sum()))
-    second[:POSITION_ROWS] *= controller.reach
-    R_WT, p_WT = controller.forward(q + wound)
+    off = count * (held_within * times + 0.5)
+    second = np.full(kinematics.rows, off.sum() * (0.5 * off.sum() + np.abs(wound).sum()))
+    second[:POSITION_ROWS] *= kinematics.reach
+    R_WT, p_WT = kinematics.forward(q + wound)
     return PredictedResidual(
-        encoder=np.abs(controller.jacobian(q)) @ off + second,
-        wind_up=controller.tool_error(q, Pose(p_WT, R_WT)),
+        encoder=np.abs(kinematics.jacobian(q)) @ off + second,
+        wind_up=kinematics.tool_error(q, Pose(p_WT, R_WT)),
     )
+
+
+def _times_held(controller: Controller, q: FloatArray) -> float:
+    """Return how far from its target a joint may rest, in what the servo holds it within."""
+    if not isinstance(controller, JacobianController):
+        return 1.0
+    smallest = float(controller.kinematics.singular_values(q)[-1])
+    if smallest < controller.singular_below:
+        rule = f"be away from singular poses (singular value >= {controller.singular_below:g})"
+        raise Refusal("predicted_residual", "q", rule, f"one of {smallest:.2g}")
+    return 1.0 / controller.weight

@@ -27,7 +27,7 @@ needs_robots = pytest.mark.skipif(
 def expected_deviations(scene_name: str) -> np.ndarray:
     """The same experiment in one process, (instructions + 1, 3) [m]."""
     run = load_offline_run(scene_name)
-    session, forward = run.session, run.controller.forward
+    session, forward = run.session, run.controller.kinematics.forward
     R_WT, p_WT = forward(session.scene.start)
     period_ns = session.period_ns * run.motion_ticks
     plan = DemoPlan.load(find_scene(session.scene.name), period_ns)

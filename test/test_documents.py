@@ -37,7 +37,7 @@ def test_snippets_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     exec(block, names)
     if "target" in names:
         # Half a count of the encoders each, and one and a half with w = 0.5: 0.1 mm at this arm.
-        deviation = names["target"].p_WT - names["controller"].forward(names["plant"].state.q)[1]
+        deviation = names["target"].p_WT - names["kinematics"].forward(names["plant"].state.q)[1]
         assert np.linalg.norm(deviation) < 1e-4
 
 

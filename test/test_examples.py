@@ -13,7 +13,7 @@ import numpy as np
 from network import PATIENCE, network
 
 from emulator_node.scene import load_scene
-from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.controller import controller_for
 from motion_controller_node.motion_config import load_motion_config
 from motion_controller_node.predicted_residual import predicted_residual
 from ros_shell.node_shell import NANOSECONDS, nanoseconds_of
@@ -39,7 +39,7 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
     scene = load_scene("three_axis")
     motion = load_motion_config(ROOT / "config" / "motion" / "three_axis.yaml")
     servo = load_servo_config(ROOT / "config" / "servo" / "three_axis.yaml")
-    controller = JacobianController(scene.urdf, scene.joint_names, **motion.controller_arguments())
+    controller = controller_for(scene.urdf, scene.joint_names, motion)
     count = np.array([joint.count_angle for joint in servo.joints])
     target = np.array([0.43, 0.05, 0.64])
     inside: list[int] = []  # when the tool is where it shall be [ns]
@@ -59,7 +59,7 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
             q = np.array(user.truth.position)
             # This servo has no integral action, and holds within a whole count.
             bound = predicted_residual(controller, q, count, held_within=1.0).encoder
-            if (np.abs(target - controller.forward(q)[1]) > bound).any():
+            if (np.abs(target - controller.kinematics.forward(q)[1]) > bound).any():
                 inside.clear()
                 return False
             inside.append(nanoseconds_of(user.truth.header.stamp))

@@ -37,7 +37,7 @@ def reference() -> dict[int, bytes]:
 
 
 def aside(run: OfflineRun) -> Pose:
-    _, p_WT = run.controller.forward(run.session.scene.start)
+    _, p_WT = run.controller.kinematics.forward(run.session.scene.start)
     return Pose(p_WT + np.array([0.0, 0.02, 0.0]), np.eye(3))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from emulator_node.plant import Plant
 from emulator_node.scene import example_robot_data, load_scene
+from motion_controller_node.controller import controller_for
 from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.kinematics import Kinematics
 from motion_controller_node.motion_config import load_motion_config
 from motion_controller_node.pose import Pose
 from motion_controller_node.predicted_residual import predicted_residual
@@ -26,8 +29,8 @@ NAMES = ("waist", "shoulder", "elbow")
 START = np.array([0.0, 0.5, 0.8])
 
 
-def three_axis(**arguments: object) -> JacobianController:
-    return JacobianController(THREE_AXIS, NAMES, "tool", **arguments)  # type: ignore[arg-type]
+def three_axis(**arguments: float) -> JacobianController:
+    return JacobianController(Kinematics(THREE_AXIS, NAMES, "tool"), **arguments)
 
 
 def turning_chain(joints: int) -> str:
@@ -51,9 +54,13 @@ def turning_chain(joints: int) -> str:
     return "".join(parts)
 
 
-def arm(joints: int, **arguments: object) -> JacobianController:
+def chain(joints: int, task: str = "auto") -> Kinematics:
     names = [f"j{index}" for index in range(joints)]
-    return JacobianController(turning_chain(joints), names, "tool", **arguments)  # type: ignore[arg-type]
+    return Kinematics(turning_chain(joints), names, "tool", task)
+
+
+def arm(joints: int, **arguments: float) -> JacobianController:
+    return JacobianController(chain(joints), **arguments)
 
 
 def bent(joints: int, seed: int = 0) -> np.ndarray:
@@ -62,7 +69,7 @@ def bent(joints: int, seed: int = 0) -> np.ndarray:
 
 
 def pose_at(controller: JacobianController, q: np.ndarray) -> Pose:
-    R_WT, p_WT = controller.forward(q)
+    R_WT, p_WT = controller.kinematics.forward(q)
     return Pose(p_WT, R_WT)
 
 
@@ -78,11 +85,11 @@ def moved(pose: Pose, twist: np.ndarray) -> Pose:
 def test_forward_kinematics_of_the_three_axis_arm() -> None:
     """Written from Fig. 3: two rods of 0.3 m in a vertical plane that the waist turns."""
     rng = np.random.default_rng(1)
-    controller = three_axis()
+    kinematics = three_axis().kinematics
     for waist, shoulder, elbow in rng.uniform(-3, 3, (20, 3)):
         out = 0.3 * math.sin(shoulder) + 0.3 * math.sin(shoulder + elbow)
         up = 0.3 + 0.3 * math.cos(shoulder) + 0.3 * math.cos(shoulder + elbow)
-        R_WT, p_WT = controller.forward([waist, shoulder, elbow])
+        R_WT, p_WT = kinematics.forward([waist, shoulder, elbow])
         expected = [out * math.cos(waist), out * math.sin(waist), up]
         assert np.allclose(p_WT, expected, rtol=0, atol=1e-14)  # m, rounding
         turn = Rotation.from_euler("ZY", [waist, shoulder + elbow]).as_matrix()
@@ -101,13 +108,13 @@ def test_jacobian_is_the_derivative_of_forward_kinematics(joints: int, seed: int
         for kind in ("revolute", "continuous", "prismatic")
         if f'<joint name="{kind}_{i}"' in urdf
     ]
-    controller = JacobianController(urdf, names, f"{names[-1]}_link", task="pose")
+    kinematics = Kinematics(urdf, names, f"{names[-1]}_link", task="pose")
     q, h = rng.uniform(-2, 2, joints), 1e-6
-    J = controller.jacobian(q)
+    J = kinematics.jacobian(q)
     for j in range(joints):
         step = h * np.eye(joints)[j]
-        R_plus, p_plus = controller.forward(q + step)
-        R_minus, p_minus = controller.forward(q - step)
+        R_plus, p_plus = kinematics.forward(q + step)
+        R_minus, p_minus = kinematics.forward(q - step)
         turn = Rotation.from_matrix(R_plus @ R_minus.T).as_rotvec()
         difference = np.concatenate([p_plus - p_minus, turn]) / (2 * h)
         # Central differences: h^2 of truncation and 1e-16 / h of rounding.
@@ -117,33 +124,33 @@ def test_jacobian_is_the_derivative_of_forward_kinematics(joints: int, seed: int
 def test_joints_are_matched_by_name() -> None:
     forth, back = (
         arm(6),
-        JacobianController(turning_chain(6), [f"j{i}" for i in range(6)][::-1], "tool"),
+        JacobianController(Kinematics(turning_chain(6), [f"j{i}" for i in range(6)][::-1], "tool")),
     )
     q = bent(6)
-    assert np.array_equal(forth.jacobian(q)[:, ::-1], back.jacobian(q[::-1]))
+    assert np.array_equal(forth.kinematics.jacobian(q)[:, ::-1], back.kinematics.jacobian(q[::-1]))
     target = moved(pose_at(forth, q), np.full(6, 1e-3))
     # The singular value decomposition sums in another order.
-    assert np.allclose(forth.update(q, target)[::-1], back.update(q[::-1], target), atol=1e-13)
+    assert np.allclose(forth.update(q, target).q[::-1], back.update(q[::-1], target).q, atol=1e-13)
 
 
 def test_joints_not_named_stay_at_their_neutral_position() -> None:
     q = bent(4)
-    all_joints = arm(7, task="position")
-    some = JacobianController(turning_chain(7), [f"j{i}" for i in range(4)], "tool")
+    all_joints = chain(7, "position")
+    some = Kinematics(turning_chain(7), [f"j{i}" for i in range(4)], "tool")
     expected = all_joints.forward(np.concatenate([q, np.zeros(3)]))
     assert np.allclose(some.forward(q)[1], expected[1], rtol=0, atol=1e-14)
     assert some.rows == 3
 
 
 def test_task_follows_from_the_number_of_joints() -> None:
-    assert [arm(n).rows for n in (3, 5, 6, 7)] == [3, 3, 6, 6]
-    assert arm(7, task="position").rows == 3
-    assert arm(3, task="pose").rows == 6
+    assert [chain(n).rows for n in (3, 5, 6, 7)] == [3, 3, 6, 6]
+    assert chain(7, "position").rows == 3
+    assert chain(3, "pose").rows == 6
 
 
 def test_base_and_reach() -> None:
-    assert three_axis().base == "base"
-    assert three_axis().reach == pytest.approx(0.9)
+    assert three_axis().kinematics.base == "base"
+    assert three_axis().kinematics.reach == pytest.approx(0.9)
 
 
 # The law
@@ -158,8 +165,8 @@ def test_one_instruction_halves_a_small_error(
     for _ in range(10):
         twist = 1e-6 * rng.normal(size=6)
         target = moved(pose_at(controller, q), twist)
-        before = controller.tool_error(q, target)
-        after = controller.tool_error(controller.update(q, target), target)
+        before = controller.kinematics.tool_error(q, target)
+        after = controller.kinematics.tool_error(controller.update(q, target).q, target)
         # What is left out is quadratic: 1e-12 over a smallest singular value of 0.1.
         assert np.allclose(after, 0.5 * before, rtol=0, atol=1e-10)
         assert np.array_equal(controller.error, before)
@@ -171,8 +178,8 @@ def test_away_from_singular_poses_it_is_exactly_eq_6(weight: float) -> None:
     controller, q = arm(6, weight=weight, step_limit=1.0), bent(6)
     twist = np.array([1e-3, -2e-3, 3e-3, -1e-2, 2e-2, 1e-2])
     target = moved(pose_at(controller, q), twist)
-    expected = q + weight * np.linalg.solve(controller.jacobian(q), twist)
-    assert np.allclose(controller.update(q, target), expected, rtol=0, atol=1e-13)
+    expected = q + weight * np.linalg.solve(controller.kinematics.jacobian(q), twist)
+    assert np.allclose(controller.update(q, target).q, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("joints", [6, 7])
@@ -180,16 +187,16 @@ def test_instructions_reach_a_far_pose(joints: int) -> None:
     controller, q = arm(joints), bent(joints)
     target = pose_at(controller, q + 0.2 * np.cos(np.arange(joints)))
     for _ in range(40):
-        q = controller.update(q, target)
+        q = controller.update(q, target).q
     # 2^-40 of an error of about 0.3.
-    assert np.abs(controller.tool_error(q, target)).max() < 1e-11
+    assert np.abs(controller.kinematics.tool_error(q, target)).max() < 1e-11
 
 
 def test_seven_joints_take_the_step_of_least_norm() -> None:
     controller, q = arm(7), bent(7)
     twist = np.array([1e-3, -2e-3, 3e-3, -1e-2, 2e-2, 1e-2])
-    J = controller.jacobian(q)
-    step = controller.update(q, moved(pose_at(controller, q), twist)) - q
+    J = controller.kinematics.jacobian(q)
+    step = controller.update(q, moved(pose_at(controller, q), twist)).q - q
     null = np.linalg.svd(J)[2][-1]  # the joint motion that leaves the tool where it is
     assert np.abs(J @ null).max() < 1e-14
     assert abs(step @ null) < 1e-15
@@ -200,8 +207,44 @@ def test_seven_joints_take_the_step_of_least_norm() -> None:
 def test_far_rotation_takes_the_short_way() -> None:
     controller, q = arm(6), bent(6)
     target = moved(pose_at(controller, q), np.array([0, 0, 0, 0, 0, 1.75 * math.pi]))
-    error = controller.tool_error(q, target)
+    error = controller.kinematics.tool_error(q, target)
     assert np.allclose(error, [0, 0, 0, 0, 0, -0.25 * math.pi], rtol=0, atol=1e-12)
+
+
+# Limits of the description
+
+
+def test_limits_of_the_description_come_along() -> None:
+    """Random limits of speed and acceleration, given or not, of joints of every kind."""
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        urdf, expected = THREE_AXIS, []
+        for name in NAMES:
+            kind = str(rng.choice(["continuous", "revolute", "prismatic"]))
+            given = {
+                key: float(rng.choice([0.0, rng.uniform(0.1, 20.0)]))
+                for key in ("velocity", "acceleration")
+                if rng.random() < 0.7
+            }
+            if kind != "continuous" and rng.random() < 0.5:
+                given.update(lower=-1.5, upper=2.5)
+            words = " ".join(f'{key}="{value!r}"' for key, value in given.items())
+            start = urdf.index(f'<joint name="{name}"')
+            end = urdf.index("</joint>", start)
+            urdf = f"{urdf[:end]}<limit effort='1' {words}/>{urdf[end:]}"
+            urdf = urdf.replace(f'name="{name}" type="continuous"', f'name="{name}" type="{kind}"')
+            expected.append([given.get(key) or math.inf for key in ("velocity", "acceleration")])
+        kinematics = Kinematics(urdf, NAMES, "tool")
+        found = np.stack([kinematics.velocity_limit, kinematics.acceleration_limit], axis=1)
+        assert np.array_equal(found, expected), urdf
+
+
+@pytest.mark.parametrize("value", ["-1", "nan", "fast"])
+@pytest.mark.parametrize("key", ["velocity", "acceleration"])
+def test_limits_that_are_none_are_refused(key: str, value: str) -> None:
+    urdf = THREE_AXIS.replace("</joint>", f'<limit {key}="{value}"/></joint>', 1)
+    with pytest.raises(Refusal, match=f"joint waist: limit {key} must be a number >= 0"):
+        Kinematics(urdf, NAMES, "tool")
 
 
 # Near singular poses, and limits
@@ -211,12 +254,19 @@ def test_singular_pose_stays_finite_and_is_told() -> None:
     """Stretched, no joint moves the tool along the arm; above the waist, none moves it aside."""
     controller = three_axis(step_limit=10.0)
     for q in ([0.3, 0.5, 0.0], [0.3, 0.0, 0.0], [0.3, 0.4, math.pi]):
-        R_WT, p_WT = controller.forward(q)
+        R_WT, p_WT = controller.kinematics.forward(q)
         for direction in np.vstack([np.eye(3), R_WT.T]):
-            q_target = controller.update(q, Pose(p_WT + 0.01 * direction, R_WT))
+            q_target = controller.update(q, Pose(p_WT + 0.01 * direction, R_WT)).q
             # w |e| / reach times the largest gain of the damped inverse, 1.16 / singular_below,
             # times sqrt(3) for three directions.
-            bound = 0.5 * 0.01 / controller.reach * 1.16 / controller.singular_below * math.sqrt(3)
+            bound = (
+                0.5
+                * 0.01
+                / controller.kinematics.reach
+                * 1.16
+                / controller.singular_below
+                * math.sqrt(3)
+            )
             assert np.abs(q_target - q).max() < bound
             assert controller.notices[0].startswith("near a singular pose, damped")
 
@@ -236,21 +286,21 @@ def test_other_directions_are_not_damped() -> None:
     """At a stretched arm only the motion along it is lost; across it, eq. (6) holds exactly."""
     controller = three_axis()
     q = np.array([0.0, 0.5, 1e-4])
-    R_WT, p_WT = controller.forward(q)
+    R_WT, p_WT = controller.kinematics.forward(q)
     across = R_WT[:, 0] * 1e-4
-    q_target = controller.update(q, Pose(p_WT + across, R_WT))
+    q_target = controller.update(q, Pose(p_WT + across, R_WT)).q
     assert controller.notices
-    J = controller.jacobian(q)
+    J = controller.kinematics.jacobian(q)
     # Off by the angle of 1e-4 / 2 between the arm and the direction that is lost.
     assert np.allclose(J @ (q_target - q), 0.5 * across, rtol=0, atol=1e-4 * 1e-4)
 
 
 def test_long_step_is_shortened_as_a_whole() -> None:
     free, limited = three_axis(step_limit=10.0), three_axis(step_limit=0.01)
-    target = Pose(free.forward(START)[1] + np.array([0.05, 0.05, -0.02]), np.eye(3))
-    step = free.update(START, target) - START
+    target = Pose(free.kinematics.forward(START)[1] + np.array([0.05, 0.05, -0.02]), np.eye(3))
+    step = free.update(START, target).q - START
     assert free.notices == ()
-    short = limited.update(START, target) - START
+    short = limited.update(START, target).q - START
     assert np.allclose(short, step * 0.01 / np.abs(step).max(), rtol=0, atol=1e-15)
     assert "shortened to 0.01 rad" in limited.notices[0]
 
@@ -259,28 +309,28 @@ def test_joint_limits_hold_and_are_told_in_words() -> None:
     controller = arm(6, singular_below=1e-6)  # the poses here are not far from singular ones
     q = bent(6)
     q[2] = 1.999
-    J = controller.jacobian(q)
+    J = controller.kinematics.jacobian(q)
     outward = moved(pose_at(controller, q), J @ (0.01 * np.eye(6)[2]))
-    q_target = controller.update(q, outward)
+    q_target = controller.update(q, outward).q
     assert q_target[2] == 2.0
     assert controller.notices == ("j2 held at 2: its limits are [-2, 2]",)
     # Outside already: not farther, but back.
     q[2] = 2.1
-    J = controller.jacobian(q)
+    J = controller.kinematics.jacobian(q)
     outward = moved(pose_at(controller, q), J @ (0.01 * np.eye(6)[2]))
-    assert controller.update(q, outward)[2] == 2.1
+    assert controller.update(q, outward).q[2] == 2.1
     inward = moved(pose_at(controller, q), J @ (-0.01 * np.eye(6)[2]))
     # Half of 0.01, and what is quadratic in it.
-    assert controller.update(q, inward)[2] == pytest.approx(2.095, abs=1e-4)
+    assert controller.update(q, inward).q[2] == pytest.approx(2.095, abs=1e-4)
 
 
 def test_continuous_joints_turn_without_limit() -> None:
     controller = three_axis()
     q = START + np.array([20 * math.pi, 0.0, 0.0])
-    target = Pose(controller.forward(START)[1] + np.array([0.0, 1e-3, 0.0]), np.eye(3))
-    step = controller.update(q, target) - q
+    target = Pose(controller.kinematics.forward(START)[1] + np.array([0.0, 1e-3, 0.0]), np.eye(3))
+    step = controller.update(q, target).q - q
     # Angles of 63 rad are rounded at 1e-14.
-    assert np.allclose(step, controller.update(START, target) - START, rtol=0, atol=1e-13)
+    assert np.allclose(step, controller.update(START, target).q - START, rtol=0, atol=1e-13)
 
 
 # Poses
@@ -343,15 +393,17 @@ def test_bad_poses_are_refused(position: list[float], quaternion: list[float], w
     ],
 )
 def test_bad_arguments_are_refused(arguments: dict[str, object], words: str) -> None:
-    good = {"urdf_xml": THREE_AXIS, "joint_names": NAMES, "tool": "tool"}
+    robot: dict[str, Any] = {"urdf_xml": THREE_AXIS, "joint_names": NAMES, "tool": "tool"}
+    of_robot = {key: arguments[key] for key in arguments if key in (*robot, "task")}
+    of_law: dict[str, Any] = {key: arguments[key] for key in arguments if key not in of_robot}
     with pytest.raises(Refusal) as refusal:
-        JacobianController(**{**good, **arguments})  # type: ignore[arg-type]
+        JacobianController(Kinematics(**{**robot, **of_robot}), **of_law)
     assert words in str(refusal.value)
 
 
 def test_bad_input_is_refused_and_changes_nothing() -> None:
     controller = three_axis()
-    R_WT, p_WT = controller.forward(START)
+    R_WT, p_WT = controller.kinematics.forward(START)
     target = Pose(p_WT + 0.01, R_WT)
     controller.update(START, target)
     error = controller.error
@@ -371,7 +423,7 @@ def test_bad_input_is_refused_and_changes_nothing() -> None:
 
 def test_predicted_residual_of_one_joint_is_one_and_a_half_counts() -> None:
     """Waist alone, tool 0.43 m off its axis: by hand."""
-    controller = JacobianController(
+    kinematics = Kinematics(
         THREE_AXIS.replace('name="shoulder" type="continuous"', 'name="shoulder" type="fixed"')
         .replace('name="elbow" type="continuous"', 'name="elbow" type="fixed"')
         .replace('<origin xyz="0 0 0.3"/>\n    <parent link="forearm"/>',
@@ -380,7 +432,7 @@ def test_predicted_residual_of_one_joint_is_one_and_a_half_counts() -> None:
         "tool",
     )  # fmt: skip
     count = 1e-4
-    bound = predicted_residual(controller, [0.0], [count], [2e-3])
+    bound = predicted_residual(JacobianController(kinematics), [0.0], [count], [2e-3])
     assert bound.encoder[1] == pytest.approx(0.43 * count * (0.5 / 0.5 + 0.5), rel=0.01)
     assert bound.wind_up[1] == pytest.approx(0.43 * 2e-3, rel=1e-5)
     assert np.array_equal(bound.total, bound.encoder + np.abs(bound.wind_up))
@@ -409,9 +461,7 @@ class Experiment:
         motion = load_motion_config(CONFIG / "motion" / f"{scene}.yaml")
         config = load_servo_config(CONFIG / "servo" / f"{scene}.yaml")
         self.servo = Servo(config)
-        self.controller = JacobianController(
-            scene_.urdf, scene_.joint_names, **motion.controller_arguments()
-        )
+        self.controller = controller_for(scene_.urdf, scene_.joint_names, motion)
         self.cycle = round(motion.period / config.period)
         self.count_angle = np.array([joint.count_angle for joint in config.joints])
         self.stiffness = np.array([joint.gear.stiffness for joint in scene_.joints])
@@ -434,9 +484,9 @@ class Experiment:
         """Yield the true deviation at every instruction, the first before any has worked."""
         for _ in range(instructions + 1):
             state = self.plant.state
-            yield self.controller.tool_error(state.q, target)
+            yield self.controller.kinematics.tool_error(state.q, target)
             q = (state.encoder_counts + 0.5) * self.count_angle
-            q_target = self.controller.update(q, target)
+            q_target = self.controller.update(q, target).q
             for _ in range(self.cycle):
                 self.tick(q_target)
 
@@ -448,7 +498,7 @@ def test_fig_4_ten_millimetres(axis: int, sign: int) -> None:
     experiment = Experiment("three_axis")
     experiment.start(START, settle=0.0)
     way = sign * 0.010 * np.eye(3)[axis]
-    R_WT, p_WT = experiment.controller.forward(START)
+    R_WT, p_WT = experiment.controller.kinematics.forward(START)
     deviations = np.array(list(experiment.deviations(Pose(p_WT + way, R_WT), 60)))
     bound = predicted_residual(
         experiment.controller, experiment.plant.state.q, experiment.count_angle
@@ -465,12 +515,12 @@ def test_residual_stays_within_the_bound_and_the_bound_is_tight() -> None:
     experiment, ratios = Experiment("three_axis"), []
     while len(ratios) < 15:
         q = np.array([rng.uniform(-3, 3), rng.uniform(-1.2, 1.2), rng.uniform(0.4, 2.2)])
-        if experiment.controller.singular_values(q)[-1] < 0.1:
+        if experiment.controller.kinematics.singular_values(q)[-1] < 0.1:
             continue
         experiment.start(q, settle=0.0)
         way = rng.normal(size=3)
         way *= 0.010 / np.linalg.norm(way)
-        R_WT, p_WT = experiment.controller.forward(q)
+        R_WT, p_WT = experiment.controller.kinematics.forward(q)
         rest = np.array(list(experiment.deviations(Pose(p_WT + way, R_WT), 40)))[25:]
         bound = predicted_residual(
             experiment.controller, experiment.plant.state.q, experiment.count_angle
@@ -484,7 +534,7 @@ def test_what_gravity_adds_is_the_gears_wind_up() -> None:
     """The arm with its weight: encoders do not see the gears wind up, the prediction does."""
     experiment = Experiment("three_axis", gravity=[0.0, 0.0, -9.81])
     experiment.start(START, settle=1.0)
-    R_WT, p_WT = experiment.controller.forward(START)
+    R_WT, p_WT = experiment.controller.kinematics.forward(START)
     target = Pose(p_WT + np.array([0.0, 0.010, 0.0]), R_WT)
     deviation = list(experiment.deviations(target, 60))[-1]
     state = experiment.plant.state
@@ -505,7 +555,7 @@ def test_robots_move_50_mm_with_the_orientation_held(scene: str) -> None:
     experiment = Experiment(scene)
     start = experiment.plant.scene.start
     experiment.start(start, settle=1.0)
-    R_WT, p_WT = experiment.controller.forward(start)
+    R_WT, p_WT = experiment.controller.kinematics.forward(start)
     target = Pose(p_WT + np.array([0.0, 0.050, 0.0]), R_WT)
     deviations = np.array(list(experiment.deviations(target, 60)))
     state = experiment.plant.state

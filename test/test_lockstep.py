@@ -62,7 +62,7 @@ def without_motion_controller(tmp_path_factory: pytest.TempPathFactory) -> Itera
 def target_of(scene_name: str) -> Pose:
     """10 mm aside of where the tool starts."""
     run = load_offline_run(scene_name)
-    R_WT, p_WT = run.controller.forward(run.session.scene.start)
+    R_WT, p_WT = run.controller.kinematics.forward(run.session.scene.start)
     # By way of the quaternion, as in a message: the rotation has the same rounding then.
     orientation = Pose(p_WT, R_WT).quaternion()
     return Pose.from_quaternion(p_WT + np.array([0.0, 0.01, 0.0]), orientation)

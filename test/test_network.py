@@ -299,7 +299,7 @@ def test_bad_messages_in_full_run_change_nothing(lockstep: SharedNetwork) -> Non
 
 
 def test_tool_targets_for_different_times_may_come_at_once(lockstep: SharedNetwork) -> None:
-    _, p_WT = load_offline_run("three_axis").controller.forward([0.0, 0.5, 0.8])
+    _, p_WT = load_offline_run("three_axis").controller.kinematics.forward([0.0, 0.5, 0.8])
     there, back = p_WT + np.array([0.0, 0.02, 0.0]), p_WT - np.array([0.0, 0.01, 0.0])
 
     def aim(run: OfflineRun) -> None:

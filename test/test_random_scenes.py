@@ -17,7 +17,7 @@ from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 from arm_emulator.__main__ import main
 from arm_emulator.gains import check_fit
 from emulator_node.scene import example_robot_data, load_scene
-from motion_controller_node.jacobian import JacobianController, moving_joints
+from motion_controller_node.kinematics import Kinematics, moving_joints
 from motion_controller_node.motion_config import load_motion_config
 from servo_node.servo_config import ServoConfig, load_servo_config
 from words.refusal import Refusal
@@ -211,10 +211,10 @@ def test_published_habits_are_taken_alike_by_all_three(tmp_path: Path, seed: int
     joints = dict(zip(names, sections.values(), strict=True))
     scene = load_scene(write(tmp_path, ET.tostring(robot, encoding="unicode"), joints=joints))
     assert scene.joint_names == tuple(names) == moving_joints(scene.urdf)
-    controller = JacobianController(scene.urdf, names, "tool")
-    for low, high in zip(controller._lower, controller._upper, strict=True):
+    kinematics = Kinematics(scene.urdf, names, "tool")
+    for low, high in zip(kinematics.lower, kinematics.upper, strict=True):
         assert low <= -1e9 and high >= 1e9, "a joint without limits is held somewhere"
-    assert np.isfinite(controller.forward(scene.start)[1]).all()
+    assert np.isfinite(kinematics.forward(scene.start)[1]).all()
     field = dict(
         gear_ratio=0.01, counts_per_turn=1024, resistance=1.0, torque_constant=0.05,
         back_emf_constant=0.05, rotor_inertia=1e-4, velocity_limit=1.0, position_gain=20.0,

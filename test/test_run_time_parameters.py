@@ -64,7 +64,7 @@ class Parameters:
 def test_parameters_are_set_as_a_whole_between_two_ticks_or_refused(tmp_path: Path) -> None:
     rng = random.Random(os.environ.get("SEED", "4"))
     run = load_offline_run("three_axis")
-    R_WT, p_WT = run.controller.forward(run.session.scene.start)
+    R_WT, p_WT = run.controller.kinematics.forward(run.session.scene.start)
     target = Pose(np.add(p_WT, [0.0, 0.01, 0.0]), R_WT)
     with network(tmp_path) as (user, _):
         parameters = Parameters(user)

@@ -1,0 +1,47 @@
+"""What every method of motion control offers, and which one a configuration asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy.typing as npt
+
+from motion_controller_node.instruction import FloatArray, Instruction
+from motion_controller_node.jacobian import JacobianController
+from motion_controller_node.kinematics import Kinematics
+from motion_controller_node.motion_config import MotionConfig
+from motion_controller_node.pose import Pose
+
+
+class Controller(Protocol):
+    """A control law that brings an arm's tool to its target, one instruction per motion period.
+
+    Attributes:
+        kinematics: of the arm.
+        error: tool error that the last `update` found, (rows,) [m, rad]; NaN before any.
+        notices: what limited the last `update`, in words; empty: nothing did.
+    """
+
+    kinematics: Kinematics
+    error: FloatArray
+    notices: tuple[str, ...]
+
+    def begin(self, q: npt.ArrayLike) -> None:
+        """Begin at rest at joint angles q (N,)."""
+
+    def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
+        """Return the joint targets of this motion period, from the measured joint angles (N,)."""
+
+    def retune(self, config: MotionConfig) -> None:
+        """Go on with other parameters."""
+
+
+def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConfig) -> Controller:
+    """Return the control law that a configuration asks for.
+
+    Raises:
+        Refusal: a description, name or value that is not taken.
+    """
+    kinematics = Kinematics(urdf_xml, joint_names, config.tool, config.task)
+    return JacobianController(kinematics, config.weight, config.step_limit, config.singular_below)

@@ -1,0 +1,22 @@
+"""What a motion controller answers in a motion period."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Instruction:
+    """Joint targets, (N,) each in the motion controller's order of joints."""
+
+    q: FloatArray
+    """Link angles [rad or m]."""
+    v: FloatArray | None = None
+    """Link speeds that belong to them, those of the coming motion period; None: not known."""
+    tau: FloatArray | None = None
+    """Link torques known beforehand, of gravity [N m or N]; None: not known."""
