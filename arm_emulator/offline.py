@@ -80,7 +80,12 @@ class OfflineRun:
         for _ in range(ticks):
             tick, state = session.tick, session.state
             now = session.logical_ns
-            drives.measure(now, state.encoder_counts[to_servo], state.current[to_servo])
+            drives.measure(
+                now,
+                state.encoder_counts[to_servo],
+                state.current[to_servo],
+                session.voltage[to_servo],
+            )
             if tick % motion_ticks == 0:
                 q = drives.servo.q_measured[self._to_motion]
                 instruction = self.instructor.instruct(self.controller, now, q)

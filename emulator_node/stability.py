@@ -32,6 +32,15 @@ class SmallMotions:
     Those torques hold the links, so that no gear is wound up. Coulomb friction and current limits
     are left out: both only take energy.
 
+    With the state x = (z, q, v) and the motor voltages u, dx/dt = J x + B u.
+
+    Attributes:
+        J: (n, n).
+        B: (n, N), per volt; 0 for a joint without a motor.
+        theta_m: motor angles by x, (N, n); those of the links for joints without a motor.
+        current: motor currents by x, (N, n).
+        current_by_voltage: the same by u, (N,) [1/ohm]; 0 where there is an inductance.
+
     Args:
         plant: whose links are asked for accelerations; its state is not touched.
         q: the pose (N,) [rad or m].
@@ -52,22 +61,29 @@ class SmallMotions:
             - plant.link_accelerations(at - step * unit, zero, holding)
         ).T / (2.0 * step)
 
-        # D z' = F (z, q, v) and torque = G (z, q, v), all drives in one.
+        # D z' = F (z, q, v, u) and torque = G (z, q, v, u), all drives in one.
         drives = plant.linear_drives()
         n = sum(len(drive.D) for drive in drives)
-        D, F, G = np.zeros(n), np.zeros((n, n + 2 * N)), np.zeros((N, n + 2 * N))
+        D, F, G = np.zeros(n), np.zeros((n, n + 3 * N)), np.zeros((N, n + 3 * N))
+        # Each drive's states are current, motor angle and motor speed, as far as it has them.
+        current, theta_m = np.zeros((2, N, n + 3 * N))
         first = 0
-        for j, drive in enumerate(drives):
+        for j, (drive, joint) in enumerate(zip(drives, scene.joints, strict=True)):
             own = np.arange(first, first + len(drive.D))
-            columns = [*own, n + j, n + N + j]
+            columns = [*own, n + j, n + N + j, n + 2 * N + j]
             D[own] = drive.D
-            F[np.ix_(own, columns)] = drive.F[:, :-1]
-            G[j, columns] = drive.G[:-1]
+            F[np.ix_(own, columns)] = drive.F
+            G[j, columns] = drive.G
+            current[j, own[:1]] = 1.0
+            if len(own) > 1:
+                theta_m[j, own[1]] = 1.0
+            else:
+                theta_m[j, n + j] = 1.0 / joint.gear.ratio
             first += len(drive.D)
         # States that follow at once, such as a current without inductance, are no states.
         follows = D == 0.0
-        kept = np.concatenate([~follows, np.ones(2 * N, dtype=bool)])
-        all_from_kept = np.eye(n + 2 * N)[:, kept]
+        kept = np.concatenate([~follows, np.ones(3 * N, dtype=bool)])
+        all_from_kept = np.eye(n + 3 * N)[:, kept]
         all_from_kept[:n][follows] = -np.linalg.solve(
             F[follows][:, :n][:, follows], F[follows][:, kept]
         )
@@ -80,10 +96,14 @@ class SmallMotions:
         whole = np.vstack(
             [
                 (F[~follows] / D[~follows, None]) @ all_from_kept,
-                np.eye(N, self.links + 2 * N, self.links + N),  # dq/dt = v
+                np.eye(N, self.links + 3 * N, self.links + N),  # dq/dt = v
                 by_torque @ G @ all_from_kept,
             ]
         )
+        whole, self.B = whole[:, :-N], whole[:, -N:]
+        self.theta_m = (theta_m @ all_from_kept)[:, :-N]
+        measured = current @ all_from_kept
+        self.current, self.current_by_voltage = measured[:, :-N], np.diag(measured[:, -N:])
         self.A = whole.copy()  # what the schemes treat implicitly
         whole[-N:, self.links : self.links + N] += by_q
         self.J = whole  # all

@@ -40,7 +40,7 @@ from servo_node.drives import Drives, Target
 from servo_node.servo import FloatArray, Servo
 from servo_node.servo_config import SETTABLE, ServoConfig, describe
 from servo_node.watchdog import WatchdogState
-from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, encoder_counts
+from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, encoder_counts
 from words.joint_order import JointOrder
 from words.parameters import ROS_PARAMETERS, parameter
 from words.refusal import Refusal
@@ -72,6 +72,7 @@ class _Measurement:
     time_ns: int
     counts: FloatArray
     current: FloatArray
+    voltage: FloatArray | None
     powered: bool
 
 
@@ -177,6 +178,9 @@ class ServoNode(Node):
                 nanoseconds_of(message.header.stamp),
                 self._states_order.arrange(names, message.encoder_counts, self._counts),
                 self._states_order.arrange(names, message.current, CURRENT),
+                self._states_order.arrange(names, message.voltage, VOLTAGE)
+                if message.voltage
+                else None,
                 bool(message.powered),
             )
             self._check_machine(int(message.machine))
@@ -199,7 +203,7 @@ class ServoNode(Node):
         if self._next_config is not None:
             self._config, self._next_config = self._next_config, None
             self._drives.retune(self._config)
-        self._drives.measure(now.time_ns, now.counts, now.current)
+        self._drives.measure(now.time_ns, now.counts, now.current, now.voltage)
         begins = self._lockstep and self._motion_ticks > 0 and now.tick % self._motion_ticks == 0
         if begins:
             self._waiting, self._cycle_ns = True, now.time_ns
