@@ -88,6 +88,7 @@ class Bound:
 # Commands to a joint and measurements of it; a joint that slides has m in place of rad.
 POSITION = Bound("position", "rad", 1e6)
 VELOCITY = Bound("velocity", "rad/s", 1e6)
+ACCELERATION = Bound("acceleration", "rad/s2", 1e9)
 EFFORT = Bound("effort", "N m", 1e9)
 VOLTAGE = Bound("voltage", "V", 1e9)
 CURRENT = Bound("current", "A", 1e9)
