@@ -129,13 +129,13 @@ class SampledLoop:
         """Whether every small motion dies away."""
         return self.radius < 1.0
 
-    def sensitivities(self) -> tuple[FloatArray, ComplexArray]:
+    def sensitivities(self, count: int = _FREQUENCIES) -> tuple[FloatArray, ComplexArray]:
         """Return frequencies (K,) [rad per period] and 1 / (1 + L) of each joint, (K, N).
 
         L is the loop cut at the joint's voltage, all other loops closed: by Schur's complement the
         diagonal of the sensitivity matrix is just this.
         """
-        w = np.geomspace(2e-4 * math.pi, math.pi, _FREQUENCIES)
+        w = np.geomspace(2e-4 * math.pi, math.pi, count)
         z = np.exp(1j * w)
         pencil = z[:, None, None] * np.eye(len(self.A)) - self.A
         added = np.broadcast_to(self._added, (len(z), *self._added.shape))
@@ -148,14 +148,29 @@ class SampledLoop:
         w, S = self.sensitivities()
         return [_margins(w, one) for one in S.T]
 
-    def step(self, joint: int, ticks: int) -> FloatArray:
-        """Return the link positions that follow a joint's target of 1, (ticks, N)."""
-        n, b = self._states, self.B[:, joint]
-        x, rows = np.zeros(len(self.A)), np.empty((ticks, len(self.plant.q)))
-        for k in range(ticks):
-            rows[k] = self.plant.q @ x[:n]
-            x = self.A @ x + b
-        return rows
+    def step(self, joint: int, rows: int, every: int = 1) -> FloatArray:
+        """Return the link positions that follow a joint's target of 1.
+
+        Args:
+            joint: which one.
+            rows: how many, the first before anything has moved.
+            every: servo periods from row to row.
+
+        Returns:
+            (rows, N).
+        """
+        n = self._states
+        size = len(self.A)
+        once = np.zeros((size + 1, size + 1))
+        once[:size, :size], once[:size, size], once[size, size] = self.A, self.B[:, joint], 1.0
+        often = np.linalg.matrix_power(once, every)
+        x = np.zeros(size + 1)
+        x[size] = 1.0
+        out = np.empty((rows, len(self.plant.q)))
+        for k in range(rows):
+            out[k] = self.plant.q @ x[:n]
+            x = often @ x
+        return out
 
 
 def _margins(w: FloatArray, S: ComplexArray) -> Margins:

@@ -257,7 +257,7 @@ def _finite_axis(joint: JointServo, period: float, supply_voltage: float) -> _Ax
 def _time_constant(joint: JointServo) -> float:
     """Return how fast the motor runs up by itself [s]."""
     torque_per_speed = joint.torque_constant * joint.back_emf_constant / joint.resistance
-    return joint.rotor_inertia / torque_per_speed if torque_per_speed else math.inf
+    return joint.inertia / torque_per_speed if torque_per_speed else math.inf
 
 
 def _period_that_holds(joint: JointServo, period: float) -> str:
@@ -323,7 +323,7 @@ class _Axis:
             joint.inductance,
             joint.torque_constant,
             joint.back_emf_constant,
-            joint.rotor_inertia,
+            joint.inertia,
             period,
         )
         self._set_current_loop(joint, period)
@@ -347,7 +347,7 @@ class _Axis:
         self.winding = joint.resistance * share
         self.current_voltage = joint.resistance + self.winding
         # The mean current is the change of speed and the load that it has carried.
-        speed, to_current = self.motor.speed, joint.rotor_inertia / joint.torque_constant / period
+        speed, to_current = self.motor.speed, joint.inertia / joint.torque_constant / period
         self.mean_current = Sum(
             to_current * speed.current,
             to_current * (speed.speed - 1.0),

@@ -74,8 +74,15 @@ class JointServo:
     """Where the three poles of the speed observer lie [rad/s]."""
     inductance: float = field(default=0.0, metadata=_not_negative("H"))
     """Of the winding [H]; 0: the current follows the voltage at once."""
+    link_inertia: float = field(default=0.0, metadata=_not_negative("kg m2"))
+    """Link inertia that turns rigidly with the rotor [kg m2]; 0: behind an elastic gear."""
     current_limit: float = field(default=math.inf, metadata=_positive("A"))
     """Largest current that the drive may ask for [A]; left out: only the voltage limits."""
+
+    @property
+    def inertia(self) -> float:
+        """What the motor moves rigidly, seen at the motor [kg m2]."""
+        return self.rotor_inertia + self.gear_ratio**2 * self.link_inertia
 
     @property
     def count_angle(self) -> float:
