@@ -37,6 +37,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
+    new = commands.add_parser("new", help="make a scene, with servo and motion control, of a robot")
+    new.add_argument("robot", type=Path, help="URDF or xacro source")
+    new.add_argument(
+        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the xacro source"
+    )
+    new.add_argument("--tool", metavar="LINK", help="where the arm ends (default: chosen)")
+    new.add_argument(
+        "--joints", nargs="+", metavar="JOINT", help="that move, the rest is held (default: chosen)"
+    )
+    new.add_argument("--out", type=Path, metavar="FOLDER", help="(default: the robot's name, here)")
+    new.add_argument("--force", action="store_true", help="write over files that are there")
+    new.set_defaults(run=_new)
+
     up = commands.add_parser("up", help="start the three nodes, end all when one ends")
     _scene(up)
     _clock(up)
@@ -64,7 +77,9 @@ def _parser() -> argparse.ArgumentParser:
     up.set_defaults(run=_up)
 
     demo = commands.add_parser("demo", help="the paper's experiment, with pictures")
-    _scene(demo)
+    demo.add_argument(
+        "scene", nargs="?", default="three_axis", help="scene file or name, or a robot's URDF"
+    )
     _clock(demo)
     demo.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
     demo.set_defaults(run=_demo)
@@ -166,6 +181,25 @@ def _clock(parser: argparse.ArgumentParser) -> None:
 # Each command imports what it needs when it runs, so that the others start at once.
 
 
+def _new(arguments: argparse.Namespace) -> int:
+    from arm_emulator.new import new
+
+    given = dict[str, str]()
+    for one in arguments.arguments:
+        name, sign, value = one.partition(":=")
+        if not sign or not name:
+            raise Refusal("new", "argument", "be NAME:=VALUE", one)
+        given[name] = value
+    return new(
+        arguments.robot,
+        arguments.out,
+        arguments.tool,
+        arguments.joints,
+        given,
+        force=arguments.force,
+    )
+
+
 def _up(arguments: argparse.Namespace) -> int:
     from arm_emulator.up import up
 
@@ -185,7 +219,12 @@ def _up(arguments: argparse.Namespace) -> int:
 def _demo(arguments: argparse.Namespace) -> int:
     from arm_emulator.demo import demo
 
-    return demo(arguments.scene, arguments.clock, arguments.out)
+    scene = arguments.scene
+    if Path(scene).suffix in (".urdf", ".xacro"):
+        from arm_emulator.new import scene_of_robot
+
+        scene = str(scene_of_robot(Path(scene), arguments.out))
+    return demo(scene, arguments.clock, arguments.out)
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -114,7 +114,8 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
     """Make joints unlimited for which the URDF gives neither a lower nor an upper limit.
 
     Other readers of a URDF refuse such a joint, or take 0 for both. A revolute joint becomes a
-    continuous one, a prismatic one may go `UNLIMITED` either way.
+    continuous one, a prismatic one may go `UNLIMITED` either way. They also refuse a limit without
+    effort or velocity, which becomes 0: not known.
 
     Returns:
         Whether anything was changed.
@@ -135,7 +136,7 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
             raise Refusal(where, what, "have lower <= upper", f"{bounds[0]:g} > {bounds[1]:g}")
         if "lower" not in given and "upper" not in given:
             bounds = [-math.inf, math.inf]
-        elif not any(math.isinf(bound) for bound in bounds):
+        elif not any(math.isinf(bound) for bound in bounds) and {"effort", "velocity"} <= {*given}:
             continue
         changed = True
         if limit is not None:

@@ -1,0 +1,278 @@
+"""`arm_emulator new`: from a robot description to a scene with servo, motion control and a demo."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+from rich.console import Console
+
+from arm_emulator.choose_joints import Choice, choose_joints
+from arm_emulator.robot_file import robot_text
+from arm_emulator.scene_text import demo_text, motion_text, scene_text, servo_text
+from arm_emulator.sizing import Demand, Sized, size
+from arm_emulator.survey import survey
+from emulator_node.scene import Scene, example_robot_data, load_scene
+from motion_controller_node.kinematics import POSE_ROWS, Kinematics
+from servo_node.design import GearData, MotorData, design
+from servo_node.servo_config import JointServo, ServoConfig
+from words.refusal import Refusal
+from words.text_file import why_no_file
+from words.urdf_text import parse_urdf
+
+SERVO_PERIOD = 1e-3  # s
+HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
+MOTION_PERIOD, MOTION_PERIOD_FEW = 0.01, 0.05  # s, from six joints on and below
+SETTLE, WATCHED = 1.0, 3.0  # s, of the demo
+SERVO_HEADING = """\
+Servo of {name}: data sheets as in {name}.yaml; gains by servo_node/design.py (docs/gains.md)."""
+MOTION_COMMENTS = {"tool": "link that is the tool", "period": "s, between joint targets"}
+
+
+@dataclass(frozen=True)
+class NewScene:
+    """What was written, and how it came about."""
+
+    file: Path
+    choice: Choice
+    drives: list[Sized]
+
+
+def new(
+    robot: Path,
+    out: Path | None,
+    tool: str | None,
+    joints: Sequence[str] | None,
+    arguments: Mapping[str, str],
+    *,
+    force: bool,
+) -> int:
+    """Write a scene for a robot, and tell what was taken from it and what was guessed.
+
+    Raises:
+        Refusal: see `write_new`.
+    """
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    written = write_new(robot, out, tool, joints, arguments, force=force)
+    choice = written.choice
+    console.print(f"moves    {', '.join(choice.joints)}")
+    for guess in choice.guesses:
+        console.print(f"chosen   {guess}")
+    for name, held in choice.held.items():
+        console.print(f"held     {name} at {held.position:g}: {held.reason}")
+    for drive in written.drives:
+        for what, value in (("torque", drive.peak_torque), ("speed", drive.speed)):
+            if (note := drive.notes[what]) != "URDF":
+                console.print(f"guessed  {drive.joint.name}: {what} {value:.3g}: {note}")
+    console.print(
+        "guessed  all motors, gears, friction, encoders: rules are in the scene's heading"
+    )
+    console.print(f"written  {written.file}, and servo/, motion/, demo/ beside it")
+    console.print(f"now try  python -m arm_emulator demo {written.file}")
+    return 0
+
+
+def scene_of_robot(robot: Path, out: Path) -> Path:
+    """Return the scene of a robot below `out`: the one that is there, else a new one.
+
+    Raises:
+        Refusal: see `write_new`.
+    """
+    folder = out / _name(robot)
+    file = folder / f"{_name(robot)}.yaml"
+    if why_no_file(robot) is None and file.exists():
+        print(f"taken    {file}, which was there (remove {folder} to begin anew)")
+        return file
+    new(robot, folder, None, None, {}, force=False)
+    return file
+
+
+def write_new(
+    robot: Path,
+    out: Path | None,
+    tool: str | None = None,
+    joints: Sequence[str] | None = None,
+    arguments: Mapping[str, str] | None = None,
+    *,
+    force: bool = False,
+) -> NewScene:
+    """Write a scene for a robot.
+
+    Args:
+        robot: URDF or xacro source.
+        out: folder to write to; None: one with the robot's name, here.
+        tool: link that is the tool; None: chosen.
+        joints: that move; None: chosen.
+        arguments: of the xacro source.
+        force: whether to write over files that are there.
+
+    Raises:
+        Refusal: a robot that cannot be emulated, or files that are there already.
+    """
+    text = robot_text(robot, arguments or {})
+    choice = choose_joints(parse_urdf(text, robot.name), robot.name, tool, joints)
+    name = _name(robot)
+    folder = Path(name) if out is None else out
+    file = folder / f"{name}.yaml"
+    if robot.suffix == ".urdf":
+        files, urdf = dict[Path, str](), _reference(robot, folder)
+    else:
+        files, urdf = {folder / "urdf" / f"{name}.urdf": text}, f"urdf/{name}.urdf"
+    drives, texts = _texts(robot, text, name, urdf, choice)
+    files |= {folder / place: content for place, content in texts.items()}
+    for one in files:
+        if one.exists() and not force:
+            valid = "--force writes over it, --out names another folder"
+            raise Refusal("new", f"file {one}", "not be there yet", "one", valid)
+    try:
+        for one, content in files.items():
+            one.parent.mkdir(parents=True, exist_ok=True)
+            one.write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise Refusal("new", f"folder {folder}", "be writable", error.strerror) from None
+    return NewScene(file, choice, drives)
+
+
+def _name(robot: Path) -> str:
+    """Return the name of a robot's scene: that of its file, as it fits a file and a folder."""
+    stem = robot.name.removesuffix(robot.suffix).removesuffix(".urdf")
+    return re.sub(r"\W+", "_", stem).strip("_") or "arm"
+
+
+def _reference(robot: Path, folder: Path) -> str:
+    """Return how a scene in `folder` names a URDF."""
+    shipped = example_robot_data()
+    absolute = Path(os.path.abspath(robot))
+    if shipped is not None and absolute.is_relative_to(shipped):
+        return f"example-robot-data:{absolute.relative_to(shipped).as_posix()}"
+    return Path(os.path.relpath(absolute, folder.resolve())).as_posix()
+
+
+def _links_alone(text: str, where: str, choice: Choice) -> Scene:
+    """Return the robot as a machine without motors; `where`: what to call it in refusals."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / where).write_text(text, encoding="utf-8")
+        scene = {
+            "name": "links",
+            "urdf": where,
+            "tool": choice.tool,
+            "gravity": [0.0, 0.0, -9.81],
+            "supply_voltage": 1.0,
+            "locked": {name: held.position for name, held in choice.held.items()},
+            "joints": {name: {} for name in choice.joints},
+            "integrator": {"dt": SERVO_PERIOD},
+            "servo_period": SERVO_PERIOD,
+        }
+        file = Path(folder) / "robot.yaml"
+        file.write_text(yaml.safe_dump(scene, allow_unicode=True), encoding="utf-8")
+        return load_scene(file)
+
+
+def _texts(
+    robot: Path, text: str, name: str, urdf: str, choice: Choice
+) -> tuple[list[Sized], dict[str, str]]:
+    """Return the drives, and the files to write by their places."""
+    links = _links_alone(text, robot.name, choice)
+    kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
+    seen = survey(links, kinematics)
+    limits = _limits(parse_urdf(links.urdf, robot.name))
+    demands = [
+        Demand(
+            name=joint.name,
+            kind=joint.kind,
+            start=float(seen.start[j]),
+            inertia=(float(seen.inertia[j, 0]), float(seen.inertia[j, 1])),
+            gravity_torque=float(seen.gravity_torque[j]),
+            effort=limits[joint.name]["effort"],
+            velocity=limits[joint.name]["velocity"],
+        )
+        for j, joint in enumerate(links.chain.joints)
+    ]
+    supply, drives = size(demands)
+    motion_period = MOTION_PERIOD_FEW if len(demands) < POSE_ROWS else MOTION_PERIOD
+    servo = ServoConfig(
+        period=SERVO_PERIOD,
+        motion_period=motion_period,
+        hold_after=max(HOLD_AFTER, 4.0 * motion_period),
+        cut_after=CUT_AFTER,
+        supply_voltage=supply,
+        joints=tuple(_servo_of(*pair, supply) for pair in zip(demands, drives, strict=True)),
+    )
+    motion = {"tool": choice.tool, "period": motion_period}
+    texts = {
+        f"{name}.yaml": scene_text(
+            name, robot.name, urdf, choice, supply, demands, drives, SERVO_PERIOD
+        ),
+        f"servo/{name}.yaml": servo_text(servo, SERVO_HEADING.format(name=name)),
+        f"motion/{name}.yaml": motion_text(motion, MOTION_COMMENTS),
+        f"demo/{name}.yaml": demo_text(
+            seen.displacement.tolist(), SETTLE, round(WATCHED / motion_period)
+        ),
+    }
+    return drives, texts
+
+
+def _limits(robot: ET.Element) -> dict[str, dict[str, float | None]]:
+    """Return effort and velocity of each joint's limit; None: not given, or no sound number."""
+    limits: dict[str, dict[str, float | None]] = {}
+    for joint in robot.findall("joint"):
+        limit = joint.find("limit")
+        of_joint: dict[str, float | None] = {}
+        for key in ("effort", "velocity"):
+            try:
+                value = float(limit.get(key, "")) if limit is not None else math.nan
+            except ValueError:
+                value = math.nan
+            of_joint[key] = value if 0.0 < value < math.inf else None
+        limits[joint.get("name", "")] = of_joint
+    return limits
+
+
+def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
+    """Return the servo of a joint: the data sheet's numbers, and gains that follow from them."""
+    motor, gear, encoder = drive.joint.motor, drive.joint.gear, drive.joint.encoder
+    assert motor is not None and encoder is not None
+    data = MotorData(
+        motor.resistance,
+        motor.inductance,
+        motor.torque_constant,
+        motor.back_emf_constant,
+        motor.rotor_inertia,
+        encoder.counts_per_turn,
+    )
+    gains = design(
+        data,
+        GearData(gear.ratio, gear.stiffness, gear.damping),
+        demand.inertia,
+        SERVO_PERIOD,
+        drive.joint.friction.viscous,
+        supply,
+    )
+    return JointServo(
+        name=demand.name,
+        gear_ratio=gear.ratio,
+        counts_per_turn=encoder.counts_per_turn,
+        resistance=motor.resistance,
+        inductance=motor.inductance,
+        torque_constant=motor.torque_constant,
+        back_emf_constant=motor.back_emf_constant,
+        rotor_inertia=motor.rotor_inertia,
+        current_limit=_round(drive.peak_torque * gear.ratio / motor.torque_constant),
+        velocity_limit=drive.speed,
+        position_gain=_round(gains.position_gain),
+        velocity_gain=_round(gains.velocity_gain),
+        integral_time=_round(gains.integral_time),
+        observer_bandwidth=_round(gains.observer_bandwidth),
+        link_inertia=_round(gains.link_inertia),
+    )
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.3g}")

@@ -1,0 +1,281 @@
+"""Robot descriptions of many kinds, written as people write them, for tests and the bench."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+TURN = math.pi
+
+
+@dataclass(frozen=True)
+class Part:
+    """A joint and the rod that it moves; the next joint sits at the rod's end."""
+
+    axis: str
+    rod: tuple[float, float, float]  # m, from this joint to the next, in the joint's frame
+    mass: float = 1.0  # kg
+    kind: str = "revolute"
+    limits: tuple[float, float] | None = (-0.9 * TURN, 0.9 * TURN)
+    effort: float | None = None
+    velocity: float | None = None
+    rpy: str = "0 0 0"
+    radius: float = 0.04  # m, of the rod
+    mimic: str = ""
+
+
+@dataclass
+class Robot:
+    """A URDF in the making."""
+
+    name: str
+    elements: list[str] = field(default_factory=list)
+
+    def link(self, name: str, part: Part | None = None) -> None:
+        """Add a link, with the inertia of a part."""
+        inertial = _inertial(part) if part is not None and part.mass > 0.0 else ""
+        self.elements.append(f'<link name="{name}">{inertial}</link>')
+
+    def joint(self, name: str, kind: str, ends: tuple[str, str], xyz: str, inside: str) -> None:
+        """Add a joint; `inside`: its rpy, a bar, and what else it holds."""
+        parent, child = ends
+        rpy, _, rest = inside.partition("|")
+        self.elements.append(
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/>{rest}</joint>'
+        )
+
+    def text(self) -> str:
+        """Return the URDF."""
+        return (
+            f'<?xml version="1.0"?>\n<robot name="{self.name}">'
+            + "\n".join(self.elements)
+            + ("</robot>\n")
+        )
+
+
+def serial(name: str, parts: list[Part], base_rpy: str = "0 0 0", tool: str = "tool0") -> str:
+    """Return the URDF of a serial arm with joints j1, j2, ... and a massless tool frame."""
+    robot = Robot(name)
+    robot.link("world")
+    robot.link("base")
+    robot.joint("mount", "fixed", ("world", "base"), "0 0 0.1", f"{base_rpy}|")
+    at, link = (0.0, 0.0, 0.0), "base"
+    for k, part in enumerate(parts, start=1):
+        robot.link(f"l{k}", part)
+        robot.joint(f"j{k}", part.kind, (link, f"l{k}"), _words(at), f"{part.rpy}|{_rest(part)}")
+        at, link = part.rod, f"l{k}"
+    robot.link(tool)
+    robot.joint("flange", "fixed", (link, tool), _words(at), "0 0 0|")
+    return robot.text()
+
+
+def _rest(part: Part) -> str:
+    words = f'<axis xyz="{part.axis}"/>'
+    given = {"effort": part.effort, "velocity": part.velocity}
+    if part.limits is not None:
+        given |= {"lower": part.limits[0], "upper": part.limits[1]}
+    shown = "".join(f' {key}="{value!r}"' for key, value in given.items() if value is not None)
+    mimic = f'<mimic joint="{part.mimic}"/>' if part.mimic else ""
+    return words + (f"<limit{shown}/>" if shown else "") + mimic
+
+
+def _words(p: tuple[float, float, float]) -> str:
+    return " ".join(map(repr, p))
+
+
+def _inertial(part: Part) -> str:
+    """Return the inertia of a solid cylinder along the rod, upright where the rod has no length."""
+    x, y, z = part.rod
+    length = math.hypot(x, y, z)
+    m, r = part.mass, part.radius
+    along, across = 0.5 * m * r * r, m * (3.0 * r * r + length * length) / 12.0
+    if length == 0.0:
+        u = (0.0, 0.0, 1.0)
+    else:
+        u = (x / length, y / length, z / length)
+    entries = {}
+    for a, i in zip("xyz", range(3), strict=True):
+        for b, j in zip("xyz", range(3), strict=True):
+            if i <= j:
+                value = (along - across) * u[i] * u[j] + (across if i == j else 0.0)
+                entries[f"i{a}{b}"] = value
+    tensor = " ".join(f'{key}="{value!r}"' for key, value in entries.items())
+    return (
+        f'<inertial><origin xyz="{_words((x / 2, y / 2, z / 2))}"/><mass value="{m!r}"/>'
+        f"<inertia {tensor}/></inertial>"
+    )
+
+
+def _wrist(mass: float = 0.8) -> list[Part]:
+    """Return three joints whose axes meet in a point."""
+    return [
+        Part("1 0 0", (0.0, 0.0, 0.0), mass),
+        Part("0 1 0", (0.0, 0.0, 0.0), mass, limits=(-2.0, 2.0)),
+        Part("1 0 0", (0.1, 0.0, 0.0), mass),
+    ]
+
+
+def pendulum() -> str:
+    """Return one joint."""
+    return serial("pendulum", [Part("0 1 0", (0.5, 0.0, 0.0), 2.0)])
+
+
+def planar() -> str:
+    """Return two joints in a vertical plane."""
+    return serial("planar", [Part("0 1 0", (0.4, 0.0, 0.0), 3.0), Part("0 1 0", (0.3, 0.0, 0.0))])
+
+
+def scara() -> str:
+    """Return a SCARA: two turns, a slide, a turn."""
+    slide = Part("0 0 1", (0.0, 0.0, -0.2), 1.0, "prismatic", (-0.2, 0.0), 200.0, 1.0)
+    return serial(
+        "scara",
+        [
+            Part("0 0 1", (0.325, 0.0, 0.0), 8.0, limits=(-2.5, 2.5), effort=120.0, velocity=6.0),
+            Part("0 0 1", (0.225, 0.0, 0.0), 5.0, limits=(-2.6, 2.6), effort=60.0, velocity=9.0),
+            slide,
+            Part("0 0 1", (0.0, 0.0, -0.05), 0.5, velocity=20.0),
+        ],
+    )
+
+
+def gantry() -> str:
+    """Return three slides."""
+
+    def axis(direction: str, reach: float, mass: float) -> Part:
+        return Part(direction, (0.0, 0.0, 0.0), mass, "prismatic", (0.0, reach), None, 1.0)
+
+    return serial(
+        "gantry",
+        [axis("1 0 0", 2.0, 60.0), axis("0 1 0", 1.2, 30.0), axis("0 0 1", 0.8, 12.0)],
+    )
+
+
+def gantry_with_turn() -> str:
+    """Return three slides without rates, and a turn without limits."""
+
+    def axis(direction: str, reach: float, mass: float) -> Part:
+        return Part(direction, (0.0, 0.0, 0.1), mass, "prismatic", (-reach, reach), None, None)
+
+    return serial(
+        "gantry_with_turn",
+        [
+            axis("1 0 0", 0.6, 20.0),
+            axis("0 1 0", 0.4, 10.0),
+            axis("0 0 -1", 0.3, 5.0),
+            Part("0 0 1", (0.1, 0.0, 0.0), 1.0, "continuous", None),
+        ],
+    )
+
+
+def telescopic() -> str:
+    """Return two turns and a boom of two slides."""
+    return serial(
+        "telescopic",
+        [
+            Part("0 0 1", (0.0, 0.0, 0.4), 20.0),
+            Part("0 1 0", (0.8, 0.0, 0.0), 15.0, limits=(-1.2, 0.8)),
+            Part("1 0 0", (0.3, 0.0, 0.0), 6.0, "prismatic", (0.0, 0.6)),
+            Part("1 0 0", (0.2, 0.0, 0.0), 4.0, "prismatic", (0.0, 0.4)),
+        ],
+    )
+
+
+def five_joints() -> str:
+    """Return a hobby arm."""
+    return serial(
+        "five_joints",
+        [
+            Part("0 0 1", (0.0, 0.0, 0.15), 1.0, effort=6.0, velocity=4.0),
+            Part("0 1 0", (0.0, 0.0, 0.2), 0.4, effort=6.0, velocity=4.0),
+            Part("0 1 0", (0.2, 0.0, 0.0), 0.3, effort=6.0, velocity=4.0),
+            Part("0 1 0", (0.05, 0.0, 0.0), 0.1, effort=2.0, velocity=4.0),
+            Part("1 0 0", (0.05, 0.0, 0.0), 0.1, effort=2.0, velocity=4.0),
+        ],
+    )
+
+
+def spherical_wrist() -> str:
+    """Return a heavy arm whose last axes meet."""
+    return serial(
+        "spherical_wrist",
+        [
+            Part("0 0 1", (0.15, 0.0, 0.4), 60.0, effort=1500.0, velocity=2.2, radius=0.12),
+            Part("0 1 0", (0.0, 0.0, 0.7), 40.0, limits=(-1.5, 2.3), effort=1500.0, velocity=2.0),
+            Part("0 1 0", (0.7, 0.0, 0.0), 25.0, limits=(-2.9, 1.2), effort=800.0, velocity=2.2),
+            *_wrist(6.0),
+        ],
+    )
+
+
+def tilted() -> str:
+    """Return the arm with the spherical wrist, hung from a slope."""
+    return serial(
+        "tilted",
+        [
+            Part("0 0 1", (0.0, 0.0, 0.2), 5.0),
+            Part("0 1 0", (0.0, 0.0, 0.4), 4.0),
+            Part("0 1 0", (0.35, 0.0, 0.0), 3.0),
+            *_wrist(),
+        ],
+        base_rpy="2.6 0.3 0.5",
+    )
+
+
+def seven_joints() -> str:
+    """Return a redundant arm."""
+    return serial(
+        "seven_joints",
+        [
+            Part("0 0 1", (0.0, 0.0, 0.3), 4.0),
+            Part("0 1 0", (0.0, 0.0, 0.2), 3.0, limits=(-2.0, 2.0)),
+            Part("0 0 1", (0.05, 0.0, 0.2), 3.0),
+            Part("0 -1 0", (-0.05, 0.0, 0.35), 2.0, limits=(-2.5, -0.1)),
+            *_wrist(),
+        ],
+    )
+
+
+def on_a_rail() -> str:
+    """Return eight joints, a rail first."""
+    return serial(
+        "on_a_rail",
+        [
+            Part("0 1 0", (0.0, 0.0, 0.2), 50.0, "prismatic", (-2.0, 2.0), None, 1.5),
+            Part("0 0 1", (0.0, 0.0, 0.3), 4.0),
+            Part("0 1 0", (0.0, 0.0, 0.2), 3.0, limits=(-2.0, 2.0)),
+            Part("0 0 1", (0.05, 0.0, 0.2), 3.0),
+            Part("0 -1 0", (-0.05, 0.0, 0.35), 2.0, limits=(-2.5, -0.1)),
+            *_wrist(),
+        ],
+    )
+
+
+def nine_joints() -> str:
+    """Return a snake of continuous joints without any limits."""
+    axes = ["0 0 1", "0 1 0", "1 0 0"] * 3
+    return serial(
+        "nine_joints",
+        [Part(axis, (0.05, 0.0, 0.15), 1.0, "continuous", None) for axis in axes],
+    )
+
+
+OWN: dict[str, Callable[[], str]] = {
+    make.__name__: make
+    for make in (
+        pendulum,
+        planar,
+        scara,
+        gantry,
+        gantry_with_turn,
+        telescopic,
+        five_joints,
+        spherical_wrist,
+        tilted,
+        seven_joints,
+        on_a_rail,
+        nine_joints,
+    )
+}
