@@ -20,6 +20,7 @@ from motion_controller_node.kinematics_model import (
 from motion_controller_node.pose import Pose
 from words.bound import POSITION, TOOL_POSITION, Bound
 from words.refusal import Refusal
+from words.urdf_text import UNLIMITED
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -46,10 +47,12 @@ class Kinematics:
 
     Attributes:
         rows: of the task, 3 or 6.
-        reach: length of the chain from its first joint to the tool [m].
+        reach: length of the chain from its first joint to the tool, with what limited joints slide
+            [m].
         base: link that stands in the world, in whose frame poses are given.
         scale: of the rows of the task, (rows,): translations are divided by `reach`, so that all
             entries of a scaled Jacobian are rad per rad.
+        joint_scale: of the joints, (N,): 1 for one that turns, `reach` for one that slides.
         lower, upper: position limits, (N,) each [rad or m]; infinite where there is none.
         velocity_limit, acceleration_limit: (N,) each, in rad or m and s; infinite where there is
             none.
@@ -70,6 +73,9 @@ class Kinematics:
             self.model.joints[self.model.getJointId(JOINT + n)] for n in self.joint_names
         ]
         self._columns = [joint.idx_v for joint in self._joints]
+        self._turning = np.array([joint.nq == 2 for joint in self._joints])
+        self._places = np.array([joint.idx_q for joint in self._joints])
+        self._neutral = pin.neutral(self.model)
         self._frame = _frame(self.model, tool)
         self.lower, self.upper = self._position_limits()
         rates = rate_limits(urdf_xml)
@@ -77,14 +83,15 @@ class Kinematics:
         self.acceleration_limit = np.array([rates[name].acceleration for name in self.joint_names])
         self.reach = self._reach()
         _REACH.check("robot_description", [self.reach])
-        neutral = pin.neutral(self.model)
-        pin.framesForwardKinematics(self.model, self._data, neutral)
+        pin.framesForwardKinematics(self.model, self._data, self._neutral)
         R_WT, p_WT = self._data.oMf[self._frame].rotation, self._data.oMf[self._frame].translation
         TOOL_POSITION.named("tool").check("robot_description", p_WT.tolist())
         _TARGET_ROTATION.check("robot_description", np.ravel(R_WT).tolist())
         self.base = _base(self.model)
         self.scale = np.ones(self.rows)
         self.scale[:POSITION_ROWS] = 1.0 / self.reach
+        slides = [_slides(joint) for joint in self._joints]
+        self.joint_scale = np.where(slides, self.reach, 1.0)
 
     def forward(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return where the tool is: ``R_WT`` (3, 3) and ``p_WT`` (3,) [m]."""
@@ -94,10 +101,23 @@ class Kinematics:
 
     def jacobian(self, q: npt.ArrayLike) -> FloatArray:
         """Return J(q), (rows, N) [m/rad, rad/rad], along the world's axes at the tool."""
+        return self._jacobian(self._configuration(q))
+
+    def tool_error(self, q: npt.ArrayLike, target: Pose) -> FloatArray:
+        """Return ``X_target - X(q)``, (rows,) [m, rad]."""
+        return self._tool_error(*self.forward(q), target)
+
+    def error_and_jacobian(self, q: npt.ArrayLike, target: Pose) -> tuple[FloatArray, FloatArray]:
+        """Return `tool_error` and `jacobian` at the price of one of them."""
+        J = self._jacobian(self._configuration(q))
+        placement = pin.updateFramePlacement(self.model, self._data, self._frame)
+        return self._tool_error(placement.rotation, placement.translation, target), J
+
+    def _jacobian(self, configuration: FloatArray) -> FloatArray:
         J = pin.computeFrameJacobian(
             self.model,
             self._data,
-            self._configuration(q),
+            configuration,
             self._frame,
             pin.ReferenceFrame.LOCAL_WORLD_ALIGNED,
         )
@@ -105,13 +125,12 @@ class Kinematics:
         rows: FloatArray = J[: self.rows, self._columns]
         return rows
 
-    def tool_error(self, q: npt.ArrayLike, target: Pose) -> FloatArray:
-        """Return ``X_target - X(q)``, (rows,) [m, rad]."""
-        R_WT, p_WT = self.forward(q)
+    def _tool_error(self, R_WT: FloatArray, p_WT: FloatArray, target: Pose) -> FloatArray:
         error = target.p_WT - p_WT
         if self.rows == POSITION_ROWS:
             return error
-        return np.concatenate([error, pin.log3(target.R_WT @ R_WT.T)])
+        both: FloatArray = np.concatenate([error, pin.log3(target.R_WT @ R_WT.T)])
+        return both
 
     def singular_values(self, q: npt.ArrayLike) -> FloatArray:
         """Return the singular values of the scaled Jacobian, largest first [rad/rad]."""
@@ -128,12 +147,13 @@ class Kinematics:
 
     def _configuration(self, q: npt.ArrayLike) -> FloatArray:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""
-        configuration: FloatArray = pin.neutral(self.model)
-        for joint, angle in zip(self._joints, self.vector(q), strict=True):
-            if joint.nq == 2:
-                configuration[joint.idx_q : joint.idx_q + 2] = math.cos(angle), math.sin(angle)
-            else:
-                configuration[joint.idx_q] = angle
+        q = self.vector(q)
+        configuration: FloatArray = self._neutral.copy()
+        configuration[self._places] = q
+        turning = self._turning
+        if turning.any():
+            configuration[self._places[turning]] = np.cos(q[turning])
+            configuration[self._places[turning] + 1] = np.sin(q[turning])
         return configuration
 
     def _position_limits(self) -> tuple[FloatArray, FloatArray]:
@@ -154,10 +174,22 @@ class Kinematics:
         frame = self.model.frames[self._frame]
         length = math.hypot(*frame.placement.translation)
         joint = frame.parentJoint
-        while self.model.parents[joint] > 0:
-            length += math.hypot(*self.model.jointPlacements[joint].translation)
+        while joint > 0:
+            if self.model.parents[joint] > 0:
+                length += math.hypot(*self.model.jointPlacements[joint].translation)
+            if _slides(self.model.joints[joint]):
+                place = self.model.joints[joint].idx_q
+                travel = max(
+                    abs(self.model.lowerPositionLimit[place]),
+                    abs(self.model.upperPositionLimit[place]),
+                )
+                length += travel if travel < UNLIMITED else 0.0
             joint = self.model.parents[joint]
         return length or 1.0
+
+
+def _slides(joint: Any) -> bool:
+    return bool(joint.shortname().removeprefix("JointModel").startswith("P"))
 
 
 def moving_joints(urdf_xml: str) -> tuple[str, ...]:

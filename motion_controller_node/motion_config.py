@@ -18,8 +18,8 @@ class MotionConfig:
     )
     method: str = parameter(
         "auto",
-        "control law: paper, eq. (6) of the paper; auto: paper",
-        choices=("auto", "paper"),
+        "control law: paper, eq. (6); qp, within all limits; auto: paper below 6 joints, else qp",
+        choices=("auto", "paper", "qp"),
     )
     weight: float = parameter(0.5, "w of eq. (6)", minimum=1e-6, maximum=1.0, settable=True)
     task: str = parameter(
@@ -40,6 +40,22 @@ class MotionConfig:
         "singular values of the Jacobian below this are damped",
         minimum=1e-9,
         maximum=1.0,
+        settable=True,
+    )
+    velocity_limit: float = parameter(
+        3.0,
+        "qp: largest joint speed, beside the robot description's",
+        unit="rad/s",
+        minimum=1e-6,
+        maximum=1e3,
+        settable=True,
+    )
+    acceleration_limit: float = parameter(
+        10.0,
+        "qp: largest joint acceleration, beside the robot description's",
+        unit="rad/s2",
+        minimum=1e-6,
+        maximum=1e5,
         settable=True,
     )
 
