@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
 import re
 import tempfile
 import xml.etree.ElementTree as ET
@@ -16,10 +14,11 @@ from rich.console import Console
 
 from arm_emulator.choose_joints import Choice, choose_joints
 from arm_emulator.robot_file import robot_text
+from arm_emulator.robot_limits import move_meshes, read_limits, write_limits
 from arm_emulator.scene_text import demo_text, motion_text, scene_text, servo_text
 from arm_emulator.sizing import Demand, Sized, size
 from arm_emulator.survey import survey
-from emulator_node.scene import Scene, example_robot_data, load_scene
+from emulator_node.scene import Scene, load_scene
 from motion_controller_node.kinematics import POSE_ROWS, Kinematics
 from servo_node.design import GearData, MotorData, design
 from servo_node.servo_config import JointServo, ServoConfig
@@ -121,12 +120,8 @@ def write_new(
     name = _name(robot)
     folder = Path(name) if out is None else out
     file = folder / f"{name}.yaml"
-    if robot.suffix == ".urdf":
-        files, urdf = dict[Path, str](), _reference(robot, folder)
-    else:
-        files, urdf = {folder / "urdf" / f"{name}.urdf": text}, f"urdf/{name}.urdf"
-    drives, texts = _texts(robot, text, name, urdf, choice)
-    files |= {folder / place: content for place, content in texts.items()}
+    drives, texts = _texts(robot, text, name, choice)
+    files = {folder / place: content for place, content in texts.items()}
     for one in files:
         if one.exists() and not force:
             valid = "--force writes over it, --out names another folder"
@@ -144,15 +139,6 @@ def _name(robot: Path) -> str:
     """Return the name of a robot's scene: that of its file, as it fits a file and a folder."""
     stem = robot.name.removesuffix(robot.suffix).removesuffix(".urdf")
     return re.sub(r"\W+", "_", stem).strip("_") or "arm"
-
-
-def _reference(robot: Path, folder: Path) -> str:
-    """Return how a scene in `folder` names a URDF."""
-    shipped = example_robot_data()
-    absolute = Path(os.path.abspath(robot))
-    if shipped is not None and absolute.is_relative_to(shipped):
-        return f"example-robot-data:{absolute.relative_to(shipped).as_posix()}"
-    return Path(os.path.relpath(absolute, folder.resolve())).as_posix()
 
 
 def _links_alone(text: str, where: str, choice: Choice) -> Scene:
@@ -175,14 +161,13 @@ def _links_alone(text: str, where: str, choice: Choice) -> Scene:
         return load_scene(file)
 
 
-def _texts(
-    robot: Path, text: str, name: str, urdf: str, choice: Choice
-) -> tuple[list[Sized], dict[str, str]]:
+def _texts(robot: Path, text: str, name: str, choice: Choice) -> tuple[list[Sized], dict[str, str]]:
     """Return the drives, and the files to write by their places."""
     links = _links_alone(text, robot.name, choice)
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
     seen = survey(links, kinematics)
-    limits = _limits(parse_urdf(links.urdf, robot.name))
+    description = parse_urdf(text, robot.name)
+    limits = read_limits(description)
     demands = [
         Demand(
             name=joint.name,
@@ -206,7 +191,12 @@ def _texts(
         joints=tuple(_servo_of(*pair, supply) for pair in zip(demands, drives, strict=True)),
     )
     motion = {"tool": choice.tool, "period": motion_period}
+    # The robot description is where the motion controller has the joints' limits from.
+    write_limits(description, {drive.joint.name: drive for drive in drives})
+    move_meshes(description, robot.parent)
+    urdf = f"urdf/{name}.urdf"
     texts = {
+        urdf: ET.tostring(description, encoding="unicode") + "\n",
         f"{name}.yaml": scene_text(
             name, robot.name, urdf, choice, supply, demands, drives, SERVO_PERIOD
         ),
@@ -217,22 +207,6 @@ def _texts(
         ),
     }
     return drives, texts
-
-
-def _limits(robot: ET.Element) -> dict[str, dict[str, float | None]]:
-    """Return effort and velocity of each joint's limit; None: not given, or no sound number."""
-    limits: dict[str, dict[str, float | None]] = {}
-    for joint in robot.findall("joint"):
-        limit = joint.find("limit")
-        of_joint: dict[str, float | None] = {}
-        for key in ("effort", "velocity"):
-            try:
-                value = float(limit.get(key, "")) if limit is not None else math.nan
-            except ValueError:
-                value = math.nan
-            of_joint[key] = value if 0.0 < value < math.inf else None
-        limits[joint.get("name", "")] = of_joint
-    return limits
 
 
 def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:

@@ -19,6 +19,8 @@ PLACEHOLDER = 30.0  # times the largest torque that any joint of the arm needs
 GRAVITY_MARGIN = 1.3  # holds its own links, and some payload
 SPEED_UP = 0.25  # s from rest to full speed
 LEAST_SPEED_UP = 1.0  # s, with the torque of the description
+TORQUE_PART = 0.6  # of what the weight leaves of the torque, for accelerating the heaviest pose
+LEAST_RAMP = 0.2  # s to full speed, so that gears do not swing
 
 SUPPLIES = ((50.0, 24.0), (2000.0, 48.0), (math.inf, 560.0))  # W of the strongest joint, V
 MOTOR_SPEED = 314.0  # rad/s at the joint's full speed: 3000 rpm, rated speed of most servo motors
@@ -56,7 +58,7 @@ class Sized:
     joint: Joint
     peak_torque: float  # N m at the link
     speed: float  # rad/s of the link
-    acceleration: float  # rad/s2 that the torque left by gravity gives to the heaviest pose
+    acceleration: float  # rad/s2, for motion control
     notes: dict[str, str]
     """Where `torque` and `speed` come from, in words."""
 
@@ -141,7 +143,8 @@ def _drive(
         friction=Friction(viscous=_round(FRICTION_PART * torque / speed)),
     )
     left = torque - GRAVITY_MARGIN * demand.gravity_torque
-    return Sized(joint, torque, speed, max(left, 0.2 * torque) / most, notes)
+    acceleration = min(TORQUE_PART * left / most, speed / LEAST_RAMP)
+    return Sized(joint, torque, speed, acceleration, notes)
 
 
 def _round(value: float, digits: int = 3) -> float:

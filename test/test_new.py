@@ -16,6 +16,7 @@ from arm_emulator.__main__ import main
 from arm_emulator.choose_joints import LEAST_ARM, MOST_FINGER, choose_joints
 from arm_emulator.gains import check_fit, load_gains
 from arm_emulator.new import write_new
+from arm_emulator.robot_limits import read_limits
 from arm_emulator.sizing import GRAVITY_MARGIN, LOWEST_RESONANCE, MOTOR_SPEED, Demand, size
 from arm_emulator.survey import survey
 from bench.any_arm import move, reachable
@@ -174,6 +175,26 @@ def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     assert written.file.read_text().endswith("# mine\n")
     write_new(file, tmp_path / "out", force=True)
     assert written.file.read_text() == before, "the same robot gives the same files"
+
+
+def test_the_description_tells_what_the_drives_can(tmp_path: Path) -> None:
+    """The motion controller has its limits from there; meshes are still found."""
+    text = OWN["gantry_with_turn"]().replace(
+        '<link name="l1">',
+        '<link name="l1"><visual><geometry><mesh filename="meshes/part one.stl"/></geometry></visual>',
+    )
+    file = tmp_path / "away" / "gantry.urdf"
+    file.parent.mkdir()
+    file.write_text(text)
+    written = write_new(file, tmp_path / "new")
+    scene = load_scene(written.file)
+    kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    for j, drive in enumerate(written.drives):
+        assert kinematics.velocity_limit[j] == pytest.approx(drive.speed, rel=1e-5)
+        assert kinematics.acceleration_limit[j] == pytest.approx(drive.acceleration, rel=1e-2)
+    asked = read_limits(ET.fromstring(text))
+    assert asked["j1"] == {"effort": None, "velocity": None}, "nothing was given"
+    assert f"{file.parent.as_uri()}/meshes/part%20one.stl" in scene.urdf
 
 
 XACRO = """<?xml version="1.0"?>
