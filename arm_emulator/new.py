@@ -27,6 +27,7 @@ from words.text_file import why_no_file
 from words.urdf_text import parse_urdf
 
 SERVO_PERIOD = 1e-3  # s
+PLACES = ("{}.yaml", "servo/{}.yaml", "motion/{}.yaml", "demo/{}.yaml", "urdf/{}.urdf")
 HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
 MOTION_PERIOD, MOTION_PERIOD_FEW = 0.01, 0.05  # s, from six joints on and below
 SETTLE, WATCHED = 1.0, 3.0  # s, of the demo
@@ -120,12 +121,13 @@ def write_new(
     name = _name(robot)
     folder = Path(name) if out is None else out
     file = folder / f"{name}.yaml"
-    drives, texts = _texts(robot, text, name, choice)
-    files = {folder / place: content for place, content in texts.items()}
-    for one in files:
-        if one.exists() and not force:
+    for place in PLACES:
+        there = folder / place.format(name)
+        if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
-            raise Refusal("new", f"file {one}", "not be there yet", "one", valid)
+            raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
+    drives, texts = _texts(robot, text, name, choice)
+    files = {folder / place.format(name): content for place, content in texts.items()}
     try:
         for one, content in files.items():
             one.parent.mkdir(parents=True, exist_ok=True)
@@ -194,19 +196,14 @@ def _texts(robot: Path, text: str, name: str, choice: Choice) -> tuple[list[Size
     # The robot description is where the motion controller has the joints' limits from.
     write_limits(description, {drive.joint.name: drive for drive in drives})
     move_meshes(description, robot.parent)
-    urdf = f"urdf/{name}.urdf"
-    texts = {
-        urdf: ET.tostring(description, encoding="unicode") + "\n",
-        f"{name}.yaml": scene_text(
-            name, robot.name, urdf, choice, supply, demands, drives, SERVO_PERIOD
-        ),
-        f"servo/{name}.yaml": servo_text(servo, SERVO_HEADING.format(name=name)),
-        f"motion/{name}.yaml": motion_text(motion, MOTION_COMMENTS),
-        f"demo/{name}.yaml": demo_text(
-            seen.displacement.tolist(), SETTLE, round(WATCHED / motion_period)
-        ),
-    }
-    return drives, texts
+    contents = (
+        scene_text(name, robot.name, choice, supply, demands, drives, SERVO_PERIOD),
+        servo_text(servo, SERVO_HEADING.format(name=name)),
+        motion_text(motion, MOTION_COMMENTS),
+        demo_text(seen.displacement.tolist(), SETTLE, round(WATCHED / motion_period)),
+        ET.tostring(description, encoding="unicode") + "\n",
+    )
+    return drives, dict(zip(PLACES, contents, strict=True))
 
 
 def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:

@@ -36,7 +36,6 @@ _RULES = """\
 def scene_text(
     name: str,
     robot: str,
-    urdf: str,
     choice: Choice,
     supply: float,
     demands: list[Demand],
@@ -47,7 +46,7 @@ def scene_text(
     lines = [
         _RULES.format(robot=robot, file=f"{name}.yaml"),
         f"name: {_text(name)}",
-        f"urdf: {_text(urdf)}",
+        f"urdf: {_text(f'urdf/{name}.urdf')}",
         f"tool: {_text(choice.tool)}",
         "gravity: [0.0, 0.0, -9.81]  # m/s2, z up",
         f"supply_voltage: {supply:g}  # V, guess",

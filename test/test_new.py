@@ -170,7 +170,7 @@ def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     written = write_new(file, tmp_path / "out")
     before = written.file.read_text()
     written.file.write_text(before + "# mine\n")
-    with pytest.raises(Refusal, match=r"arm\.yaml must not be there yet"):
+    with pytest.raises(Refusal, match=r"arm\.(yaml|urdf) must not be there yet"):
         write_new(file, tmp_path / "out")
     assert written.file.read_text().endswith("# mine\n")
     write_new(file, tmp_path / "out", force=True)
@@ -181,7 +181,7 @@ def test_the_description_tells_what_the_drives_can(tmp_path: Path) -> None:
     """The motion controller has its limits from there; meshes are still found."""
     text = OWN["gantry_with_turn"]().replace(
         '<link name="l1">',
-        '<link name="l1"><visual><geometry><mesh filename="meshes/part one.stl"/></geometry></visual>',
+        '<link name="l1"><visual><mesh filename="meshes/part one.stl"/></visual>',
     )
     file = tmp_path / "away" / "gantry.urdf"
     file.parent.mkdir()
