@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from arm_emulator.gains import check_fit, load_gains
+from arm_emulator.servo_loop import warn_of_loops
 from emulator_node.scene import load_scene
 from motion_controller_node.motion_config import MotionConfig
 from words.config_files import find_beside, find_scene
@@ -29,6 +30,7 @@ def check_scene(name: str) -> str:
     gains = load_gains(file)
     check_fit(scene, gains.servo, gains.motion)
     _check_controller(scene.urdf, scene.joint_names, gains.motion)
+    warn_of_loops(scene, gains.servo)
     return line
 
 

@@ -28,6 +28,7 @@ from arm_emulator.bringup import Bringup
 from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.fig4 import draw_fig4
 from arm_emulator.gains import Gains, check_fit, load_gains
+from arm_emulator.servo_loop import warn_of_loops
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.scene import Scene, load_scene
 from motion_controller_node.controller import Controller, controller_for
@@ -66,6 +67,7 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
     file = find_scene(scene_name)
     scene, gains = load_scene(file), load_gains(file)
     check_fit(scene, gains.servo, gains.motion)
+    warn_of_loops(scene, gains.servo)
     plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
     out.mkdir(parents=True, exist_ok=True)
     # A domain of its own, so that a network that is already running is not disturbed.

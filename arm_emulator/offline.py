@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.gains import check_fit, load_gains
+from arm_emulator.servo_loop import warn_of_loops
 from emulator_node.plant import Diverged
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
@@ -135,6 +136,7 @@ def run(scene_name: str, seconds: float, displacement: list[float] | None) -> in
     one = load_offline_run(scene_name)
     session, kinematics = one.session, one.controller.kinematics
     scene = session.scene
+    warn_of_loops(scene, one.drives.servo.config)
     ticks = round(seconds / scene.servo_period) if np.isfinite(seconds) else 0
     if ticks < 1:
         rule = f"be at least the servo period, {scene.servo_period:g} s"

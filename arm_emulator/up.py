@@ -8,6 +8,7 @@ from pathlib import Path
 
 from arm_emulator.bringup import Bringup
 from ros_shell.ctrl_c import CtrlC
+from words.config_files import find_scene
 from words.refusal import Refusal
 
 
@@ -39,6 +40,8 @@ def up(
         streams["record"] = record.resolve()
     CtrlC()
     with contextlib.suppress(KeyboardInterrupt):
+        if params_file is None:  # which may change the servo's gains
+            _check_loops(find_scene(scene))
         network = Bringup(
             scene,
             clock=clock,
@@ -59,3 +62,17 @@ def up(
         if record is not None:
             return max(0, network.stop().get("emulator", 0))  # 1: its record is not complete
     return 0
+
+
+def _check_loops(file: Path) -> None:
+    """Refuse or warn of servos that do not hold the machine."""
+    from arm_emulator.gains import check_fit, load_gains
+    from arm_emulator.servo_loop import warn_of_loops
+    from emulator_node.scene import load_scene
+
+    try:
+        scene, gains = load_scene(file), load_gains(file)
+    except Refusal:
+        return  # the node whose file it is tells
+    check_fit(scene, gains.servo, gains.motion)
+    warn_of_loops(scene, gains.servo)

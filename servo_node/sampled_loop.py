@@ -129,6 +129,12 @@ class SampledLoop:
         """Whether every small motion dies away."""
         return self.radius < 1.0
 
+    def loudest(self) -> int:
+        """Return the joint whose voltage swings most in the motion that grows fastest."""
+        values, vectors = np.linalg.eig(self.A)
+        motion = vectors[:, int(np.argmax(np.abs(values)))]
+        return int(np.argmax(np.abs(self._voltage @ motion)))
+
     def sensitivities(self, count: int = _FREQUENCIES) -> tuple[FloatArray, ComplexArray]:
         """Return frequencies (K,) [rad per period] and 1 / (1 + L) of each joint, (K, N).
 

@@ -1,0 +1,451 @@
+"""Loops of machine and servo: their linear form is what runs, and what is called stable is."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+from machines import moving_joints, write_scene
+
+from arm_emulator.gains import load_gains
+from arm_emulator.servo_loop import ServoLoops, check_loops, growth, slower
+from bench.random_chain import random_chain_urdf
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+from emulator_node.session import Session
+from emulator_node.stability import SmallMotions
+from servo_node.design import (
+    OVERSHOOT,
+    SENSITIVITY,
+    GearData,
+    MotorData,
+    ServoGains,
+    design,
+    joint_plant,
+    joint_servo,
+)
+from servo_node.drives import Drives, Target
+from servo_node.held import held
+from servo_node.held_motor import held_motor
+from servo_node.linear_servo import INPUTS, STATES, LinearServo
+from servo_node.sampled_loop import Margins, SampledLoop
+from servo_node.servo import Servo, ServoConfig
+from servo_node.servo_config import JointServo
+from words.config_files import find_config
+from words.refusal import Refusal
+
+Rng = np.random.Generator
+
+FINE = 2**40  # counts per turn: no steps that matter
+
+
+def log_uniform(rng: Rng, low: float, high: float) -> float:
+    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+@dataclasses.dataclass(frozen=True)
+class Axis:
+    """One joint, drawn."""
+
+    motor: MotorData
+    gear: GearData
+    inertia: tuple[float, float]
+    period: float
+
+
+def draw_axis(
+    rng: Rng,
+    speed: tuple[float, float] = (0.01, 30.0),
+    rigid: bool | None = None,
+    counts: int | None = None,
+) -> Axis:
+    """Return a joint from the size of a small SCARA to that of a heavy arm.
+
+    `speed` bounds the servo period in time constants of the motor, R Mm / (Kt Kb).
+    """
+    period = log_uniform(rng, 2.5e-4, 4e-3)
+    mean, spread = log_uniform(rng, 1e-3, 300.0), log_uniform(rng, 1.0, 5.0)
+    ratio = log_uniform(rng, 5e-3, 0.2)
+    rotor = mean * log_uniform(rng, 0.1, 10.0) * ratio**2
+    x = log_uniform(rng, *speed)
+    y = 0.0 if rng.random() < 0.3 else min(log_uniform(rng, 0.03, 2.0), 0.2 / x)
+    Kt = log_uniform(rng, 0.01, 1.0)
+    R = Kt * Kt * period / (x * rotor)
+    stiffness, damping = None, 0.0
+    if rng.random() > 0.25 if rigid is None else not rigid:
+        frequency = 2.0 * math.pi * log_uniform(rng, 4.0, 50.0)  # of the heaviest, rotor held
+        stiffness = mean * spread * frequency**2
+        damping = 2.0 * log_uniform(rng, 0.01, 0.1) * math.sqrt(stiffness * mean)
+    return Axis(
+        MotorData(R, y * R * period, Kt, Kt, rotor, counts),
+        GearData(ratio, stiffness, damping),
+        (mean / spread, mean * spread),
+        period,
+    )
+
+
+# The motor over a period
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_motor_over_a_period_is_the_matrix_exponential(seed: int) -> None:
+    """For any ratio of the period to both time constants."""
+    rng = np.random.default_rng([seed, 1])
+    x, y = log_uniform(rng, 1e-3, 100.0), log_uniform(rng, 0.01, 10.0)
+    if seed % 4 == 0:
+        y = 0.0
+    period, R, Kt, Mm = (log_uniform(rng, 1e-4, 1.0) for _ in range(4))
+    Kb, L = x * R * Mm / (Kt * period), y * R * period
+    motor = held_motor(R, L, Kt, Kb, Mm, period)
+    i, omega, V, load = rng.normal(size=4)
+    if L:
+        A = np.array([[-R / L, -Kb / L, 0.0], [Kt / Mm, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        by_hand = [[1.0 / L, 0.0], [0.0, -1.0 / Mm], [0.0, 0.0]]
+        start = np.array([i, omega, 0.0])
+    else:
+        A = np.array([[-Kt * Kb / R / Mm, 0.0], [1.0, 0.0]])
+        by_hand = [[Kt / R / Mm, -1.0 / Mm], [0.0, 0.0]]
+        start = np.array([omega, 0.0])
+    whole = np.zeros((len(A) + 2, len(A) + 2))
+    whole[: len(A)] = np.hstack([A, by_hand])
+    after = scipy.linalg.expm(whole * period) @ [*start, V, load]
+    expected = after[:3] if L else [(V - Kb * after[0]) / R, after[0], after[1]]
+    sums = (motor.current, motor.speed, motor.turn)
+    for name, one, value in zip(("current", "speed", "turn"), sums, expected, strict=True):
+        # What cancels may be large, and either exponential loses digits where L R and Mm are far
+        # apart.
+        terms = np.abs(np.array(one) * [i, omega, V, load]).sum()
+        got = one.of(i, omega, V, load)
+        assert got == pytest.approx(value, abs=1e-6 * terms), f"{name} at x = {x:g}, y = {y:g}"
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_held_is_the_matrix_exponential(seed: int) -> None:
+    rng = np.random.default_rng([seed, 2])
+    n, m = rng.integers(1, 8, size=2)
+    A = rng.normal(size=(n, n)) * log_uniform(rng, 1e-3, 30.0)
+    B = rng.normal(size=(n, m))
+    F, G = held(A, B, 0.7)
+    whole = scipy.linalg.expm(0.7 * np.block([[A, B], [np.zeros((m, n + m))]]))
+    scale = np.abs(whole).max()
+    assert np.abs(np.hstack([F, G]) - whole[:n]).max() < 1e-11 * scale, "against scipy's expm"
+
+
+# The servo as a linear system
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_linear_servo_is_the_servo_that_runs(seed: int) -> None:
+    """Two runs of the servo differ by what its matrices say; counts too fine to matter."""
+    rng = np.random.default_rng([seed, 3])
+    axis = draw_axis(rng)
+    gains = ServoGains(0.05 / axis.period, 1.0, 20 * axis.period, 0.3 / axis.period)
+    motor = dataclasses.replace(axis.motor, counts_per_turn=FINE)
+    joint = dataclasses.replace(joint_servo(motor, axis.gear, gains), velocity_limit=1e300)
+    linear = LinearServo(joint, axis.period)
+    pair = [Servo(ServoConfig(axis.period, 0.0, 1.0, 2.0, 1e300, (joint,))) for _ in range(2)]
+    x, V = np.zeros(len(STATES)), 0.0
+    size = {"theta": 1e-3, "current": 1.0, "voltage": 1.0, "q_target": 1e-3 * axis.gear.ratio}
+    for tick in range(50):
+        one, two = rng.normal(size=(2, len(INPUTS))) * [
+            size.get(name, axis.gear.ratio) for name in INPUTS
+        ]
+        if tick == 0:  # begins with the motor at rest, its load held
+            one, two = np.zeros((2, len(INPUTS)))
+        count = 2.0 * math.pi / FINE
+        voltages = []
+        for servo, row in zip(pair, (one, two), strict=True):
+            theta, current, voltage, *targets = row
+            counts = math.floor(theta / count)
+            given = [[value] for value in targets]
+            voltages.append(servo.update([counts], [current], *given, voltage=[voltage])[0])
+        u = one - two
+        if tick > 0:
+            V = float(linear.C @ x + linear.D @ u)
+            x = linear.A @ x + linear.B @ u
+            terms = np.abs(linear.C * x).sum() + np.abs(linear.D * (np.abs(one) + abs(two))).sum()
+            got = voltages[0] - voltages[1]
+            # Both voltages are rounded, and a count of 6e-12 rad is left.
+            assert got == pytest.approx(V, abs=1e-6 * terms), f"voltages at tick {tick}"
+
+
+# Motors of every speed, by the real servo and exact machines
+
+
+def run_axis(
+    axis: Axis, joint: JointServo, inertia: float, target: float, ticks: int
+) -> np.ndarray:
+    """Return link positions of the exact machine under the real servo, at rest at 0 at first."""
+    plant = joint_plant(axis.motor, axis.gear, inertia, 0.0, axis.period)
+    servo = Servo(ServoConfig(axis.period, 0.0, 1.0, 2.0, 1e9, (joint,)))
+    x, V, count, q = np.zeros(len(plant.F)), 0.0, 2.0 * math.pi / joint.counts_per_turn, []
+    for _ in range(ticks):
+        current = plant.current[0] @ x + plant.current_by_voltage[0] * V
+        counts = math.floor(plant.theta[0] @ x / count)
+        V = float(servo.update([counts], [current], [target])[0])
+        x = plant.F @ x + plant.G[:, 0] * V
+        q.append(plant.q[0] @ x)
+    return np.array(q)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_motors_of_any_speed_follow_with_designed_gains(seed: int) -> None:
+    """The period is a hundredth to thirty times the motor's time constant.
+
+    With an emf compensation by the speed of the period before, a motor whose time constant is the
+    period or less swings, or runs away.
+    """
+    rng = np.random.default_rng([seed, 4])
+    axis = draw_axis(rng)
+    gains = design(axis.motor, axis.gear, axis.inertia, axis.period)
+    joint = joint_servo(dataclasses.replace(axis.motor, counts_per_turn=FINE), axis.gear, gains)
+    swing = (
+        0.0
+        if axis.gear.stiffness is None
+        else 2.0 * math.pi * math.sqrt(axis.inertia[1] / axis.gear.stiffness)
+    )
+    ticks = round(max(12.0 / gains.position_gain, 20.0 * swing) / axis.period)
+    for inertia in axis.inertia:
+        q = run_axis(axis, joint, inertia, 1e-3, ticks)
+        over = q.max() / 1e-3 - 1.0
+        assert over < 1.0, f"link overshoots by {over:.2f} with {inertia:g} kg m2"
+        off = abs(q[-1] / 1e-3 - 1.0)
+        assert off < 0.03, f"link is off by {off:.3f} of its step after {ticks} periods"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_designed_gains_have_the_margins_that_are_promised(seed: int) -> None:
+    """Motors up to as fast as the period: sensitivity and overshoot, with a period of dead time."""
+    rng = np.random.default_rng([seed, 5])
+    axis = draw_axis(rng, speed=(0.01, 1.0))
+    gains = design(axis.motor, axis.gear, axis.inertia, axis.period)
+    servo = LinearServo(joint_servo(axis.motor, axis.gear, gains), axis.period)
+    for inertia in (*axis.inertia, math.sqrt(math.prod(axis.inertia))):
+        plant = joint_plant(axis.motor, axis.gear, inertia, 0.0, axis.period)
+        for delay in (0, 1):
+            loop = SampledLoop(plant, [servo], delay)
+            assert loop.stable, f"grows by {loop.radius} with {inertia:g} kg m2"
+            margins = loop.margins()[0]
+            # The design looks at fewer frequencies.
+            assert margins.sensitivity < 1.1 * SENSITIVITY, f"{margins}"
+            rows = loop.step(0, 1000, max(1, round(0.02 / gains.position_gain / axis.period)))
+            assert rows.max() < 1.0 + OVERSHOOT + 0.05, "overshoot of the link"
+
+
+def test_a_motor_that_no_gains_hold_is_refused_with_a_period() -> None:
+    """A winding and a rotor that swing together, thirty times in a period."""
+    motor = MotorData(0.01, 1e-3, 1.0, 1.0, 1e-7)
+    with pytest.raises(Refusal, match=r"short enough for motor and gear, got 0\.01 s; valid: "):
+        design(motor, GearData(0.01), (1.0, 1.0), 0.01)
+    gains = ServoGains(1.0, 1.0, 1.0, 1.0)
+    with pytest.raises(Refusal, match=r"do not swing together faster .*; valid: a period of "):
+        joint = joint_servo(motor, GearData(0.01), gains)
+        Servo(ServoConfig(0.01, 0.0, 1.0, 2.0, 48.0, (joint,)))
+
+
+# Margins
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
+    """By closing the loop with the voltage scaled, and with dead time."""
+    rng = np.random.default_rng([seed, 6])
+    axis = draw_axis(rng, speed=(0.01, 3.0))
+    gains = design(axis.motor, axis.gear, axis.inertia, axis.period)
+    gains = dataclasses.replace(gains, velocity_gain=gains.velocity_gain * rng.uniform(0.7, 1.5))
+    servo = LinearServo(joint_servo(axis.motor, axis.gear, gains), axis.period)
+    plant = joint_plant(axis.motor, axis.gear, axis.inertia[1], 0.0, axis.period)
+
+    def stable(factor: float, delay: int = 0) -> bool:
+        scaled = LinearServo(joint_servo(axis.motor, axis.gear, gains), axis.period)
+        scaled.C, scaled.D = servo.C * factor, servo.D * factor
+        return SampledLoop(plant, [scaled], delay).stable
+
+    loop = SampledLoop(plant, [servo])
+    margins: Margins = loop.margins()[0]
+    assert loop.stable
+    if margins.gain_up < 1e3:
+        # The observer is told the voltage that was applied, as of a drive whose gain is off.
+        assert stable(0.97 * margins.gain_up), f"below the gain margin {margins.gain_up:g}"
+        assert not stable(1.03 * margins.gain_up), f"beyond the gain margin {margins.gain_up:g}"
+    whole = math.floor(min(margins.delay, 30.0) - 0.05)
+    assert stable(1.0, whole), f"{whole} periods of dead time, margin {margins.delay:g}"
+    if margins.delay < 29.0:
+        assert not stable(1.0, math.ceil(margins.delay + 0.05)), f"margin {margins.delay:g}"
+
+
+# Whole arms
+
+
+def draw_scene(rng: Rng, folder: Path) -> tuple[Scene, ServoConfig]:
+    """Return a random chain behind drawn motors, and servos with gains that may hold or not."""
+    urdf = random_chain_urdf(rng, int(rng.integers(2, 5)))
+    names = moving_joints(urdf)
+    sections, joints = {}, []
+    period = 1e-3
+    for name in names:
+        axis = draw_axis(rng, speed=(0.02, 2.0), rigid=False)
+        mean = 0.5
+        ratio, Kt = axis.gear.ratio, axis.motor.torque_constant
+        rotor = mean * log_uniform(rng, 0.3, 5.0) * ratio**2
+        R = Kt * Kt * period / (log_uniform(rng, 0.02, 2.0) * rotor)
+        stiffness = log_uniform(rng, 1e3, 3e4)
+        gear = GearData(ratio, stiffness, 0.05 * math.sqrt(stiffness * mean))
+        motor = MotorData(R, 0.2 * R * period, Kt, Kt, rotor, 2**20)
+        Z = math.sqrt(stiffness * rotor) / ratio
+        velocity_gain = Z * log_uniform(rng, 0.5, 20.0)
+        position_gain = min(900.0, 0.3 * velocity_gain / (mean + rotor / ratio**2))
+        gains = ServoGains(position_gain, velocity_gain, 5.0 / position_gain, 300.0)
+        joints.append(joint_servo(motor, gear, gains, name))
+        sections[name] = {
+            "motor": {
+                "resistance": R,
+                "inductance": motor.inductance,
+                "torque_constant": Kt,
+                "back_emf_constant": Kt,
+                "rotor_inertia": rotor,
+            },
+            "gear": {"ratio": ratio, "stiffness": stiffness, "damping": gear.damping},
+            "encoder": {"counts_per_turn": 2**20},
+        }
+    file = write_scene(
+        folder,
+        urdf,
+        sections,
+        gravity=[0.0, 0.0, -9.81],
+        supply_voltage=1e4,
+        integrator={"scheme": "rosenbrock", "dt": 2.5e-4},
+    )
+    return load_scene(file), ServoConfig(period, 0.0, 1.0, 2.0, 1e4, tuple(joints))
+
+
+def swing_of(scene: Scene, servo: ServoConfig, ticks: int, kick: float) -> np.ndarray:
+    """Return how far the motors are from rest in each tick of a run, (ticks,) [rad]."""
+    session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+    out = np.empty(ticks)
+    order = [servo.joint_names.index(name) for name in scene.joint_names]
+    for tick in range(ticks):
+        state = session.state
+        drives.measure(session.logical_ns, state.encoder_counts, state.current, session.voltage)
+        drives.aim(Target(scene.start[order]))
+        V = drives.voltage(powered=True)
+        if tick == ticks // 8:
+            V = V + kick
+        session.offer(tick, scene.joint_names, V.tolist())
+        session.advance()
+        if session.fault is not None:
+            out[tick:] = math.inf
+            break
+        out[tick] = np.abs(session.state.omega_m).max()
+    return out
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_arms_called_stable_settle_and_those_called_unstable_swing(
+    seed: int, tmp_path: Path
+) -> None:
+    """Against the machine itself, driven by the servo that runs."""
+    rng = np.random.default_rng([seed, 7])
+    scene, servo = draw_scene(rng, tmp_path)
+    loops = ServoLoops(scene, servo, at=[scene.start])
+    rate = growth(loops.loops[0], servo.period)
+    speed = swing_of(scene, servo, 4000, kick=1.0)
+    late, middle = speed[-500:].max(), speed[600:1100].max()
+    if rate > 1.0:
+        assert late > 3.0, f"grows by {rate:.3g} 1/s, but moves by {late:.3g} rad/s only"
+    elif rate < -1.0:
+        # What is left is a count or two, made into a speed by the servo.
+        assert late < max(0.05 * middle, 0.3), f"dies by {rate:.3g} 1/s, but still {late:.3g} rad/s"
+
+
+@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda"])
+def test_the_scenes_that_come_along_have_margins(name: str) -> None:
+    file = find_config(name, ".yaml")
+    scene, servo = load_scene(file), load_gains(file).servo
+    assert check_loops(scene, servo) == []
+    for one in ServoLoops(scene, servo, delay=2).margins():
+        assert one.gain_up > 2.0, f"with two periods of dead time: {one}"
+        assert one.phase > math.radians(30.0), f"with two periods of dead time: {one}"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: int) -> None:
+    rng = np.random.default_rng([seed, 8])
+    name = str(rng.choice(["three_axis", "ur5", "panda"]))
+    file = find_config(name, ".yaml")
+    scene, servo = load_scene(file), load_gains(file).servo
+    bad = int(rng.integers(len(servo.joints)))
+    joints = list(servo.joints)
+    for _ in range(12):  # until it is unstable
+        joints[bad] = dataclasses.replace(
+            joints[bad], velocity_gain=2.0 * joints[bad].velocity_gain
+        )
+        harder = dataclasses.replace(servo, joints=tuple(joints))
+        loops = ServoLoops(scene, harder)
+        found = loops.unstable()
+        if found is not None and growth(loops.loops[0], servo.period) > 1.0:
+            break
+    assert found is not None
+    with pytest.raises(Refusal) as refusal:
+        check_loops(scene, harder)
+    words = str(refusal.value)
+    assert f"servo.joints.{joints[bad].name} must hold its joint" in words
+    assert "small motions that grow" in words
+    assert "; valid: velocity_gain " in words
+    assert "or a servo period of " in words
+    assert found.softer is not None
+    assert found.period is not None
+    joints[bad] = found.softer
+    softer = dataclasses.replace(servo, joints=tuple(joints))
+    assert ServoLoops(scene, softer).unstable() is None, "the gains that were named"
+    again = ServoLoops(scene, harder)
+    every = again.closed(again.joints, found.period, 0)
+    assert all(loop.radius < 1.0 for loop in every), "the period that was named"
+
+
+def test_little_margin_is_warned_of_with_gains_that_have_more() -> None:
+    file = find_config("ur5", ".yaml")
+    scene, servo = load_scene(file), load_gains(file).servo
+    for factor in np.geomspace(1.0, 20.0, 30):
+        joints = list(servo.joints)
+        joints[3] = dataclasses.replace(
+            joints[3], velocity_gain=float(factor) * joints[3].velocity_gain
+        )
+        lines = check_loops(scene, dataclasses.replace(servo, joints=tuple(joints)))
+        if lines:
+            break
+    assert len(lines) == 1
+    assert lines[0].startswith("ur5.yaml: servo.joints.wrist_1_joint: ")
+    assert "; more has velocity_gain " in lines[0]
+    assert slower(joints[3], 0.5, 1e-3).velocity_gain == 0.5 * joints[3].velocity_gain
+
+
+def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine() -> None:
+    """One servo period under a small voltage, by the core and by the matrices; L or none."""
+    for overrides in ({}, {"joints.*.motor.inductance": None}):
+        scene = load_scene(
+            "three_axis",
+            {"joints.waist.gear.stiffness": None, "joints.waist.gear.damping": None}
+            | {"integrator.dt": 1e-5, "gravity": None}
+            | overrides,
+        )
+        plant = Plant(scene)
+        motions = SmallMotions(plant, scene.start)
+        V = np.array([1e-3, -2e-3, 3e-3])
+        F, G = held(motions.J, motions.B, scene.servo_period)
+        x = np.zeros(len(F))
+        plant.reset(q=scene.start)
+        before = plant.state.theta_m
+        for _ in range(5):
+            plant.advance(V, scene.steps_per_period)
+            x = F @ x + G @ V
+        for what, got, expected in (
+            ("current", plant.state.current, motions.current @ x + motions.current_by_voltage * V),
+            ("motor angle", plant.state.theta_m - before, motions.theta_m @ x),
+        ):
+            error = np.abs(got - expected).max() / np.abs(expected).max()
+            assert error < 1e-4, f"{what}: {got} by the core, {expected} by the matrices"
