@@ -19,7 +19,7 @@ from arm_emulator.scene_text import demo_text, motion_text, scene_text, servo_te
 from arm_emulator.sizing import Demand, Sized, size
 from arm_emulator.survey import survey
 from emulator_node.scene import Scene, load_scene
-from motion_controller_node.kinematics import POSE_ROWS, Kinematics
+from motion_controller_node.kinematics import Kinematics
 from servo_node.design import GearData, MotorData, design
 from servo_node.servo_config import JointServo, ServoConfig
 from words.refusal import Refusal
@@ -29,11 +29,17 @@ from words.urdf_text import parse_urdf
 SERVO_PERIOD = 1e-3  # s
 PLACES = ("{}.yaml", "servo/{}.yaml", "motion/{}.yaml", "demo/{}.yaml", "urdf/{}.urdf")
 HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
-MOTION_PERIOD, MOTION_PERIOD_FEW = 0.01, 0.05  # s, from six joints on and below
+MOTION_PERIOD = 0.01  # s
 SETTLE, WATCHED = 1.0, 3.0  # s, of the demo
 SERVO_HEADING = """\
 Servo of {name}: data sheets as in {name}.yaml; gains by servo_node/design.py (docs/gains.md)."""
-MOTION_COMMENTS = {"tool": "link that is the tool", "period": "s, between joint targets"}
+MOTION_COMMENTS = {
+    "tool": "link that is the tool",
+    "period": "s, between joint targets",
+    "method": "within all joint limits, for any number of joints",
+    "velocity_limit": "rad/s or m/s; what counts are the limits in the robot description",
+    "acceleration_limit": "rad/s2 or m/s2, likewise",
+}
 
 
 @dataclass(frozen=True)
@@ -176,6 +182,7 @@ def _texts(robot: Path, text: str, name: str, choice: Choice) -> tuple[list[Size
             kind=joint.kind,
             start=float(seen.start[j]),
             inertia=(float(seen.inertia[j, 0]), float(seen.inertia[j, 1])),
+            coupling=tuple(seen.coupling[j].tolist()),
             gravity_torque=float(seen.gravity_torque[j]),
             effort=limits[joint.name]["effort"],
             velocity=limits[joint.name]["velocity"],
@@ -183,16 +190,21 @@ def _texts(robot: Path, text: str, name: str, choice: Choice) -> tuple[list[Size
         for j, joint in enumerate(links.chain.joints)
     ]
     supply, drives = size(demands)
-    motion_period = MOTION_PERIOD_FEW if len(demands) < POSE_ROWS else MOTION_PERIOD
     servo = ServoConfig(
         period=SERVO_PERIOD,
-        motion_period=motion_period,
-        hold_after=max(HOLD_AFTER, 4.0 * motion_period),
+        motion_period=MOTION_PERIOD,
+        hold_after=HOLD_AFTER,
         cut_after=CUT_AFTER,
         supply_voltage=supply,
         joints=tuple(_servo_of(*pair, supply) for pair in zip(demands, drives, strict=True)),
     )
-    motion = {"tool": choice.tool, "period": motion_period}
+    motion = {
+        "tool": choice.tool,
+        "period": MOTION_PERIOD,
+        "method": "qp",
+        "velocity_limit": max(drive.speed for drive in drives),
+        "acceleration_limit": max(drive.acceleration for drive in drives),
+    }
     # The robot description is where the motion controller has the joints' limits from.
     write_limits(description, {drive.joint.name: drive for drive in drives})
     move_meshes(description, robot.parent)
@@ -200,7 +212,7 @@ def _texts(robot: Path, text: str, name: str, choice: Choice) -> tuple[list[Size
         scene_text(name, robot.name, choice, supply, demands, drives, SERVO_PERIOD),
         servo_text(servo, SERVO_HEADING.format(name=name)),
         motion_text(motion, MOTION_COMMENTS),
-        demo_text(seen.displacement.tolist(), SETTLE, round(WATCHED / motion_period)),
+        demo_text(seen.displacement.tolist(), SETTLE, round(WATCHED / MOTION_PERIOD)),
         ET.tostring(description, encoding="unicode") + "\n",
     )
     return drives, dict(zip(PLACES, contents, strict=True))

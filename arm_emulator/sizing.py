@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from emulator_node.scene import Encoder, Friction, Gear, Joint, Motor
 
 # What a limit of the description may be. Beyond, it stands for "not known".
@@ -17,10 +19,9 @@ DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
 PLACEHOLDER = 30.0  # times the largest torque that any joint of the arm needs
 
 GRAVITY_MARGIN = 1.3  # holds its own links, and some payload
-SPEED_UP = 0.25  # s from rest to full speed
+SPEED_UP = 0.25  # s from rest to full speed, of all joints at a time
 LEAST_SPEED_UP = 1.0  # s, with the torque of the description
-TORQUE_PART = 0.6  # of what the weight leaves of the torque, for accelerating the heaviest pose
-LEAST_RAMP = 0.2  # s to full speed, so that gears do not swing
+TORQUE_PART = 0.6  # of what the weight leaves of the torque, for accelerating
 
 SUPPLIES = ((50.0, 24.0), (2000.0, 48.0), (math.inf, 560.0))  # W of the strongest joint, V
 MOTOR_SPEED = 314.0  # rad/s at the joint's full speed: 3000 rpm, rated speed of most servo motors
@@ -46,6 +47,8 @@ class Demand:
     kind: str  # revolute or prismatic
     start: float  # rad
     inertia: tuple[float, float]  # kg m2, least and most over poses
+    coupling: tuple[float, ...]
+    """What it feels of each joint's acceleration, its own among them, most over poses [kg m2]."""
     gravity_torque: float  # N m, most over poses
     effort: float | None  # N m
     velocity: float | None  # rad/s
@@ -70,18 +73,28 @@ def size(demands: list[Demand]) -> tuple[float, list[Sized]]:
     ratio and back EMF by the motor's rated speed, winding by what the supply leaves at peak torque,
     rotor by a servo motor's acceleration, stiffness as strain wave gears of that torque have.
     """
-    speeds = [_speed(demand) for demand in demands]
-    needs = [
-        _torque(demand, speed, SPEED_UP) for demand, (speed, _) in zip(demands, speeds, strict=True)
-    ]
-    largest = PLACEHOLDER * max(needs)
-    ratings = []
-    for demand, (speed, note), needed in zip(demands, speeds, needs, strict=True):
-        torque, about = _peak_torque(demand, speed, needed, largest)
-        ratings.append((torque, speed, {"torque": about, "speed": note}))
-    power = max(torque * speed for torque, speed, _ in ratings)
+    speeds = np.array([_speed(demand)[0] for demand in demands])
+    weight = GRAVITY_MARGIN * np.array([demand.gravity_torque for demand in demands])
+    # Not all joints accelerate at the worst at a time: the root of the sum of squares.
+    coupling = np.array([demand.coupling for demand in demands])
+    ramp = np.linalg.norm(coupling * speeds, axis=1)  # of a second
+    largest = PLACEHOLDER * float((weight + ramp / SPEED_UP).max())
+    torques, notes = [], []
+    for demand, least, needed in zip(
+        demands, weight + ramp / LEAST_SPEED_UP, weight + ramp / SPEED_UP, strict=True
+    ):
+        torque, about = _peak_torque(demand, float(least), float(needed), largest)
+        torques.append(torque)
+        notes.append({"torque": about, "speed": _speed(demand)[1]})
+    # All joints take the same time to full speed, as short as every torque allows.
+    left = TORQUE_PART * (np.array(torques) - weight)
+    seconds = max(SPEED_UP, float((ramp / left).max()))
+    power = float((np.array(torques) * speeds).max())
     supply = next(volts for watts, volts in SUPPLIES if power <= watts)
-    return supply, [_drive(d, *rating, supply) for d, rating in zip(demands, ratings, strict=True)]
+    return supply, [
+        _drive(demand, torque, float(speed), float(speed) / seconds, note, supply)
+        for demand, torque, speed, note in zip(demands, torques, speeds, notes, strict=True)
+    ]
 
 
 def _speed(demand: Demand) -> tuple[float, str]:
@@ -93,15 +106,10 @@ def _speed(demand: Demand) -> tuple[float, str]:
     return DEFAULT_SPEED[demand.kind], f"guess, {why}"
 
 
-def _torque(demand: Demand, speed: float, seconds: float) -> float:
-    """Return what holds the links, and brings the heaviest pose to full speed in some time."""
-    return GRAVITY_MARGIN * demand.gravity_torque + demand.inertia[1] * speed / seconds
-
-
-def _peak_torque(demand: Demand, speed: float, needed: float, largest: float) -> tuple[float, str]:
+def _peak_torque(demand: Demand, least: float, needed: float, largest: float) -> tuple[float, str]:
     """Return a joint's peak torque, and where it comes from."""
     given = demand.effort
-    if given is not None and _torque(demand, speed, LEAST_SPEED_UP) <= given <= largest:
+    if given is not None and least <= given <= largest:
         return given, "URDF"
     if given is None:
         why = "none in the URDF"
@@ -114,7 +122,12 @@ def _peak_torque(demand: Demand, speed: float, needed: float, largest: float) ->
 
 
 def _drive(
-    demand: Demand, torque: float, speed: float, notes: dict[str, str], supply: float
+    demand: Demand,
+    torque: float,
+    speed: float,
+    acceleration: float,
+    notes: dict[str, str],
+    supply: float,
 ) -> Sized:
     ratio = speed / MOTOR_SPEED
     torque_constant = BACK_EMF_PART * supply / MOTOR_SPEED
@@ -142,8 +155,6 @@ def _drive(
         encoder=Encoder(COUNTS_PER_TURN),
         friction=Friction(viscous=_round(FRICTION_PART * torque / speed)),
     )
-    left = torque - GRAVITY_MARGIN * demand.gravity_torque
-    acceleration = min(TORQUE_PART * left / most, speed / LEAST_RAMP)
     return Sized(joint, torque, speed, acceleration, notes)
 
 

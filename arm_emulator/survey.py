@@ -31,6 +31,8 @@ class Survey:
 
     Least with all other joints free, most with all others held.
     """
+    coupling: Array
+    """Most of |M| over the poses, (N, N): what a joint feels of the others' acceleration."""
     gravity_torque: Array
     """Most that the links' weight asks for over the poses, (N,) [N m or N]."""
     start: Array
@@ -47,18 +49,18 @@ def survey(scene: Scene, kinematics: Kinematics) -> Survey:
     poses = low + (high - low) * rng.random((POSES, N))
     model = links_model(scene)
     data = model.createData()
-    least, most = np.full(N, np.inf), np.zeros(N)
+    least, coupling = np.full(N, np.inf), np.zeros((N, N))
     weight = np.zeros(N)
     for q in poses:
         M = pin.crba(model, data, q)
         M = np.triu(M) + np.triu(M, 1).T
         least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(M)))
-        most = np.maximum(most, np.diag(M))
+        coupling = np.maximum(coupling, np.abs(M))
         weight = np.maximum(weight, np.abs(pin.computeGeneralizedGravity(model, data, q)))
     start = _start(kinematics, low, high, rng)
-    return Survey(
-        np.stack([least, most], axis=1), weight, start, _displacement(kinematics, start, low, high)
-    )
+    inertia = np.stack([least, np.diag(coupling)], axis=1)
+    displacement = _displacement(kinematics, start, low, high)
+    return Survey(inertia, coupling, weight, start, displacement)
 
 
 def _ranges(scene: Scene, kinematics: Kinematics) -> tuple[Array, Array]:

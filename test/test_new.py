@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
 import os
 import subprocess
@@ -115,13 +117,24 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
                 kind=str(draw.choice(["revolute", "prismatic"])),
                 start=0.0,
                 inertia=(most * 10.0 ** draw.uniform(-3, 0), most),
+                coupling=(),
                 gravity_torque=most * 10.0 ** draw.uniform(-2, 1.5) * float(draw.random() < 0.8),
                 effort=10.0 ** draw.uniform(-6, 9) if given else None,
                 velocity=10.0 ** draw.uniform(-3, 5) if given else None,
             )
         )
+    N = len(demands)
+    M = np.diag([demand.inertia[1] for demand in demands])
+    for i, j in itertools.combinations(range(N), 2):
+        M[i, j] = M[j, i] = draw.uniform() * math.sqrt(M[i, i] * M[j, j])
+    demands = [
+        dataclasses.replace(one, coupling=tuple(row)) for one, row in zip(demands, M, strict=True)
+    ]
     supply, drives = size(demands)
-    for demand, drive in zip(demands, drives, strict=True):
+    a = np.array([drive.acceleration for drive in drives])
+    for j, (demand, drive) in enumerate(zip(demands, drives, strict=True)):
+        # Any one joint's acceleration, and the weight, leave some torque to every joint.
+        assert (M[j] * a).max() + demand.gravity_torque < drive.peak_torque
         motor, gear = drive.joint.motor, drive.joint.gear
         assert motor is not None and gear.stiffness is not None
         assert drive.peak_torque >= GRAVITY_MARGIN * demand.gravity_torque
