@@ -15,6 +15,7 @@ if __name__ == "__main__":
 import argparse
 from pathlib import Path
 
+from words.config_files import ROBOTS
 from words.refusal import Refusal
 
 
@@ -220,7 +221,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     from arm_emulator.demo import demo
 
     scene = arguments.scene
-    if Path(scene).suffix in (".urdf", ".xacro"):
+    if Path(scene).suffix in ROBOTS:
         from arm_emulator.new import scene_of_robot
 
         scene = str(scene_of_robot(Path(scene), arguments.out))

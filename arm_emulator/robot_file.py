@@ -7,6 +7,7 @@ import io
 from collections.abc import Mapping
 from pathlib import Path
 
+from words.config_files import ROBOTS
 from words.refusal import Refusal
 from words.text_file import why_no_file
 from words.urdf_text import read_urdf
@@ -14,7 +15,7 @@ from words.urdf_text import read_urdf
 
 def is_robot_file(name: str) -> bool:
     """Whether a file name is that of a URDF or a xacro source."""
-    return Path(name).suffix in (".urdf", ".xacro")
+    return Path(name).suffix in ROBOTS
 
 
 def robot_text(file: Path, arguments: Mapping[str, str]) -> str:

@@ -190,6 +190,21 @@ def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     assert written.file.read_text() == before, "the same robot gives the same files"
 
 
+@pytest.mark.parametrize("command", ["run", "check-scene", "up", "compile"])
+def test_a_robot_in_the_place_of_a_scene_is_told_what_to_do(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    file = tmp_path / "arm.urdf"
+    file.write_text(OWN["planar"]())
+    monkeypatch.setattr(sys, "argv", ["arm_emulator", command, str(file)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    said = capsys.readouterr().err.strip()
+    assert end.value.code == 2 and "\n" not in said
+    assert f"`python -m arm_emulator new {file}`" in said, said
+
+
 def test_the_description_tells_what_the_drives_can(tmp_path: Path) -> None:
     """The motion controller has its limits from there; meshes are still found."""
     text = OWN["gantry_with_turn"]().replace(

@@ -9,6 +9,7 @@ from words.yaml_file import read_yaml
 
 # What a scene may have beside it: parameters of the servo and of the motion controller, and a demo.
 BESIDE = ("servo", "motion", "demo")
+ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions, of which scenes can be made
 
 
 def config_folder() -> Path:
@@ -43,6 +44,9 @@ def find_config(name: str, ending: str, kind: str = ".") -> Path:
     path = Path(name)
     reason = why_no_file(path)
     if reason is None:
+        if path.suffix in ROBOTS:
+            valid = f"what `python -m arm_emulator new {name}` makes of it"
+            raise Refusal("arm_emulator", f"file {name}", "be a scene", "a robot", valid)
         return path
     folder = config_folder() / kind
     shipped = _shipped(name, ending, kind)
