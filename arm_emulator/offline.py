@@ -42,7 +42,7 @@ class OfflineRun:
         session: the machine; tick, logical time, state, energy.
         drives: the servo.
         controller: the control law for the arm.
-        instructor: takes the tool targets.
+        instructor: takes tool targets, joint trajectories and tool paths.
         motion_ticks: servo periods in a motion period.
 
     Args:
@@ -59,7 +59,7 @@ class OfflineRun:
         self.session = Session(scene, "lockstep", "first_answer")
         self.drives = Drives(servo)
         self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
-        self.instructor = Instructor()
+        self.instructor = Instructor(motion)
         self.motion_ticks = round(motion.period / servo.period)
         self._servo_names = list(servo.joint_names)
         # Indices of one side's joints in the other's arrays; a slice where the order is the same.
@@ -89,7 +89,8 @@ class OfflineRun:
             )
             if tick % motion_ticks == 0:
                 q = drives.servo.q_measured[self._to_motion]
-                instruction = self.instructor.instruct(self.controller, now, q)
+                v = drives.servo.v_measured[self._to_motion]
+                instruction = self.instructor.instruct(self.controller, now, q, v)
                 drives.aim(self._target(instruction))
             session.offer(tick, names, drives.voltage(session.powered).tolist())
             session.advance()

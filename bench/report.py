@@ -27,6 +27,7 @@ SECTIONS = (
     "what_each_part_costs",
     "stability_map",
     "energy_drift",
+    "tool_line",
     "hard_cases",
     "threads",
     "clocks",

@@ -28,8 +28,8 @@ class Controller(Protocol):
     error: FloatArray
     notices: tuple[str, ...]
 
-    def begin(self, q: npt.ArrayLike) -> None:
-        """Begin at rest at joint angles q (N,)."""
+    def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+        """Begin at joint angles q (N,), with joint speeds v (N,); None: at rest."""
 
     def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
         """Return the joint targets of this motion period, from the measured joint angles (N,)."""

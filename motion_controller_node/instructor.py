@@ -1,115 +1,353 @@
-"""Instructions to the servo, one per motion period: what holds now, and the control law for it."""
+"""Instructions to the servo, one per motion period: what holds now, and what became of the rest."""
 
 from __future__ import annotations
 
 import bisect
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from motion_controller_node.controller import Controller
 from motion_controller_node.instruction import FloatArray, Instruction
+from motion_controller_node.joint_trajectory import JointTrajectory, TrajectoryPoint
+from motion_controller_node.laws import Laws
+from motion_controller_node.motion_config import MotionConfig
+from motion_controller_node.motion_report import Kind, MotionReport, State
+from motion_controller_node.orders import (
+    Order,
+    PathOrder,
+    Progress,
+    Reference,
+    TargetOrder,
+    TrajectoryOrder,
+)
 from motion_controller_node.pose import Pose
+from motion_controller_node.tolerances import Allowed, Tolerances
+from motion_controller_node.tool_path import ToolPath
 from words.bound import EFFORT, POSITION, VELOCITY
 from words.refusal import Refusal
 
 MOST_TARGETS = 10_000  # that wait for their time
+LOST = 0.2  # rad, or m per reach: farther from its reference the arm was moved by somebody else
 _Q = POSITION.named("q")
 _Q_TARGET = POSITION.named("q_target")
 _V_TARGET = VELOCITY.named("v_target")
 _TAU = EFFORT.named("tau_feedforward")
 
 
+@dataclass(eq=False)
+class _Taken:
+    """An order that was accepted."""
+
+    order: Order
+    number: int
+    """Among those of its kind; 0: one of our own, that nobody is told of."""
+    state: State = State.ACCEPTED
+
+
 class Instructor:
     """Answers joint angles with joint targets.
 
-    Until a tool target holds these are the angles at first; then those of the control law. When a
-    target begins to hold, the law begins at rest at the angles held so far, so that nothing jumps.
-
-    Another source of motion is added beside the tool targets: kept under the time from which it
-    holds, taken up in `_take_up`, answered in `_instruct`. Of all sources the newest holds, and one
-    that gives joint targets of its own leaves `_hold` where it ends.
+    Until something else holds these are the angles at first. Of tool targets, joint trajectories
+    and tool paths the newest holds, from its time on: one that begins takes over from the angles
+    and speeds commanded so far, so that nothing jumps.
 
     What it computes is checked. If it is not finite, or beyond the bound of joint positions, the
     instructor forgets everything and holds the arm where it is.
 
+    Args:
+        config: parameters.
+
     Attributes:
         restarts: how often that happened.
         trouble: why, the last time, in words.
+        numbers: how many of each kind came so far.
+        reports: what became of targets, trajectories and paths since somebody emptied it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, config: MotionConfig | None = None) -> None:
         self.restarts = 0
         self.trouble = ""
+        self.reports: list[MotionReport] = []
+        self._config = config or MotionConfig()
+        self.numbers: Counter[Kind] = Counter()
+        self._coming: list[tuple[int, _Taken]] = []  # in the order of their times
+        self._active: _Taken | None = None
+        self._laws: Laws | None = None
         self.start_over()
 
-    def start_over(self) -> None:
-        """Forget all tool targets and where the arm stood."""
+    def start_over(self, reason: str = "the motion controller was reset") -> None:
+        """Forget all that was asked for, and where the arm stood."""
+        for taken in [self._active, *(taken for _, taken in self._coming)]:
+            if taken is not None:
+                self._report(taken, Progress(State.ABORTED, reason))
         self._hold: FloatArray | None = None
-        self._tool_target: Pose | None = None
-        self._coming: list[tuple[int, Pose]] = []  # in the order of their times
+        self._active = None
+        self._coming = []
+        self._last: tuple[int, Instruction] | None = None
+        if self._laws is not None:
+            self._laws.nobody_leads()
+
+    def retune(self, config: MotionConfig) -> None:
+        """Go on with other parameters; a path that has begun keeps its speed."""
+        self._config = config
+        if self._laws is not None:
+            self._laws.retune(config)
 
     @property
     def holding(self) -> bool:
-        """Whether no tool target holds yet."""
-        return self._tool_target is None
+        """Whether nothing but the angles at first holds yet."""
+        return self._active is None
+
+    @property
+    def leading(self) -> Controller | None:
+        """The control law that moves the tool now; None: none does."""
+        if self._active is None or self._laws is None:
+            return None
+        return self._laws.leading
+
+    @property
+    def torques_unknown(self) -> str:
+        """Why no torques are given though they were asked for; empty: they are, or were not."""
+        return "" if self._laws is None else self._laws.trouble
 
     def add(self, time_ns: int, target: Pose) -> None:
-        """Take a tool target that holds from a logical time [ns] on, until the next one does.
+        """Take a tool target that holds from a logical time [ns] on, until something else does.
 
         Of two with the same time the newer wins; a time that is past means at once.
 
         Raises:
-            Refusal: more targets wait for their time than are taken.
+            Refusal: more wait for their time than are taken.
         """
-        place = bisect.bisect_left(self._coming, time_ns, key=lambda item: item[0])
-        if place < len(self._coming) and self._coming[place][0] == time_ns:
-            self._coming[place] = (time_ns, target)
-            return
-        if len(self._coming) >= MOST_TARGETS:
-            rule = f"be one of at most {MOST_TARGETS} that wait for their time"
-            raise Refusal("tool_target", "the target", rule, "one more")
-        self._coming.insert(place, (time_ns, target))
+        self._take(Kind.TOOL_TARGET, time_ns, lambda: TargetOrder(time_ns, target))
 
-    def instruct(self, controller: Controller, time_ns: int, q: FloatArray) -> Instruction:
+    def add_trajectory(
+        self,
+        controller: Controller | None,
+        names: Sequence[str],
+        points: Sequence[TrajectoryPoint],
+        stamp_ns: int = 0,
+        tolerances: Callable[[Tolerances], Tolerances] = lambda default: default,
+    ) -> int:
+        """Take a joint trajectory; see `JointTrajectory`. Return its number.
+
+        Args:
+            controller: of the arm; None: not known yet.
+            names: of the joints that it moves.
+            points: of it.
+            stamp_ns: logical time at which it starts [ns]; 0: at once.
+            tolerances: makes its own of those that the parameters say.
+
+        Raises:
+            Refusal: see `JointTrajectory`, no arm, or more wait for their time than are taken.
+        """
+
+        def order() -> Order:
+            laws, config = self._laws_of(controller, "joint_trajectory"), self._config
+            joints = laws.controller.kinematics.joint_names
+            trajectory = JointTrajectory(
+                joints, laws.joint_limits(), names, points, stamp_ns, config.may_end_moving
+            )
+            default = Tolerances(
+                Allowed.alike(len(joints), config.path_tolerance),
+                Allowed.alike(len(joints), config.goal_tolerance),
+                config.goal_time,
+            )
+            return TrajectoryOrder(trajectory, tolerances(default))
+
+        return self._take(Kind.JOINT_TRAJECTORY, stamp_ns, order)
+
+    def add_path(
+        self,
+        controller: Controller | None,
+        poses: Sequence[Pose],
+        stamp_ns: int = 0,
+        times_ns: Sequence[int] | None = None,
+    ) -> int:
+        """Take a tool path; see `ToolPath`. Return its number.
+
+        Args:
+            controller: of the arm; None: not known yet.
+            poses: of the tool.
+            stamp_ns: logical time at which the way to the first one begins [ns]; 0: at once.
+            times_ns: when the tool shall be in each [ns]; None: as the parameters say.
+
+        Raises:
+            Refusal: see `ToolPath`, no arm, or more wait for their time than are taken.
+        """
+
+        def order() -> Order:
+            laws, config = self._laws_of(controller, "tool_path"), self._config
+            turning = laws.controller.kinematics.turns_tool
+            # Without a say about the orientation it must not take time either.
+            level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
+            path = ToolPath(
+                level, laws.tool_limits(), stamp_ns, times_ns, config.path_arcs, config.path_blend
+            )
+            return PathOrder(path)
+
+        return self._take(Kind.TOOL_PATH, stamp_ns, order)
+
+    def refuse(self, kind: Kind, stamp_ns: int, reason: Refusal) -> None:
+        """Report one that was refused before it came here."""
+        self.numbers[kind] += 1
+        number = self.numbers[kind]
+        self.reports.append(MotionReport(kind, number, stamp_ns, State.REFUSED, str(reason)))
+
+    def instruct(
+        self, controller: Controller, time_ns: int, q: FloatArray, v: FloatArray | None = None
+    ) -> Instruction:
         """Return the joint targets at a logical time [ns].
 
         Args:
             controller: the control law for the arm.
             time_ns: of the joint angles; never before that of the last call.
             q: measured joint angles (N,) [rad].
+            v: measured joint speeds (N,) [rad/s]; None: not measured.
 
         Raises:
             Refusal: q is not finite or too large; nothing has changed then.
         """
         _Q.check("motion_controller", q.tolist())
+        laws = self._laws_of(controller, "motion_controller")
         try:
-            self._take_up(controller, time_ns, q)
-            instruction = self._instruct(controller, q)
+            self._take_up(laws, time_ns, q)
+            instruction = laws.complete(self._instruct(laws, time_ns, q, v))
             _Q_TARGET.check("motion_controller", instruction.q.tolist())
             if instruction.v is not None:
                 _V_TARGET.check("motion_controller", instruction.v.tolist())
             if instruction.tau is not None:
                 _TAU.check("motion_controller", instruction.tau.tolist())
         except (Refusal, ArithmeticError, np.linalg.LinAlgError) as error:
-            # q is within its bound and the targets were checked when they came. What remains is
-            # this object's state, or a robot description that cannot be computed with.
-            self.start_over()
-            self._hold = q
-            instruction = Instruction(q)
+            # q is within its bound and what was asked for was checked when it came. What remains
+            # is this object's state, or a robot description that cannot be computed with.
             self.restarts += 1
             self.trouble = str(error)
+            self.start_over(self.trouble)
+            self._hold = q
+            instruction = Instruction(q)
+        self._last = time_ns, instruction
         return instruction
 
-    def _take_up(self, controller: Controller, time_ns: int, q: FloatArray) -> None:
+    def _laws_of(self, controller: Controller | None, where: str) -> Laws:
+        if controller is None:
+            rule = "come after the robot description"
+            raise Refusal(where, "the message", rule, "none so far")
+        if self._laws is None or self._laws.controller is not controller:
+            self._laws = Laws(controller, self._config)
+        return self._laws
+
+    def _take(self, kind: Kind, time_ns: int, make: Callable[[], Order]) -> int:
+        try:
+            order = make()
+            place = bisect.bisect_left(self._coming, time_ns, key=lambda item: item[0])
+            same = place < len(self._coming) and self._coming[place][0] == time_ns
+            if not same and len(self._coming) >= MOST_TARGETS:
+                rule = f"be one of at most {MOST_TARGETS} that wait for their time"
+                raise Refusal(kind.topic, "the target", rule, "one more")
+        except Refusal as reason:
+            self.refuse(kind, time_ns, reason)
+            raise
+        self.numbers[kind] += 1
+        taken = _Taken(order, self.numbers[kind])
+        self._report(taken, Progress(State.ACCEPTED))
+        if same:
+            self._report(self._coming[place][1], _replaced_by(taken))
+            self._coming[place] = (time_ns, taken)
+        else:
+            self._coming.insert(place, (time_ns, taken))
+        return taken.number
+
+    def _take_up(self, laws: Laws, time_ns: int, q: FloatArray) -> None:
         """Let what waited for its time hold from now on."""
         while self._coming and self._coming[0][0] <= time_ns:
-            if self._tool_target is None:
-                controller.begin(q if self._hold is None else self._hold)
-            self._tool_target = self._coming.pop(0)[1]
+            taken = self._coming.pop(0)[1]
+            if self._coming and self._coming[0][0] <= time_ns:
+                self._report(taken, _replaced_by(self._coming[0][1]))
+                continue
+            reference = self._reference(laws, time_ns, q)
+            try:
+                taken.order.begin(laws, time_ns, reference)
+            except Refusal as reason:
+                self._report(taken, Progress(State.REFUSED, str(reason)))
+                continue
+            if self._active is not None:
+                self._report(self._active, _replaced_by(taken))
+            self._active = taken
+            self._report(taken, Progress(State.MOVING))
 
-    def _instruct(self, controller: Controller, q: FloatArray) -> Instruction:
-        if self._tool_target is not None:
-            return controller.update(q, self._tool_target)
-        if self._hold is None:
-            self._hold = q
-        return Instruction(self._hold)
+    def _instruct(
+        self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None
+    ) -> Instruction:
+        taken = self._active
+        if taken is None:
+            if self._hold is None:
+                self._hold = q
+            return Instruction(self._hold)
+        instruction = taken.order.instruct(laws, time_ns, q)
+        progress = taken.order.progress(time_ns, q, v)
+        if taken.state is State.MOVING or (taken.state, progress.state) == (
+            State.UNREACHABLE,
+            State.REACHED,
+        ):
+            self._report(taken, progress)
+        if taken.state is State.ABORTED:
+            return self._stop(laws, time_ns, q, v)
+        return instruction
+
+    def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
+        """Bring the joints to rest from how they really move."""
+        stop = TrajectoryOrder(
+            JointTrajectory(laws.controller.kinematics.joint_names, laws.joint_limits(), (), ()),
+            Tolerances(Allowed.alike(len(q), 0.0), Allowed.alike(len(q), 0.0)),
+        )
+        still = np.zeros_like(q)
+        stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
+        self._active = _Taken(stop, 0, State.MOVING)
+        return stop.instruct(laws, time_ns, q)
+
+    def _reference(self, laws: Laws, time_ns: int, q: FloatArray) -> Reference:
+        """Return how the joints are commanded to move now, or where they are if that is far off."""
+        still = np.zeros_like(q)
+        reference = None if self._active is None else self._active.order.reference(time_ns)
+        if reference is None and self._last is not None:
+            then, last = self._last
+            if last.v is None:
+                reference = Reference(last.q, still, still)
+            else:
+                reference = Reference(last.q + (time_ns - then) * 1e-9 * last.v, last.v, still)
+        elif reference is None and self._hold is not None:
+            reference = Reference(self._hold, still, still)
+        scale = laws.controller.kinematics.joint_scale
+        if reference is None or not (np.abs(reference.q - q) <= LOST * scale).all():
+            return Reference(q, still, still)
+        return reference
+
+    def _report(self, taken: _Taken, progress: Progress) -> None:
+        if taken.state.final and not (
+            taken.state is State.UNREACHABLE and progress.state is State.REACHED
+        ):
+            return
+        if progress.state is taken.state is State.MOVING or not taken.number:
+            taken.state = progress.state
+            return
+        taken.state = progress.state
+        order = taken.order
+        self.reports.append(
+            MotionReport(
+                order.kind,
+                taken.number,
+                order.stamp_ns,
+                progress.state,
+                progress.reason,
+                progress.distance,
+                progress.angle,
+            )
+        )
+
+
+def _replaced_by(taken: _Taken) -> Progress:
+    what = taken.order.kind.name.lower().replace("_", " ")
+    return Progress(State.REPLACED, f"by {what} {taken.number}")

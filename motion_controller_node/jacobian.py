@@ -67,8 +67,8 @@ class JacobianController:
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last `update` found, (rows,) [m, rad]; NaN before any."""
 
-    def begin(self, q: npt.ArrayLike) -> None:
-        """Begin at rest at joint angles q (N,): eq. (6) remembers nothing."""
+    def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+        """Begin at joint angles q (N,): eq. (6) remembers nothing."""
         self.kinematics.vector(q)
 
     def retune(self, config: MotionConfig) -> None:

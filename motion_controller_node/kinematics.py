@@ -46,13 +46,16 @@ class Kinematics:
         task: "position", "pose", or "auto": pose from 6 joints on.
 
     Attributes:
+        urdf_xml: the robot description.
         rows: of the task, 3 or 6.
+        turns_tool: whether the task rules the tool's orientation.
         reach: length of the chain from its first joint to the tool, with what limited joints slide
             [m].
         base: link that stands in the world, in whose frame poses are given.
         scale: of the rows of the task, (rows,): translations are divided by `reach`, so that all
             entries of a scaled Jacobian are rad per rad.
         joint_scale: of the joints, (N,): 1 for one that turns, `reach` for one that slides.
+        continuous: whether a joint is the same again after a turn, (N,).
         lower, upper: position limits, (N,) each [rad or m]; infinite where there is none.
         velocity_limit, acceleration_limit: (N,) each, in rad or m and s; infinite where there is
             none.
@@ -64,16 +67,18 @@ class Kinematics:
     def __init__(
         self, urdf_xml: str, joint_names: Sequence[str], tool: str, task: str = "auto"
     ) -> None:
+        self.urdf_xml = urdf_xml
         self.joint_names = tuple(joint_names)
         self.tool = tool
         self.rows = _rows(task, len(self.joint_names))
+        self.turns_tool = self.rows == POSE_ROWS
         self.model = _model(urdf_xml, self.joint_names, tool)
         self._data = self.model.createData()
         self._joints = [
             self.model.joints[self.model.getJointId(JOINT + n)] for n in self.joint_names
         ]
         self._columns = [joint.idx_v for joint in self._joints]
-        self._turning = np.array([joint.nq == 2 for joint in self._joints])
+        self.continuous = np.array([joint.nq == 2 for joint in self._joints])
         self._places = np.array([joint.idx_q for joint in self._joints])
         self._neutral = pin.neutral(self.model)
         self._frame = _frame(self.model, tool)
@@ -150,7 +155,7 @@ class Kinematics:
         q = self.vector(q)
         configuration: FloatArray = self._neutral.copy()
         configuration[self._places] = q
-        turning = self._turning
+        turning = self.continuous
         if turning.any():
             configuration[self._places[turning]] = np.cos(q[turning])
             configuration[self._places[turning] + 1] = np.sin(q[turning])

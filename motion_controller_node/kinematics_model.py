@@ -25,15 +25,17 @@ MOST_IN_A_ROW = 1000  # joints; Pinocchio goes down a chain by recursion
 WHERE = "robot_description"
 
 
-def whole_model(urdf_xml: str, tool: str = "") -> Any:
+def whole_model(urdf_xml: str, tool: str = "", masses: bool = False) -> Any:
     """Return the model of all moving joints, with the frame of `tool` (a link or a fixed joint).
+
+    With `masses` it has those of all links, too.
 
     Raises:
         Refusal: not a robot description, or one that Pinocchio does not take.
     """
     robot = parse_urdf(urdf_xml, WHERE)
     complete_limits(robot, WHERE)
-    joints = _needed(robot.findall("joint"), tool)
+    joints = robot.findall("joint") if masses else _needed(robot.findall("joint"), tool)
     _check_depth(joints)
     moving = sum(joint.get("type") != "fixed" for joint in joints)
     if moving > MOST_MOVING:
@@ -42,7 +44,8 @@ def whole_model(urdf_xml: str, tool: str = "") -> Any:
     gone = {_end(j, "child") for j in robot.findall("joint")} - {_end(j, "child") for j in joints}
     for link in robot.findall("link"):
         if link.get("name") not in gone:
-            ET.SubElement(bare, "link", name=LINK + link.get("name", ""))
+            kept = ET.SubElement(bare, "link", name=LINK + link.get("name", ""))
+            kept.extend(link.findall("inertial") if masses else ())
     bare.extend(map(_bare_joint, joints))
     try:
         return pin.buildModelFromXML(ET.tostring(bare, encoding="unicode"))

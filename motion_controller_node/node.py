@@ -1,4 +1,4 @@
-"""ROS node `motion_controller`: tool targets and joint states in, joint targets out."""
+"""ROS node `motion_controller`: what the arm shall do and joint states in, joint targets out."""
 
 from __future__ import annotations
 
@@ -8,26 +8,33 @@ if __name__ == "__main__":  # before what takes long to import
     end_at_once(0)
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Pose as PoseOfMessage
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node.controller import Controller, controller_for
 from motion_controller_node.instructor import Instructor
+from motion_controller_node.joint_trajectory import TrajectoryPoint
 from motion_controller_node.kinematics import moving_joints
 from motion_controller_node.motion_config import MotionConfig
+from motion_controller_node.motion_report import Kind
 from motion_controller_node.pose import Pose
 from ros_shell.doubles import Doubles
 from ros_shell.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
+    EVENT_QOS,
     NANOSECONDS,
     STATE_SUB_QOS,
     Diagnostics,
@@ -37,9 +44,10 @@ from ros_shell.node_shell import (
     refuse_other_parameters,
     replaced,
     run_node,
+    stamp,
     time_of,
 )
-from words.bound import POSITION
+from words.bound import POSITION, VELOCITY
 from words.joint_order import JointOrder
 from words.refusal import Refusal
 
@@ -48,7 +56,8 @@ class MotionControllerNode(Node):
     """The motion controller as a ROS node.
 
     It answers the joint states at every multiple of its period with joint targets of the same time
-    stamp: where the arm stood at first, until a tool target holds; then those of the control law.
+    stamp: where the arm stood at first, until a tool target, a joint trajectory or a tool path
+    holds. What becomes of each of them is told on `motion/status`.
     """
 
     def __init__(self) -> None:
@@ -65,16 +74,23 @@ class MotionControllerNode(Node):
             "joint_targets",
             "the servo takes the first targets that come",
         )
-        self._diagnostics.values["tool targets"] = 0
+        for kind in Kind:
+            self._diagnostics.values[_plural(kind)] = 0
         self._diagnostics.warn("waiting for robot_description")
         self._urdf = ""
         self._controller: Controller | None = None
-        self._instructor = Instructor()
+        self._instructor = Instructor(self._config)
         self._answer: JointState | None = None
+        self._now_ns = 0  # of the newest joint states
+        self._status = self.create_publisher(MotionStatus, "motion/status", EVENT_QOS)
         self._targets = self.create_publisher(JointState, "joint_targets", COMMAND_QOS)
         self.create_subscription(String, "robot_description", self._on_description, DESCRIPTION_QOS)
         self.create_subscription(JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
+        self.create_subscription(
+            JointTrajectory, "joint_trajectory", self._on_joint_trajectory, COMMAND_SUB_QOS
+        )
+        self.create_subscription(Path, "tool_path", self._on_tool_path, COMMAND_SUB_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
 
     def _changed(self, changes: Mapping[str, Any]) -> MotionConfig:
@@ -83,15 +99,17 @@ class MotionControllerNode(Node):
     def _take_parameters(self, config: MotionConfig) -> None:
         """Work with other parameters from the next motion period on."""
         self._config = config
+        self._instructor.retune(config)
         if self._controller is not None:
             self._controller.retune(config)
 
     def close(self) -> None:
         """Nothing to release."""
 
-    def _start_over(self) -> None:
+    def _start_over(self, reason: str) -> None:
         self._answer = None
-        self._instructor.start_over()
+        self._instructor.start_over(reason)
+        self._tell_status()
 
     def _on_description(self, message: String) -> None:
         if self._controller is not None and message.data == self._urdf:
@@ -102,33 +120,63 @@ class MotionControllerNode(Node):
             self._diagnostics.refuse("robot_description", reason)
             return
         if self._controller is not None:  # targets for another arm
-            self._start_over()
+            self._start_over("the robot is another one")
         self._urdf, self._controller = message.data, controller
         self._order = JointOrder("joint_states", controller.kinematics.joint_names)
         self._diagnostics.ok("waiting for joint_states")
 
     def _on_tool_target(self, message: PoseStamped) -> None:
-        p, o = message.pose.position, message.pose.orientation
-        try:
+        def take() -> None:
+            self._check_frame("tool_target", message.header)
             time_ns = time_of("tool_target", message.header.stamp)
-            bases = list(dict.fromkeys(("world", *self._root())))
-            if message.header.frame_id not in ("", *bases):
-                raise Refusal(
-                    "tool_target",
-                    "header.frame_id",
-                    "be the arm's base",
-                    message.header.frame_id,
-                    ", ".join(bases),
-                )
-            pose = Pose.from_quaternion((p.x, p.y, p.z), (o.x, o.y, o.z, o.w))
-            self._instructor.add(time_ns, pose)
+            self._instructor.add(time_ns, _pose(message.pose, "tool_target"))
+
+        self._take(Kind.TOOL_TARGET, message.header, take)
+
+    def _on_joint_trajectory(self, message: JointTrajectory) -> None:
+        def take() -> None:
+            stamp_ns = time_of("joint_trajectory", message.header.stamp)
+            points = [trajectory_point(i, point) for i, point in enumerate(message.points)]
+            names = list(message.joint_names)
+            self._instructor.add_trajectory(self._controller, names, points, stamp_ns)
+
+        self._take(Kind.JOINT_TRAJECTORY, message.header, take)
+
+    def _on_tool_path(self, message: Path) -> None:
+        def take() -> None:
+            for header in (message.header, *(one.header for one in message.poses)):
+                self._check_frame("tool_path", header)
+            stamp_ns = time_of("tool_path", message.header.stamp)
+            times = [time_of("tool_path", one.header.stamp) for one in message.poses]
+            # Planners put one stamp on all poses, or none: that says nothing.
+            given = times if len(set(times)) > 1 else None
+            poses = [_pose(one.pose, "tool_path") for one in message.poses]
+            self._instructor.add_path(self._controller, poses, stamp_ns, given)
+
+        self._take(Kind.TOOL_PATH, message.header, take)
+
+    def _take(self, kind: Kind, header: Header, take: Callable[[], None]) -> None:
+        """Hand over what came, and tell what becomes of it."""
+        numbers = self._instructor.numbers
+        before = numbers[kind]
+        try:
+            take()
         except Refusal as reason:
-            self._diagnostics.refuse("tool_target", reason)
-            return
-        accepted = self._diagnostics.values["tool targets"]
-        assert isinstance(accepted, int)
-        self._diagnostics.values["tool targets"] = accepted + 1
-        self._diagnostics.publish()
+            if numbers[kind] == before:  # the instructor has not seen it
+                self._instructor.refuse(kind, _stamp_or_0(header), reason)
+            self._diagnostics.refuse(kind.topic, reason)
+        else:
+            accepted = self._diagnostics.values[_plural(kind)]
+            assert isinstance(accepted, int)
+            self._diagnostics.values[_plural(kind)] = accepted + 1
+            self._diagnostics.publish()
+        self._tell_status()
+
+    def _check_frame(self, topic: str, header: Header) -> None:
+        bases = list(dict.fromkeys(("world", *self._root())))
+        if header.frame_id not in ("", *bases):
+            rule, valid = "be the arm's base", ", ".join(bases)
+            raise Refusal(topic, "header.frame_id", rule, header.frame_id, valid)
 
     def _on_joint_states(self, message: JointState) -> None:
         controller = self._controller
@@ -139,6 +187,9 @@ class MotionControllerNode(Node):
             if now % self._period_ns != 0:
                 return
             q = self._order.arrange(message.name, message.position, POSITION)
+            v = None
+            if message.velocity:
+                v = self._order.arrange(message.name, message.velocity, VELOCITY)
         except Refusal as reason:
             self._diagnostics.refuse("joint_states", reason)
             return
@@ -146,9 +197,11 @@ class MotionControllerNode(Node):
             if message.header.stamp == self._answer.header.stamp:
                 self._targets.publish(self._answer)  # somebody came late or lost it
                 return
-            self._start_over()
-        instruction = self._instructor.instruct(controller, now, q)
-        self._tell(controller)
+            self._start_over("time began anew")
+        self._now_ns = now
+        instruction = self._instructor.instruct(controller, now, q, v)
+        self._tell()
+        self._tell_status()
         # What is published is within the bounds: the instructor sees to that.
         answer = JointState(name=controller.kinematics.joint_names)
         answer.header.stamp = message.header.stamp
@@ -160,29 +213,91 @@ class MotionControllerNode(Node):
         self._answer = answer
         self._targets.publish(answer)
 
-    def _tell(self, controller: Controller) -> None:
+    def _tell_status(self) -> None:
+        """Publish what became of targets, trajectories and paths since the last time."""
+        reports, self._instructor.reports = self._instructor.reports, []
+        for one in reports:
+            message = MotionStatus(
+                kind=int(one.kind),
+                number=one.number,
+                stamp=stamp(one.stamp_ns),
+                state=int(one.state),
+                reason=one.reason,
+                distance=one.distance,
+                angle=one.angle,
+            )
+            message.header.stamp = stamp(self._now_ns)
+            self._status.publish(message)
+
+    def _tell(self) -> None:
         restarts = self._instructor.restarts
         if restarts != self._diagnostics.values.get("began anew", 0):
             self._diagnostics.values["began anew"] = restarts
             self._diagnostics.error(f"{self._instructor.trouble}; began anew, the arm is held")
             return
+        if self._instructor.torques_unknown:
+            self._diagnostics.values["no torques"] = self._instructor.torques_unknown
         if self._instructor.holding:
             self._diagnostics.ok("holding, no tool target yet")
             return
-        if controller.notices:
-            self._diagnostics.warn("; ".join(controller.notices))
+        law = self._instructor.leading
+        if law is None:
+            self._diagnostics.ok("following a joint trajectory, or holding where it ended")
+            return
+        if law.notices:
+            self._diagnostics.warn("; ".join(law.notices))
         else:
             self._diagnostics.ok("moving the tool to its target")
-        self._diagnostics.values["tool error [m]"] = f"{np.linalg.norm(controller.error[:3]):.2e}"
+        self._diagnostics.values["tool error [m]"] = f"{np.linalg.norm(law.error[:3]):.2e}"
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._start_over()
+        self._start_over("the motion controller was reset")
         response.success = True
         response.message = "all tool targets are forgotten, the arm is held where it is"
         return response
 
     def _root(self) -> tuple[str, ...]:
         return (self._controller.kinematics.base,) if self._controller is not None else ()
+
+
+def trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoint:
+    """Return a point of a trajectory as its message has it.
+
+    Raises:
+        Refusal: a time that is not well-formed.
+    """
+    time = point.time_from_start
+    if time.nanosec >= NANOSECONDS:
+        where, got = f"points[{i}].time_from_start", f"{time.nanosec} ns"
+        raise Refusal("joint_trajectory", where, "have less than 1e9 ns", got)
+    return TrajectoryPoint(
+        int(time.sec) * NANOSECONDS + int(time.nanosec),
+        point.positions,
+        point.velocities,
+        point.accelerations,
+        point.effort,
+    )
+
+
+def _stamp_or_0(header: Header) -> int:
+    """Return the logical time of a header [ns], 0 where it is none."""
+    try:
+        return time_of("header", header.stamp)
+    except Refusal:
+        return 0
+
+
+def _pose(pose: PoseOfMessage, where: str) -> Pose:
+    p, o = pose.position, pose.orientation
+    return Pose.from_quaternion((p.x, p.y, p.z), (o.x, o.y, o.z, o.w), where)
+
+
+def _plural(kind: Kind) -> str:
+    return {
+        Kind.TOOL_TARGET: "tool targets",
+        Kind.JOINT_TRAJECTORY: "joint trajectories",
+        Kind.TOOL_PATH: "tool paths",
+    }[kind]
 
 
 def main() -> None:

@@ -79,13 +79,20 @@ class QpController:
         """Go on with other limits."""
         self._limit(config.velocity_limit, config.acceleration_limit)
 
-    def begin(self, q: npt.ArrayLike) -> None:
-        """Begin at rest at joint angles q (N,), which redundant arms come back to.
+    def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+        """Begin at joint angles q (N,), which redundant arms come back to.
+
+        Args:
+            q: [rad or m].
+            v: joint speeds (N,) [rad/s or m/s]; None: at rest.
 
         Raises:
             Refusal: q of a wrong length, not finite or too large. Nothing has changed then.
         """
         self._begin(self.kinematics.vector(q))
+        if v is not None:
+            most = self._velocity
+            self._v = np.minimum(np.maximum(np.asarray(v, dtype=np.float64), -most), most)
 
     def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
         """Return the joint targets that bring the tool nearer to its target, and hold it there.

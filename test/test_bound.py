@@ -270,8 +270,7 @@ def test_an_instructor_that_is_not_finite_begins_anew_by_itself() -> None:
     object.__setattr__(nowhere, "p_WT", np.full(3, math.nan))
     for poison in (
         lambda one: setattr(one, "_hold", np.full(3, math.nan)),
-        lambda one: setattr(one, "_tool_target", nowhere),
-        lambda one: one._coming.append((0, nowhere)),
+        lambda one: one.add(0, nowhere),
     ):
         one = Instructor()
         poison(one)

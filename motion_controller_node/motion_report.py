@@ -1,0 +1,54 @@
+"""What became of a tool target, a joint trajectory or a tool path: one report per change."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+
+class Kind(enum.IntEnum):
+    """What was asked for; the numbers are those of msg/MotionStatus.msg."""
+
+    TOOL_TARGET = 1
+    JOINT_TRAJECTORY = 2
+    TOOL_PATH = 3
+
+    @property
+    def topic(self) -> str:
+        """Topic on which it comes."""
+        return self.name.lower()
+
+
+class State(enum.IntEnum):
+    """What became of it; the numbers are those of msg/MotionStatus.msg."""
+
+    ACCEPTED = 1
+    MOVING = 2
+    REACHED = 3
+    UNREACHABLE = 4
+    REFUSED = 5
+    REPLACED = 6
+    ABORTED = 7
+
+    @property
+    def final(self) -> bool:
+        """Whether nothing more is to be expected."""
+        return self not in (State.ACCEPTED, State.MOVING)
+
+
+@dataclass(frozen=True)
+class MotionReport:
+    """One change of one request."""
+
+    kind: Kind
+    number: int
+    """Of this request among those of its kind, from 1."""
+    stamp_ns: int
+    """From which logical time it was asked for [ns]; 0: at once."""
+    state: State
+    reason: str = ""
+    distance: float = math.nan
+    """From the tool to where it shall be in the end [m]; NaN: not known."""
+    angle: float = math.nan
+    """The same of its orientation [rad]."""
