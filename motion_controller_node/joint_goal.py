@@ -14,11 +14,16 @@ from motion_controller_node.pose import Pose
 
 FloatArray = npt.NDArray[np.float64]
 
-REACHED = 1e-9  # rad (or m per reach): a tool this near to its target is there
+REACHED = 1e-8  # rad (or m per reach): a tool this near to its target is there
 _AT_REST = 1e-6  # rad: shorter steps lead nowhere
 _LONGEST_STEP = 0.5  # rad
 _LONGEST_POSTURE_STEP = 0.2  # rad
+_LEEWAY = 1e-3  # rad: error that a step towards the posture may leave to the next
+_POSTURE_STEPS = 100  # after a target came
 _POSTURE_WEIGHT = 1e-4  # against the task, where a joint limit makes them rivals
+_RETURN_STEPS = 12  # at once
+_WHILE = 20  # steps
+_HARDLY = 1e-5  # part of the tool error
 _PROBE = 0.05  # rad
 _SINGULAR = 0.1  # rad/rad: directions that are probed
 _MOST_DAMPING = 1e9
@@ -52,6 +57,7 @@ class JointGoal:
         q: the angles found so far, (N,) [rad or m], within the position limits.
         error: tool error left there, scaled, (rows,) [rad].
         settled: whether no step leads nearer.
+        returning: whether the target before was not reached.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -67,8 +73,9 @@ class JointGoal:
     def begin(self, q: FloatArray) -> None:
         """Take joint angles (N,) for the posture, and for the angles found."""
         self._posture = self._inside(q / self.kinematics.joint_scale)
-        self._x = self._posture
+        self._x = self._reached = self._posture
         self._target: Pose | None = None
+        self.returning = False
         self.error = np.zeros(self.kinematics.rows)
         self.settled = True
 
@@ -83,15 +90,39 @@ class JointGoal:
         return bool(_size(self.error) <= REACHED)
 
     def aim(self, target: Pose, q: FloatArray) -> None:
-        """Seek another target, from the angles found or from q, whichever are nearer to it."""
+        """Seek another target, from the angles found or from q (N,), whichever are nearer to it.
+
+        After one that was not reached the arm is stretched, and could bend to either side. So a
+        nearer one is first sought from the angles of the last target that was reached.
+        """
+        left = _size(self.error)
+        self.returning = self._target is not None and left > _LEEWAY
         self._target = target
-        self._damping = 1.0
-        self.settled = False
-        self.error = self._error(self._x)
         x = self._inside(q / self.kinematics.joint_scale)
-        error = self._error(x)
-        if _size(error) < _size(self.error):
-            self._x, self.error = x, error
+        start = min((self._x, x), key=lambda x: _size(self._error(x)))
+        self._start(start)
+        if self.returning and _size(self.error) < left:
+            self._start(self._reached)
+            for _ in range(_RETURN_STEPS):
+                if self.settled or _size(self.error) <= _LEEWAY:
+                    break
+                self._step()
+            if _size(self.error) > _LEEWAY:
+                self._start(start)
+
+    def _start(self, x: FloatArray) -> None:
+        self._x, self.error = x, self._error(x)
+        self._damping = 1.0
+        self._steps = 0
+        self._size_before = math.inf
+        self.settled = False
+
+    def take(self, q: FloatArray) -> None:
+        """Take joint angles (N,) that were found elsewhere for the target."""
+        self._x = self._inside(q / self.kinematics.joint_scale)
+        self.error = self._error(self._x)
+        self.settled = True
+        self._reached = self._x
 
     def approach(self, steps: int) -> None:
         """Take so many steps at most."""
@@ -103,7 +134,10 @@ class JointGoal:
     def _step(self) -> None:
         e, J = self._error_and_jacobian(self._x)
         size = _size(e)
+        self._steps += 1
         away = self._posture - self._x
+        if self._steps > _POSTURE_STEPS:  # limits that come and go could keep it moving for ever
+            away = np.zeros(len(away))
         free = _Free(J, e, away, size, self._damping)
         step = free.step
         x = self._x + step
@@ -128,16 +162,27 @@ class JointGoal:
             step *= _LONGEST_STEP / longest
         x = self._inside(self._x + step)
         error = self._error(x)
-        if not _size(error) <= size + free.aside + 1e-15:
+        if not _size(error) <= max(size, min(free.aside, _LEEWAY)) + 1e-15:
             self._damping *= 4.0
-            self.settled = self._damping > _MOST_DAMPING
+            if self._damping > _MOST_DAMPING or self._no_progress(size):
+                self.settled = not self._probe(J)
             return
         self._x, self.error = x, error
         self._damping = max(1.0, 0.5 * self._damping)
         if _size(error) <= REACHED:
             self.settled = free.aside < _AT_REST**2
-        elif longest < _AT_REST:
+            self._reached = self._x
+        elif longest < _AT_REST or self._no_progress(_size(error)):
             self.settled = not self._probe(J)
+
+    def _no_progress(self, size: float) -> bool:
+        """Whether the steps of a while have made the tool error hardly smaller."""
+        if self._steps % _WHILE != 0:
+            return False
+        if size <= _LEEWAY and self._steps <= _POSTURE_STEPS:
+            return False
+        before, self._size_before = self._size_before, size
+        return before - size < _HARDLY * size
 
     def _probe(self, J: FloatArray) -> bool:
         """Try finite steps in directions that have no effect in first order; whether one helped."""

@@ -24,6 +24,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from motion_controller_node.box_qp import solve_in_box
+from motion_controller_node.configuration_search import ConfigurationSearch
 from motion_controller_node.instruction import Instruction
 from motion_controller_node.joint_goal import JointGoal, directions
 from motion_controller_node.kinematics import POSITION_ROWS, Kinematics
@@ -33,12 +34,14 @@ from motion_controller_node.speed_box import SpeedBox
 
 FloatArray = npt.NDArray[np.float64]
 
-STEPS = 4  # of the joint goal per motion period
+STEPS = 3  # of the joint goal per motion period
 LOST = 0.2  # rad (or m per reach) between arm and reference: somebody else moves the arm
 _BRAKES = 0.7  # part of the acceleration with which a way ends; the rest is for its bends
 _NEARER = 0.2  # least part of the way to the joint goal that its bent line must lead nearer
 _APPROACH = 0.3  # largest part of the way in one period
 _SINGULAR = 0.1  # rad/rad: below, the tool's line is given up for the joints'
+_SPEED_SHARE = 0.95  # of the description's limit; the rest is for links that swing on their gears
+_REST = 1e-4  # rad: this near to the joint goal the arm is there
 _TOOL_WEIGHT = 1e3  # of the tool's deviation against the joints'
 
 
@@ -62,6 +65,8 @@ class QpController:
         self.kinematics = kinematics
         self.period = period
         self._goal = JointGoal(kinematics)
+        self._elsewhere = ConfigurationSearch(kinematics)
+        self._searching = False
         self._scales = kinematics.scale[:, None] * kinematics.joint_scale
         self._limit(velocity_limit, acceleration_limit)
         self.notices: tuple[str, ...] = ()
@@ -113,10 +118,20 @@ class QpController:
         if target is not self._target:
             self._target = target
             self._goal.aim(target, self._q)
-        self._goal.approach(STEPS)
+            self._searching = False
+        if not self._goal.settled:
+            self._goal.approach(STEPS)
+        elif not self._goal.reached:
+            self._look_elsewhere(target, notices)
         self._goal_before = None
-        low, high = self._box.bounds(self._q, self._v)
-        wanted, J = self._along_the_way(low, high)
+        lower, upper = self._box.lower, self._box.upper
+        if self._goal.returning or (self._goal.settled and not self._goal.reached):
+            # The way ends or begins at a singular pose: an elbow that passed it would have flipped.
+            end = self._goal.q
+            lower = np.maximum(lower, np.minimum(self._q, end))
+            upper = np.minimum(upper, np.maximum(self._q, end))
+        low, high = self._box.bounds(self._q, self._v, lower, upper)
+        wanted, J = self._along_the_way(low, high, lower, upper)
         return self._go(q, target, wanted, J, low, high, notices)
 
     def follow(self, q: npt.ArrayLike, pose: Pose, twist: npt.ArrayLike) -> Instruction:
@@ -165,7 +180,7 @@ class QpController:
 
     def _limit(self, velocity: float, acceleration: float) -> None:
         kinematics = self.kinematics
-        self._velocity = np.minimum(kinematics.velocity_limit, velocity)
+        self._velocity = np.minimum(_SPEED_SHARE * kinematics.velocity_limit, velocity)
         self._box = SpeedBox(
             kinematics.lower,
             kinematics.upper,
@@ -190,8 +205,31 @@ class QpController:
         self._q_measured = q
         return notices
 
-    def _along_the_way(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the joint speeds wanted (N,), if possible within [low, high]; scaled Jacobian."""
+    def _look_elsewhere(self, target: Pose, notices: list[str]) -> None:
+        """Where the arm rests at the nearest point, look for a configuration that reaches."""
+        if not self._searching:
+            rest = np.abs((self._goal.q - self._q) / self.kinematics.joint_scale).max() < _REST
+            if not rest:
+                return
+            self._searching = True
+            self._elsewhere.begin(target, self._q)
+        found = self._elsewhere.search(STEPS)
+        if found is not None:
+            self._goal.take(found)
+        elif not self._elsewhere.over:
+            notices.append("looks for another configuration")
+
+    def _along_the_way(
+        self, low: FloatArray, high: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the joint speeds wanted (N,), and the scaled Jacobian.
+
+        Args:
+            low: speeds (N,) that are within the limits, if possible.
+            high: (N,).
+            lower: positions (N,) that the way keeps within.
+            upper: (N,).
+        """
         kinematics, box, now = self.kinematics, self._box, self._q
         scale = kinematics.joint_scale
         line = (self._goal.q - now) / scale
@@ -203,7 +241,7 @@ class QpController:
         if len(e) > POSITION_ROWS:  # near half a turn the axis of the logarithm jumps
             turn = math.sqrt(float(e[POSITION_ROWS:] @ e[POSITION_ROWS:]))
             bend *= min(1.0, max(0.0, 2.0 * (1.0 - turn / 3.0)))
-        to_lower, to_upper = (box.lower - now) / scale, (box.upper - now) / scale
+        to_lower, to_upper = (lower - now) / scale, (upper - now) / scale
         bend = np.minimum(np.maximum(line + bend, to_lower), to_upper) - line
         # However it bends, the way must lead nearer to the joint goal: so it ends there.
         length, along = float(line @ line), float(line @ bend)

@@ -38,11 +38,14 @@ class SpeedBox:
         self.lower, self.upper, self.period = lower, upper, period
         # Python floats: for N below about 20 a loop over them beats NumPy's call overhead.
         self._velocity, self._acceleration = velocity.tolist(), acceleration.tolist()
-        self._joints = list(
-            zip(lower.tolist(), upper.tolist(), self._velocity, self._acceleration, strict=True)
-        )
 
-    def bounds(self, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def bounds(
+        self,
+        q: FloatArray,
+        v: FloatArray,
+        lower: FloatArray | None = None,
+        upper: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the smallest and largest speeds of the coming period, (N,) each.
 
         A joint outside its position limits may only come back. Where the limits contradict each
@@ -52,14 +55,18 @@ class SpeedBox:
         Args:
             q: positions at the period's begin, (N,).
             v: speeds of the period before, (N,).
+            lower: position limits (N,) that hold now; None: those of always.
+            upper: (N,).
         """
         low, high, T = [], [], self.period
-        for (lower, upper, fastest, a), at, speed in zip(
-            self._joints, q.tolist(), v.tolist(), strict=True
+        lowers = (self.lower if lower is None else lower).tolist()
+        uppers = (self.upper if upper is None else upper).tolist()
+        for least_q, most_q, fastest, a, at, speed in zip(
+            lowers, uppers, self._velocity, self._acceleration, q.tolist(), v.tolist(), strict=True
         ):
             least, most = speed - a * T, speed + a * T
-            down = min(fastest, stopping_speed(at - lower, a, T))
-            up = min(fastest, stopping_speed(upper - at, a, T))
+            down = min(fastest, stopping_speed(at - least_q, a, T))
+            up = min(fastest, stopping_speed(most_q - at, a, T))
             low.append(min(max(-down, least), most))
             high.append(min(max(up, least), most))
         return np.array(low), np.array(high)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from motion_controller_node.predicted_residual import predicted_residual
 from servo_node.servo import Servo, load_servo_config
 from words.config_files import find_scene
 from words.refusal import Refusal
+from words.urdf_text import read_urdf
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 THREE_AXIS = (CONFIG / "urdf" / "three_axis.urdf").read_text()
@@ -123,6 +125,53 @@ def test_jacobian_is_the_derivative_of_forward_kinematics(joints: int, seed: int
         difference = np.concatenate([p_plus - p_minus, turn]) / (2 * h)
         # Central differences: h^2 of truncation and 1e-16 / h of rounding.
         assert np.allclose(J[:, j], difference, rtol=0, atol=1e-8)
+
+
+def longest_chain(file: Path) -> tuple[list[str], str]:
+    """Joints from the root of a robot to the link with the most moving ones above it."""
+    above = {}
+    for joint in ET.parse(file).getroot().findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        assert parent is not None and child is not None
+        above[child.get("link", "")] = joint, parent.get("link", "")
+    best: tuple[list[str], str] = [], ""
+    for tool in above:
+        names, link = [], tool
+        while link in above:
+            joint, link = above[link]
+            if joint.get("type") in ("revolute", "continuous", "prismatic"):
+                names.append(joint.get("name", ""))
+        if len(names) > len(best[0]):
+            best = names[::-1], tool
+    return best
+
+
+@pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
+def test_jacobians_of_published_robots_are_the_derivatives_of_their_forward_kinematics() -> None:
+    folder = example_robot_data()
+    assert folder is not None
+    rng, robots, h = np.random.default_rng(11), 0, 1e-6
+    for file in sorted(folder.rglob("*.urdf")):
+        names, tool = longest_chain(file)
+        try:
+            kinematics = Kinematics(read_urdf(file), names, tool, "pose")
+        except Refusal:
+            continue  # no moving joint, or more than a chain: told in other tests
+        robots += 1
+        for _ in range(3):
+            q = rng.uniform(np.maximum(kinematics.lower, -3.0), np.minimum(kinematics.upper, 3.0))
+            J = kinematics.jacobian(q)
+            for j in range(len(names)):
+                step = h * np.eye(len(names))[j]
+                R_plus, p_plus = kinematics.forward(q + step)
+                R_minus, p_minus = kinematics.forward(q - step)
+                turn = Rotation.from_matrix(R_plus @ R_minus.T).as_rotvec()
+                difference = np.concatenate([p_plus - p_minus, turn]) / (2 * h)
+                # Central differences: h^2 of truncation and 1e-16 / h of rounding.
+                assert np.allclose(J[:, j], difference, rtol=0, atol=1e-8), (file.name, names[j])
+            error, same = kinematics.error_and_jacobian(q, Pose(*kinematics.forward(q)[::-1]))
+            assert np.array_equal(same, J) and np.abs(error).max() < 1e-15, file.name
+    assert robots >= 60, f"{robots} robots only"
 
 
 def test_joints_are_matched_by_name() -> None:

@@ -1,0 +1,398 @@
+"""Method qp: limits hold whatever is asked, and the hard places of kinematics are passed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from arm_emulator.offline import load_offline_run
+from emulator_node.scene import example_robot_data, load_scene
+from motion_controller_node.joint_goal import directions
+from motion_controller_node.kinematics import Kinematics
+from motion_controller_node.pose import Pose
+from motion_controller_node.qp import LOST, QpController
+from motion_controller_node.speed_box import stopping_speed
+from words.config_files import config_folder
+
+THREE_AXIS = (config_folder() / "urdf" / "three_axis.urdf").read_text()
+NAMES = ("waist", "shoulder", "elbow")
+PERIOD = 0.01  # s
+needs_robots = pytest.mark.skipif(
+    example_robot_data() is None, reason="needs the package example-robot-data"
+)
+
+
+def random_arm(rng: np.random.Generator, joints: int, slide: float = 0.2) -> Kinematics:
+    """Joints of every kind about random axes, with limits of position, speed and acceleration."""
+    parts, parent = ['<robot name="arm"><link name="base"/>'], "base"
+    for j in range(joints):
+        kind = "prismatic" if rng.random() < slide else "revolute"
+        if kind == "revolute" and rng.random() < 0.3:
+            kind = "continuous"
+        axis, place = rng.normal(size=3), rng.normal(size=3) * 0.15
+        low, high = -rng.uniform(0.3, 3.0), rng.uniform(0.3, 3.0)
+        if kind == "prismatic":
+            low, high = 0.2 * low, 0.2 * high
+        span = "" if kind == "continuous" else f'lower="{low}" upper="{high}"'
+        speed = rng.uniform(0.3, 6.0)
+        more = f'acceleration="{rng.uniform(2.0, 20.0)}"' if rng.random() < 0.5 else ""
+        parts.append(
+            f'<joint name="j{j}" type="{kind}"><parent link="{parent}"/><child link="l{j}"/>'
+            f'<origin xyz="{place[0]} {place[1]} {place[2]}"/>'
+            f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'
+            f'<limit {span} effort="1" velocity="{speed}" {more}/></joint><link name="l{j}"/>'
+        )
+        parent = f"l{j}"
+    parts.append(
+        f'<joint name="mount" type="fixed"><parent link="{parent}"/><child link="tool"/>'
+        '<origin xyz="0.1 0 0.1"/></joint><link name="tool"/></robot>'
+    )
+    return Kinematics("".join(parts), [f"j{j}" for j in range(joints)], "tool")
+
+
+def pose_of(kinematics: Kinematics, q: np.ndarray) -> Pose:
+    R_WT, p_WT = kinematics.forward(q)
+    return Pose(p_WT, R_WT)
+
+
+def drawn(rng: np.random.Generator, kinematics: Kinematics) -> np.ndarray:
+    return rng.uniform(np.maximum(kinematics.lower, -3.0), np.minimum(kinematics.upper, 3.0))
+
+
+def run(
+    controller: QpController,
+    q: np.ndarray,
+    target: Pose,
+    seconds: float,
+    seen: Callable[[np.ndarray], None] = lambda q: None,
+) -> np.ndarray:
+    """Joints that stand where they are told to; return where they end."""
+    for _ in range(round(seconds / controller.period)):
+        instruction = controller.update(q, target)
+        assert instruction.v is not None
+        q = instruction.q + controller.period * instruction.v
+        seen(q)
+    return q
+
+
+# Limits
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_limits_hold_whatever_is_asked(seed: int) -> None:
+    """Targets near, far and nowhere, at any time, in mid-motion, also moving ones."""
+    rng = np.random.default_rng(seed)
+    arm = random_arm(rng, int(rng.integers(1, 10)))
+    period = float(rng.choice([0.002, 0.01, 0.05]))
+    controller = QpController(arm, period, velocity_limit=4.0, acceleration_limit=10.0)
+    fastest = np.minimum(arm.velocity_limit, 4.0)
+    steepest = np.minimum(arm.acceleration_limit, 10.0)
+    q, v = drawn(rng, arm), np.zeros(len(arm.joint_names))
+    controller.begin(q)
+    target, twist = pose_of(arm, q), np.zeros(6)
+    for k in range(200):
+        if rng.random() < 0.1:
+            far = Pose(rng.normal(size=3) * 3.0, Rotation.random(random_state=k).as_matrix())
+            target = far if rng.random() < 0.3 else pose_of(arm, drawn(rng, arm))
+            twist = rng.normal(size=6) * rng.choice([0.0, 0.5])
+        step = controller.update if (k // 50) % 2 == 0 else follow(controller, twist)
+        instruction = step(q, target)
+        assert instruction.v is not None
+        assert np.array_equal(instruction.q, q), "the reference jumped"
+        assert (np.abs(instruction.v) <= fastest * (1 + 1e-12)).all(), "speed"
+        # Speeds are of size 1, differences of them are rounded at 1e-16.
+        change = np.abs(instruction.v - v)
+        assert (change <= steepest * period * (1 + 1e-9) + 1e-12).all(), "acceleration"
+        v = instruction.v
+        q = instruction.q + period * v
+        assert (q >= arm.lower - 1e-12).all() and (q <= arm.upper + 1e-12).all(), "position"
+        q = np.clip(q, arm.lower, arm.upper)  # as the reference, but for rounding
+
+
+def follow(controller: QpController, twist: np.ndarray):  # type: ignore[no-untyped-def]
+    return lambda q, pose: controller.follow(q, pose, twist)
+
+
+def test_a_stopping_speed_stops_within_its_distance_and_none_larger_does() -> None:
+    rng = np.random.default_rng(1)
+
+    def way(speed: float, a: float, T: float) -> float:
+        """Distance until rest, period by period."""
+        total = 0.0
+        while speed > 0.0:
+            total += speed * T
+            speed -= a * T
+        return total
+
+    for _ in range(2000):
+        distance, a, T = 10.0 ** rng.uniform([-8, -1, -3], [1, 2, -1])
+        speed = stopping_speed(distance, a, T)
+        assert way(speed, a, T) == pytest.approx(distance, rel=1e-9), "it stops elsewhere"
+        assert way(speed * (1.0 + 1e-6), a, T) > distance, "a larger speed would do"
+    assert stopping_speed(-1.0, 1.0, 0.01) == 0.0
+    assert stopping_speed(math.inf, 1.0, 0.01) == math.inf
+
+
+# Arriving
+
+
+@pytest.mark.parametrize("joints", [1, 2, 3, 4, 5, 6, 7, 9])
+def test_reachable_poses_are_reached_and_not_passed(joints: int) -> None:
+    rng = np.random.default_rng(joints)
+    reached = 0
+    for _ in range(8):
+        arm = random_arm(rng, joints)
+        start = drawn(rng, arm)
+        end = np.clip(start + rng.normal(size=joints) * 0.3, arm.lower, arm.upper)
+        target = pose_of(arm, end)
+        controller = QpController(arm, 0.02)
+        controller.begin(start)
+        ways: list[np.ndarray] = []
+        run(controller, start, target, 8.0, ways.append)
+        left = [float(np.linalg.norm(arm.scale * arm.tool_error(q, target))) for q in ways]
+        if left[-1] < 1e-6:
+            reached += 1
+            there = int(np.argmax(np.array(left) < 1e-4))
+            assert max(left[there:]) < 1e-3, "it went past its target"
+        else:
+            assert any("unreachable" in words for words in controller.notices), "no word"
+    assert reached >= 7, f"{reached} of 8"  # a narrow joint limit may leave no way
+
+
+def test_the_same_questions_have_the_same_answers_to_the_last_bit() -> None:
+    rng = np.random.default_rng(2)
+    arm = random_arm(rng, 7)
+    start = drawn(rng, arm)
+    targets = [pose_of(arm, drawn(rng, arm)) for _ in range(5)]
+    ends = []
+    for _ in range(2):
+        controller, q = QpController(arm, PERIOD), start
+        controller.begin(q)
+        for target in targets:
+            q = run(controller, q, target, 0.5)
+        ends.append(q)
+    assert np.array_equal(*ends)
+
+
+def test_an_arm_that_is_moved_by_others_is_met_where_it_is() -> None:
+    arm = Kinematics(THREE_AXIS, NAMES, "tool")
+    controller = QpController(arm, PERIOD)
+    q = np.array([0.0, 0.5, 0.8])
+    controller.begin(q)
+    target = pose_of(arm, q + 0.1)
+    run(controller, q, target, 0.1)
+    elsewhere = q - 2.0 * LOST
+    instruction = controller.update(elsewhere, target)
+    assert np.array_equal(instruction.q, elsewhere)
+    assert "began anew" in controller.notices[0]
+    assert controller.update(elsewhere, target).q is not elsewhere and not controller.notices
+
+
+# Hard places
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_beyond_reach_the_nearest_point_is_told_and_the_way_back_keeps_the_elbow(
+    seed: int,
+) -> None:
+    """The three-axis arm, whose reach is known: 0.6 m about the shoulder at 0.3 m."""
+    rng = np.random.default_rng(seed)
+    arm = Kinematics(THREE_AXIS, NAMES, "tool")
+    start = np.array([rng.uniform(-3, 3), rng.uniform(-1, 1), rng.uniform(0.3, 2.5)])
+    start[2] *= rng.choice([-1.0, 1.0])
+    direction = rng.normal(size=3)
+    direction[2] = abs(direction[2])
+    away = rng.uniform(0.01, 2.0)
+    far = [0.0, 0.0, 0.3] + direction / np.linalg.norm(direction) * (0.6 + away)
+    controller = QpController(arm, PERIOD)
+    controller.begin(start)
+    side = np.sign(start[2])
+    elbows: list[float] = []
+    q = run(controller, start, Pose(far, np.eye(3)), 6.0, lambda q: elbows.append(side * q[2]))
+    left = np.linalg.norm(arm.tool_error(q, Pose(far, np.eye(3))))
+    # An elbow bent by 1e-3 rad is 1e-7 m short of the reach.
+    assert left == pytest.approx(away, abs=1e-5), "not the nearest point"
+    assert f"unreachable: the nearest point is {away:.3g} m" in controller.notices[-1]
+    home = pose_of(arm, start)
+    q = run(controller, q, home, 6.0, lambda q: elbows.append(side * q[2]))
+    assert np.linalg.norm(arm.tool_error(q, home)) < 1e-6, "it did not come back"
+    assert np.abs(q - start).max() < 1e-5, "another configuration"
+    assert min(elbows) > -1e-3, "the elbow went through"  # rad: straight, and no farther
+
+
+@needs_robots
+@pytest.mark.parametrize("scene", ["ur5", "panda"])
+def test_robots_come_back_from_one_metre_beyond_reach_as_they_were(scene: str) -> None:
+    loaded = load_scene(scene)
+    arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
+    start = loaded.start
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        home = pose_of(arm, start)
+        direction = home.p_WT + 0.3 * rng.normal(size=3)
+        far = Pose(direction / np.linalg.norm(direction) * (arm.reach + 1.0), home.R_WT)
+        controller = QpController(arm, PERIOD)
+        controller.begin(start)
+        q = run(controller, start, far, 3.0)
+        assert "unreachable" in controller.notices[-1]
+        q = run(controller, q, home, 5.0)
+        assert np.abs(q - start).max() < 1e-4, "another configuration"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_stretched_arm_gets_away(seed: int) -> None:
+    """Exactly singular, and the target on the line that no joint moves the tool along."""
+    rng = np.random.default_rng(seed)
+    arm = Kinematics(THREE_AXIS, NAMES, "tool")
+    start = np.array([rng.uniform(-3, 3), rng.uniform(-1.5, 1.5), 0.0])
+    _, p_WT = arm.forward(start)
+    shoulder = np.array([0.0, 0.0, 0.3])
+    target = Pose(shoulder + rng.uniform(0.3, 0.95) * (p_WT - shoulder), np.eye(3))
+    controller = QpController(arm, PERIOD)
+    controller.begin(start)
+    q = run(controller, start, target, 4.0)
+    assert np.linalg.norm(arm.tool_error(q, target)) < 1e-6
+    assert not controller.notices
+
+
+@needs_robots
+def test_a_line_through_the_wrists_singular_pose_is_gone() -> None:
+    loaded = load_scene("ur5")
+    arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
+    rng, lines = np.random.default_rng(7), 0
+    while lines < 5:
+        singular = loaded.start + rng.uniform(-0.3, 0.3, 6)
+        singular[4] = 0.0
+        middle = pose_of(arm, singular)
+        J = arm.jacobian(singular)
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        # Only lines that the joints can follow there begin and end within reach.
+        if np.linalg.norm(J @ np.linalg.pinv(J, 1e-3) @ [*direction, 0, 0, 0]) < 0.9:
+            continue
+        ends = [Pose(middle.p_WT + s * direction, middle.R_WT) for s in (-0.15, 0.15)]
+        controller = QpController(arm, PERIOD)
+        controller.begin(singular)
+        q = run(controller, singular, ends[0], 5.0)
+        if controller.notices:
+            continue
+        lines += 1
+        q = run(controller, q, ends[1], 5.0)
+        error = arm.tool_error(q, ends[1])
+        assert np.linalg.norm(error[:3]) < 1e-6, f"{controller.notices}"
+
+
+@needs_robots
+@pytest.mark.parametrize("scene", ["ur5", "panda"])
+def test_half_turns_are_made(scene: str) -> None:
+    """About any axis, by exactly pi, where the logarithm is not continuous."""
+    loaded = load_scene(scene)
+    arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
+    rng, home = np.random.default_rng(8), pose_of(arm, loaded.start)
+    for k in range(4):
+        axis = np.eye(3)[k] if k < 3 else rng.normal(size=3)
+        turn = Rotation.from_rotvec(math.pi * axis / np.linalg.norm(axis)).as_matrix()
+        target = Pose(home.p_WT, turn @ home.R_WT)
+        controller = QpController(arm, PERIOD)
+        controller.begin(loaded.start)
+        q = run(controller, loaded.start, target, 8.0)
+        error = arm.tool_error(q, target)
+        told = any("unreachable" in words for words in controller.notices)
+        assert np.linalg.norm(error) < 1e-6 or told, f"{error} about {axis}"
+        assert scene == "panda" or not told, "the ur5 can"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_redundant_arms_do_not_drift_over_circles(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    while True:
+        arm = random_arm(rng, 7, slide=0.0)
+        start = drawn(rng, arm)
+        squares, _ = directions(arm.jacobian(start) * arm.scale[:, None])
+        if squares[1] > 0.1**2:  # the first is that of the joint motion that moves no tool
+            break
+    home = pose_of(arm, start)
+    u, v = np.linalg.qr(rng.normal(size=(3, 3)))[0][:2] * 0.05 * arm.reach
+    controller, q = QpController(arm, 0.02), start
+    controller.begin(q)
+    for k in range(10 * 50):
+        turn = 2.0 * math.pi * k / 50
+        at = home.p_WT + u * (math.cos(turn) - 1.0) + v * math.sin(turn)
+        instruction = controller.update(q, Pose(at, home.R_WT))
+        q = instruction.q + controller.period * instruction.v
+    q = run(controller, q, home, 3.0)
+    assert np.abs(q - start).max() < 1e-4
+
+
+def test_a_joint_limit_in_the_way_is_gone_round() -> None:
+    """An elbow that bends to one side only: from a pose on the other side of the base."""
+    urdf = THREE_AXIS.replace(
+        '<joint name="elbow" type="continuous">',
+        '<joint name="elbow" type="revolute"><limit lower="0.2" upper="2.5" effort="9" '
+        'velocity="9"/>',
+    ).replace(
+        '<joint name="waist" type="continuous">',
+        '<joint name="waist" type="revolute"><limit lower="-2.8" upper="2.8" effort="9" '
+        'velocity="9"/>',
+    )
+    arm = Kinematics(urdf, NAMES, "tool")
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        start, end = (
+            np.array([rng.uniform(-2.7, 2.7), rng.uniform(-1.5, 1.5), rng.uniform(0.3, 2.4)])
+            for _ in range(2)
+        )
+        target = pose_of(arm, end)
+        controller = QpController(arm, PERIOD)
+        controller.begin(start)
+        q = run(controller, start, target, 8.0)
+        assert np.linalg.norm(arm.tool_error(q, target)) < 1e-6, f"{start} {end}"
+
+
+@needs_robots
+def test_a_moving_pose_is_followed_without_lag() -> None:
+    loaded = load_scene("ur5")
+    arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
+    home = pose_of(arm, loaded.start)
+    controller, q = QpController(arm, PERIOD), loaded.start
+    controller.begin(q)
+    twist, worst = np.array([0.0, 0.25, 0.0, 0.0, 0.0, 0.1]), 0.0
+    for k in range(120):
+        turn = Rotation.from_rotvec(k * PERIOD * twist[3:]).as_matrix()
+        pose = Pose(home.p_WT + k * PERIOD * twist[:3], turn @ home.R_WT)
+        instruction = controller.follow(q, pose, twist)
+        if k > 30:  # it begins at rest, and has to catch up
+            worst = max(worst, float(np.linalg.norm(arm.tool_error(instruction.q, pose))))
+        q = instruction.q + PERIOD * instruction.v
+    assert worst < 1e-6
+
+
+# On the machine
+
+
+@needs_robots
+def test_targets_at_200_hz_and_reversals_move_the_machine_within_its_limits() -> None:
+    one = load_offline_run("ur5")
+    kinematics, session = one.controller.kinematics, one.session
+    home = pose_of(kinematics, session.scene.start)
+    rng = np.random.default_rng(9)
+    one.advance(1000)
+    aside = np.zeros(3)
+    peak = np.zeros(6)
+    for k in range(400):
+        if k % 60 == 0:
+            aside = rng.normal(size=3) * 0.1
+        one.instructor.add(
+            session.logical_ns, Pose(home.p_WT + aside * (-1) ** (k // 30), home.R_WT)
+        )
+        one.advance(5)
+        peak = np.maximum(peak, np.abs(session.state.v))
+    one.instructor.add(session.logical_ns, home)
+    one.advance(2000)
+    assert (peak < kinematics.velocity_limit).all(), "faster than the description allows"
+    # The gears' wind-up under the arm's weight: 0.75 mm.
+    assert np.linalg.norm(kinematics.tool_error(session.state.q, home)[:3]) < 1e-3
