@@ -1,15 +1,19 @@
 """Starts the emulated arm, its servo and its motion controller; all end when one ends.
 
+Where robot_state_publisher is installed it is started, too, for `/tf`.
+
 ros2 launch arm_emulator bringup.launch.py scene:=ur5 clock:=realtime rerun:=9876
 """
 
 from pathlib import Path
 
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from emulator_node.scene import Scene, load_scene
 from ros_shell.end_with_parent import parent_environment
 from words.config_files import find_beside, find_scene
 from words.refusal import Refusal
@@ -96,6 +100,31 @@ def nodes(context: LaunchContext) -> list[Node]:
         node("emulator", emulator),
         node("servo", gains["servo"], {"clock": clock}),
         node("motion_controller", gains["motion"]),
+        *frames(load_scene(file), namespace, every),
+    ]
+
+
+def frames(scene: Scene, namespace: str, every: dict) -> list[Node]:
+    """Return what publishes the links' frames on /tf, where it is installed.
+
+    It gets the description that the emulator publishes on `robot_description` as a parameter, since
+    it does not listen there at its start, and the servo's `joint_states`.
+    """
+    package, prefix = "robot_state_publisher", f"{namespace.strip('/')}/".lstrip("/")
+    try:
+        get_package_prefix(package)
+    except PackageNotFoundError:
+        return []
+    return [
+        Node(
+            package=package,
+            executable=package,
+            namespace=namespace,
+            parameters=[{"robot_description": scene.urdf, "frame_prefix": prefix}, every],
+            # The emulator publishes the description already.
+            remappings=[("/clock", "clock"), ("robot_description", "~/robot_description")],
+            output="screen",
+        )
     ]
 
 

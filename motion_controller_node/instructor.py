@@ -190,6 +190,19 @@ class Instructor:
 
         return self._take(Kind.TOOL_PATH, stamp_ns, order)
 
+    def cancel(self, number: int) -> None:
+        """Give up a joint trajectory by its number: the joints come to rest if it moves them."""
+        for i, (_, taken) in enumerate(self._coming):
+            if taken.order.kind is Kind.JOINT_TRAJECTORY and taken.number == number:
+                del self._coming[i]
+                self._report(taken, Progress(State.ABORTED, "cancelled"))
+                return
+        active = self._active
+        if self._laws is None or active is None or active.state.final:
+            return
+        if active.order.kind is Kind.JOINT_TRAJECTORY and active.number == number:
+            self._coming.insert(0, (0, _Taken(_stop(self._laws), 0)))
+
     def refuse(self, kind: Kind, stamp_ns: int, reason: Refusal) -> None:
         """Report one that was refused before it came here."""
         self.numbers[kind] += 1
@@ -299,10 +312,7 @@ class Instructor:
 
     def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
         """Bring the joints to rest from how they really move."""
-        stop = TrajectoryOrder(
-            JointTrajectory(laws.controller.kinematics.joint_names, laws.joint_limits(), (), ()),
-            Tolerances(Allowed.alike(len(q), 0.0), Allowed.alike(len(q), 0.0)),
-        )
+        stop = _stop(laws)
         still = np.zeros_like(q)
         stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
         self._active = _Taken(stop, 0, State.MOVING)
@@ -348,6 +358,16 @@ class Instructor:
         )
 
 
+def _stop(laws: Laws) -> TrajectoryOrder:
+    """Return the order to come to rest."""
+    names = laws.controller.kinematics.joint_names
+    anything = Allowed.alike(len(names), 0.0)
+    trajectory = JointTrajectory(names, laws.joint_limits(), (), ())
+    return TrajectoryOrder(trajectory, Tolerances(anything, anything))
+
+
 def _replaced_by(taken: _Taken) -> Progress:
+    if not taken.number:
+        return Progress(State.ABORTED, "cancelled")
     what = taken.order.kind.name.lower().replace("_", " ")
     return Progress(State.REPLACED, f"by {what} {taken.number}")

@@ -23,12 +23,15 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node.controller import Controller, controller_for
+from motion_controller_node.follow_action import FollowAction, installed
+from motion_controller_node.follow_goal import tolerances_of
 from motion_controller_node.instructor import Instructor
 from motion_controller_node.joint_trajectory import TrajectoryPoint
 from motion_controller_node.kinematics import moving_joints
 from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.motion_report import Kind
 from motion_controller_node.pose import Pose
+from motion_controller_node.tolerances import Tolerances
 from ros_shell.doubles import Doubles
 from ros_shell.node_shell import (
     COMMAND_QOS,
@@ -92,6 +95,9 @@ class MotionControllerNode(Node):
         )
         self.create_subscription(Path, "tool_path", self._on_tool_path, COMMAND_SUB_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
+        self._action: FollowAction | None = None
+        if installed():
+            self._action = FollowAction(self, self._on_goal, self._on_cancel)
 
     def _changed(self, changes: Mapping[str, Any]) -> MotionConfig:
         return replaced(self, self._config, changes)
@@ -104,7 +110,9 @@ class MotionControllerNode(Node):
             self._controller.retune(config)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Release the action."""
+        if self._action is not None:
+            self._action.close()
 
     def _start_over(self, reason: str) -> None:
         self._answer = None
@@ -134,13 +142,41 @@ class MotionControllerNode(Node):
         self._take(Kind.TOOL_TARGET, message.header, take)
 
     def _on_joint_trajectory(self, message: JointTrajectory) -> None:
-        def take() -> None:
-            stamp_ns = time_of("joint_trajectory", message.header.stamp)
-            points = [trajectory_point(i, point) for i, point in enumerate(message.points)]
-            names = list(message.joint_names)
-            self._instructor.add_trajectory(self._controller, names, points, stamp_ns)
+        self._take(
+            Kind.JOINT_TRAJECTORY,
+            message.header,
+            lambda: self._add_trajectory(message, lambda t: t),
+        )
 
-        self._take(Kind.JOINT_TRAJECTORY, message.header, take)
+    def _on_goal(self, goal: Any) -> int:
+        """Take a goal of the action; return its number among the trajectories.
+
+        Raises:
+            Refusal: it is not taken, which is told.
+        """
+        trajectory = goal.trajectory
+        kinematics = None if self._controller is None else self._controller.kinematics
+        names = () if kinematics is None else kinematics.joint_names
+
+        def take() -> None:
+            self._add_trajectory(trajectory, lambda default: tolerances_of(goal, names, default))
+
+        refusal = self._take(Kind.JOINT_TRAJECTORY, trajectory.header, take)
+        if refusal is not None:
+            raise refusal
+        return self._instructor.numbers[Kind.JOINT_TRAJECTORY]
+
+    def _on_cancel(self, number: int) -> None:
+        self._instructor.cancel(number)
+        self._tell_status()
+
+    def _add_trajectory(
+        self, message: JointTrajectory, tolerances: Callable[[Tolerances], Tolerances]
+    ) -> None:
+        stamp_ns = time_of("joint_trajectory", message.header.stamp)
+        points = [trajectory_point(i, point) for i, point in enumerate(message.points)]
+        names = list(message.joint_names)
+        self._instructor.add_trajectory(self._controller, names, points, stamp_ns, tolerances)
 
     def _on_tool_path(self, message: Path) -> None:
         def take() -> None:
@@ -155,8 +191,9 @@ class MotionControllerNode(Node):
 
         self._take(Kind.TOOL_PATH, message.header, take)
 
-    def _take(self, kind: Kind, header: Header, take: Callable[[], None]) -> None:
-        """Hand over what came, and tell what becomes of it."""
+    def _take(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
+        """Hand over what came, and tell what becomes of it; return why it was not taken."""
+        refusal = None
         numbers = self._instructor.numbers
         before = numbers[kind]
         try:
@@ -165,12 +202,14 @@ class MotionControllerNode(Node):
             if numbers[kind] == before:  # the instructor has not seen it
                 self._instructor.refuse(kind, _stamp_or_0(header), reason)
             self._diagnostics.refuse(kind.topic, reason)
+            refusal = reason
         else:
             accepted = self._diagnostics.values[_plural(kind)]
             assert isinstance(accepted, int)
             self._diagnostics.values[_plural(kind)] = accepted + 1
             self._diagnostics.publish()
         self._tell_status()
+        return refusal
 
     def _check_frame(self, topic: str, header: Header) -> None:
         bases = list(dict.fromkeys(("world", *self._root())))
@@ -212,11 +251,16 @@ class MotionControllerNode(Node):
             answer.effort = array("d", instruction.tau.tobytes())
         self._answer = answer
         self._targets.publish(answer)
+        if self._action is not None and v is not None:
+            names = list(controller.kinematics.joint_names)
+            self._action.feed_back(message.header.stamp, names, instruction, q, v)
 
     def _tell_status(self) -> None:
         """Publish what became of targets, trajectories and paths since the last time."""
         reports, self._instructor.reports = self._instructor.reports, []
         for one in reports:
+            if self._action is not None:
+                self._action.hear(one)
             message = MotionStatus(
                 kind=int(one.kind),
                 number=one.number,

@@ -24,6 +24,10 @@ PATIENCE = 1.0  # s: an error that has not become smaller for so long will not
 _SMALLER = 0.99  # what counts as smaller
 _AT_REST = 1e-3  # rad/s
 
+# With what the reasons begin why a trajectory was aborted.
+PATH_TOLERANCE = "path tolerance"
+GOAL_TOLERANCE = "goal tolerance"
+
 _SECONDS = 1e-9
 
 
@@ -187,12 +191,12 @@ class TrajectoryOrder:
         late = (now_ns - self._motion.end_ns) * _SECONDS
         if late < 0.0:
             broken = self._tolerances.path.broken(names, q_ref - q, v_error)
-            return Progress(State.ABORTED, f"path tolerance: {broken}") if broken else MOVING
+            return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {broken}") if broken else MOVING
         broken = self._tolerances.goal.broken(names, q_ref - q, v_error)
         if not broken:
             return Progress(State.REACHED)
         if 0.0 < self._tolerances.goal_time < late:
-            return Progress(State.ABORTED, f"goal tolerance after {late:.3g} s: {broken}")
+            return Progress(State.ABORTED, f"{GOAL_TOLERANCE} after {late:.3g} s: {broken}")
         return MOVING
 
 

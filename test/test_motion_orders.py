@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Iterator
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,12 +21,15 @@ from arm_emulator.gains import load_gains
 from arm_emulator.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import MotionStatus
 from emulator_node.scene import load_scene
+from motion_controller_node.follow_action import installed
+from motion_controller_node.follow_goal import result_of, tolerances_of
 from motion_controller_node.instruction import Instruction
 from motion_controller_node.instructor import Instructor
 from motion_controller_node.joint_trajectory import TrajectoryPoint
 from motion_controller_node.link_torques import LinkTorques
-from motion_controller_node.motion_report import Kind, State
+from motion_controller_node.motion_report import Kind, MotionReport, State
 from motion_controller_node.pose import Pose
+from motion_controller_node.tolerances import Allowed, Tolerances
 from ros_shell.node_shell import stamp
 from words.config_files import find_scene
 from words.refusal import Refusal
@@ -444,3 +449,89 @@ def test_a_reset_tells_what_it_has_forgotten(nodes: InProcess) -> None:
     while [one.state for one in heard if one.kind == Kind.TOOL_TARGET] != wanted:
         assert nodes.deliver(), f"nothing more is said after {heard}"
     assert heard[-1].reason == "the motion controller was reset"
+
+
+# The action
+
+
+def goal(**given: Any) -> Any:
+    """A goal of FollowJointTrajectory, as far as it says something."""
+    empty = {
+        "path_tolerance": [],
+        "goal_tolerance": [],
+        "goal_time_tolerance": Duration(),
+    }
+    return SimpleNamespace(**{**empty, **given})
+
+
+def tolerance(name: str, position: float = 0.0, velocity: float = 0.0) -> Any:
+    return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=0.0)
+
+
+def test_a_goal_says_what_it_allows_beside_the_parameters() -> None:
+    names = ("a", "b")
+    default = Tolerances(Allowed.alike(2, 0.1), Allowed.alike(2, 0.2), 3.0)
+    one = tolerances_of(
+        goal(
+            path_tolerance=[tolerance("b", 0.5, 2.0)],
+            goal_tolerance=[tolerance("a", -1.0)],
+            goal_time_tolerance=Duration(sec=1, nanosec=500_000_000),
+        ),
+        names,
+        default,
+    )
+    assert one.path.q.tolist() == [0.1, 0.5] and one.path.v.tolist() == [0.0, 2.0]
+    assert one.goal.q.tolist() == [0.0, 0.2], "-1 allows anything"
+    assert one.goal_time == 1.5
+    assert tolerances_of(goal(), names, default).goal_time == 3.0, "0 leaves it"
+    erased = goal(goal_time_tolerance=Duration(sec=-1))
+    assert tolerances_of(erased, names, default).goal_time == 0.0
+    for wrong, words in (
+        (goal(path_tolerance=[tolerance("x", 0.1)]), "be of joints of the arm, got x; valid: a, b"),
+        (goal(goal_tolerance=[tolerance("a", -2.0)]), "be >= 0 rad, or -1 for any, got -2.0"),
+        (goal(path_tolerance=[tolerance("a", math.nan)]), "be >= 0 rad, or -1 for any, got nan"),
+        (goal(goal_time_tolerance=Duration(sec=-3)), "be >= 0 s, or -1 for any, got -3 s"),
+    ):
+        with pytest.raises(Refusal) as refusal:
+            tolerances_of(wrong, names, default)
+        assert words in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("state", "reason", "code"),
+    [
+        (State.REACHED, "", 0),
+        (State.REFUSED, "joint_trajectory: ...", -1),
+        (State.REPLACED, "by tool target 3", -1),
+        (State.ABORTED, "cancelled", -1),
+        (State.ABORTED, "path tolerance: a is off by 1 rad", -4),
+        (State.ABORTED, "goal tolerance after 1 s: a is off by 1 rad", -5),
+    ],
+)
+def test_a_goal_ends_with_the_code_of_its_last_word(state: State, reason: str, code: int) -> None:
+    got, words = result_of(MotionReport(Kind.JOINT_TRAJECTORY, 1, 0, state, reason))
+    assert got == code and reason in words
+
+
+@pytest.mark.parametrize("waiting", [True, False])
+def test_a_cancelled_trajectory_stops_or_never_begins(waiting: bool) -> None:
+    arm = Ideal()
+    arm.advance(0.1)
+    points = [arm.point(1.0, 0.3), arm.point(2.0, -0.3)]
+    stamp_ns = 5 * SECOND if waiting else 0
+    number = arm.instructor.add_trajectory(arm.controller, arm.names, points, stamp_ns)
+    arm.advance(0.5)
+    arm.instructor.cancel(number)
+    arm.instructor.cancel(number + 7)  # nobody's
+    arm.advance(6.0)
+    assert arm.states()[-1] == ("JOINT_TRAJECTORY", 1, "ABORTED")
+    assert arm.instructor.reports[-1].reason == "cancelled"
+    assert not np.any(arm.said[-1].v), "it rests"
+    far = np.abs(arm.q - arm.start).max()
+    assert far == 0.0 if waiting else 0.1 < far < 0.2, "it stopped where it was"
+
+
+def test_the_action_is_there_only_where_control_msgs_is(nodes: InProcess) -> None:
+    has_it = importlib.util.find_spec("control_msgs") is not None
+    assert installed() == has_it
+    assert (nodes.nodes["motion_controller"]._action is not None) == has_it

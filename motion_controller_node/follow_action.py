@@ -1,0 +1,125 @@
+"""The action `follow_joint_trajectory`, where control_msgs is installed.
+
+Nothing waits in it: a goal is a joint trajectory like those that come on the topic, and ends when
+the motion controller says so. So one thread serves it beside everything else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.task import Future
+
+from motion_controller_node.follow_goal import result_of
+from motion_controller_node.instruction import FloatArray, Instruction
+from motion_controller_node.motion_report import Kind, MotionReport
+from words.refusal import Refusal
+
+try:
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action import ActionServer, CancelResponse, GoalResponse
+except ImportError:  # no wheel has it
+    FollowJointTrajectory = None
+
+NAME = "follow_joint_trajectory"
+
+
+class FollowAction:
+    """Serves the action.
+
+    Args:
+        node: whose action it is.
+        take: hands a goal over and returns the trajectory's number; a Refusal rejects the goal.
+        cancel: gives a trajectory up by its number.
+    """
+
+    def __init__(
+        self, node: Node, take: Callable[[Any], int], cancel: Callable[[int], None]
+    ) -> None:
+        self._take, self._cancel = take, cancel
+        self._number = 0  # of the goal taken last
+        self._goals: dict[int, tuple[Any, Future]] = {}
+        self._server = ActionServer(
+            node,
+            FollowJointTrajectory,
+            NAME,
+            execute_callback=self._execute,
+            goal_callback=self._on_goal,
+            handle_accepted_callback=self._on_accepted,
+            cancel_callback=self._on_cancel,
+        )
+
+    def hear(self, report: MotionReport) -> None:
+        """End the goal that a report's last word is about."""
+        if report.kind is Kind.JOINT_TRAJECTORY and report.state.final:
+            _, ended = self._goals.get(report.number, (None, None))
+            if ended is not None and not ended.done():
+                ended.set_result(report)
+
+    def feed_back(
+        self, stamp: Any, names: list[str], instruction: Instruction, q: FloatArray, v: FloatArray
+    ) -> None:
+        """Publish how the arm follows the goals that are not over."""
+        for goal, ended in self._goals.values():
+            if ended.done():
+                continue
+            feedback = FollowJointTrajectory.Feedback(joint_names=names)
+            feedback.header.stamp = stamp
+            speeds = 0.0 * q if instruction.v is None else instruction.v
+            for point, positions, velocities in (
+                (feedback.desired, instruction.q, speeds),
+                (feedback.actual, q, v),
+                (feedback.error, instruction.q - q, speeds - v),
+            ):
+                point.positions, point.velocities = positions.tolist(), velocities.tolist()
+            goal.publish_feedback(feedback)
+
+    def close(self) -> None:
+        """Let go of the server."""
+        self._server.destroy()
+
+    def _on_goal(self, goal: Any) -> GoalResponse:
+        try:
+            self._number = self._take(goal)
+        except Refusal:
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _on_accepted(self, goal: Any) -> None:
+        self._goals[self._number] = goal, Future()
+        goal.execute()
+
+    def _on_cancel(self, goal: Any) -> CancelResponse:
+        self._cancel(self._number_of(goal))
+        return CancelResponse.ACCEPT
+
+    async def _execute(self, goal: Any) -> Any:
+        number = self._number_of(goal)
+        report = await self._goals[number][1]
+        del self._goals[number]
+        code, words = result_of(report)
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif code == 0:
+            goal.succeed()
+        else:
+            goal.abort()
+        return FollowJointTrajectory.Result(error_code=code, error_string=words)
+
+    def _number_of(self, goal: Any) -> int:
+        wanted = bytes(goal.goal_id.uuid)
+        return next(
+            (
+                number
+                for number, (one, _) in self._goals.items()
+                if bytes(one.goal_id.uuid) == wanted
+            ),
+            0,
+        )
+
+
+def installed() -> bool:
+    """Return whether control_msgs is there."""
+    return FollowJointTrajectory is not None
