@@ -13,8 +13,10 @@ import scipy.linalg
 import yaml
 
 from motion_controller_node.motion_config import load_motion_config
+from servo_node.drives import Drives, Target
 from servo_node.servo import JointServo, Servo, ServoConfig, _Axis, load_servo_config
 from servo_node.watchdog import Watchdog, WatchdogState
+from words.bound import POSITION, VELOCITY
 from words.refusal import Refusal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
@@ -58,7 +60,8 @@ class Drivetrain:
         load: float = 0.0,
         q: float = 0.0,
     ) -> None:
-        R, L, Kt = joint.resistance, joint.inductance, joint.torque_constant
+        R, Kt = joint.resistance, joint.torque_constant
+        L = joint.inductance or 1e-6 * R * PERIOD  # as good as at once
         Kb, Mm, Ng = joint.back_emf_constant, joint.rotor_inertia, joint.gear_ratio
         Kg, Dg, J = stiffness, damping, link_inertia
         A = np.zeros((7, 7))  # current, theta_m, omega_m, q, v; held: voltage, load
@@ -172,6 +175,87 @@ def test_feed_forward_of_the_speed_leaves_no_lag() -> None:
         lag[name] = speed * PERIOD * 1500 - machine.q_motor
     assert lag["without"] == pytest.approx(speed / JOINT.position_gain, rel=0.05)
     assert abs(lag["with"]) < 0.05 * lag["without"]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_targets_go_on_with_their_speed_for_a_motion_period_at_most(seed: int) -> None:
+    """What the control law is asked for in every tick, against q + v (t - t_target)."""
+    rng = np.random.default_rng(seed)
+    motion_period = float(rng.choice([0.0, 0.01, 0.05]))
+    config = ServoConfig(PERIOD, motion_period, 0.3, 2.0, 48.0, (JOINT,))
+    drives = Drives(config)
+    asked: list[tuple[float, float]] = []
+    control = drives.servo.control
+
+    def spy(q: Any, v: Any = None, tau: Any = None) -> np.ndarray:
+        asked.append((float(q[0]), 0.0 if v is None else float(v[0])))
+        return control(q, v, tau)
+
+    drives.servo.control = spy  # type: ignore[method-assign]
+    q, v, at = 0.0, 0.0, 0
+    for tick in range(200):
+        drives.measure(tick * 1_000_000, [0], [0.0])
+        if tick == 0 or rng.random() < 0.03:
+            q, v, at = float(rng.normal()), float(rng.normal()), tick
+            moving = rng.random() < 0.8
+            v = v if moving else 0.0
+            drives.aim(Target(np.array([q]), np.array([v]) if moving else None))
+        drives.voltage(powered=True)
+        ahead = min((tick - at) * PERIOD, motion_period)
+        assert asked[-1] == (pytest.approx(q + v * ahead, abs=1e-12), v), f"tick {tick}"
+
+
+def test_targets_that_go_on_stay_within_what_a_joint_may_be_asked_for() -> None:
+    """At the bound of positions, outwards: no refusal within the loop, which nobody would catch."""
+    largest = POSITION.largest
+    drives = Drives(ServoConfig(PERIOD, 0.05, 0.2, 2.0, 48.0, (JOINT,)))
+    drives.measure(0, [0], [0.0])
+    drives.aim(Target(np.array([-largest]), np.array([-VELOCITY.largest])))
+    for tick in range(60):
+        drives.measure(tick * 1_000_000, [0], [0.0])
+        assert np.isfinite(drives.voltage(powered=True)).all()
+
+
+@pytest.mark.parametrize("speed", [0.2, -0.7])
+def test_a_ramp_of_targets_with_speeds_is_followed_without_stairs(speed: float) -> None:
+    """Targets every 50 ms with the ramp's speed: without going on, each is a step of 50 ms."""
+    ripple = {}
+    for name, motion_period in (("stairs", 0.0), ("line", 0.05)):
+        drives = Drives(ServoConfig(PERIOD, motion_period, 0.2, 2.0, 48.0, (JOINT,)))
+        machine, off = Drivetrain(JOINT), []
+        for tick in range(1500):
+            drives.measure(tick * 1_000_000, [machine.counts], [machine.x[0]])
+            if tick % 50 == 0:
+                drives.aim(Target(np.array([speed * PERIOD * tick]), np.array([speed])))
+            off.append(machine.x[3] - speed * PERIOD * tick)
+            machine.advance(drives.voltage(powered=True)[0])
+        ripple[name] = np.ptp(off[1000:])
+    # Encoder counts and the gear are left: a count is 6e-5 rad.
+    assert ripple["line"] < 3.0 * JOINT.count_angle, f"{ripple}"
+    assert ripple["stairs"] > 5.0 * ripple["line"], f"{ripple}"
+
+
+def test_the_servo_is_told_what_voltage_was_applied() -> None:
+    """A fast motor's speed follows from its voltage: another than was asked for, as of a drive
+
+    that answered late, is no surprise to a servo that is told.
+    """
+    fast = dataclasses.replace(JOINT, rotor_inertia=1e-6, inductance=0.0, counts_per_turn=2**20)
+    rng = np.random.default_rng(0)
+    error = {}
+    for told in (True, False):
+        servo, machine = servo_of(fast), Drivetrain(fast, stiffness=1.0, damping=0.0)
+        applied, off = 0.0, []
+        for tick in range(400):
+            given = {"voltage": [applied]} if told else {}
+            servo.observe([machine.counts], [machine.x[0]], **given)
+            servo.control([0.0])
+            applied = float(rng.uniform(-1.0, 1.0))
+            if tick > 50:
+                off.append(servo.v_measured[0] - machine.x[2] * machine.Ng)
+            machine.advance(applied)
+        error[told] = float(np.sqrt(np.mean(np.square(off))))
+    assert error[True] < 0.1 * error[False], f"rms error of the speed, told or not: {error}"
 
 
 # Limits
