@@ -237,6 +237,7 @@ def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
         SERVO_PERIOD,
         drive.joint.friction.viscous,
         supply,
+        drive.peak_torque * gear.ratio / motor.torque_constant,
     )
     return JointServo(
         name=demand.name,

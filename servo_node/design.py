@@ -20,7 +20,8 @@ the heaviest link, without dead time and with one more period of it,
   margin of 2 and a phase margin of 29 degrees at least; Astrom and Murray, Feedback Systems, 2008,
   section 12.2),
 - the link overshoots by `OVERSHOOT` at most,
-- one count of the encoder changes the voltage by `KICK` of the supply at most.
+- one count of the encoder changes the current asked for by `KICK` of the current limit at most:
+  where a count asks for more than the limit, the joint never comes to rest.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_node.held import FloatArray
-from servo_node.linear_servo import INPUTS, LinearServo
+from servo_node.linear_servo import LinearServo
 from servo_node.sampled_loop import SampledLoop, SampledPlant
 from servo_node.servo_config import JointServo
 from words.refusal import Refusal
 
 SENSITIVITY = 2.0
 OVERSHOOT = 0.1
-KICK = 0.1
+KICK = 0.25
 NEARLY = 0.1
 _STEPS = np.geomspace(
     0.01, 0.8, 15
@@ -96,6 +97,7 @@ def design(
     period: float,
     viscous: float = 0.0,
     supply_voltage: float = math.inf,
+    current_limit: float = math.inf,
 ) -> ServoGains:
     """Return gains that hold for every link inertia in a range.
 
@@ -109,18 +111,21 @@ def design(
             free (1 / (M^-1)_jj), and the largest, the others held (M_jj) [kg m2, kg].
         period: servo period [s].
         viscous: friction at the link [N m s/rad].
-        supply_voltage: largest voltage at the motor [V], by which encoder steps are judged.
+        supply_voltage: largest voltage at the motor [V].
+        current_limit: largest current that the drive asks for [A], by which encoder steps are
+            judged; without one, what the supply drives through the winding.
 
     Raises:
         Refusal: no gains hold this motor at this period; it names one that would do.
     """
-    gains = _search(motor, gear, link_inertia, period, viscous, supply_voltage)
+    kick = KICK * min(current_limit, supply_voltage / motor.resistance)
+    gains = _search(motor, gear, link_inertia, period, viscous, kick)
     if gains is not None:
         return gains
     valid, shorter = "another motor", period
     for _ in range(_HALVINGS):
         shorter /= 2.0
-        if _search(motor, gear, link_inertia, shorter, viscous, supply_voltage) is not None:
+        if _search(motor, gear, link_inertia, shorter, viscous, kick) is not None:
             valid = f"{shorter:.3g} s"
             break
     rule = "be short enough for motor and gear"
@@ -133,7 +138,7 @@ def _search(
     link_inertia: tuple[float, float],
     period: float,
     viscous: float,
-    supply_voltage: float,
+    kick: float,
 ) -> ServoGains | None:
     least, most = link_inertia
     rotor = motor.rotor_inertia / gear.ratio**2
@@ -144,7 +149,7 @@ def _search(
         for inertia in sorted({least, mean, most})
     ]
     swing = 0.0 if gear.stiffness is None else 2.0 * math.pi * math.sqrt(most / gear.stiffness)
-    trial = _Trial(motor, gear, plants, period, _SWINGS * swing, KICK * supply_voltage)
+    trial = _Trial(motor, gear, plants, period, _SWINGS * swing, kick)
     for share in _SHARES:
         for bandwidth in _BANDWIDTHS:
             for step in reversed(_STEPS):
@@ -174,7 +179,7 @@ class _Outcome:
     """How gains do at their worst."""
 
     gains: ServoGains
-    kick: float  # V per count
+    kick: float  # A per count
     sensitivity: float
     overshoot: float
     settling: float  # s
@@ -197,7 +202,7 @@ class _Trial:
         self.plants = plants
         self.period = period
         self.patience = patience  # s
-        self.kick = kick  # V per count at most
+        self.kick = kick  # A per count at most
         self.found: list[_Outcome] = []
         self.fastest = math.inf  # s, of those that hold everything
 
@@ -208,7 +213,7 @@ class _Trial:
         except Refusal:
             return
         count = 2.0 * math.pi / (self.motor.counts_per_turn or _IDEAL)
-        kick = abs(float(servo.D[INPUTS.index("theta")])) * count
+        kick = servo.current_per_angle * count
         span = max(12.0 / gains.position_gain, self.patience)
         every = max(1, round(span / self.period / _ROWS))
         sensitivity, overshoot, settling = 1.0, 0.0, 0.0

@@ -56,6 +56,8 @@ class HeldMotor:
     """Speed per current above its prediction [rad/s/A]."""
     turn_per_surplus: float
     """Angle per current above its prediction [rad/A]."""
+    voltage_per_surplus: float
+    """Voltage per current above its prediction [V/A]."""
 
 
 def held_motor(
@@ -84,9 +86,11 @@ def held_motor(
     to_si = np.array([1.0, g, g * period])[:, None]
     from_si = np.array([1.0, 1.0 / g, 1.0 / resistance, 1.0 / torque_constant])
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = rows[1:, 2:3] / size * (i_v / size) * to_si[1:]
+        volts = i_v / size / size
+        moved = rows[1:, 2:3] * volts * to_si[1:]
         current, speed, turn = (Sum(*row) for row in (to_si * rows * from_si).tolist())
-    return HeldMotor(current, speed, turn, *moved[:, 0].tolist())
+    by_speed, by_turn = moved[:, 0].tolist()
+    return HeldMotor(current, speed, turn, by_speed, by_turn, resistance * volts)
 
 
 _AT_ONCE = 1e-6  # of a period: a winding that is faster than this is taken as one at once

@@ -9,7 +9,7 @@ import numpy as np
 from servo_node.servo import axis_of
 from servo_node.servo_config import JointServo
 
-STATES = ("theta", "omega", "load", "current", "integral")
+STATES = ("theta", "omega", "load", "current", "integral", "unknown_voltage")
 INPUTS = ("theta", "current", "voltage", "q_target", "v_target", "tau_feedforward")
 
 
@@ -24,10 +24,12 @@ class LinearServo:
     The numbers are those of the very law that runs: it is asked for unit states and inputs.
 
     Attributes:
-        A: (5, 5).
-        B: (5, 6).
-        C: (5,).
+        A: (6, 6).
+        B: (6, 6).
+        C: (6,).
         D: (6,).
+        current_per_angle: by how much a jump of the measured angle changes the current asked for
+            at once [A/rad].
 
     Args:
         joint: data sheet and gains.
@@ -41,6 +43,9 @@ class LinearServo:
         self._axis = axis = axis_of(joint, period, math.inf)
         axis.omega_limit = axis.current_limit = math.inf
         axis.count_angle = -1.0  # no target is within a count
+        self.current_per_angle = axis.velocity_gain * (
+            axis.position_gain * axis.theta_gain + abs(axis.omega_gain)
+        )
         n = len(STATES)
         rows = np.eye(n + len(INPUTS)).tolist()
         whole = np.array([self._tick(row[:n], row[n:]) for row in rows]).T

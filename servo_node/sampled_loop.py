@@ -141,7 +141,13 @@ class SampledLoop:
         L is the loop cut at the joint's voltage, all other loops closed: by Schur's complement the
         diagonal of the sensitivity matrix is just this.
         """
-        w = np.geomspace(2e-4 * math.pi, math.pi, count)
+        # Where a pole is near the unit circle, the loop changes within a narrow band.
+        resonances = self.poles[(np.abs(self.poles) > 0.7) & (self.poles.imag > 0.0)]
+        width = np.abs(1.0 - np.abs(resonances))
+        near = np.angle(resonances) + np.array([[-1.0], [-0.3], [0.0], [0.3], [1.0]]) * width
+        inside = near[(near > 2e-4 * math.pi) & (near < math.pi)]
+        grid = np.geomspace(2e-4 * math.pi, math.pi, count)
+        w = np.unique(np.concatenate([grid, inside]))
         z = np.exp(1j * w)
         pencil = z[:, None, None] * np.eye(len(self.A)) - self.A
         added = np.broadcast_to(self._added, (len(z), *self._added.shape))

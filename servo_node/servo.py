@@ -9,7 +9,9 @@ Per joint and servo period, in motor quantities:
     current    V such that the mean current of the coming period is i_ref - c (i_ref - i)
 
 The last stage is exact for winding and rotor (held_motor.py), so that the law holds for motors
-slower and faster than the period alike. For slow ones V = R i_ref + Kb omega + Rc (i_ref - i).
+slower and faster than the period alike. For slow ones V = R i_ref + Kb omega + Rc (i_ref - i) - u,
+with u the voltage that the measured currents show and the model does not know: resistance, back EMF
+and observed speed are never quite right, and without u the current would not stay in its limit.
 
 Every stage is limited (speed, current, supply voltage), and the integral follows the current that
 the limits have left over (automatic reset), so that it cannot wind up.
@@ -176,7 +178,7 @@ class Servo:
             voltage = [axis.voltage for axis in self._axes]
         for axis, *row in zip(self._axes, counts, current, voltage, strict=True):
             axis.observe(*row)
-            if not math.isfinite(axis.theta + axis.omega + axis.load):
+            if not math.isfinite(axis.theta + axis.omega + axis.load + axis.unknown_voltage):
                 self._begin_anew(axis)
 
     def _control(self, q: list[float], v: list[float], tau: list[float]) -> FloatArray:
@@ -272,6 +274,11 @@ def _period_that_holds(joint: JointServo, period: float) -> str:
 _HALVINGS = 30
 
 
+# Per period, of a voltage that the model does not know: the more, the better the current is kept,
+# and the less may the drive's voltage be off.
+_LEARNT = 0.5
+
+
 class _Axis:
     """Observer and control of one joint, in motor quantities and plain floats."""
 
@@ -298,13 +305,23 @@ class _Axis:
         "theta_gain",
         "theta_measured",
         "torque_constant",
+        "unknown_voltage",
         "velocity_gain",
         "voltage",
         "voltage_limit",
         "winding",
     )
 
-    STATE = ("theta_measured", "theta", "omega", "load", "current", "integral", "voltage")
+    STATE = (
+        "theta_measured",
+        "theta",
+        "omega",
+        "load",
+        "current",
+        "integral",
+        "voltage",
+        "unknown_voltage",
+    )
 
     def __init__(self, joint: JointServo, period: float, supply_voltage: float) -> None:
         self.ratio = joint.gear_ratio
@@ -402,6 +419,7 @@ class _Axis:
             1.0 / self.torque_constant,
             motor.speed_per_surplus,
             motor.turn_per_surplus,
+            motor.voltage_per_surplus,
             *(value for one in sums for value in one),
         )
 
@@ -414,6 +432,7 @@ class _Axis:
         self.current = 0.0
         self.integral = 0.0
         self.voltage = 0.0
+        self.unknown_voltage = 0.0
 
     def observe(self, count: float, current: float, voltage: float) -> None:
         """Follow angle, speed and load torque of the motor.
@@ -430,8 +449,10 @@ class _Axis:
         if self.theta != self.theta:  # NaN: the first measurement
             self.start(current)
             return
-        motor, known = self.motor, (self.current, self.omega, voltage, self.load)
+        motor = self.motor
+        known = (self.current, self.omega, voltage + self.unknown_voltage, self.load)
         surplus = current - motor.current.of(*known)
+        self.unknown_voltage += _LEARNT * motor.voltage_per_surplus * surplus
         self.theta += motor.turn.of(*known) + motor.turn_per_surplus * surplus
         self.omega = motor.speed.of(*known) + motor.speed_per_surplus * surplus
         innovation = self.theta_measured - self.theta
@@ -447,6 +468,7 @@ class _Axis:
         self.load = self.torque_constant * current
         self.current = current
         self.integral = current
+        self.unknown_voltage = 0.0
 
     def control(self, q_target: float, v_target: float, tau: float) -> float:
         """Return the voltage for the period that begins now [V]."""
@@ -460,10 +482,11 @@ class _Axis:
         i_ref = clip(i_ref, self.current_limit)
 
         current, memory, mean = self.current, self.current_memory, self.mean_current
-        free = mean.of(current, self.omega, 0.0, self.load)  # at 0 V
+        unknown = self.unknown_voltage
+        free = mean.of(current, self.omega, unknown, self.load)  # at 0 V
         wanted = (i_ref - memory * (i_ref - current) - free) / mean.voltage
         # No voltage that lets the current beyond its limit within the period.
-        middle = self.emf * self.omega - self.winding * current
+        middle = self.emf * self.omega - unknown - self.winding * current
         span = self.current_voltage * self.current_limit
         voltage = clip(min(max(wanted, middle - span), middle + span), self.voltage_limit)
         if voltage != wanted:  # what current the limits leave of the reference

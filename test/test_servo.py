@@ -98,12 +98,14 @@ def run(
     **control: Any,
 ) -> np.ndarray:
     """Return per tick: motor angle times Ng, link angle, voltage, current, v_measured."""
-    rows, late = [], [0.0] * dead_time
+    rows, late, applied = [], [0.0] * dead_time, 0.0
     for _ in range(ticks):
-        voltage = servo.update([machine.counts], [machine.x[0]], [q_target], **control)[0]
+        measured = [machine.counts], [machine.x[0]]
+        voltage = servo.update(*measured, [q_target], voltage=[applied], **control)[0]
         rows.append((machine.q_motor, machine.x[3], voltage, machine.x[0], servo.v_measured[0]))
         late.append(voltage)
-        machine.advance(late.pop(0))
+        applied = late.pop(0)
+        machine.advance(applied)
     return np.array(rows)
 
 
