@@ -28,6 +28,7 @@ SECTIONS = (
     "stability_map",
     "energy_drift",
     "tool_line",
+    "hard_places",
     "hard_cases",
     "threads",
     "clocks",
