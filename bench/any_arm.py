@@ -130,6 +130,7 @@ def reachable(
     low, high = np.minimum(low, high), np.maximum(low, high)
     slide = kinematics.upper >= UNLIMITED
     low, high = np.where(slide, -1.0, low), np.where(slide, 1.0, high)
+    high = np.maximum(high, low + 1e-6)  # a joint may have a range of nothing
     for _ in range(2000):
         q = low + (high - low) * (0.05 + 0.9 * rng.random(len(low)))
         way = rng.normal(size=len(low)) * (high - low)
