@@ -60,7 +60,7 @@ def line(period: float, feedforward: str) -> dict[str, Any]:
     gravity = LinkTorques(scene.urdf, kinematics.joint_names, scene.gravity)
     off, predicted, motors, times, places = [], [], [], [], []
     still = np.zeros(len(scene.start))
-    while not times or one.instructor.reports[-1].state.name == "MOVING" or len(times) < 10:
+    while not times or one.instructor.reports.waiting[-1].state.name == "MOVING" or len(times) < 10:
         one.advance(EVERY)
         q, q_motor = one.session.state.q, one.drives.servo.q_measured[one._to_motion]
         torques = gravity.at(q_motor, still)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -12,9 +11,10 @@ import numpy as np
 from motion_controller_node.controller import Controller
 from motion_controller_node.instruction import FloatArray, Instruction
 from motion_controller_node.joint_trajectory import JointTrajectory, TrajectoryPoint
-from motion_controller_node.laws import Laws
+from motion_controller_node.kinematics import Kinematics
+from motion_controller_node.laws import Laws, joint_limits, tool_limits
 from motion_controller_node.motion_config import MotionConfig
-from motion_controller_node.motion_report import Kind, MotionReport, State
+from motion_controller_node.motion_report import Kind, MotionReport, Reports, State
 from motion_controller_node.orders import (
     Order,
     PathOrder,
@@ -63,16 +63,14 @@ class Instructor:
     Attributes:
         restarts: how often that happened.
         trouble: why, the last time, in words.
-        numbers: how many of each kind came so far.
-        reports: what became of targets, trajectories and paths since somebody emptied it.
+        reports: what became of targets, trajectories and paths.
     """
 
     def __init__(self, config: MotionConfig | None = None) -> None:
         self.restarts = 0
         self.trouble = ""
-        self.reports: list[MotionReport] = []
+        self.reports = Reports()
         self._config = config or MotionConfig()
-        self.numbers: Counter[Kind] = Counter()
         self._coming: list[tuple[int, _Taken]] = []  # in the order of their times
         self._active: _Taken | None = None
         self._laws: Laws | None = None
@@ -145,10 +143,10 @@ class Instructor:
         """
 
         def order() -> Order:
-            laws, config = self._laws_of(controller, "joint_trajectory"), self._config
-            joints = laws.controller.kinematics.joint_names
+            kinematics, config = _known(controller, "joint_trajectory"), self._config
+            joints, limits = kinematics.joint_names, joint_limits(kinematics, config)
             trajectory = JointTrajectory(
-                joints, laws.joint_limits(), names, points, stamp_ns, config.may_end_moving
+                joints, limits, names, points, stamp_ns, config.may_end_moving
             )
             default = Tolerances(
                 Allowed.alike(len(joints), config.path_tolerance),
@@ -179,12 +177,12 @@ class Instructor:
         """
 
         def order() -> Order:
-            laws, config = self._laws_of(controller, "tool_path"), self._config
-            turning = laws.controller.kinematics.turns_tool
+            kinematics, config = _known(controller, "tool_path"), self._config
+            turning = kinematics.turns_tool
             # Without a say about the orientation it must not take time either.
             level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
             path = ToolPath(
-                level, laws.tool_limits(), stamp_ns, times_ns, config.path_arcs, config.path_blend
+                level, tool_limits(config), stamp_ns, times_ns, config.path_arcs, config.path_blend
             )
             return PathOrder(path)
 
@@ -203,12 +201,6 @@ class Instructor:
         if active.order.kind is Kind.JOINT_TRAJECTORY and active.number == number:
             self._coming.insert(0, (0, _Taken(_stop(self._laws), 0)))
 
-    def refuse(self, kind: Kind, stamp_ns: int, reason: Refusal) -> None:
-        """Report one that was refused before it came here."""
-        self.numbers[kind] += 1
-        number = self.numbers[kind]
-        self.reports.append(MotionReport(kind, number, stamp_ns, State.REFUSED, str(reason)))
-
     def instruct(
         self, controller: Controller, time_ns: int, q: FloatArray, v: FloatArray | None = None
     ) -> Instruction:
@@ -224,7 +216,7 @@ class Instructor:
             Refusal: q is not finite or too large; nothing has changed then.
         """
         _Q.check("motion_controller", q.tolist())
-        laws = self._laws_of(controller, "motion_controller")
+        laws = self._laws_of(controller)
         try:
             self._take_up(laws, time_ns, q)
             instruction = laws.complete(self._instruct(laws, time_ns, q, v))
@@ -244,10 +236,7 @@ class Instructor:
         self._last = time_ns, instruction
         return instruction
 
-    def _laws_of(self, controller: Controller | None, where: str) -> Laws:
-        if controller is None:
-            rule = "come after the robot description"
-            raise Refusal(where, "the message", rule, "none so far")
+    def _laws_of(self, controller: Controller) -> Laws:
         if self._laws is None or self._laws.controller is not controller:
             self._laws = Laws(controller, self._config)
         return self._laws
@@ -261,10 +250,9 @@ class Instructor:
                 rule = f"be one of at most {MOST_TARGETS} that wait for their time"
                 raise Refusal(kind.topic, "the target", rule, "one more")
         except Refusal as reason:
-            self.refuse(kind, time_ns, reason)
+            self.reports.refuse(kind, time_ns, reason)
             raise
-        self.numbers[kind] += 1
-        taken = _Taken(order, self.numbers[kind])
+        taken = _Taken(order, self.reports.next_number(kind))
         self._report(taken, Progress(State.ACCEPTED))
         if same:
             self._report(self._coming[place][1], _replaced_by(taken))
@@ -345,7 +333,7 @@ class Instructor:
             return
         taken.state = progress.state
         order = taken.order
-        self.reports.append(
+        self.reports.waiting.append(
             MotionReport(
                 order.kind,
                 taken.number,
@@ -358,11 +346,19 @@ class Instructor:
         )
 
 
+def _known(controller: Controller | None, where: str) -> Kinematics:
+    if controller is None:
+        raise Refusal(where, "the message", "come after the robot description", "none so far")
+    return controller.kinematics
+
+
 def _stop(laws: Laws) -> TrajectoryOrder:
     """Return the order to come to rest."""
     names = laws.controller.kinematics.joint_names
     anything = Allowed.alike(len(names), 0.0)
-    trajectory = JointTrajectory(names, laws.joint_limits(), (), ())
+    trajectory = JointTrajectory(
+        names, joint_limits(laws.controller.kinematics, laws.config), (), ()
+    )
     return TrajectoryOrder(trajectory, Tolerances(anything, anything))
 
 

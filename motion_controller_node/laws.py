@@ -7,6 +7,7 @@ import numpy as np
 from motion_controller_node.controller import Controller
 from motion_controller_node.instruction import FloatArray, Instruction
 from motion_controller_node.joint_trajectory import JointLimits
+from motion_controller_node.kinematics import Kinematics
 from motion_controller_node.link_torques import LinkTorques
 from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.qp import QpController
@@ -90,24 +91,24 @@ class Laws:
         v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
         return Instruction(instruction.q, instruction.v, self.torques.at(instruction.q, v))
 
-    def joint_limits(self) -> JointLimits:
-        """Return what joint trajectories are held against."""
-        kinematics = self.controller.kinematics
-        return JointLimits(
-            kinematics.lower,
-            kinematics.upper,
-            kinematics.velocity_limit,
-            np.minimum(kinematics.acceleration_limit, self.config.acceleration_limit),
-            kinematics.continuous,
-        )
 
-    def tool_limits(self) -> ToolLimits:
-        """Return how the tool may go along paths."""
-        config = self.config
-        return ToolLimits(
-            config.tool_speed,
-            config.tool_turn_speed,
-            config.tool_acceleration,
-            config.tool_jerk,
-            config.period,
-        )
+def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
+    """Return what joint trajectories are held against."""
+    return JointLimits(
+        kinematics.lower,
+        kinematics.upper,
+        kinematics.velocity_limit,
+        np.minimum(kinematics.acceleration_limit, config.acceleration_limit),
+        kinematics.continuous,
+    )
+
+
+def tool_limits(config: MotionConfig) -> ToolLimits:
+    """Return how the tool may go along paths."""
+    return ToolLimits(
+        config.tool_speed,
+        config.tool_turn_speed,
+        config.tool_acceleration,
+        config.tool_jerk,
+        config.period,
+    )

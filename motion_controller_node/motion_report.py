@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 
@@ -52,3 +53,27 @@ class MotionReport:
     """From the tool to where it shall be in the end [m]; NaN: not known."""
     angle: float = math.nan
     """The same of its orientation [rad]."""
+
+
+class Reports:
+    """The reports that nobody has taken yet, and the numbers of what came."""
+
+    def __init__(self) -> None:
+        self.numbers: Counter[Kind] = Counter()
+        """How many of each kind came so far."""
+        self.waiting: list[MotionReport] = []
+
+    def next_number(self, kind: Kind) -> int:
+        """Return the number of one that has just come."""
+        self.numbers[kind] += 1
+        return self.numbers[kind]
+
+    def refuse(self, kind: Kind, stamp_ns: int, reason: object) -> None:
+        """Report one that came and is not taken."""
+        number = self.next_number(kind)
+        self.waiting.append(MotionReport(kind, number, stamp_ns, State.REFUSED, str(reason)))
+
+    def take(self) -> list[MotionReport]:
+        """Return the reports, which are nobody else's then."""
+        taken, self.waiting = self.waiting, []
+        return taken

@@ -25,6 +25,7 @@ from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node.controller import Controller, controller_for
 from motion_controller_node.follow_action import FollowAction, installed
 from motion_controller_node.follow_goal import tolerances_of
+from motion_controller_node.instruction import FloatArray
 from motion_controller_node.instructor import Instructor
 from motion_controller_node.joint_trajectory import TrajectoryPoint
 from motion_controller_node.kinematics import moving_joints
@@ -164,7 +165,7 @@ class MotionControllerNode(Node):
         refusal = self._take(Kind.JOINT_TRAJECTORY, trajectory.header, take)
         if refusal is not None:
             raise refusal
-        return self._instructor.numbers[Kind.JOINT_TRAJECTORY]
+        return self._instructor.reports.numbers[Kind.JOINT_TRAJECTORY]
 
     def _on_cancel(self, number: int) -> None:
         self._instructor.cancel(number)
@@ -194,13 +195,13 @@ class MotionControllerNode(Node):
     def _take(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
         """Hand over what came, and tell what becomes of it; return why it was not taken."""
         refusal = None
-        numbers = self._instructor.numbers
-        before = numbers[kind]
+        reports = self._instructor.reports
+        before = reports.numbers[kind]
         try:
             take()
         except Refusal as reason:
-            if numbers[kind] == before:  # the instructor has not seen it
-                self._instructor.refuse(kind, _stamp_or_0(header), reason)
+            if reports.numbers[kind] == before:  # the instructor has not seen it
+                reports.refuse(kind, _stamp_or_0(header), reason)
             self._diagnostics.refuse(kind.topic, reason)
             refusal = reason
         else:
@@ -226,9 +227,7 @@ class MotionControllerNode(Node):
             if now % self._period_ns != 0:
                 return
             q = self._order.arrange(message.name, message.position, POSITION)
-            v = None
-            if message.velocity:
-                v = self._order.arrange(message.name, message.velocity, VELOCITY)
+            v = self._speeds(message)
         except Refusal as reason:
             self._diagnostics.refuse("joint_states", reason)
             return
@@ -255,10 +254,18 @@ class MotionControllerNode(Node):
             names = list(controller.kinematics.joint_names)
             self._action.feed_back(message.header.stamp, names, instruction, q, v)
 
+    def _speeds(self, message: JointState) -> FloatArray | None:
+        """Return measured speeds; None where there are none, or not sound: they are not needed."""
+        try:
+            if message.velocity:
+                return self._order.arrange(message.name, message.velocity, VELOCITY)
+        except Refusal:
+            self._diagnostics.count("joint_states without sound speeds")
+        return None
+
     def _tell_status(self) -> None:
         """Publish what became of targets, trajectories and paths since the last time."""
-        reports, self._instructor.reports = self._instructor.reports, []
-        for one in reports:
+        for one in self._instructor.reports.take():
             if self._action is not None:
                 self._action.hear(one)
             message = MotionStatus(

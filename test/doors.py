@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from emulator_node.node import EmulatorNode
 from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
+from motion_controller_node.motion_report import Reports
 from motion_controller_node.node import MotionControllerNode
 from ros_shell.ros_domain import own_domain
 from servo_node.node import ServoNode
@@ -66,6 +67,8 @@ class Doors:
 
 def bits(value: Any, depth: int = 0) -> Any:
     """Return the numbers and texts in an object, to the bit."""
+    if isinstance(value, Reports):
+        return None  # what was said is not what is known
     if isinstance(value, np.ndarray):
         return value.tobytes()
     if isinstance(value, float):

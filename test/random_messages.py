@@ -22,11 +22,13 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
@@ -36,6 +38,8 @@ TOPICS = (
     "joint_targets",
     "joint_states",
     "tool_target",
+    "joint_trajectory",
+    "tool_path",
     "robot_description",
 )
 # Who acts on what is said there.
@@ -45,6 +49,8 @@ RECEIVER = {
     "joint_targets": "servo",
     "joint_states": "motion_controller",
     "tool_target": "motion_controller",
+    "joint_trajectory": "motion_controller",
+    "tool_path": "motion_controller",
     "robot_description": "motion_controller",
 }
 
@@ -173,10 +179,37 @@ def _sound(
         o.x, o.y, o.z, o.w = (x / length for x in quaternion)
         target.header.stamp = _time(tick * period_ns)
         return target
+    if topic == "joint_trajectory":
+        return _trajectory(rng, names, tick * period_ns)
+    if topic == "tool_path":
+        poses = [
+            _sound(rng, "tool_target", joint_names, tick, period_ns)
+            for _ in range(rng.randint(1, 5))
+        ]
+        path = Path(poses=poses)
+        path.header.stamp = _time(tick * period_ns)
+        if rng.random() < 0.5:
+            for i, pose in enumerate(poses):
+                pose.header.stamp = _time(tick * period_ns + 10**10 * (i + 1))
+        return path
     if topic == "robot_description":
         return String(data=random_urdf(rng, names))
     assert topic == "clock", topic
     return Clock(clock=_time(tick * period_ns))
+
+
+def _trajectory(rng: random.Random, names: list[str], at_ns: int) -> JointTrajectory:
+    names = names[: rng.randint(1, len(names))]
+    message = JointTrajectory(joint_names=names)
+    message.header.stamp = _time(at_ns)
+    fields = ("velocities", "accelerations")[: rng.randrange(3)]
+    for i in range(rng.randint(1, 5)):
+        values = [rng.gauss(0.0, 0.5) for _ in names]
+        point = JointTrajectoryPoint(positions=values, time_from_start=Duration(sec=10 * (i + 1)))
+        for field in fields:
+            setattr(point, field, [0.0] * len(names))
+        message.points.append(point)
+    return message
 
 
 def random_urdf(
@@ -285,6 +318,68 @@ def _wrong_clock(rng: random.Random, message: Any, names: Sequence[str], tick: i
     message.clock = _wrong_time(rng)
 
 
+def _point(spoil: Callable[[random.Random, Any, int], None]) -> Way:
+    """Spoil a random point of a trajectory, with the number of its joints."""
+
+    def way(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
+        if message.points:
+            spoil(rng, rng.choice(message.points), len(message.joint_names))
+
+    return way
+
+
+def _wrong_number(rng: random.Random, point: Any, count: int) -> None:
+    point.velocities = list(point.velocities) or [0.0] * count
+    field = rng.choice(("positions", "velocities", "accelerations", "effort"))
+    values = list(getattr(point, field)) or [0.0] * max(1, count)
+    values[rng.randrange(len(values))] = _wrong(rng)
+    setattr(point, field, values)
+
+
+def _wrong_count_of_values(rng: random.Random, point: Any, count: int) -> None:
+    field = rng.choice(("positions", "velocities", "accelerations", "effort"))
+    setattr(point, field, [0.0] * rng.choice((count + 1, _many(rng) + count)))
+
+
+def _wrong_time_from_start(rng: random.Random, point: Any, count: int) -> None:
+    sec = rng.choice((-1, -(2**31), rng.randint(-(2**31), -1)))
+    point.time_from_start = rng.choice(
+        (Duration(sec=sec), Duration(sec=1, nanosec=rng.randint(10**9, 2**32 - 1)))
+    )
+
+
+def _same_times(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
+    message.points = [*message.points, message.points[-1]]
+
+
+def _nobodys_joints(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
+    wrong = rng.choice((["no joint"], [names[0], names[0]], [], [text(rng) + "!"] * 3))
+    message.joint_names = wrong
+    for point in message.points:
+        point.positions = [0.0] * len(wrong)
+        point.velocities, point.accelerations = [], []
+
+
+def _wrong_pose(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
+    if message.poses:
+        way = rng.choice((_wrong_position, _wrong_orientation, _wrong_frame, _wrong_stamp))
+        way(rng, rng.choice(message.poses), names, tick)
+
+
+def _wrong_number_of_poses(
+    rng: random.Random, message: Any, names: Sequence[str], tick: int
+) -> None:
+    message.poses = rng.choice(([], message.poses[:1] * 5001))
+
+
+def _far_path(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
+    far = PoseStamped()
+    far.pose.position.x, far.pose.orientation.w = rng.choice((1e4, -9e5)), 1.0
+    near = PoseStamped()
+    near.pose.orientation.w = 1.0
+    message.poses = [near, far]
+
+
 def _no_urdf(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
     data = message.data
     message.data = rng.choice(
@@ -330,6 +425,15 @@ _WAYS: dict[str, list[Way]] = {
         _wrong_stamp,
     ],
     "tool_target": [_wrong_position, _wrong_orientation, _wrong_frame, _wrong_stamp],
+    "joint_trajectory": [
+        _point(_wrong_number),
+        _point(_wrong_count_of_values),
+        _point(_wrong_time_from_start),
+        _same_times,
+        _nobodys_joints,
+        _wrong_stamp,
+    ],
+    "tool_path": [_wrong_pose, _wrong_number_of_poses, _far_path, _wrong_frame, _wrong_stamp],
     "robot_description": [_no_urdf],
     "clock": [_wrong_clock],
 }
@@ -376,6 +480,17 @@ def _stir(rng: random.Random, message: Any) -> None:
             setattr(message, field, [number(rng) for _ in values])
         elif kind == "sequence<int64>":
             setattr(message, field, [_any_count(rng) for _ in values])
+        elif kind == "sequence<trajectory_msgs/JointTrajectoryPoint>":
+            for point in values:
+                for name in ("positions", "velocities", "accelerations", "effort"):
+                    if rng.random() < 0.3:
+                        setattr(point, name, [number(rng) for _ in point.positions])
+                if rng.random() < 0.3:
+                    sec = rng.choice((0, 1, 5, 2**31 - 1, rng.randint(0, 100)))
+                    point.time_from_start = Duration(sec=sec, nanosec=rng.randrange(10**9))
+        elif kind == "sequence<geometry_msgs/PoseStamped>":
+            for one in values:
+                _stir(rng, one)
         elif kind == "geometry_msgs/Pose":
             for part, names in ((values.position, "xyz"), (values.orientation, "xyzw")):
                 setattr(part, rng.choice(names), number(rng))

@@ -133,7 +133,7 @@ def test_the_newest_holds_and_every_one_is_answered() -> None:
         ("TOOL_TARGET", 2, "MOVING"),
         ("TOOL_TARGET", 2, "REACHED"),
     ]
-    replaced = [r.reason for r in arm.instructor.reports if r.state is State.REPLACED]
+    replaced = [r.reason for r in arm.instructor.reports.waiting if r.state is State.REPLACED]
     assert replaced == ["by joint trajectory 1", "by tool target 2", "by tool target 2"]
 
 
@@ -162,12 +162,16 @@ def test_no_request_is_lost_in_silence(seed: int) -> None:
                 arm.instructor.add_path(arm.controller, poses, time_ns)
         except Refusal as reason:
             if kind is Kind.TOOL_TARGET:
-                arm.instructor.refuse(kind, time_ns, reason)
+                arm.instructor.reports.refuse(kind, time_ns, reason)
         arm.advance(rng.uniform(0.0, 0.5))
     arm.instructor.start_over("test")
     for kind, count in asked.items():
         for number in range(1, count + 1):
-            told = [r.state for r in arm.instructor.reports if (r.kind, r.number) == (kind, number)]
+            told = [
+                r.state
+                for r in arm.instructor.reports.waiting
+                if (r.kind, r.number) == (kind, number)
+            ]
             final = [state for state in told if state.final]
             assert len(final) == 1 or final == [State.UNREACHABLE, State.REACHED], (
                 f"{kind.name} {number} was answered by {told}"
@@ -182,7 +186,7 @@ def test_targets_beyond_reach_are_told_as_such_with_the_distance(scene: str) -> 
     far = arm.pose((0.0, 0.0, 3.0))
     arm.instructor.add(0, far)
     arm.advance(15.0)
-    last = arm.instructor.reports[-1]
+    last = arm.instructor.reports.waiting[-1]
     _, p_WT = arm.controller.kinematics.forward(arm.q)
     assert last.state is State.UNREACHABLE, "it is told"
     if scene != "three_axis":  # eq. (6) goes to and fro there
@@ -190,7 +194,7 @@ def test_targets_beyond_reach_are_told_as_such_with_the_distance(scene: str) -> 
         assert last.distance == pytest.approx(left, rel=1e-3), "how far"
     arm.instructor.add(0, arm.pose())
     arm.advance(10.0)
-    assert arm.instructor.reports[-1].state is State.REACHED, "the way back"
+    assert arm.instructor.reports.waiting[-1].state is State.REACHED, "the way back"
 
 
 def test_a_trajectory_waits_for_its_stamp_and_then_keeps_its_times() -> None:
@@ -241,7 +245,7 @@ def test_an_arm_that_does_not_follow_ends_the_trajectory_where_it_is(
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(1.0, 0.15)])
     for tick in range(150):  # the arm does not move at all
         arm.said.append(arm.instructor.instruct(arm.controller, tick * arm.period_ns, arm.start))
-    last = arm.instructor.reports[-1]
+    last = arm.instructor.reports.waiting[-1]
     assert last.state is state
     if state is State.ABORTED:
         assert "path tolerance: shoulder_pan_joint is off by" in last.reason
@@ -258,9 +262,9 @@ def test_the_goal_tolerance_is_waited_for_as_long_as_is_allowed() -> None:
             q = arm.start if tick < 200 or state is State.ABORTED else arm.start + 0.045
             arm.instructor.instruct(arm.controller, tick * arm.period_ns, q)
             if tick == 199:
-                assert arm.instructor.reports[-1].state is state, f"goal_time {time} s"
+                assert arm.instructor.reports.waiting[-1].state is state, f"goal_time {time} s"
         expected = State.ABORTED if state is State.ABORTED else State.REACHED
-        assert arm.instructor.reports[-1].state is expected
+        assert arm.instructor.reports.waiting[-1].state is expected
 
 
 # Torques
@@ -378,7 +382,7 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
         bits = np.asarray(state.encoder_counts, dtype=np.int64).tobytes() + state.current.tobytes()
         assert nodes.states[tick] == bits, f"the first other bit at tick {tick}"
         run.advance(1)
-    for one, report in zip(heard, run.instructor.reports, strict=False):
+    for one, report in zip(heard, run.instructor.reports.waiting, strict=False):
         assert (one.kind, one.number, one.state) == (report.kind, report.number, report.state)
     said = [(one.kind, one.state) for one in heard]
     assert (2, MotionStatus.STATE_REACHED) in said and (3, MotionStatus.STATE_MOVING) in said
@@ -525,7 +529,7 @@ def test_a_cancelled_trajectory_stops_or_never_begins(waiting: bool) -> None:
     arm.instructor.cancel(number + 7)  # nobody's
     arm.advance(6.0)
     assert arm.states()[-1] == ("JOINT_TRAJECTORY", 1, "ABORTED")
-    assert arm.instructor.reports[-1].reason == "cancelled"
+    assert arm.instructor.reports.waiting[-1].reason == "cancelled"
     assert not np.any(arm.said[-1].v), "it rests"
     far = np.abs(arm.q - arm.start).max()
     assert far == 0.0 if waiting else 0.1 < far < 0.2, "it stopped where it was"
