@@ -155,8 +155,7 @@ class JointTrajectory:
         self.joint_names = tuple(joint_names)
         self.moved = _places(self.joint_names, names, bool(points))
         """Index of each joint that is named, (M,)."""
-        if len(points) > MOST_POINTS:
-            raise Refusal(WHERE, "points", f"be at most {MOST_POINTS}", len(points))
+        check_number_of_points(len(points))
         self.times_ns = [point.time_ns for point in points]
         """Of the points, from the start [ns]."""
         _check_times(self.times_ns)
@@ -295,6 +294,12 @@ class JointTrajectory:
         if field == "positions":
             return f"[{limits.lower[joint]:.6g}, {limits.upper[joint]:.6g}]"
         return f"+-{limits.speed[joint]:.6g}"
+
+
+def check_number_of_points(count: int) -> None:
+    """Refuse too many points."""
+    if count > MOST_POINTS:
+        raise Refusal(WHERE, "points", f"be at most {MOST_POINTS}", count)
 
 
 def _places(

@@ -27,12 +27,13 @@ from motion_controller_node.follow_action import FollowAction, installed
 from motion_controller_node.follow_goal import tolerances_of
 from motion_controller_node.instruction import FloatArray
 from motion_controller_node.instructor import Instructor
-from motion_controller_node.joint_trajectory import TrajectoryPoint
+from motion_controller_node.joint_trajectory import TrajectoryPoint, check_number_of_points
 from motion_controller_node.kinematics import moving_joints
 from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.motion_report import Kind
 from motion_controller_node.pose import Pose
 from motion_controller_node.tolerances import Tolerances
+from motion_controller_node.tool_path import check_number_of_poses
 from ros_shell.doubles import Doubles
 from ros_shell.node_shell import (
     COMMAND_QOS,
@@ -174,6 +175,7 @@ class MotionControllerNode(Node):
     def _add_trajectory(
         self, message: JointTrajectory, tolerances: Callable[[Tolerances], Tolerances]
     ) -> None:
+        check_number_of_points(len(message.points))
         stamp_ns = time_of("joint_trajectory", message.header.stamp)
         points = [trajectory_point(i, point) for i, point in enumerate(message.points)]
         names = list(message.joint_names)
@@ -181,6 +183,7 @@ class MotionControllerNode(Node):
 
     def _on_tool_path(self, message: Path) -> None:
         def take() -> None:
+            check_number_of_poses(len(message.poses))
             for header in (message.header, *(one.header for one in message.poses)):
                 self._check_frame("tool_path", header)
             stamp_ns = time_of("tool_path", message.header.stamp)

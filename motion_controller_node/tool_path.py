@@ -100,8 +100,7 @@ class ToolPath:
         arcs: bool = False,
         blend: float = 0.0,
     ) -> None:
-        if not 1 <= len(poses) <= MOST_POSES:
-            raise Refusal(WHERE, "poses", f"be from 1 to {MOST_POSES}", len(poses))
+        check_number_of_poses(len(poses))
         self.stamp_ns, self.limits, self.first = stamp_ns, limits, poses[0]
         self._times_ns = None if times_ns is None else _in_order(times_ns, len(poses))
         timed = self._times_ns is not None
@@ -179,6 +178,12 @@ class ToolMotion:
         if time_ns < self._start_ns:
             return self._way.at((time_ns - self._now_ns) * _SECONDS)
         return self._path.at((time_ns - self._start_ns) * _SECONDS)
+
+
+def check_number_of_poses(count: int) -> None:
+    """Refuse no poses, or too many."""
+    if not 1 <= count <= MOST_POSES:
+        raise Refusal(WHERE, "poses", f"be from 1 to {MOST_POSES}", count)
 
 
 def _in_order(times_ns: Sequence[int], count: int) -> list[int]:

@@ -62,7 +62,7 @@ class Ideal:
         return Pose(p + np.array(shift), R)
 
     def states(self) -> list[tuple[str, int, str]]:
-        return [(r.kind.name, r.number, r.state.name) for r in self.instructor.reports]
+        return [(r.kind.name, r.number, r.state.name) for r in self.instructor.reports.waiting]
 
     def point(self, seconds: float, shift: float, **more: Any) -> TrajectoryPoint:
         return TrajectoryPoint(round(seconds * SECOND), self.start + shift, **more)
@@ -215,12 +215,9 @@ def test_a_trajectory_that_cannot_begin_is_refused_and_the_one_before_goes_on() 
     arm.advance(0.1)
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(0.02, 1.0)])
     arm.advance(4.0)
-    told = arm.instructor.reports
-    assert [r.state.name for r in told if r.kind is Kind.JOINT_TRAJECTORY] == [
-        "ACCEPTED",
-        "REFUSED",
-    ]
-    assert "the way to the first point must keep the limits" in told[-2].reason
+    told = [r for r in arm.instructor.reports.waiting if r.kind is Kind.JOINT_TRAJECTORY]
+    assert [one.state for one in told] == [State.ACCEPTED, State.REFUSED]
+    assert "the way to the first point must keep the limits" in told[-1].reason
     assert arm.states()[-1] == ("TOOL_TARGET", 1, "REACHED"), "it goes on"
 
 
