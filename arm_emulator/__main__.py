@@ -126,6 +126,15 @@ def _parser() -> argparse.ArgumentParser:
     advise.add_argument("--write", action="store_true", help="put the result into the scene file")
     advise.set_defaults(run=_advise)
 
+    tune = commands.add_parser("tune", help="compute a servo's gains; margins, steps, encoders")
+    _scene(tune)
+    tune.add_argument("--out", type=Path, metavar="FOLDER", help="where to draw a picture")
+    tune.add_argument(
+        "--payload", type=float, metavar="KG", help="mass at the tool, in place of the scene's"
+    )
+    tune.add_argument("--write", action="store_true", help="put the gains into the servo's file")
+    tune.set_defaults(run=_tune)
+
     check = commands.add_parser("check-scene", help="say whether scene files are valid")
     check.add_argument("scenes", nargs="+", metavar="SCENE")
     check.set_defaults(run=_check_scene)
@@ -254,6 +263,12 @@ def _advise(arguments: argparse.Namespace) -> int:
     from arm_emulator.advise import advise_scene
 
     return advise_scene(arguments.scene, arguments.error, arguments.write)
+
+
+def _tune(arguments: argparse.Namespace) -> int:
+    from arm_emulator.tune import tune
+
+    return tune(arguments.scene, arguments.out, arguments.payload, write=arguments.write)
 
 
 def _check_scene(arguments: argparse.Namespace) -> int:

@@ -48,6 +48,9 @@ _STEPS = np.geomspace(
 ).tolist()  # of speed per period and speed error, the rotor alone
 _BANDWIDTHS = (0.5, 0.3, 0.1, 0.03)  # of the observer, per period
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)  # of K / (3 M)
+# The observer is at least so much faster than the loop of the speed: a slower one sees the
+# rotor swing too late, and with the current at its limit the swing then stays.
+_SEEN = 0.7
 _SWINGS = 20  # of the heaviest link on its gear, within which it has to settle
 _DELAYS = (0, 1)  # periods
 _ROWS = 240  # of a step response
@@ -155,7 +158,7 @@ def _search(
             for step in reversed(_STEPS):
                 velocity_gain = step * (rotor + with_rotor) / period
                 position_gain = share * velocity_gain / (3.0 * (rotor + most))
-                if position_gain * period > 0.5:
+                if position_gain * period > 0.5 or bandwidth < _SEEN * step:
                     continue
                 trial.run(
                     ServoGains(

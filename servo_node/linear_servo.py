@@ -9,7 +9,7 @@ import numpy as np
 from servo_node.servo import axis_of
 from servo_node.servo_config import JointServo
 
-STATES = ("theta", "omega", "load", "current", "integral", "unknown_voltage")
+STATES = ("theta", "omega", "load", "current", "integral")
 INPUTS = ("theta", "current", "voltage", "q_target", "v_target", "tau_feedforward")
 
 
@@ -24,9 +24,9 @@ class LinearServo:
     The numbers are those of the very law that runs: it is asked for unit states and inputs.
 
     Attributes:
-        A: (6, 6).
-        B: (6, 6).
-        C: (6,).
+        A: (5, 5).
+        B: (5, 6).
+        C: (5,).
         D: (6,).
         current_per_angle: by how much a jump of the measured angle changes the current asked for
             at once [A/rad].

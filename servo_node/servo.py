@@ -9,9 +9,7 @@ Per joint and servo period, in motor quantities:
     current    V such that the mean current of the coming period is i_ref - c (i_ref - i)
 
 The last stage is exact for winding and rotor (held_motor.py), so that the law holds for motors
-slower and faster than the period alike. For slow ones V = R i_ref + Kb omega + Rc (i_ref - i) - u,
-with u the voltage that the measured currents show and the model does not know: resistance, back EMF
-and observed speed are never quite right, and without u the current would not stay in its limit.
+slower and faster than the period alike. For slow ones V = R i_ref + Kb omega + Rc (i_ref - i).
 
 Every stage is limited (speed, current, supply voltage), and the integral follows the current that
 the limits have left over (automatic reset), so that it cannot wind up.
@@ -274,11 +272,6 @@ def _period_that_holds(joint: JointServo, period: float) -> str:
 _HALVINGS = 30
 
 
-# Per period, of a voltage that the model does not know: the more, the better the current is kept,
-# and the less may the drive's voltage be off.
-_LEARNT = 0.5
-
-
 class _Axis:
     """Observer and control of one joint, in motor quantities and plain floats."""
 
@@ -450,9 +443,9 @@ class _Axis:
             self.start(current)
             return
         motor = self.motor
-        known = (self.current, self.omega, voltage + self.unknown_voltage, self.load)
+        known = (self.current, self.omega, voltage, self.load)
         surplus = current - motor.current.of(*known)
-        self.unknown_voltage += _LEARNT * motor.voltage_per_surplus * surplus
+        self.unknown_voltage = motor.voltage_per_surplus * surplus
         self.theta += motor.turn.of(*known) + motor.turn_per_surplus * surplus
         self.omega = motor.speed.of(*known) + motor.speed_per_surplus * surplus
         innovation = self.theta_measured - self.theta
@@ -482,11 +475,12 @@ class _Axis:
         i_ref = clip(i_ref, self.current_limit)
 
         current, memory, mean = self.current, self.current_memory, self.mean_current
-        unknown = self.unknown_voltage
-        free = mean.of(current, self.omega, unknown, self.load)  # at 0 V
+        free = mean.of(current, self.omega, 0.0, self.load)  # at 0 V
         wanted = (i_ref - memory * (i_ref - current) - free) / mean.voltage
-        # No voltage that lets the current beyond its limit within the period.
-        middle = self.emf * self.omega - unknown - self.winding * current
+        # No voltage that lets the current beyond its limit within the period. What the model did
+        # not know in the last period, an observed speed that lags for one, counts here: the winding
+        # turns a few volts into many amperes.
+        middle = self.emf * self.omega - self.unknown_voltage - self.winding * current
         span = self.current_voltage * self.current_limit
         voltage = clip(min(max(wanted, middle - span), middle + span), self.voltage_limit)
         if voltage != wanted:  # what current the limits leave of the reference
