@@ -6,6 +6,7 @@ import importlib.util
 import math
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path as FilePath
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +18,7 @@ from in_process import InProcess, in_process
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from arm_emulator.check import check
 from arm_emulator.gains import load_gains
 from arm_emulator.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import MotionStatus
@@ -30,6 +32,8 @@ from motion_controller_node.link_torques import LinkTorques
 from motion_controller_node.motion_report import Kind, MotionReport, State
 from motion_controller_node.pose import Pose
 from motion_controller_node.tolerances import Allowed, Tolerances
+from ros_shell.bag import Bag
+from ros_shell.message_types import definition_of
 from ros_shell.node_shell import stamp
 from words.config_files import find_scene
 from words.refusal import Refusal
@@ -536,3 +540,21 @@ def test_the_action_is_there_only_where_control_msgs_is(nodes: InProcess) -> Non
     has_it = importlib.util.find_spec("control_msgs") is not None
     assert installed() == has_it
     assert (nodes.nodes["motion_controller"]._action is not None) == has_it
+
+
+def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
+    tmp_path: FilePath,
+) -> None:
+    bag = tmp_path / "bag"
+    with in_process() as one:
+        one.begin_record()
+        one.run_to(5)
+        controller = one.nodes["motion_controller"]._controller
+        R, p = controller.kinematics.forward(load_scene("three_axis").start)
+        one.say("tool_path", path(0, [Pose(p + np.array([0.0, 0.01, 0.0]), R)]))
+        one.run_to(150)
+        one.write(bag)
+    assert Bag(bag).topics["/motion/status"].definition, "the definition of its type is in the bag"
+    for kind in ("nav_msgs/msg/Path", "trajectory_msgs/msg/JointTrajectory"):
+        assert definition_of(kind), f"{kind} can be recorded"
+    assert check(bag, "three_axis") == 0, "the run is repeated to the last bit"
