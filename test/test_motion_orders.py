@@ -549,6 +549,8 @@ def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
     with in_process() as one:
         one.begin_record()
         one.run_to(5)
+        one.call("emulator/reset")
+        one.run_to(20)
         controller = one.nodes["motion_controller"]._controller
         R, p = controller.kinematics.forward(load_scene("three_axis").start)
         one.say("tool_path", path(0, [Pose(p + np.array([0.0, 0.01, 0.0]), R)]))
