@@ -18,6 +18,7 @@ from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
 from emulator_node.stability import SmallMotions
+from servo_node.at_rest import swing_at_rest
 from servo_node.design import (
     OVERSHOOT,
     SENSITIVITY,
@@ -177,11 +178,11 @@ def test_the_linear_servo_is_the_servo_that_runs(seed: int) -> None:
 
 
 def run_axis(
-    axis: Axis, joint: JointServo, inertia: float, target: float, ticks: int
+    axis: Axis, joint: JointServo, inertia: float, target: float, ticks: int, supply: float = 1e9
 ) -> np.ndarray:
     """Return link positions of the exact machine under the real servo, at rest at 0 at first."""
     plant = joint_plant(axis.motor, axis.gear, inertia, 0.0, axis.period)
-    servo = Servo(ServoConfig(axis.period, 0.0, 1.0, 2.0, 1e9, (joint,)))
+    servo = Servo(ServoConfig(axis.period, 0.0, 1.0, 2.0, supply, (joint,)))
     x, V, count, q = np.zeros(len(plant.F)), 0.0, 2.0 * math.pi / joint.counts_per_turn, []
     for _ in range(ticks):
         current = plant.current[0] @ x + plant.current_by_voltage[0] * V
@@ -236,6 +237,32 @@ def test_designed_gains_have_the_margins_that_are_promised(seed: int) -> None:
             assert rows.max() < 1.0 + OVERSHOOT + 0.05, "overshoot of the link"
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_large_steps_at_the_limits_come_to_rest(seed: int) -> None:
+    """The size of ur5's large joints, speed and current at their limits on the way.
+
+    While the rotor swings on its gear the observed speed lags, and the winding makes many amperes
+    of the few volts by which the back EMF is off. A limit that only holds for the current that is
+    asked for lets it run ten times beyond, and the swing never ends.
+    """
+    rng = np.random.default_rng([seed, 9])
+    motor = MotorData(0.3, 4e-4, 0.125, 0.125, 1e-4, FINE)
+    gear = GearData(1.0 / 101.0, 31000.0, 15.0)
+    gains = ServoGains(
+        rng.uniform(20.0, 28.0), rng.uniform(320.0, 440.0), 0.15, rng.uniform(300.0, 500.0)
+    )
+    joint = dataclasses.replace(
+        joint_servo(motor, gear, gains), current_limit=11.9, velocity_limit=3.15
+    )
+    axis = Axis(motor, gear, (1.0, 4.2), 1e-3)
+    inertia = rng.uniform(3.0, 4.2)
+    for step in (0.1, 0.5, 1.5):
+        q = run_axis(axis, joint, inertia, step, 4000, supply=48.0)
+        swing = float(np.ptp(q[-500:]))
+        assert swing < 1e-3, f"a step of {step} rad: the link still swings by {swing:.2g} rad"
+        assert abs(q[-1] - step) < 2e-3, f"a step of {step} rad ends at {q[-1]:.4f}"
+
+
 def test_a_motor_that_no_gains_hold_is_refused_with_a_period() -> None:
     """A winding and a rotor that swing together, thirty times in a period."""
     motor = MotorData(0.01, 1e-3, 1.0, 1.0, 1e-7)
@@ -276,6 +303,50 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
     assert stable(1.0, whole), f"{whole} periods of dead time, margin {margins.delay:g}"
     if margins.delay < 29.0:
         assert not stable(1.0, math.ceil(margins.delay + 0.05)), f"margin {margins.delay:g}"
+
+
+# Encoders
+
+
+@pytest.mark.parametrize("counts", [16, 64, 1024])
+@pytest.mark.parametrize("seed", range(2))
+def test_how_still_a_link_stands_is_predicted(seed: int, counts: int) -> None:
+    """By a joint alone, against a whole arm in gravity; ur5's gears and limits.
+
+    With 16 counts per turn each count asks for more current than the limit, and there is no rest.
+    """
+    rng = np.random.default_rng([seed, 10])
+    scene = load_scene("ur5", {"joints.*.encoder.counts_per_turn": counts})
+    servo = load_gains(find_config("ur5", ".yaml")).servo
+    joints = tuple(dataclasses.replace(joint, counts_per_turn=counts) for joint in servo.joints)
+    servo = dataclasses.replace(servo, joints=joints)
+    session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+    target, rows, ticks = scene.start + rng.uniform(-0.01, 0.01, 6), [], 5000
+    for tick in range(ticks):
+        state = session.state
+        drives.measure(session.logical_ns, state.encoder_counts, state.current, session.voltage)
+        drives.aim(Target(target))
+        session.offer(tick, scene.joint_names, drives.voltage(powered=True).tolist())
+        session.advance()
+        if tick >= ticks - 2000:
+            rows.append(state.q)
+    counts_swung = np.ptp(np.array(rows), axis=0) / [joint.count_angle for joint in servo.joints]
+    for j in range(3):  # the large joints; the wrists are moved by them
+        joint = scene.joints[j]
+        assert joint.motor is not None
+        motor = MotorData(0.3, 4e-4, 0.125, 0.125, 1e-4, counts)
+        gear = GearData(joint.gear.ratio, joint.gear.stiffness, joint.gear.damping)
+        plant = joint_plant(motor, gear, 3.0, 8.0, servo.period)
+        predicted = swing_at_rest(servo.joints[j], plant, 48.0) / servo.joints[j].count_angle
+        words = f"{scene.joint_names[j]}: {counts_swung[j]:.2f} counts, predicted {predicted:.2f}"
+        if counts == 16:
+            assert predicted > 1.5, words
+            assert counts_swung[j] < 1.6 * predicted, words
+        else:
+            assert predicted < 1.5, words
+            assert counts_swung[j] < 1.5, words
+    if counts == 16:
+        assert counts_swung[:3].max() > 1.5, f"{counts_swung} counts"
 
 
 # Whole arms

@@ -1,0 +1,136 @@
+"""The command `tune`, and the gains that it writes."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import CONFIG, Oracle, write_scene
+
+from arm_emulator.gain_text import write_gains
+from arm_emulator.tune import link_inertias, tune
+from emulator_node.scene import load_scene
+from servo_node.servo_config import ServoConfig, load_servo_config
+from words.refusal import Refusal
+
+
+def other_gains(servo: ServoConfig, rng: np.random.Generator, rigid: bool) -> ServoConfig:
+    joints = tuple(
+        dataclasses.replace(
+            joint,
+            position_gain=float(f"{rng.uniform(1, 100):.3g}"),
+            velocity_gain=float(f"{rng.uniform(1, 1e4):.3g}"),
+            integral_time=float(f"{rng.uniform(0.01, 1):.3g}"),
+            observer_bandwidth=float(f"{rng.uniform(10, 900):.3g}"),
+            link_inertia=float(f"{rng.uniform(0.1, 9):.3g}") if rigid else joint.link_inertia,
+        )
+        for joint in servo.joints
+    )
+    return dataclasses.replace(servo, joints=joints)
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda"])
+def test_gains_are_written_and_nothing_else_changes(name: str, rigid: bool, tmp_path: Path) -> None:
+    rng = np.random.default_rng([rigid, len(name)])
+    file = tmp_path / "servo.yaml"
+    before = (CONFIG / "servo" / f"{name}.yaml").read_text()
+    file.write_text(before)
+    wanted = other_gains(load_servo_config(file), rng, rigid)
+    write_gains(file, wanted)
+    assert load_servo_config(file) == wanted
+    comments = re.compile(r"#.*")
+    after = file.read_text()
+    assert comments.findall(after) == comments.findall(before), "comments"
+    assert list(tmp_path.iterdir()) == [file], "nothing is left over"
+    gains = "position_gain|velocity_gain|integral_time|observer_bandwidth|link_inertia"
+    others = [
+        [line for line in text.splitlines() if not re.search(gains, line)]
+        for text in (before, after)
+    ]
+    assert others[0] == others[1], "lines that are no gains"
+    again = other_gains(wanted, rng, rigid)
+    write_gains(file, again)  # a link_inertia that is there is replaced
+    assert load_servo_config(file) == again
+
+
+def test_a_dotted_file_is_written_too(tmp_path: Path) -> None:
+    file = tmp_path / "servo.yaml"
+    text = (CONFIG / "servo" / "three_axis.yaml").read_text()
+    head, joints = text.split("    joints:\n")
+    lines, name = [], ""
+    for line in joints.splitlines():
+        if line.rstrip().endswith(":"):
+            name = line.strip()[:-1]
+        else:
+            lines.append(f"    joints.{name}.{line.strip()}")
+    file.write_text(head + "\n".join(lines) + "\n")
+    wanted = other_gains(load_servo_config(file), np.random.default_rng(0), rigid=True)
+    write_gains(file, wanted)
+    assert load_servo_config(file) == wanted
+
+
+def test_values_that_joints_share_are_refused_and_stay(tmp_path: Path) -> None:
+    file = tmp_path / "servo.yaml"
+    text = (CONFIG / "servo" / "three_axis.yaml").read_text()
+    shared = text.replace("      waist:\n", "      waist: &one\n")
+    start = shared.index("      shoulder:\n")
+    shared = shared[:start] + "      shoulder: *one\n      elbow: *one\n"
+    file.write_text(shared)
+    wanted = other_gains(load_servo_config(file), np.random.default_rng(0), rigid=False)
+    with pytest.raises(Refusal, match="have values of its own for each joint"):
+        write_gains(file, wanted)
+    assert file.read_text() == shared
+
+
+def test_inertias_are_those_of_the_mass_matrix() -> None:
+    """Against Pinocchio over the same poses: M_jj, and 1 / (M^-1)_jj."""
+    import pinocchio as pin
+
+    from arm_emulator.servo_loop import poses
+    from arm_emulator.tune import POSES
+
+    scene = load_scene("ur5")
+    oracle = Oracle(scene)
+    least, most = [], []
+    for q in poses(scene, POSES):
+        M = pin.crba(oracle.model, oracle.data, oracle.configuration(q))
+        M = np.triu(M) + np.triu(M, 1).T
+        least.append(1.0 / np.diag(np.linalg.inv(M)))
+        most.append(np.diag(M))
+    expected = np.array([np.min(least, axis=0), np.max(most, axis=0)]).T
+    got = np.array(link_inertias([scene]))
+    assert np.abs(got / expected - 1.0).max() < 1e-9, "kg m2, least and largest per joint"
+
+
+def test_tune_shows_draws_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "arm.yaml"
+    text = (CONFIG / "three_axis.yaml").read_text()
+    urdf = (CONFIG / "urdf" / "three_axis.urdf").resolve()
+    scene.write_text(text.replace("urdf/three_axis.urdf", str(urdf)))
+    (tmp_path / "servo").mkdir()
+    file = tmp_path / "servo" / "arm.yaml"
+    file.write_text((CONFIG / "servo" / "three_axis.yaml").read_text())
+    before = load_servo_config(file)
+    assert tune(str(scene), tmp_path / "out", None, write=True) == 0
+    shown = capsys.readouterr().out
+    for words in ("margins, worst pose", "overshoot", "at rest", "written: "):
+        assert words in shown, f"{words!r} is not in\\n{shown}"
+    assert (tmp_path / "out" / "tune_three_axis.png").stat().st_size > 10_000, "bytes of a picture"
+    after = load_servo_config(file)
+    assert after != before
+    alike = {joint.position_gain for joint in after.joints}
+    assert len(alike) == 1, "the joints of a tool path keep together"
+
+
+def test_tune_refuses_a_joint_without_a_motor(tmp_path: Path) -> None:
+    urdf = (CONFIG / "urdf" / "three_axis.urdf").read_text()
+    scene = write_scene(tmp_path, urdf, {"waist": {}, "shoulder": {}, "elbow": {}})
+    (tmp_path / "servo").mkdir()
+    servo = (CONFIG / "servo" / "three_axis.yaml").read_text()
+    (tmp_path / "servo" / scene.name).write_text(servo)
+    with pytest.raises(Refusal, match=r"joints\.waist must have a motor to be tuned, got none"):
+        tune(str(scene), None, None, write=False)
