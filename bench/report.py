@@ -29,6 +29,7 @@ SECTIONS = (
     "energy_drift",
     "tool_line",
     "hard_places",
+    "convergence",
     "hard_cases",
     "threads",
     "clocks",

@@ -68,7 +68,11 @@ def predicted_residual(
        being ``S (S / 2 + W)``, times the arm's reach in the rows of translation: no second
        derivative of a chain of revolute joints is larger.
 
-    With w = 1/2 this is 1.5 counts in every joint. Both parts can be met, so it is tight for a
+    The reference of `QpController` does not depend on what is measured: it rests at the target (or
+    at the reachable point nearest to it), and 3. is ``|e|_i <= sum_j |J_ij| h d_j``, as with w = 1.
+    That holds at singular poses, too.
+
+    With w = 1/2 this is 1.5 counts in every joint, with `QpController` 1. Both parts can be met, so it is tight for a
     single joint; several joints seldom err all to the worst side at once.
 
     A motor without static friction may stand on the edge between two counts and cross it now and
@@ -82,7 +86,7 @@ def predicted_residual(
     No weight w and no number of instructions takes that away.
 
     Args:
-        controller: of the arm; its weight is the w meant here.
+        controller: of the arm; w is its weight where it is that of eq. (6).
         q: link angles at rest, true ones where wind-up is asked for, (N,) [rad].
         count_angle: link angle of one encoder count, (N,) [rad].
         wind_up: u of the gears at rest, seen at the link, (N,) [rad]; None: no gear winds up.
@@ -92,7 +96,8 @@ def predicted_residual(
         Bounds in the rows of the task. With fewer joints than rows, of the reachable part of e.
 
     Raises:
-        Refusal: values of a wrong length or sign, or a singular pose, where no bound exists.
+        Refusal: values of a wrong length or sign, or with eq. (6) a singular pose, where no bound
+            exists.
     """
     kinematics = controller.kinematics
     q = _Q.vector("predicted_residual", q, len(kinematics.joint_names))
