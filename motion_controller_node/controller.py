@@ -28,6 +28,10 @@ class Controller(Protocol):
     error: FloatArray
     notices: tuple[str, ...]
 
+    @property
+    def searching(self) -> bool:
+        """Whether it still looks for a way to a target that it has not reached."""
+
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
         """Begin at joint angles q (N,), with joint speeds v (N,); None: at rest."""
 

@@ -64,6 +64,8 @@ class JacobianController:
         self.singular_below = _within(singular_below, "singular_below", "be in (0, 1]", 1.0)
         self.notices: tuple[str, ...] = ()
         """What limited the last `update`, in words; empty: nothing did."""
+        self.searching = False
+        """Eq. (6) has one way only."""
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last `update` found, (rows,) [m, rad]; NaN before any."""
 

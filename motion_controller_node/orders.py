@@ -219,6 +219,8 @@ class _Arrival:
         if size < _SMALLER * self._best:
             self._best, self._best_at = size, now_ns
         at_rest = instruction.v is None or float(np.abs(instruction.v).max()) <= _AT_REST
+        if law.searching:
+            self._best_at = now_ns
         if at_rest and (now_ns - self._best_at) * _SECONDS >= PATIENCE:
             return Progress(State.UNREACHABLE, "; ".join(law.notices), distance, told)
         return Progress(State.MOVING, "", distance, told)

@@ -72,8 +72,8 @@ def predicted_residual(
     at the reachable point nearest to it), and 3. is ``|e|_i <= sum_j |J_ij| h d_j``, as with w = 1.
     That holds at singular poses, too.
 
-    With w = 1/2 this is 1.5 counts in every joint, with `QpController` 1. Both parts can be met, so it is tight for a
-    single joint; several joints seldom err all to the worst side at once.
+    With w = 1/2 this is 1.5 counts in every joint, with `QpController` 1. Both parts can be met, so
+    it is tight for a single joint; several joints seldom err all to the worst side at once.
 
     A motor without static friction may stand on the edge between two counts and cross it now and
     then. Measured from the neighbouring count, ``x = J^-1 e`` changes by one count, and the target

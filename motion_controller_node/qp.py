@@ -41,6 +41,7 @@ _NEARER = 0.2  # least part of the way to the joint goal that its bent line must
 _APPROACH = 0.3  # largest part of the way in one period
 _SINGULAR = 0.1  # rad/rad: below, the tool's line is given up for the joints'
 _SPEED_SHARE = 0.95  # of the description's limit; the rest is for links that swing on their gears
+_SEARCH_TIME = 3e-3  # s of logical time for a step of the search
 _REST = 1e-4  # rad: this near to the joint goal the arm is there
 _TOOL_WEIGHT = 1e3  # of the tool's deviation against the joints'
 
@@ -158,7 +159,7 @@ class QpController:
             self._goal.approach(4 * STEPS)
             self._goal_before = self._goal.q
         here = self._goal_before
-        self._target = None
+        self._target, self._searching = None, False
         self._goal.aim(coming, self._q)
         self._goal.approach(STEPS)
         there = self._goal_before = self._goal.q
@@ -205,6 +206,11 @@ class QpController:
         self._q_measured = q
         return notices
 
+    @property
+    def searching(self) -> bool:
+        """Whether it still looks for a configuration that reaches the target."""
+        return self._searching and not self._elsewhere.over
+
     def _look_elsewhere(self, target: Pose, notices: list[str]) -> None:
         """Where the arm rests at the nearest point, look for a configuration that reaches."""
         if not self._searching:
@@ -213,10 +219,11 @@ class QpController:
                 return
             self._searching = True
             self._elsewhere.begin(target, self._q)
-        found = self._elsewhere.search(STEPS)
+        # As many per time whatever the period: it takes some 5 s.
+        found = self._elsewhere.search(max(STEPS, round(self.period / _SEARCH_TIME)))
         if found is not None:
             self._goal.take(found)
-        elif not self._elsewhere.over:
+        elif self.searching:
             notices.append("looks for another configuration")
 
     def _along_the_way(

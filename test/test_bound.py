@@ -15,10 +15,10 @@ from random_messages import huge, number, random_urdf
 from arm_emulator.offline import OfflineRun, load_offline_run
 from emulator_node.scene import load_scene
 from emulator_node.session import Session
-from motion_controller_node.controller import Controller
+from motion_controller_node.controller import Controller, controller_for
 from motion_controller_node.instructor import MOST_TARGETS, Instructor
-from motion_controller_node.jacobian import JacobianController
-from motion_controller_node.kinematics import Kinematics, moving_joints
+from motion_controller_node.kinematics import moving_joints
+from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.pose import Pose
 from servo_node.drives import Drives, Target
 from servo_node.servo import Servo, ServoConfig, load_servo_config
@@ -293,21 +293,28 @@ def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
     one.add(0, target)
 
 
+@pytest.mark.parametrize("method", ["paper", "qp"])
 @pytest.mark.parametrize("seed", range(3))
-def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int) -> None:
+def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str) -> None:
     rng = random.Random(seed)
     names, taken = ["a", "b", "c"], 0
+    config = MotionConfig(method=method, task=rng.choice(("position", "pose")))
     for _ in range(200):
         urdf = random_urdf(rng, names, lambda: number(rng) if rng.random() < 0.2 else 0.3)
         try:
-            controller = JacobianController(Kinematics(urdf, moving_joints(urdf), "tool"))
+            controller = controller_for(urdf, moving_joints(urdf), config)
         except Refusal as refusal:
             assert "\n" not in str(refusal), "a refusal is one line"
             continue
         taken += 1
         one, q = Instructor(), np.array([0.1, 0.2, 0.3])
         one.add(0, Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)))
-        POSITION.check("test", one.instruct(controller, 0, q).q)
+        for period in range(5):
+            instruction = one.instruct(controller, period * 50_000_000, q)
+            POSITION.check("test", instruction.q)
+            if instruction.v is not None:
+                VELOCITY.check("test", instruction.v)
+            q = instruction.q
     assert taken > 0
 
 
