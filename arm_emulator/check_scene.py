@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arm_emulator.gains import check_fit, load_gains
+from arm_emulator.gains import check_fit, load_gains, warn_of_gravity
 from arm_emulator.servo_loop import warn_of_loops
 from emulator_node.scene import load_scene
 from motion_controller_node.motion_config import MotionConfig
@@ -31,6 +31,7 @@ def check_scene(name: str) -> str:
     check_fit(scene, gains.servo, gains.motion)
     _check_controller(scene.urdf, scene.joint_names, gains.motion)
     warn_of_loops(scene, gains.servo)
+    warn_of_gravity(scene, gains.motion)
     return line
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from emulator_node.scene import Scene
 from motion_controller_node.motion_config import MotionConfig, load_motion_config
@@ -47,6 +50,18 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
     _same(where, "servo.period", servo.period, "the scene's servo_period", period)
     other = "motion_controller.period"
     _same(where, "servo.motion_period", servo.motion_period, other, motion.period)
+
+
+def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
+    """Warn of torques given to the servo for another gravity than the scene's."""
+    given = (motion.gravity_x, motion.gravity_y, motion.gravity_z)
+    real = scene.gravity or (0.0, 0.0, 0.0)
+    if motion.feedforward_for(len(scene.joint_names)) == "torque" and not np.allclose(given, real):
+        print(
+            f"warning: {scene.where}: the motion controller gives torques for a gravity of {given} m/s2 "
+            f"(gravity_x, _y, _z), but the scene's is {real}",
+            file=sys.stderr,
+        )
 
 
 def _same(where: str, one: str, value: float, other: str, expected: float) -> None:

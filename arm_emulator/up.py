@@ -66,7 +66,7 @@ def up(
 
 def _check_loops(file: Path) -> None:
     """Refuse or warn of servos that do not hold the machine."""
-    from arm_emulator.gains import check_fit, load_gains
+    from arm_emulator.gains import check_fit, load_gains, warn_of_gravity
     from arm_emulator.servo_loop import warn_of_loops
     from emulator_node.scene import load_scene
 
@@ -76,3 +76,4 @@ def _check_loops(file: Path) -> None:
         return  # the node whose file it is tells
     check_fit(scene, gains.servo, gains.motion)
     warn_of_loops(scene, gains.servo)
+    warn_of_gravity(scene, gains.motion)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from motion_controller_node.instruction import FloatArray, Instruction
 from motion_controller_node.jacobian import JacobianController
-from motion_controller_node.kinematics import POSE_ROWS, Kinematics
+from motion_controller_node.kinematics import Kinematics
 from motion_controller_node.motion_config import MotionConfig
 from motion_controller_node.pose import Pose
 from motion_controller_node.qp import QpController
@@ -49,8 +49,7 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
         Refusal: a description, name or value that is not taken.
     """
     kinematics = Kinematics(urdf_xml, joint_names, config.tool, config.task)
-    enough = len(kinematics.joint_names) >= POSE_ROWS
-    if config.method == "qp" or (config.method == "auto" and enough):
+    if config.method_for(len(kinematics.joint_names)) == "qp":
         return QpController(
             kinematics, config.period, config.velocity_limit, config.acceleration_limit
         )

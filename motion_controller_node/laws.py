@@ -37,8 +37,10 @@ class Laws:
         self.leading: Controller | None = None
         self.torques: LinkTorques | None = None
         self.trouble = ""
+        kinematics = controller.kinematics
+        self.gives = config.feedforward_for(len(kinematics.joint_names))
+        """What is given beside the angles: none, speed, torque (and speed)."""
         if self.gives == "torque":
-            kinematics = controller.kinematics
             gravity = config.gravity_x, config.gravity_y, config.gravity_z
             try:
                 self.torques = LinkTorques(kinematics.urdf_xml, kinematics.joint_names, gravity)
@@ -58,13 +60,6 @@ class Laws:
             )
         return self._follower
 
-    @property
-    def gives(self) -> str:
-        """What is given beside the angles: none, speed, torque (and speed)."""
-        if self.config.feedforward != "auto":
-            return self.config.feedforward
-        return "torque" if isinstance(self.controller, QpController) else "speed"
-
     def retune(self, config: MotionConfig) -> None:
         """Go on with other parameters; `controller` is its owner's to retune."""
         self.config = config
@@ -83,10 +78,9 @@ class Laws:
 
     def complete(self, instruction: Instruction) -> Instruction:
         """Return an instruction with the links' torques, or without what is not to be given."""
-        gives = self.gives
-        if gives == "none":
+        if self.gives == "none":
             return Instruction(instruction.q)
-        if gives == "speed" or instruction.tau is not None or self.torques is None:
+        if self.gives == "speed" or instruction.tau is not None or self.torques is None:
             return instruction
         v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
         return Instruction(instruction.q, instruction.v, self.torques.at(instruction.q, v))

@@ -143,6 +143,16 @@ class MotionConfig:
         False, "whether the last point of a joint trajectory may have a speed", settable=True
     )
 
+    def method_for(self, joints: int) -> str:
+        """Return the method, paper or qp, for an arm of so many joints."""
+        return self.method if self.method != "auto" else "qp" if joints >= 6 else "paper"
+
+    def feedforward_for(self, joints: int) -> str:
+        """Return what is given beside joint angles: none, speed, or torque (and speed)."""
+        if self.feedforward != "auto":
+            return self.feedforward
+        return "torque" if self.method_for(joints) == "qp" else "speed"
+
 
 def load_motion_config(path: Path) -> MotionConfig:
     """Read a ROS parameter file of the node `motion_controller`.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path as FilePath
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,8 +18,7 @@ from in_process import InProcess, in_process
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from arm_emulator.check import check
-from arm_emulator.gains import load_gains
+from arm_emulator.gains import load_gains, warn_of_gravity
 from arm_emulator.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import MotionStatus
 from emulator_node.scene import load_scene
@@ -32,8 +31,6 @@ from motion_controller_node.link_torques import LinkTorques
 from motion_controller_node.motion_report import Kind, MotionReport, State
 from motion_controller_node.pose import Pose
 from motion_controller_node.tolerances import Allowed, Tolerances
-from ros_shell.bag import Bag
-from ros_shell.message_types import definition_of
 from ros_shell.node_shell import stamp
 from words.config_files import find_scene
 from words.refusal import Refusal
@@ -542,21 +539,14 @@ def test_the_action_is_there_only_where_control_msgs_is(nodes: InProcess) -> Non
     assert (nodes.nodes["motion_controller"]._action is not None) == has_it
 
 
-def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
-    tmp_path: FilePath,
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (0.0, 9.81, 0.0), None])
+def test_torques_for_another_gravity_than_the_scenes_are_warned_of(
+    gravity: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bag = tmp_path / "bag"
-    with in_process() as one:
-        one.begin_record()
-        one.run_to(5)
-        one.call("emulator/reset")
-        one.run_to(20)
-        controller = one.nodes["motion_controller"]._controller
-        R, p = controller.kinematics.forward(load_scene("three_axis").start)
-        one.say("tool_path", path(0, [Pose(p + np.array([0.0, 0.01, 0.0]), R)]))
-        one.run_to(150)
-        one.write(bag)
-    assert Bag(bag).topics["/motion/status"].definition, "the definition of its type is in the bag"
-    for kind in ("nav_msgs/msg/Path", "trajectory_msgs/msg/JointTrajectory"):
-        assert definition_of(kind), f"{kind} can be recorded"
-    assert check(bag, "three_axis") == 0, "the run is repeated to the last bit"
+    scene, motion = load_scene("ur5"), load_gains(find_scene("ur5")).motion
+    warn_of_gravity(dataclasses.replace(scene, gravity=gravity), motion)
+    said = capsys.readouterr().err
+    assert ("gives torques for a gravity of (0.0, 0.0, -9.81)" in said) == (
+        gravity != (0.0, 0.0, -9.81)
+    )
+    assert said.count("\n") <= 1, "one line"

@@ -1,0 +1,38 @@
+"""Bags of runs in which trajectories and paths moved the arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from geometry_msgs.msg import PoseStamped
+from in_process import in_process
+from nav_msgs.msg import Path as ToolPath
+
+from arm_emulator.check import check
+from emulator_node.scene import load_scene
+from ros_shell.bag import Bag
+from ros_shell.message_types import definition_of
+
+
+def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
+    tmp_path: Path,
+) -> None:
+    bag = tmp_path / "bag"
+    with in_process() as one:
+        one.begin_record()
+        one.run_to(5)
+        one.call("emulator/reset")
+        one.run_to(20)
+        controller = one.nodes["motion_controller"]._controller
+        _, p = controller.kinematics.forward(load_scene("three_axis").start)
+        target = PoseStamped()
+        target.pose.position.x, target.pose.position.y, target.pose.position.z = map(float, p)
+        target.pose.position.y += 0.01
+        target.pose.orientation.w = 1.0
+        one.say("tool_path", ToolPath(poses=[target]))
+        one.run_to(150)
+        one.write(bag)
+    assert Bag(bag).topics["/motion/status"].definition, "the definition of its type is in the bag"
+    for kind in ("nav_msgs/msg/Path", "trajectory_msgs/msg/JointTrajectory"):
+        assert definition_of(kind), f"{kind} can be recorded"
+    assert check(bag, "three_axis") == 0, "the run is repeated to the last bit"
