@@ -58,8 +58,8 @@ def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
     real = scene.gravity or (0.0, 0.0, 0.0)
     if motion.feedforward_for(len(scene.joint_names)) == "torque" and not np.allclose(given, real):
         print(
-            f"warning: {scene.where}: the motion controller gives torques for a gravity of {given} m/s2 "
-            f"(gravity_x, _y, _z), but the scene's is {real}",
+            f"warning: {scene.where}: the motion controller gives torques for a gravity of {given} "
+            f"m/s2 (gravity_x, _y, _z), but the scene's is {real}",
             file=sys.stderr,
         )
 
