@@ -20,6 +20,8 @@ _STEPS = 40  # from each
 class ConfigurationSearch:
     """Steps of a `JointGoal` from joint angles all over the limits, those nearest to the arm first.
 
+    Before these, joints that stand at a limit are tried a turn farther back.
+
     The angles are evenly spread and the same for every target (an additive sequence with the powers
     of the generalised golden ratio: Roberts 2018, The unreasonable effectiveness of quasirandom
     sequences). Joints that turn farther than half a turn either way begin within half a turn of
@@ -47,7 +49,7 @@ class ConfigurationSearch:
         high = np.minimum(kinematics.upper, np.maximum(q, kinematics.lower) + turn)
         starts = low + self._parts * (high - low)
         far = np.linalg.norm((starts - q) / kinematics.joint_scale, axis=1)
-        self._starts = list(starts[np.argsort(far, kind="stable")])
+        self._starts = self._whole_turns(q) + list(starts[np.argsort(far, kind="stable")])
         self._target, self._here = target, q
         self._begin_next()
 
@@ -71,6 +73,18 @@ class ConfigurationSearch:
             if self._starts:
                 self._begin_next()
         return None
+
+    def _whole_turns(self, q: FloatArray) -> list[FloatArray]:
+        """Return where joints at a limit are after a turn back: all of them, and each alone."""
+        kinematics = self._goal.kinematics
+        turns = np.where(q >= kinematics.upper, -2.0 * math.pi, 0.0)
+        turns[q <= kinematics.lower] = 2.0 * math.pi
+        turns[kinematics.joint_scale != 1.0] = 0.0
+        # From the other end of its range a joint can go on, even if that is short of a turn.
+        back = np.minimum(np.maximum(q + turns, kinematics.lower), kinematics.upper)
+        joints = np.flatnonzero(turns)
+        alone = [np.where(np.arange(len(q)) == j, back, q) for j in joints]
+        return ([back] if len(joints) else []) + (alone if len(joints) > 1 else [])
 
     def _begin_next(self) -> None:
         self._goal.begin(self._starts[0])

@@ -353,6 +353,26 @@ def test_a_joint_limit_in_the_way_is_gone_round() -> None:
         assert np.linalg.norm(arm.tool_error(q, target)) < 1e-6, f"{start} {end}"
 
 
+def test_a_joint_at_its_limit_goes_a_turn_back() -> None:
+    """Waist from -pi to pi: the short way to the other side leads through the limit."""
+    urdf = THREE_AXIS.replace(
+        '<joint name="waist" type="continuous">',
+        '<joint name="waist" type="revolute"><limit lower="-3.14159" upper="3.14159" effort="9" '
+        'velocity="9"/>',
+    )
+    arm = Kinematics(urdf, NAMES, "tool")
+    rng = np.random.default_rng(5)
+    for _ in range(10):
+        side = rng.choice([-1.0, 1.0])
+        bend = np.array([rng.uniform(0.2, 0.8), rng.uniform(0.3, 1.5)])
+        start = np.array([side * rng.uniform(2.6, 3.0), *bend])
+        end = np.array([-side * rng.uniform(2.6, 3.0), *bend])
+        controller = QpController(arm, PERIOD)
+        controller.begin(start)
+        q = run(controller, start, pose_of(arm, end), 8.0)
+        assert np.linalg.norm(arm.tool_error(q, pose_of(arm, end))) < 1e-6, f"{start} {end}"
+
+
 @needs_robots
 def test_a_moving_pose_is_followed_without_lag() -> None:
     loaded = load_scene("ur5")
