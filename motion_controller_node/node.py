@@ -99,7 +99,7 @@ class MotionControllerNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._action: FollowAction | None = None
         if installed():
-            self._action = FollowAction(self, self._on_goal, self._on_cancel)
+            self.housekeeping = 0.02  # s, wall: goals are answered as soon
 
     def _changed(self, changes: Mapping[str, Any]) -> MotionConfig:
         return replaced(self, self._config, changes)
@@ -133,6 +133,8 @@ class MotionControllerNode(Node):
             self._start_over("the robot is another one")
         self._urdf, self._controller = message.data, controller
         self._order = JointOrder("joint_states", controller.kinematics.joint_names)
+        if self._action is None and installed():  # whose clients may begin when it is there
+            self._action = FollowAction(self, self._on_goal, self._on_cancel)
         self._diagnostics.ok("waiting for joint_states")
 
     def _on_tool_target(self, message: PoseStamped) -> None:

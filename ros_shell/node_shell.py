@@ -29,7 +29,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from ros_shell.ctrl_c import CtrlC, until_shut_down
 from ros_shell.end_anyway import end_anyway
 from ros_shell.end_with_parent import end_with_parent
-from ros_shell.lean_executor import LeanExecutor
+from ros_shell.lean_executor import HOUSEKEEPING, LeanExecutor
 from words.parameters import ROS_PARAMETERS, Parameters, checked, perhaps
 from words.refusal import Refusal
 
@@ -328,7 +328,7 @@ def run_node(create: Callable[[], Closable]) -> None:
                 node = create()
                 ctrl_c.leave_to_rclpy()
                 try:
-                    LeanExecutor(node).spin()
+                    LeanExecutor(node, getattr(node, "housekeeping", HOUSEKEEPING)).spin()
                 except StartAnew:
                     node.close()
                     node.destroy_node()
