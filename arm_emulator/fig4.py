@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 AXES = "xyz"
 COLOURS = ("#2a6fb0", "#d9731a", "#3c8f4f")
 MARKERS = "os^"
+MOST_MARKS = 60
 
 
 def draw_fig4(
@@ -72,9 +73,14 @@ def _draw_signed(axes: Axes, d: NDArray[np.float64], limit: NDArray[np.float64])
     axes.axhspan(-limit.max(), limit.max(), color="0.5", alpha=0.18, linewidth=0.0)
     for axis, colour, marker, values, most in zip(AXES, COLOURS, MARKERS, d.T, limit, strict=True):
         label = f"{axis}    residual {values[-1]:+.4f} mm, predicted within ±{most:.4f} mm"
-        axes.plot(values, color=colour, marker=marker, markersize=4, linewidth=1.6, label=label)
+        axes.plot(values, color=colour, linewidth=1.6, label=label, **_marks(marker, values))
     axes.set_ylabel("target − tool [mm]")
     axes.legend(frameon=False, loc="best")
+
+
+def _marks(marker: str, values: NDArray[np.float64]) -> dict[str, Any]:
+    """Return marks at the instructions, or at some of very many."""
+    return {"marker": marker, "markersize": 4, "markevery": max(1, len(values) // MOST_MARKS)}
 
 
 def _draw_magnitude(axes: Axes, d: NDArray[np.float64], limit: NDArray[np.float64]) -> None:
@@ -85,7 +91,7 @@ def _draw_magnitude(axes: Axes, d: NDArray[np.float64], limit: NDArray[np.float6
     nothing = max(1e-3 * limit.max(), 1e-6)
     magnitude = np.where(np.abs(d) < nothing, np.nan, np.abs(d))
     for colour, marker, values, most in zip(COLOURS, MARKERS, magnitude.T, limit, strict=True):
-        axes.plot(values, color=colour, marker=marker, markersize=4, linewidth=1.2)
+        axes.plot(values, color=colour, linewidth=1.2, **_marks(marker, values))
         if most > 0.0:
             axes.axhline(most, color=colour, linestyle="--", linewidth=1.0)
     axes.set_ylabel("|target − tool| [mm]")
