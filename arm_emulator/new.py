@@ -18,9 +18,10 @@ from arm_emulator.robot_limits import move_meshes, read_limits, write_limits
 from arm_emulator.scene_text import demo_text, motion_text, scene_text, servo_text
 from arm_emulator.sizing import Demand, Sized, size
 from arm_emulator.survey import survey
+from arm_emulator.tuned import data_of
 from emulator_node.scene import Scene, load_scene
 from motion_controller_node.kinematics import Kinematics
-from servo_node.design import GearData, MotorData, design
+from servo_node.design import design
 from servo_node.servo_config import JointServo, ServoConfig
 from words.refusal import Refusal
 from words.text_file import why_no_file
@@ -222,22 +223,10 @@ def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
     """Return the servo of a joint: the data sheet's numbers, and gains that follow from them."""
     motor, gear, encoder = drive.joint.motor, drive.joint.gear, drive.joint.encoder
     assert motor is not None and encoder is not None
-    data = MotorData(
-        motor.resistance,
-        motor.inductance,
-        motor.torque_constant,
-        motor.back_emf_constant,
-        motor.rotor_inertia,
-        encoder.counts_per_turn,
-    )
+    friction = drive.joint.friction.viscous
+    current_limit = _round(drive.peak_torque * gear.ratio / motor.torque_constant)
     gains = design(
-        data,
-        GearData(gear.ratio, gear.stiffness, gear.damping),
-        demand.inertia,
-        SERVO_PERIOD,
-        drive.joint.friction.viscous,
-        supply,
-        drive.peak_torque * gear.ratio / motor.torque_constant,
+        *data_of(drive.joint), demand.inertia, SERVO_PERIOD, friction, supply, current_limit
     )
     return JointServo(
         name=demand.name,
@@ -248,7 +237,7 @@ def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
         torque_constant=motor.torque_constant,
         back_emf_constant=motor.back_emf_constant,
         rotor_inertia=motor.rotor_inertia,
-        current_limit=_round(drive.peak_torque * gear.ratio / motor.torque_constant),
+        current_limit=current_limit,
         velocity_limit=drive.speed,
         position_gain=_round(gains.position_gain),
         velocity_gain=_round(gains.velocity_gain),

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
 
+from arm_emulator.tuned import Tuned
 from emulator_node.scene import Scene
-
-if TYPE_CHECKING:
-    from arm_emulator.tune import Tuned
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

@@ -11,7 +11,8 @@ import pytest
 from machines import CONFIG, Oracle, write_scene
 
 from arm_emulator.gain_text import write_gains
-from arm_emulator.tune import link_inertias, tune
+from arm_emulator.tune import tune
+from arm_emulator.tuned import link_inertias
 from emulator_node.scene import load_scene
 from servo_node.servo_config import ServoConfig, load_servo_config
 from words.refusal import Refusal
@@ -91,7 +92,7 @@ def test_inertias_are_those_of_the_mass_matrix() -> None:
     import pinocchio as pin
 
     from arm_emulator.servo_loop import poses
-    from arm_emulator.tune import POSES
+    from arm_emulator.tuned import POSES
 
     scene = load_scene("ur5")
     oracle = Oracle(scene)
