@@ -511,7 +511,10 @@ def listen(one: User, bag: Path) -> None:
 
     def heard() -> bool:
         assert one.call("emulator/power", True).success
-        return bool(events_of(bag))
+        try:
+            return bool(events_of(bag))
+        except Refusal:  # not even its head is written yet
+            return False
 
     one.wait("the recorder to hear of an event", heard)
 
