@@ -233,12 +233,10 @@ def main() -> None:
 
 def _tell(console: Console, outcomes: list[Outcome]) -> None:
     table = Table(box=None, pad_edge=False)
-    for column in ("arm", "joints", "50 mm", "300 mm", "median s", "worst s", "speed / limit", ""):
-        words = column in ("arm", "")
-        table.add_column(column, justify="left" if words else "right", no_wrap=True)
+    for column in ("arm", "joints", "50 mm", "300 mm", "median s", "worst s", "speed / limit"):
+        table.add_column(column, justify="left" if column == "arm" else "right")
     for one in outcomes:
         if one.refused:
-            table.add_row(one.name, "", "", "", "", "", "", one.refused)
             continue
         cells = [
             f"{one.arrived.get(key, 0)}/{one.moves.get(key, 0)}" for key in ("50 mm", "300 mm")
@@ -251,9 +249,12 @@ def _tell(console: Console, outcomes: list[Outcome]) -> None:
             f"{times[len(times) // 2]:.2f}",
             f"{times[-1]:.2f}",
             f"{one.peak_speed:.2f}",
-            one.failures[0] if one.failures else "",
         )
     console.print(table)
+    for one in outcomes:
+        for words in (one.refused, *one.failures):
+            if words:
+                console.print(f"{one.name}: {words}", markup=False)
 
 
 if __name__ == "__main__":
