@@ -8,10 +8,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from emulator_node.chain import FREE_KINDS, MOVING_KINDS
 from words.refusal import Refusal
 
-MOVING = ("revolute", "continuous", "prismatic")
-KINDS = (*MOVING, "fixed", "floating", "planar")
+MOVING = tuple(MOVING_KINDS)
+KINDS = (*MOVING, "fixed", *FREE_KINDS)
 # Behind a fork of an arm of at least so many joints, at most so many joints are a gripper's finger,
 # and any number where so many branches begin: a hand.
 LEAST_ARM, MOST_FINGER, FINGERS = 3, 4, 4

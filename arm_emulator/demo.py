@@ -132,10 +132,8 @@ def _run(
     finally:
         observer.destroy_node()
     logical = (plan.settle_ns + plan.instructions * period_ns) / NANOSECONDS
-    order = [servo.joint_names.index(name) for name in scene.joint_names]
-    count_angle = np.array([servo.joints[index].count_angle for index in order])
-    torques = zip(scene.joints, observer.gear_torque, strict=True)
-    wind_up = np.array([joint.gear.wind_up(torque) for joint, torque in torques])
+    count_angle = servo.count_angles(scene.joint_names)
+    wind_up = scene.wind_up(observer.gear_torque)
     predicted = predicted_residual(controller, observer.q[-1], count_angle, wind_up)
     return DemoResult(
         deviations=np.array([observer.deviation(k) for k in range(len(observer.q))]),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import yaml
 
 from servo_node.servo_config import ServoConfig, load_servo_config
 from words.refusal import Refusal
+from words.yaml_edit import edited
 
 GAINS = ("position_gain", "velocity_gain", "integral_time", "observer_bandwidth")
 RIGID = "link_inertia"  # which a file may leave out
@@ -58,15 +58,7 @@ def _replaced(text: str, servo: ServoConfig) -> str:
                     new_key = key_text.replace(GAINS[-1], RIGID)
                     indent = " " * name.start_mark.column
                     edits.append((line_end, line_end, f"\n{indent}{new_key}: {value}"))
-    for start, end, value in sorted(edits, reverse=True):
-        tail = text[end:]
-        # A comment behind the value stays in its column.
-        comment = re.match(r"( {2,})#", tail)
-        if comment:
-            blanks = len(comment[1]) + (end - start) - len(value)
-            tail = " " * max(2, blanks) + tail[len(comment[1]) :]
-        text = text[:start] + value + tail
-    return text
+    return edited(text, edits)
 
 
 def _collect(node: yaml.Node, path: str, nodes: dict[str, tuple[yaml.Node, yaml.Node]]) -> None:

@@ -41,15 +41,24 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
     Raises:
         Refusal: other joints than the scene's, or other periods.
     """
+    check_joints(scene, servo)
     where = scene.where
-    if sorted(servo.joint_names) != sorted(scene.joint_names):
-        rule = "name every moving joint of the scene once"
-        got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
-        raise Refusal(where, "servo.joint_names", rule, got, valid)
     period = scene.servo_period
     _same(where, "servo.period", servo.period, "the scene's servo_period", period)
     other = "motion_controller.period"
     _same(where, "servo.motion_period", servo.motion_period, other, motion.period)
+
+
+def check_joints(scene: Scene, servo: ServoConfig) -> None:
+    """Refuse a servo of other joints than the scene's.
+
+    Raises:
+        Refusal: a joint too many or too few.
+    """
+    if sorted(servo.joint_names) != sorted(scene.joint_names):
+        rule = "name every moving joint of the scene once"
+        got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
+        raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
 
 
 def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:

@@ -16,7 +16,7 @@ from arm_emulator.choose_joints import Choice, choose_joints
 from arm_emulator.robot_file import robot_text
 from arm_emulator.robot_limits import move_meshes, read_limits, write_limits
 from arm_emulator.scene_text import demo_text, motion_text, scene_text, servo_text
-from arm_emulator.sizing import Demand, Sized, size
+from arm_emulator.sizing import Demand, Sized, rounded, size
 from arm_emulator.survey import survey
 from arm_emulator.tuned import data_of
 from emulator_node.scene import Scene, load_scene
@@ -124,7 +124,8 @@ def write_new(
         Refusal: a robot that cannot be emulated, or files that are there already.
     """
     text = robot_text(robot, arguments or {})
-    choice = choose_joints(parse_urdf(text, robot.name), robot.name, tool, joints)
+    description = parse_urdf(text, robot.name)
+    choice = choose_joints(description, robot.name, tool, joints)
     name = _name(robot)
     folder = Path(name) if out is None else out
     file = folder / f"{name}.yaml"
@@ -133,7 +134,7 @@ def write_new(
         if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
-    drives, texts = _texts(robot, text, name, choice)
+    drives, texts = _texts(robot, _links_alone(text, robot.name, choice), description, choice)
     files = {folder / place.format(name): content for place, content in texts.items()}
     try:
         for one, content in files.items():
@@ -170,12 +171,13 @@ def _links_alone(text: str, where: str, choice: Choice) -> Scene:
         return load_scene(file)
 
 
-def _texts(robot: Path, text: str, name: str, choice: Choice) -> tuple[list[Sized], dict[str, str]]:
-    """Return the drives, and the files to write by their places."""
-    links = _links_alone(text, robot.name, choice)
+def _texts(
+    robot: Path, links: Scene, description: ET.Element, choice: Choice
+) -> tuple[list[Sized], dict[str, str]]:
+    """Return the drives, and the files to write by their places; `description` gets limits."""
+    name = _name(robot)
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
     seen = survey(links, kinematics)
-    description = parse_urdf(text, robot.name)
     limits = read_limits(description)
     demands = [
         Demand(
@@ -224,7 +226,7 @@ def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
     motor, gear, encoder = drive.joint.motor, drive.joint.gear, drive.joint.encoder
     assert motor is not None and encoder is not None
     friction = drive.joint.friction.viscous
-    current_limit = _round(drive.peak_torque * gear.ratio / motor.torque_constant)
+    current_limit = rounded(drive.peak_torque * gear.ratio / motor.torque_constant)
     gains = design(
         *data_of(drive.joint), demand.inertia, SERVO_PERIOD, friction, supply, current_limit
     )
@@ -239,13 +241,9 @@ def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
         rotor_inertia=motor.rotor_inertia,
         current_limit=current_limit,
         velocity_limit=drive.speed,
-        position_gain=_round(gains.position_gain),
-        velocity_gain=_round(gains.velocity_gain),
-        integral_time=_round(gains.integral_time),
-        observer_bandwidth=_round(gains.observer_bandwidth),
-        link_inertia=_round(gains.link_inertia),
+        position_gain=rounded(gains.position_gain),
+        velocity_gain=rounded(gains.velocity_gain),
+        integral_time=rounded(gains.integral_time),
+        observer_bandwidth=rounded(gains.observer_bandwidth),
+        link_inertia=rounded(gains.link_inertia),
     )
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.3g}")

@@ -13,11 +13,6 @@ from words.text_file import why_no_file
 from words.urdf_text import read_urdf
 
 
-def is_robot_file(name: str) -> bool:
-    """Whether a file name is that of a URDF or a xacro source."""
-    return Path(name).suffix in ROBOTS
-
-
 def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
     """Return the URDF that a file holds, or that its xacro source expands to.
 
@@ -31,7 +26,7 @@ def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
     reason = why_no_file(file)
     if reason is not None:
         raise Refusal("new", f"file {file}", "exist", reason)
-    if not is_robot_file(file.name):
+    if file.suffix not in ROBOTS:
         raise Refusal("new", f"file {file.name}", "be a robot", "another", "*.urdf, *.xacro")
     if file.suffix == ".urdf":
         if arguments:

@@ -73,19 +73,21 @@ def size(demands: list[Demand]) -> tuple[float, list[Sized]]:
     ratio and back EMF by the motor's rated speed, winding by what the supply leaves at peak torque,
     rotor by a servo motor's acceleration, stiffness as strain wave gears of that torque have.
     """
-    speeds = np.array([_speed(demand)[0] for demand in demands])
+    rated = [_speed(demand) for demand in demands]
+    speeds = np.array([speed for speed, _ in rated])
     weight = GRAVITY_MARGIN * np.array([demand.gravity_torque for demand in demands])
     # Not all joints accelerate at the worst at a time: the root of the sum of squares.
     coupling = np.array([demand.coupling for demand in demands])
     ramp = np.linalg.norm(coupling * speeds, axis=1)  # of a second
     largest = PLACEHOLDER * float((weight + ramp / SPEED_UP).max())
     torques, notes = [], []
-    for demand, least, needed in zip(
-        demands, weight + ramp / LEAST_SPEED_UP, weight + ramp / SPEED_UP, strict=True
+    least_torques, needs = weight + ramp / LEAST_SPEED_UP, weight + ramp / SPEED_UP
+    for demand, (_, of_speed), least, needed in zip(
+        demands, rated, least_torques, needs, strict=True
     ):
         torque, about = _peak_torque(demand, float(least), float(needed), largest)
         torques.append(torque)
-        notes.append({"torque": about, "speed": _speed(demand)[1]})
+        notes.append({"torque": about, "speed": of_speed})
     # All joints take the same time to full speed, as short as every torque allows.
     left = TORQUE_PART * (np.array(torques) - weight)
     seconds = max(SPEED_UP, float((ramp / left).max()))
@@ -140,24 +142,24 @@ def _drive(
         name=demand.name,
         start=demand.start,
         motor=Motor(
-            resistance=_round(resistance),
-            inductance=_round(ELECTRICAL_TIME * resistance),
-            torque_constant=_round(torque_constant),
-            back_emf_constant=_round(torque_constant),
-            rotor_inertia=_round(torque * ratio / ROTOR_ACCELERATION),
+            resistance=rounded(resistance),
+            inductance=rounded(ELECTRICAL_TIME * resistance),
+            torque_constant=rounded(torque_constant),
+            back_emf_constant=rounded(torque_constant),
+            rotor_inertia=rounded(torque * ratio / ROTOR_ACCELERATION),
             current_limit=None,
         ),
         gear=Gear(
-            ratio=_round(ratio, 6),
-            stiffness=_round(stiffness),
-            damping=_round(2.0 * DAMPING * math.sqrt(stiffness * middle)),
+            ratio=rounded(ratio, 6),
+            stiffness=rounded(stiffness),
+            damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
         ),
         encoder=Encoder(COUNTS_PER_TURN),
-        friction=Friction(viscous=_round(FRICTION_PART * torque / speed)),
+        friction=Friction(viscous=rounded(FRICTION_PART * torque / speed)),
     )
     return Sized(joint, torque, speed, acceleration, notes)
 
 
-def _round(value: float, digits: int = 3) -> float:
+def rounded(value: float, digits: int = 3) -> float:
     """Return a value as a data sheet would give it."""
     return float(f"{value:.{digits}g}")

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from arm_emulator.gain_text import write_gains
+from arm_emulator.gains import check_joints
 from arm_emulator.tuned import Range, Tuned, compute, examine, link_inertias, predicted_swing
 from emulator_node.scene import Scene, load_scene
 from servo_node.servo_config import ServoConfig, load_servo_config
@@ -62,10 +63,7 @@ def tune(scene_name: str, out: Path | None, payload: float | None, *, write: boo
 
 
 def _check(scene: Scene, servo: ServoConfig) -> None:
-    if sorted(servo.joint_names) != sorted(scene.joint_names):
-        rule = "name every moving joint of the scene once"
-        got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
-        raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
+    check_joints(scene, servo)
     for joint in scene.joints:
         if joint.motor is None:
             raise Refusal(scene.where, f"joints.{joint.name}", "have a motor to be tuned", "none")

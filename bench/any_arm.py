@@ -165,8 +165,7 @@ def move(
     target = Pose(p_WT, R_WT)
     settle_ns = round(SETTLE / gains.motion.period) * round(gains.motion.period * 1e9)
     run.instructor.add(settle_ns, target)
-    order = [gains.servo.joint_names.index(name) for name in scene.joint_names]
-    counts = np.array([gains.servo.joints[index].count_angle for index in order])
+    counts = gains.servo.count_angles(scene.joint_names)
     ticks = round(0.01 / scene.servo_period)
     look, peak, rested = round(LOOK / 0.01), 0.0, 0
     words = ""
@@ -179,12 +178,7 @@ def move(
             if step % look:
                 continue
             error = kinematics.tool_error(state.q, target)
-            wind_up = np.array(
-                [
-                    joint.gear.wind_up(torque)
-                    for joint, torque in zip(scene.joints, state.gear_torque, strict=True)
-                ]
-            )
+            wind_up = scene.wind_up(state.gear_torque)
             predicted = predicted_residual(run.controller, state.q, counts, wind_up)
             off = np.abs(error - predicted.wind_up) - predicted.encoder
             rested = rested + 1 if (off <= 0.0).all() else 0

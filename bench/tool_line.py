@@ -64,10 +64,9 @@ def line(period: float, feedforward: str) -> dict[str, Any]:
         one.advance(EVERY)
         q, q_motor = one.session.state.q, one.drives.servo.q_measured[one._to_motion]
         torques = gravity.at(q_motor, still)
-        wind_up = [j.gear.wind_up(t) for j, t in zip(scene.joints, torques, strict=True)]
         tool, of_motors, wound = (
             kinematics.forward(angles)[1] - begin.p_WT
-            for angles in (q, q_motor, q_motor - np.array(wind_up))
+            for angles in (q, q_motor, q_motor - scene.wind_up(torques))
         )
         off.append(tool - along * (along @ tool))
         motors.append(of_motors - along * (along @ of_motors))

@@ -12,7 +12,6 @@ the first two, within what the scheme's order and good sense allow.
 from __future__ import annotations
 
 import dataclasses
-import re
 import time
 from dataclasses import dataclass
 from itertools import pairwise
@@ -25,6 +24,7 @@ from emulator_node.chain import Array
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import SCHEMES, Scene, load_scene
 from words.refusal import Refusal
+from words.yaml_edit import edited
 
 ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
@@ -210,12 +210,4 @@ def _replaced(text: str, values: dict[str, str]) -> str:
             at = first.start_mark.index
             gap = ", " if section.flow_style else "\n" + " " * first.start_mark.column
             edits.append((at, at, f"{key}: {value}{gap}"))
-    for start, end, value in sorted(edits, reverse=True):
-        tail = text[end:]
-        # A comment behind the value stays in its column.
-        comment = re.match(r"( {2,})#", tail)
-        if comment:
-            blanks = len(comment[1]) + (end - start) - len(value)
-            tail = " " * max(2, blanks) + tail[len(comment[1]) :]
-        text = text[:start] + value + tail
-    return text
+    return edited(text, edits)

@@ -10,7 +10,7 @@ import math
 import os
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -151,6 +151,11 @@ class Scene:
     def start(self) -> Array:
         """Joint positions at reset (N,) [rad or m]."""
         return np.array([joint.start for joint in self.joints])
+
+    def wind_up(self, torques: Iterable[float]) -> Array:
+        """Return by how much the gears give way at rest under torques (N,), at the links (N,)."""
+        pairs = zip(self.joints, torques, strict=True)
+        return np.array([joint.gear.wind_up(torque) for joint, torque in pairs])
 
     @property
     def steps_per_period(self) -> int:

@@ -24,13 +24,13 @@ from motion_controller_node.orders import (
     TrajectoryOrder,
 )
 from motion_controller_node.pose import Pose
+from motion_controller_node.qp import LOST
 from motion_controller_node.tolerances import Allowed, Tolerances
 from motion_controller_node.tool_path import ToolPath
 from words.bound import EFFORT, POSITION, VELOCITY
 from words.refusal import Refusal
 
 MOST_TARGETS = 10_000  # that wait for their time
-LOST = 0.2  # rad, or m per reach: farther from its reference the arm was moved by somebody else
 _Q = POSITION.named("q")
 _Q_TARGET = POSITION.named("q_target")
 _V_TARGET = VELOCITY.named("v_target")

@@ -198,10 +198,7 @@ class QpController:
         off = float(np.abs((q - self._q) / self.kinematics.joint_scale).max())
         if off > LOST:
             before = self._q_measured
-            self._begin(q)
-            if before is not None:  # as fast as it moves
-                v = (q - before) / self.period
-                self._v = np.minimum(np.maximum(v, -self._velocity), self._velocity)
+            self.begin(q, None if before is None else (q - before) / self.period)
             notices.append(f"the arm was {off:.2g} rad from its reference, which began anew there")
         self._q_measured = q
         return notices

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -110,6 +110,11 @@ class ServoConfig:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints in the order of all arrays."""
         return tuple(joint.name for joint in self.joints)
+
+    def count_angles(self, joint_names: Iterable[str]) -> list[float]:
+        """Return the link angle of one encoder count for each of some joints [rad]."""
+        known = {joint.name: joint.count_angle for joint in self.joints}
+        return [known[name] for name in joint_names]
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> ServoConfig:
