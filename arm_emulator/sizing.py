@@ -11,7 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator_node.scene import Encoder, Friction, Gear, Joint, Motor
+from emulator_node.parts.dc_motor import DcMotor
+from emulator_node.parts.elastic_gear import ElasticGear
+from emulator_node.parts.encoder import Encoder
+from emulator_node.parts.link_friction import LinkFriction
+from emulator_node.scene import Joint
 
 # What a limit of the description may be. Beyond, it stands for "not known".
 MOST_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s
@@ -141,21 +145,20 @@ def _drive(
     joint = Joint(
         name=demand.name,
         start=demand.start,
-        motor=Motor(
+        motor=DcMotor(
             resistance=rounded(resistance),
             inductance=rounded(ELECTRICAL_TIME * resistance),
             torque_constant=rounded(torque_constant),
             back_emf_constant=rounded(torque_constant),
             rotor_inertia=rounded(torque * ratio / ROTOR_ACCELERATION),
-            current_limit=None,
         ),
-        gear=Gear(
+        gear=ElasticGear(
             ratio=rounded(ratio, 6),
             stiffness=rounded(stiffness),
             damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
         ),
-        encoder=Encoder(COUNTS_PER_TURN),
-        friction=Friction(viscous=rounded(FRICTION_PART * torque / speed)),
+        encoder=Encoder(counts_per_turn=COUNTS_PER_TURN),
+        friction=LinkFriction(viscous=rounded(FRICTION_PART * torque / speed)),
     )
     return Sized(joint, torque, speed, acceleration, notes)
 

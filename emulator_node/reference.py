@@ -16,6 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
+from emulator_node.parts.progressive_gear import ProgressiveGear
 from emulator_node.scene import Scene
 from words.refusal import Refusal
 
@@ -154,7 +155,9 @@ class ReferenceMachine:
         self.limit = np.array([(m and m.current_limit) or np.inf for m in motors])
         self.Ng = np.array([gear.ratio for gear in gears])
         self.Kg = np.array([gear.stiffness or 0.0 for gear in gears])
-        self.Kg3 = np.array([gear.cubic_stiffness or 0.0 for gear in gears])
+        self.Kg3 = np.array(
+            [g.cubic_stiffness if isinstance(g, ProgressiveGear) else 0.0 for g in gears]
+        )
         self.Dg = np.array([gear.damping for gear in gears])
         self.Dl = np.array([joint.friction.viscous for joint in scene.joints])
         self.rigid = np.array([gear.stiffness is None for gear in gears])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from emulator_node.chain import Array, Body, ChainJoint
+from emulator_node.chain import Body, ChainJoint
+from emulator_node.cxx_literals import fields, number, text, vector
+from emulator_node.parts.part import Part
 from emulator_node.scene import Joint, Scene
 from emulator_node.varied import Varied
 
@@ -36,9 +38,11 @@ def scene_unit(scene: Scene, boundary: str = "boundary.hpp") -> str:
     links = ",\n".join(map(_link, scene.chain.joints, bodies))
     devices = ",\n".join(_device(joint) for joint in scene.joints)
     drives = ",\n".join(_drive(joint, places) for joint in scene.joints)
+    headers = sorted({part.header for joint in scene.joints for part in joint.parts})
+    includes = "".join(f'#include "{header}"\n' for header in headers)
     parameters = "".join(f"      {_parameter(one)},\n" for one in scene.varied)
     return f"""\
-#include "device.hpp"
+{includes}#include "device.hpp"
 #include "scene.hpp"
 #include "{threads_header}"
 
@@ -50,8 +54,8 @@ struct Scene {{
   static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
   static constexpr bool energy_flow = {"true" if scene.energy_flow else "false"};
   static constexpr arm::Events events = arm::Events::{scene.integrator.events};
-  static constexpr double supply_voltage = {_number(scene.supply_voltage)};
-  static constexpr arm::Vec3<double> gravity = {_vector(gravity)};
+  static constexpr double supply_voltage = {number(scene.supply_voltage)};
+  static constexpr arm::Vec3<double> gravity = {vector(gravity)};
   static constexpr int parameters = {len(scene.varied)};
   static constexpr arm::Parameter parameter[parameters + 1] = {{
 {parameters}  }};
@@ -72,16 +76,16 @@ struct Scene {{
 
 
 def _parameter(one: Varied) -> str:
-    numbers = _fields({"least": one.least, "most": one.most})
-    return f"{{.name = {_text(one.name)}, {numbers}}}"
+    numbers = fields({"least": one.least, "most": one.most})
+    return f"{{.name = {text(one.name)}, {numbers}}}"
 
 
 def _body(body: Body) -> str:
     I = body.inertia  # noqa: E741
     tensor = dict(zip(("xx", "yy", "zz"), np.diag(I), strict=True))
     tensor |= {"xy": I[0, 1], "xz": I[0, 2], "yz": I[1, 2]}
-    m, h = _number(body.mass), _vector(body.moment)
-    return f"arm::Body<double>{{.m = {m}, .h = {h}, .I = {{{_fields(tensor)}}}}}"
+    m, h = number(body.mass), vector(body.moment)
+    return f"arm::Body<double>{{.m = {m}, .h = {h}, .I = {{{fields(tensor)}}}}}"
 
 
 def _link(geometry: ChainJoint, body: str) -> str:
@@ -95,83 +99,24 @@ def _link(geometry: ChainJoint, body: str) -> str:
     }
     return f"""\
       {{.kind = arm::JointKind::{geometry.kind},
-       {_fields(numbers)},
-       .p = {_vector(geometry.p)},
+       {fields(numbers)},
+       .p = {vector(geometry.p)},
        .body = {body}}}"""
 
 
 def _drive(joint: Joint, places: Mapping[str, str]) -> str:
-    def part(section: str, **numbers: tuple[str, float | None]) -> str:
-        """Return designated initialisers; each from its key in that section of the joint."""
-        return ", ".join(
-            f".{symbol} = {places.get(f'joints.{joint.name}.{section}.{key}') or _number(value)}"
-            for symbol, (key, value) in numbers.items()
-            if value is not None
-        )
+    def part(one: Part) -> str:
+        return one.initialiser(joint.name, places)
 
-    motor = "arm::NoMotor{}"
-    gear = f"arm::RigidGear{{{part('gear', Ng=('ratio', joint.gear.ratio))}}}"
-    if (m := joint.motor) is not None:
-        numbers = part(
-            "motor",
-            R=("resistance", m.resistance),
-            L=("inductance", m.inductance),
-            Kt=("torque_constant", m.torque_constant),
-            Kb=("back_emf_constant", m.back_emf_constant),
-            Mm=("rotor_inertia", m.rotor_inertia),
-            current_limit=("current_limit", m.current_limit),
-        )
-        motor = f"arm::DcMotor{{{numbers}}}"
-    if (g := joint.gear).stiffness is not None:
-        numbers = part(
-            "gear",
-            Ng=("ratio", g.ratio),
-            Kg=("stiffness", g.stiffness),
-            Kg3=("cubic_stiffness", g.cubic_stiffness),
-            Dg=("damping", g.damping),
-        )
-        kind = "ElasticGear" if g.cubic_stiffness is None else "ProgressiveGear"
-        gear = f"arm::{kind}{{{numbers}}}"
-    f = joint.friction
-    friction = part("friction", Dl=("viscous", f.viscous), Dc=("coulomb", f.coulomb))
-    coulomb = places.get(f"joints.{joint.name}.friction.coulomb")
-    if coulomb is None:
-        friction += f", .Ds = {_number(f.breakaway)}"
-    else:  # the breakaway torque goes with it
-        ratio = f.breakaway / f.coulomb if f.coulomb > 0.0 else 1.0
-        friction += f", .Ds = {_number(ratio)} * {coulomb}"
-    kinds = ", ".join(kind.partition("{")[0] for kind in (motor, gear))
+    motor = joint.motor
+    kinds = f"{motor.cxx_type if motor else 'arm::NoMotor'}, {joint.gear.cxx_type}"
     return f"""\
       arm::Drive<{kinds}>{{
-          .motor = {motor},
-          .gear = {gear},
-          .friction = {{{friction}}}}}"""
+          .motor = {part(motor) if motor else "arm::NoMotor{}"},
+          .gear = {part(joint.gear)},
+          .friction = {part(joint.friction)}}}"""
 
 
 def _device(joint: Joint) -> str:
-    counts_per_rad = _number(joint.counts_per_turn / (2.0 * math.pi))
-    return f"      {{.name = {_text(joint.name)}, .counts_per_rad = {counts_per_rad}}}"
-
-
-def _text(words: str) -> str:
-    plain = "".join(c if c.isascii() and c.isalnum() else _octal(c) for c in words)
-    return f'"{plain}"'
-
-
-def _octal(character: str) -> str:
-    return "".join(f"\\{byte:03o}" for byte in character.encode())
-
-
-def _fields(numbers: Mapping[str, float]) -> str:
-    return ", ".join(f".{name} = {_number(value)}" for name, value in numbers.items())
-
-
-def _vector(values: Sequence[float] | Array) -> str:
-    return f"{{{_fields(dict(zip('xyz', values, strict=True)))}}}"
-
-
-def _number(value: float) -> str:
-    return repr(float(value) + 0.0)
-
-
-# What a library is called
+    counts_per_rad = number(joint.counts_per_turn / (2.0 * math.pi))
+    return f"      {{.name = {text(joint.name)}, .counts_per_rad = {counts_per_rad}}}"

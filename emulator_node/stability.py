@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator_node.chain import Array
+from emulator_node.parts.progressive_gear import ProgressiveGear
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import SCHEMES, Integrator, Scene
 from words.refusal import Refusal
@@ -199,7 +200,7 @@ def what_holds(fault: Diverged) -> str:
 
 
 def _stiffened(scene: Scene) -> str:
-    progressive = any(joint.gear.cubic_stiffness for joint in scene.joints)
+    progressive = any(isinstance(joint.gear, ProgressiveGear) for joint in scene.joints)
     return ", or a gear is wound up beyond what is linear in it" if progressive else ""
 
 

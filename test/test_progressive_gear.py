@@ -17,9 +17,11 @@ from emulator_node.chain import Array
 from emulator_node.compiler import CORE, FLAGS
 from emulator_node.cxx import find_compiler
 from emulator_node.fleet import Fleet
+from emulator_node.parts.gear import RigidGear
+from emulator_node.parts.progressive_gear import ProgressiveGear
 from emulator_node.plant import Diverged, Plant
 from emulator_node.reference import reference, reference_states
-from emulator_node.scene import SCHEMES, Gear, Scene, load_scene
+from emulator_node.scene import SCHEMES, Scene, load_scene
 from emulator_node.scene_unit import scene_unit
 
 LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # of one_link_urdf about its joint
@@ -115,7 +117,7 @@ def test_an_undamped_gear_swings_as_duffing_says(tmp_path: Path, scheme: str) ->
     rotor = LINK_INERTIA * gear["ratio"] ** 2 * float(10 ** rng.uniform(-0.5, 0.5))
     motor = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.0}
     motor["rotor_inertia"] = rotor
-    A = Gear(1.0, gear["stiffness"], 0.0, gear["cubic_stiffness"]).wind_up(20.0)
+    A = ProgressiveGear(**gear).wind_up(20.0)
     mobility = 1.0 / LINK_INERTIA + gear["ratio"] ** 2 / rotor
     a, b = gear["stiffness"] * mobility, gear["cubic_stiffness"] * mobility
     W, m = np.sqrt(a + b * A**2), 0.5 * b * A**2 / (a + b * A**2)
@@ -190,7 +192,7 @@ def test_the_gear_is_wound_up_by_its_torque(tmp_path: Path) -> None:
         assert x.gear_torque[0] == pytest.approx(T, rel=1e-9), "the torque that is reported"
         weight = -2.0 * 0.3 * 9.81 * np.cos(x.q[0])  # q turns the link down
         assert x.gear_torque[0] == pytest.approx(weight, rel=1e-6), "the torque of the weight"
-        assert scene.joints[0].gear.wind_up(T) == pytest.approx(w, rel=1e-9), "Gear.wind_up"
+        assert scene.joints[0].gear.wind_up(T) == pytest.approx(w, rel=1e-9), "wind_up"
 
 
 def test_wind_up_solves_the_cubic() -> None:
@@ -198,10 +200,12 @@ def test_wind_up_solves_the_cubic() -> None:
     for _ in range(200):
         Kg, Kg3, T = 10 ** rng.uniform((-2.0, -15.0, -6.0), (8.0, 15.0, 6.0))
         T *= rng.choice([-1.0, 1.0])
-        w = Gear(1.0, Kg, 0.0, Kg3).wind_up(T)
+        w = ProgressiveGear(ratio=1.0, stiffness=Kg, cubic_stiffness=Kg3).wind_up(T)
         assert Kg * w + Kg3 * w**3 == pytest.approx(T, rel=1e-9), (Kg, Kg3, T)
-    assert Gear(1.0, 100.0, 0.0, 0.0).wind_up(5.0) == 0.05, "no cube"
-    assert Gear(1.0).wind_up(5.0) == 0.0, "rigid"
+    assert ProgressiveGear(ratio=1.0, stiffness=100.0, cubic_stiffness=0.0).wind_up(5.0) == 0.05, (
+        "no cube"
+    )
+    assert RigidGear(ratio=1.0).wind_up(5.0) == 0.0, "rigid"
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

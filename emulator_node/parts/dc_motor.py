@@ -1,0 +1,33 @@
+"""Direct-current motors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from emulator_node.parts.part import Number, Part
+
+
+@dataclass(frozen=True, kw_only=True)
+class DcMotor(Part):
+    """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current follows at once."""
+
+    section = "motor"
+    header = "dc_motor.hpp"
+    cxx = "DcMotor"
+
+    resistance: Annotated[float, Number("R", "ohm", above=0.0)]
+    inductance: Annotated[float, Number("L", "H", at_least=0.0)] = 0.0
+    torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
+    back_emf_constant: Annotated[float, Number("Kb", "V s/rad", at_least=0.0)]
+    # With the gear's primary side.
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
+    current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:
+        """Return sizes of what the link feels of it through a gear, by what it is."""
+        return {
+            "rotor inertia": self.rotor_inertia / ratio**2,
+            "torque per current": self.torque_constant / abs(ratio),
+            "voltage per speed": self.back_emf_constant / abs(ratio),
+        }

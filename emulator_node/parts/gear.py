@@ -1,0 +1,37 @@
+"""Gears between motor and link, eq. (2): what they have in common, and the rigid one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from emulator_node.parts.part import Number, Part
+
+RATIO_UNIT = "link turns per motor turn"  # m per rad for a prismatic joint
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gear(Part):
+    """What may be asked of any gear."""
+
+    section = "gear"
+    told_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
+
+    ratio: Annotated[float, Number("Ng", RATIO_UNIT, above=0.0, at_most=1e3, varied=False)]
+    stiffness: float | None = None  # at the link, not wound up; None: rigid
+    damping: float = 0.0  # at the link
+
+    def wind_up(self, torque: float) -> float:
+        """Return the angle by which the gear gives way at rest [rad], seen at the link."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidGear(Gear):
+    """The rotor turns with its link."""
+
+    header = "gear.hpp"
+    cxx = "RigidGear"
+
+    def wind_up(self, torque: float) -> float:  # noqa: D102
+        return 0.0

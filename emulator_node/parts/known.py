@@ -1,0 +1,52 @@
+"""The parts that a scene may have. A new part is entered here, and nowhere else."""
+
+from __future__ import annotations
+
+from emulator_node.parts.dc_motor import DcMotor
+from emulator_node.parts.elastic_gear import ElasticGear
+from emulator_node.parts.gear import Gear, RigidGear
+from emulator_node.parts.link_friction import LinkFriction
+from emulator_node.parts.part import Part
+from emulator_node.parts.progressive_gear import ProgressiveGear
+from emulator_node.section import Section
+
+# By `motor.kind`; the first is meant where none is given.
+MOTORS: dict[str, type[DcMotor]] = {"dc": DcMotor}
+
+# A gear is the first of these whose keys it has all.
+GEARS: tuple[type[Gear], ...] = (ProgressiveGear, ElasticGear, RigidGear)
+
+# Parts that stand in a section of their own, if there is one.
+EXTRAS: tuple[type[Part], ...] = ()
+
+PARTS: tuple[type[Part], ...] = (*MOTORS.values(), *GEARS, LinkFriction, *EXTRAS)
+
+
+def read_motor(section: Section) -> DcMotor:
+    """Return the motor that a section describes."""
+    kinds = tuple(MOTORS)
+    return MOTORS[section.choice("kind", kinds, default=kinds[0])].read(section)
+
+
+def read_gear(section: Section) -> Gear:
+    """Return the gear that a section describes."""
+    kind = next(one for one in GEARS if all(map(section.has, one.told_by)))
+    gear = kind.read(section)
+    if gear.stiffness is None:
+        for key in {key: None for one in GEARS for key in one.numbers()}:
+            if key not in kind.numbers() and section.has(key):
+                rule = "come with a stiffness (a rigid gear has none)"
+                raise section.refusal(key, rule, "alone")
+    return gear
+
+
+def read_extras(joint: Section) -> tuple[Part, ...]:
+    """Return the parts of a joint that stand in sections of their own."""
+    found = []
+    for kind in EXTRAS:
+        section: Section | None = joint
+        for key in kind.section.split("."):
+            section = section and section.section(key)
+        if section is not None:
+            found.append(kind.read(section))
+    return tuple(found)
