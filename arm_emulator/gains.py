@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.scene import Scene
 from motion_controller_node.motion_config import MotionConfig, load_motion_config
 from servo_node.servo_config import ServoConfig, load_servo_config
@@ -50,15 +51,19 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
 
 
 def check_joints(scene: Scene, servo: ServoConfig) -> None:
-    """Refuse a servo of other joints than the scene's.
+    """Refuse a servo of other joints than the scene's, or of motors that it does not know.
 
     Raises:
-        Refusal: a joint too many or too few.
+        Refusal: a joint too many or too few, or a motor that our servo cannot drive.
     """
     if sorted(servo.joint_names) != sorted(scene.joint_names):
         rule = "name every moving joint of the scene once"
         got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
         raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
+    for joint in scene.joints:
+        if joint.motor is not None and not isinstance(joint.motor, DcMotor):
+            where = f"joints.{joint.name}.motor.kind"
+            raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
 
 
 def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:

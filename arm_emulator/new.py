@@ -19,6 +19,7 @@ from arm_emulator.scene_text import demo_text, motion_text, scene_text, servo_te
 from arm_emulator.sizing import Demand, Sized, rounded, size
 from arm_emulator.survey import survey
 from arm_emulator.tuned import data_of
+from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.scene import Scene, load_scene
 from motion_controller_node.kinematics import Kinematics
 from servo_node.design import design
@@ -224,7 +225,7 @@ def _texts(
 def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
     """Return the servo of a joint: the data sheet's numbers, and gains that follow from them."""
     motor, gear, encoder = drive.joint.motor, drive.joint.gear, drive.joint.encoder
-    assert motor is not None and encoder is not None
+    assert isinstance(motor, DcMotor) and encoder is not None
     friction = drive.joint.friction.viscous
     current_limit = rounded(drive.peak_torque * gear.ratio / motor.torque_constant)
     gains = design(

@@ -9,6 +9,7 @@ from dataclasses import fields
 
 from arm_emulator.choose_joints import Choice
 from arm_emulator.sizing import Demand, Sized
+from emulator_node.parts.dc_motor import DcMotor
 from servo_node.servo_config import JointServo, ServoConfig
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -71,7 +72,7 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
     torque, speed, inertia, angle = ("N", "m/s", "kg", "m") if slide else UNITS_OF_TURN
     ratio = "m of the slide per rad of the motor" if slide else "link turns per turn of the motor"
     joint = drive.joint
-    assert joint.motor is not None and joint.encoder is not None
+    assert isinstance(joint.motor, DcMotor) and joint.encoder is not None
     motor, gear = joint.motor, joint.gear
     least, most = demand.inertia
     return [

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.servo_loop import ServoLoops, poses, slower, too_little
+from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.plant import Plant
 from emulator_node.scene import Joint, Scene
 from emulator_node.session import Session
@@ -130,7 +131,7 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
 def data_of(joint: Joint) -> tuple[MotorData, GearData]:
     """Return a scene's joint as the design takes it."""
     motor, gear = joint.motor, joint.gear
-    assert motor is not None
+    assert isinstance(motor, DcMotor), "check_joints has refused others"
     return (
         MotorData(
             motor.resistance,

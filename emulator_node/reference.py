@@ -16,8 +16,12 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
+from emulator_node.parts.dc_motor import DcMotor
+from emulator_node.parts.elastic_gear import ElasticGear
+from emulator_node.parts.gear import RigidGear
+from emulator_node.parts.link_friction import LinkFriction
 from emulator_node.parts.progressive_gear import ProgressiveGear
-from emulator_node.scene import Scene
+from emulator_node.scene import Joint, Scene
 from words.refusal import Refusal
 
 Array = NDArray[np.float64]
@@ -109,6 +113,21 @@ def reference_states(
     return out
 
 
+# The parts whose equations stand here.
+KNOWN = (DcMotor, RigidGear, ElasticGear, ProgressiveGear, LinkFriction)
+
+
+def _motor_of(joint: Joint) -> DcMotor | None:
+    """Return a joint's motor; refuse parts whose equations are not here."""
+    for part in joint.parts:
+        if type(part) not in KNOWN:
+            where, kinds = f"joints.{joint.name}.{part.section}", (one.__name__ for one in KNOWN)
+            rule = "be a part that the reference knows"
+            raise Refusal("reference", where, rule, type(part).__name__, ", ".join(kinds))
+    assert joint.motor is None or isinstance(joint.motor, DcMotor)
+    return joint.motor
+
+
 class ReferenceMachine:
     """The right-hand side of a scene's equations of motion.
 
@@ -122,16 +141,14 @@ class ReferenceMachine:
         self, scene: Scene, payload: Mapping[str, Any] | None = None, smooth: bool = True
     ) -> None:
         self.N = len(scene.joints)
-        motors = [joint.motor for joint in scene.joints]
+        motors = [_motor_of(joint) for joint in scene.joints]
         gears = [joint.gear for joint in scene.joints]
-        for joint in scene.joints if smooth else ():
+        for joint, motor in zip(scene.joints, motors, strict=True) if smooth else ():
             for quantity, absent in (
                 ("friction.coulomb", joint.friction.coulomb == 0.0),
                 (
                     "motor.current_limit",
-                    joint.motor is None
-                    or joint.motor.current_limit is None
-                    or joint.motor.inductance == 0.0,
+                    motor is None or motor.current_limit is None or motor.inductance == 0.0,
                 ),
             ):
                 if not absent:

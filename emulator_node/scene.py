@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
-from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
 from emulator_node.parts.gear import Gear, RigidGear
 from emulator_node.parts.known import read_extras, read_gear, read_motor
 from emulator_node.parts.link_friction import LinkFriction
+from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.section import LARGEST, LARGEST_COUNT, SMALLEST, Section
 from emulator_node.varied import Varied, choose_varied
@@ -52,7 +52,7 @@ class Joint:
 
     name: str
     start: float  # rad or m
-    motor: DcMotor | None
+    motor: Motor | None
     gear: Gear
     encoder: Encoder | None
     friction: LinkFriction
@@ -279,7 +279,7 @@ def _joint(name: str, one: Section) -> Joint:
     return joint
 
 
-def _check_reflected(motor: DcMotor, ratio: float, one: Section) -> None:
+def _check_reflected(motor: Motor, ratio: float, one: Section) -> None:
     """Refuse a gear that makes of sound numbers unsound ones at the link."""
     for what, value in motor.felt_at_link(ratio).items():
         if value > LARGEST:

@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from emulator_node.parts.part import Number, Part
+from emulator_node.parts.motor import Motor
+from emulator_node.parts.part import Number
 
 
 @dataclass(frozen=True, kw_only=True)
-class DcMotor(Part):
+class DcMotor(Motor):
     """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current follows at once."""
 
-    section = "motor"
+    kind = "dc"
     header = "dc_motor.hpp"
     cxx = "DcMotor"
 
@@ -24,8 +25,7 @@ class DcMotor(Part):
     rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
     current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
 
-    def felt_at_link(self, ratio: float) -> dict[str, float]:
-        """Return sizes of what the link feels of it through a gear, by what it is."""
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,
             "torque per current": self.torque_constant / abs(ratio),

@@ -6,12 +6,13 @@ from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.gear import Gear, RigidGear
 from emulator_node.parts.link_friction import LinkFriction
+from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.parts.progressive_gear import ProgressiveGear
 from emulator_node.section import Section
 
-# By `motor.kind`; the first is meant where none is given.
-MOTORS: dict[str, type[DcMotor]] = {"dc": DcMotor}
+# The first is meant where a scene gives no `motor.kind`.
+MOTORS: tuple[type[Motor], ...] = (DcMotor,)
 
 # A gear is the first of these whose keys it has all.
 GEARS: tuple[type[Gear], ...] = (ProgressiveGear, ElasticGear, RigidGear)
@@ -19,13 +20,13 @@ GEARS: tuple[type[Gear], ...] = (ProgressiveGear, ElasticGear, RigidGear)
 # Parts that stand in a section of their own, if there is one.
 EXTRAS: tuple[type[Part], ...] = ()
 
-PARTS: tuple[type[Part], ...] = (*MOTORS.values(), *GEARS, LinkFriction, *EXTRAS)
+PARTS: tuple[type[Part], ...] = (*MOTORS, *GEARS, LinkFriction, *EXTRAS)
 
 
-def read_motor(section: Section) -> DcMotor:
+def read_motor(section: Section) -> Motor:
     """Return the motor that a section describes."""
-    kinds = tuple(MOTORS)
-    return MOTORS[section.choice("kind", kinds, default=kinds[0])].read(section)
+    kinds = {motor.kind: motor for motor in MOTORS}
+    return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
 
 
 def read_gear(section: Section) -> Gear:

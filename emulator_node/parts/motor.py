@@ -1,0 +1,21 @@
+"""What all motors have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from emulator_node.parts.part import Part
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor(Part):
+    """A motor, with the gear's primary side on its rotor."""
+
+    section = "motor"
+    kind: ClassVar[str]  # `motor.kind` in the scene
+    command: ClassVar[str] = "V"  # unit of what it is commanded
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:
+        """Return sizes of what the link feels of it through a gear, by what it is."""
+        raise NotImplementedError
