@@ -522,13 +522,13 @@ class Plant:
     def linear_drives(self) -> list[LinearDrive]:
         """Return what each joint's drive is for small motions, base to tool."""
         K = self.core.arm_linear_drives(self.machine, None)
-        numbers = np.zeros((self._N, 2 + K + (K + 1) * (K + 4)))
+        numbers = np.zeros((self._N, 2 + K + (K + 1) * (K + 3)))
         self.core.arm_linear_drives(self.machine, _pointer(numbers))
         drives = []
         for row in numbers:
-            n, (D, F, G) = int(row[0]), np.split(row[2:], [K, K + K * (K + 4)])
+            n, (D, F, G) = int(row[0]), np.split(row[2:], [K, K + K * (K + 3)])
             own = [*range(n), K, K + 1, K + 2]
-            F = F.reshape(K, K + 4)[:n, own]
+            F = F.reshape(K, K + 3)[:n, own]
             drives.append(LinearDrive(D[:n], F, G[own], float(row[1])))
         return drives
 

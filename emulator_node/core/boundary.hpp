@@ -116,7 +116,7 @@ int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
     if (j != joint) return;
     out->modes = drive.driven ? ARM_VOLTAGE : 0;
     out->gear_ratio = drive.gear.Ng;
-    out->current_limit = drive.motor.current_limit;
+    out->current_limit = drive.motor.largest_current();
   });
   return ARM_OK;
 }
@@ -350,20 +350,21 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   int result = ARM_OK;
   machine->machine.numbers_now().for_each_drive([&](const auto& drive, int j) {
     const auto behind = drive.at_rest_behind(x.q[j], x.v[j]);
-    const double limit = drive.motor.current_limit;
+    const double limit = drive.motor.largest_current();
     const auto differs = [&](const double* given, double one, double other) {
       return given && arm::magnitude(one - other) > 1e-9 * (1.0 + arm::magnitude(other));
     };
     if (!drive.driven && truth->current && current[j] != 0.0)
       result = machine->refuse(j, names[0], "be 0 without a motor", current[j]);
-    if (drive.motor.has_limit() && arm::magnitude(current[j]) > limit)
+    if (limit > 0.0 && arm::magnitude(current[j]) > limit)
       result = machine->refuse(j, names[0], "be within the current limit", current[j]);
     if (!drive.elastic && differs(truth->motor_angle, angle[j], drive.motor_angle(behind)))
       result = machine->refuse(j, names[1], "be that of the link, which it turns with", angle[j]);
     if (!drive.elastic && differs(truth->motor_speed, speed[j], drive.motor_speed(behind)))
       result = machine->refuse(j, names[2], "be that of the link, which it turns with", speed[j]);
-    const auto put = drive.with_motor(current[j], angle[j], speed[j], x.q[j], x.v[j]);
-    for (int k = 0; k < drive.states; ++k) x.z[k][j] = put.z[k];
+    auto put = input_of(drive, j, x, 0.0);
+    drive.put_motor(put, current[j], angle[j], speed[j]);
+    put_states(drive, j, 0, put, x);
   });
   if (result == ARM_OK) machine->machine.put(x, false);
   return result;
@@ -428,12 +429,12 @@ ARM_ONCE int arm_linear_drives(const arm_machine* machine, double* out) {
     for (int k = 0; k < count; ++k) *out++ = from[k];
   };
   machine->machine.numbers_now().for_each_drive([&](const auto& drive, int) {
-    const auto linear = arm::LinearDrive<K>::of(drive, false);
+    const auto linear = arm::LinearDrive<K, arm::most_modes<Scene>()>::of(drive, 0);
     *out++ = drive.states;
     *out++ = drive.carried();
     copy(linear.D, K);
-    for (int k = 0; k < K; ++k) copy(linear.F[k], K + 4);
-    copy(linear.G, K + 4);
+    for (int k = 0; k < K; ++k) copy(linear.F[k], K + 3);
+    copy(linear.G, K + 3);
   });
   return K;
 }

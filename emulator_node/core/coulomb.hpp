@@ -10,6 +10,7 @@
 
 #include "cholesky.hpp"
 #include "numbers.hpp"
+#include "state.hpp"
 
 namespace arm {
 
@@ -19,10 +20,35 @@ class Coulomb {
   static constexpr int N = S::N;
   using Matrix = Symmetric<N, X>;
 
-  static constexpr bool present =
-      any_drive<S>([](const auto& drive) { return drive.friction.Dc > 0.0; });
+  static constexpr bool present = any_drive<S>([](const auto& drive) { return drive.is_dry(); });
+  // Whether the torque of sliding depends on anything: then it is that of the state last taken.
+  static constexpr bool varies =
+      any_drive<S>([](const auto& drive) { return drive.friction_varies; });
 
   explicit Coulomb(const Numbers<S, X>& numbers) : n(numbers) {}
+
+  // Let friction be that at x.
+  void take([[maybe_unused]] const State<S, X>& x, [[maybe_unused]] const X* u) {
+    if constexpr (varies) {
+      for (int lane = 0; lane < kWidth<X>; ++lane)
+        n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+          const auto at = input_in_lane(drive, j, x, u[j], lane);
+          set_lane(of.Dc[j], lane, drive.sliding(at));
+          set_lane(of.Ds[j], lane, drive.holding(at));
+        });
+    }
+  }
+  // Torque by which friction at y differs from that taken, against the motion of joint j [N m].
+  void add_change(const State<S, X>& y, const X* u, X* change) const {
+    for (int lane = 0; lane < kWidth<X>; ++lane)
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        if (!drive.friction_varies || lane_of(X{} + select(locked[j], X{} + 1.0, X{}), lane) != 0.0)
+          return;
+        const double more =
+            drive.sliding(input_in_lane(drive, j, y, u[j], lane)) - lane_of(of.Dc[j], lane);
+        set_lane(change[j], lane, lane_of(change[j], lane) - more * lane_of(direction[j], lane));
+      });
+  }
 
   // Decide what each joint does in this step, for W x = rhs, and solve for x. The factors and the
   // decisions serve `solve_again` for a second right-hand side of the same step.
@@ -33,14 +59,14 @@ class Coulomb {
     } else {
       for (int j = 0; j < N; ++j) {
         direction[j] = select(v[j] > 0.0, X{} + 1.0, select(v[j] < 0.0, X{} - 1.0, X{}));
-        locked[j] = where(n.Dc(j) > 0.0, v[j] == 0.0);
+        locked[j] = where(Dc(j) > 0.0, v[j] == 0.0);
       }
       X rhs[N];
       for (int j = 0; j < N; ++j) rhs[j] = x[j];
       // Each round frees one joint, so there are at most N.
       do {
         factor_unlocked(W);
-        for (int j = 0; j < N; ++j) x[j] = rhs[j] - n.Dc(j) * direction[j];
+        for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction[j];
         solve_again(x);
       } while (free_one(W, rhs, x));
     }
@@ -65,13 +91,13 @@ class Coulomb {
       rhs[j] = x[j];
     }
     factor_unlocked(W);
-    for (int j = 0; j < N; ++j) x[j] = rhs[j] - n.Dc(j) * direction[j];
+    for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction[j];
     solve_again(x);
     for (int j = 0; j < N; ++j) held[j] = torque_of_lock(j, W, rhs, x);
   }
 
   // What the lock of joint j could take beside what it takes, below 0 if it does not hold [N m].
-  ARM_INLINE X spare(int j) const { return n.Ds(j) - magnitude(held[j]); }
+  ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(held[j]); }
 
   ARM_INLINE void solve_again(X* x) const {
     if constexpr (present)
@@ -82,7 +108,7 @@ class Coulomb {
   // Torque against the motion of joint j, or of the lock that holds it.
   ARM_INLINE X force(int j) const {
     if constexpr (present)
-      return select(locked[j], held[j], n.Dc(j) * direction[j]);
+      return select(locked[j], held[j], Dc(j) * direction[j]);
     else
       return X{};
   }
@@ -91,7 +117,7 @@ class Coulomb {
   ARM_INLINE void stop_at_reversal(X* v) const {
     if constexpr (present)
       for (int j = 0; j < N; ++j)
-        v[j] = select(where(n.Dc(j) > 0.0, v[j] * direction[j] <= 0.0), X{}, v[j]);
+        v[j] = select(where(Dc(j) > 0.0, v[j] * direction[j] <= 0.0), X{}, v[j]);
   }
 
  private:
@@ -115,7 +141,7 @@ class Coulomb {
     X excess = {}, way = {}, worst = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
       const X torque = held[j] = torque_of_lock(j, W, rhs, x);
-      const X over = select(locked[j], magnitude(torque) - n.Ds(j), X{});
+      const X over = select(locked[j], magnitude(torque) - Ds(j), X{});
       const auto more = over > excess;
       worst = select(more, X{} + j, worst);
       excess = select(more, over, excess);
@@ -137,7 +163,27 @@ class Coulomb {
     return mask;
   }
 
+  // What is taken at each step, where it varies.
+  struct Taken {
+    X Dc[N] = {}, Ds[N] = {};
+  };
+  struct Nothing {};
+
+  ARM_INLINE auto Dc(int j) const {
+    if constexpr (varies)
+      return of.Dc[j];
+    else
+      return n.Dc(j);
+  }
+  ARM_INLINE auto Ds(int j) const {
+    if constexpr (varies)
+      return of.Ds[j];
+    else
+      return n.Ds(j);
+  }
+
   const Numbers<S, X>& n;
+  [[no_unique_address]] std::conditional_t<varies, Taken, Nothing> of;
   Cholesky<N, X> factors;
   Mask<X> locked[N] = {};
   X direction[N] = {};

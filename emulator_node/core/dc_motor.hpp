@@ -3,71 +3,91 @@
 //   (1)  L di/dt = V - R i - Kb wm          torque  Kt i
 //
 // With L = 0 the current follows at once. A current at its limit follows no voltage: the drive
-// takes back as much of it as holds the limit.
+// takes back as much of it as holds the limit. Its mode (mode.hpp) is `held` there, and the mode's
+// number is the limit, with the current's sign.
 #pragma once
 
+#include "mode.hpp"
 #include "number.hpp"
 
 namespace arm {
 
-struct DcMotor {
+template <bool limited>
+struct DcMotorOf {
   double R;                    // ohm
   double L;                    // H
   double Kt;                   // N m/A
   double Kb;                   // V s/rad
   double Mm;                   // kg m2, with the gear's primary side
-  double current_limit = 0.0;  // A; 0: none
+  double current_limit = 0.0;  // A, of one that has a limit
 
   static constexpr bool present = true;
   static constexpr int states = 1;  // i [A]
+  static constexpr int modes = limited ? 1 : 0;
 
   // See drive.hpp.
-  constexpr const DcMotor& linear() const { return *this; }
+  constexpr const DcMotorOf& linear() const { return *this; }
 
-  constexpr bool has_limit() const { return current_limit > 0.0; }
-  // What stands before di/dt in (1), and (1) itself. `side` is 1 or -1 at a limit, 0 within: then
-  // the current is what the limit says.
-  constexpr double inertia_of_current(bool limited) const { return limited ? 0.0 : L; }
+  // The largest command that it takes, under this supply [V].
+  constexpr double largest_command(double supply) const { return supply; }
+  constexpr double largest_current() const { return current_limit; }
+
+  // What stands before di/dt in (1), and (1) itself.
+  constexpr double inertia(int, bool held) const { return held ? 0.0 : L; }
   template <class X>
-  ARM_INLINE constexpr X circuit(X i, X V, X wm, X side, bool limited) const {
-    return limited ? side * current_limit - i : V - R * i - Kb * wm;
+  ARM_INLINE constexpr void rates(const X* i, X V, X, X wm, X offset, bool held, X* f) const {
+    f[0] = held ? offset - i[0] : V - R * i[0] - Kb * wm;
   }
   template <class X>
-  ARM_INLINE constexpr X torque(X i) const {
-    return Kt * i;
-  }
-
-  // The current of a motor without inductance, were there no limit.
-  constexpr double current_at_once(double V, double wm) const { return (V - Kb * wm) / R; }
-
-  // The limit that a current is at or beyond: 1 or -1, or 0 for none.
-  constexpr double side_of(double i) const {
-    return i >= current_limit ? 1.0 : i <= -current_limit ? -1.0 : 0.0;
-  }
-
-  // The same for a current beyond it by more than rounding.
-  constexpr double side_beyond(double i) const { return side_of(i * (1.0 - 1e-12)); }
-
-  // The voltage that is left to raise the current [V]. Held at the limit `side`, a current needs
-  // side * surplus >= 0, or it would fall by itself.
-  template <class X>
-  ARM_INLINE constexpr X surplus(X i, X V, X wm) const {
-    return V - R * i - Kb * wm;
-  }
-
-  template <class X>
-  ARM_INLINE constexpr X stored(X i) const {
-    return 0.5 * L * i * i;
+  ARM_INLINE constexpr X torque(const X* i, X) const {
+    return Kt * i[0];
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X i) const {
-    return R * i * i;
+  ARM_INLINE constexpr X current(const X* i) const {
+    return i[0];
+  }
+  constexpr void put_current(double* i, double current) const { i[0] = current; }
+
+  // What follows at once takes its value.
+  constexpr void follow(double* i, double V, double wm) const {
+    if (L == 0.0) i[0] = (V - Kb * wm) / R;
+    if constexpr (limited) i[0] = clamp(i[0], current_limit);
+  }
+
+  constexpr Mode mode_at(const double* i, double V, double wm) const {
+    const Mode mode = beyond(i[0]);
+    return mode.held && surplus(mode.offset, V, wm) * mode.offset < 0.0 ? Mode{} : mode;
+  }
+  constexpr Mode wanted(const double* i, double V, double wm, const Mode& mode) const {
+    if (!mode.held) return beyond(i[0] * (1.0 - kRounding));
+    return surplus(i[0], V, wm) * mode.offset < 0.0 ? Mode{} : mode;
+  }
+  constexpr double margin(const double* i, double V, double wm, const Mode& mode) const {
+    if (!mode.held) {
+      const double now = L > 0.0 ? i[0] : (V - Kb * wm) / R;
+      return current_limit * (1.0 + kRounding) - magnitude(now);
+    }
+    const double rounding = kRounding * (magnitude(V) + R * current_limit);
+    const double left = surplus(mode.offset, V, wm);
+    return (mode.offset < 0.0 ? -left : left) + rounding;
+  }
+  constexpr void settle(double* i, const Mode& mode) const {
+    i[0] = mode.held ? mode.offset : clamp(i[0], current_limit);
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X stored(const X* i) const {
+    return 0.5 * L * i[0] * i[0];
+  }
+  template <class X>
+  ARM_INLINE constexpr X dissipated(const X* i) const {
+    return R * i[0] * i[0];
   }
   // What it takes from its supply, and what differing constants give it from nowhere [W].
   template <class X>
-  ARM_INLINE constexpr X given(X i, X V, X wm, bool limited) const {
-    const X applied = limited ? R * i + Kb * wm : V;
-    return applied * i + (Kt - Kb) * wm * i;
+  ARM_INLINE constexpr X given(const X* i, X V, X wm, bool held) const {
+    const X applied = held ? R * i[0] + Kb * wm : V;
+    return applied * i[0] + (Kt - Kb) * wm * i[0];
   }
   // The most that it can be given at the voltage V, for the best i [W].
   template <class X>
@@ -75,15 +95,29 @@ struct DcMotor {
     const X U = magnitude(V) + magnitude((Kt - Kb) * wm);
     return U * U / (4.0 * R);
   }
+
+ private:
+  constexpr Mode beyond(double i) const {
+    if (i >= current_limit) return {true, current_limit};
+    if (i <= -current_limit) return {true, -current_limit};
+    return {};
+  }
+  // The voltage that is left to raise the current [V]. Held at the limit, a current needs some in
+  // the limit's way, or it would fall by itself.
+  constexpr double surplus(double i, double V, double wm) const { return V - R * i - Kb * wm; }
 };
+
+using DcMotor = DcMotorOf<false>;
+using LimitedDcMotor = DcMotorOf<true>;
 
 // A joint that nothing drives.
 struct NoMotor {
   static constexpr bool present = false;
-  static constexpr int states = 0;
-  static constexpr double Mm = 0.0, current_limit = 0.0;
+  static constexpr int states = 0, modes = 0;
+  static constexpr double Mm = 0.0;
   constexpr const NoMotor& linear() const { return *this; }
-  constexpr bool has_limit() const { return false; }
+  constexpr double largest_command(double supply) const { return supply; }
+  constexpr double largest_current() const { return 0.0; }
 };
 
 }  // namespace arm

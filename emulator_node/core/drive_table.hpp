@@ -1,7 +1,7 @@
 // A drive's part of a step as a table of numbers, worked out from what the drive says of itself.
 //
-// f = F (z, q, v, u, side) + n and g = G (z, q, v) + n_g: asking the drive's linear parts for f and
-// g at one unit of each input gives the columns of F and G. The rest n, of parts that are not
+// f = F (z, q, v, u, offset) + n and g = G (z, q, v) + n_g: asking the drive's linear parts for f
+// and g at one unit of each input gives the columns of F and G. The rest n, of parts that are not
 // linear, is an input of its own. With s = gamma h, a stage (I - s A) k = r of a linearly implicit
 // scheme reads, for one joint,
 //
@@ -26,68 +26,45 @@ namespace arm {
 // Loops over states and inputs of a drive are unrolled up to these.
 inline constexpr int kMostStates = 16, kMostInputs = 64;
 
-// What a joint's part of a step is linear in: z, q, v, u, side, the drive's rest at the step's
-// start in the rows of f and in g, the acceleration of the link in the first stage, how the rest
-// changes in it, and the acceleration in the second. R is K + 1, or 0 where all drives are linear.
-template <int K, int R>
+// What a joint's part of a step is linear in: z, q, v, u, the numbers of its M modes (mode.hpp),
+// the drive's rest at the step's start in the rows of f and in g, the acceleration of the link in
+// the first stage, how the rest changes in it, and the acceleration in the second. R is K + 1, or 0
+// where all drives are linear.
+template <int K, int M, int R>
 struct StepInput {
-  static constexpr int q = K, v = K + 1, u = K + 2, side = K + 3, rest = K + 4;
+  static constexpr int q = K, v = K + 1, u = K + 2, offset = K + 3, rest = offset + M;
   static constexpr int k1 = rest + R, change = k1 + 1, k2 = change + R, count = k2 + 1;
 };
 
 // F and G of one drive, its states in rows of K; a state that it does not have rests.
-template <int K>
+template <int K, int M>
 struct LinearDrive {
-  static constexpr int kRows = K > 0 ? K : 1;
-  double D[kRows], F[kRows][K + 4], G[K + 4];
+  static constexpr int kRows = K > 0 ? K : 1, kColumns = K + 3 + M;
+  double D[kRows], F[kRows][kColumns], G[kColumns];
 
   template <class TheDrive>
-  ARM_ONCE static constexpr LinearDrive of(const TheDrive& whole, bool limited) {
-    using Input = DriveInput<TheDrive::states, double>;
+  ARM_ONCE static constexpr LinearDrive of(const TheDrive& whole, unsigned held) {
     LinearDrive linear = {};
     const auto drive = whole.linear();
-    const auto D = drive.D(limited);
+    const auto D = drive.D(held);
     for (int k = 0; k < K; ++k) linear.D[k] = k < TheDrive::states ? D.f[k] : 1.0;
-    for (int column = 0; column < K + 4; ++column) {
-      Input one = {};
-      if (column < K) {
-        if (column >= TheDrive::states) continue;
-        one.z[column] = 1.0;
-      } else {
-        double* const rest[] = {&one.q, &one.v, &one.u, &one.side};
-        *rest[column - K] = 1.0;
-      }
-      const auto rates = drive.rates(one, limited);
+    for (int column = 0; column < kColumns; ++column) {
+      typename TheDrive::template Input<double> one = {};
+      if (!set<TheDrive>(one, column, 1.0)) continue;
+      const auto rates = drive.rates(one, held);
       for (int k = 0; k < TheDrive::states; ++k) linear.F[k][column] = rates.f[k];
       linear.G[column] = rates.g;
     }
     return linear;
   }
 
-  // Whether what a drive's parts call linear is: asked at a sum of inputs it gives the sum of its
-  // answers.
+  // Whether what a drive's parts call linear is, with all parts held that may be, and with none:
+  // asked at a sum of inputs it gives the sum of its answers.
   template <class TheDrive>
-  static constexpr bool is_sound(const TheDrive& whole, bool limited) {
-    const LinearDrive linear = of(whole, limited);
-    const auto drive = whole.linear();
-    DriveInput<TheDrive::states, double> x = {};
-    double input[K + 4] = {};
-    for (int column = 0; column < K + 4; ++column)
-      input[column] = column < K && column >= TheDrive::states ? 0.0 : 1.0 + 0.37 * column;
-    for (int k = 0; k < TheDrive::states; ++k) x.z[k] = input[k];
-    x.q = input[K], x.v = input[K + 1], x.u = input[K + 2], x.side = input[K + 3];
-    const auto rates = drive.rates(x, limited);
-    const auto agrees = [&](double answer, const double (&row)[K + 4]) {
-      double sum = 0.0, size = 0.0;
-      for (int column = 0; column < K + 4; ++column) {
-        sum += row[column] * input[column];
-        size += magnitude(row[column] * input[column]);
-      }
-      return magnitude(answer - sum) <= 1e-9 * size;
-    };
-    bool all = agrees(rates.g, linear.G);
-    for (int k = 0; k < TheDrive::states; ++k) all = all && agrees(rates.f[k], linear.F[k]);
-    return all;
+  static constexpr bool is_sound(const TheDrive& whole) {
+    for (unsigned held = 0; held < 1u << TheDrive::modes; ++held)
+      if (!is_sound(whole, held)) return false;
+    return true;
   }
 
   // E = (D - s F_z)^-1, by Gauss and Jordan with pivots.
@@ -116,12 +93,49 @@ struct LinearDrive {
       }
     }
   }
+
+ private:
+  // Set the input of a column; false if this drive does not have it.
+  template <class TheDrive>
+  ARM_ONCE static constexpr bool set(typename TheDrive::template Input<double>& x, int column,
+                                     double value) {
+    if (column < K ? column >= TheDrive::states : column >= K + 3 + TheDrive::modes) return false;
+    double* const others[] = {&x.q, &x.v, &x.u};
+    if (column < K)
+      x.z[column] = value;
+    else if (column < K + 3)
+      *others[column - K] = value;
+    else
+      x.offset[column - K - 3] = value;
+    return true;
+  }
+
+  template <class TheDrive>
+  static constexpr bool is_sound(const TheDrive& whole, unsigned held) {
+    const LinearDrive linear = of(whole, held);
+    typename TheDrive::template Input<double> x = {};
+    double input[kColumns] = {};
+    for (int column = 0; column < kColumns; ++column)
+      if (set<TheDrive>(x, column, 1.0 + 0.37 * column)) input[column] = 1.0 + 0.37 * column;
+    const auto rates = whole.linear().rates(x, held);
+    const auto agrees = [&](double answer, const double (&row)[kColumns]) {
+      double sum = 0.0, size = 0.0;
+      for (int column = 0; column < kColumns; ++column) {
+        sum += row[column] * input[column];
+        size += magnitude(row[column] * input[column]);
+      }
+      return magnitude(answer - sum) <= 1e-9 * size;
+    };
+    bool all = agrees(rates.g, linear.G);
+    for (int k = 0; k < TheDrive::states; ++k) all = all && agrees(rates.f[k], linear.F[k]);
+    return all;
+  }
 };
 
 // One joint's part of a step of size h: what each row is, to one unit of each input.
-template <int K, int R>
+template <int K, int M, int R>
 struct DriveTable {
-  using In = StepInput<K, R>;
+  using In = StepInput<K, M, R>;
   static constexpr int kRows = K > 0 ? K : 1;
   double rhs_1[In::count];                   // of the link's row: (M + diagonal) k1 = rhs_1 - nle
   double rhs_2[In::count];                   // (M + diagonal) k2 = rhs_2 - sqrt(2) nle
@@ -136,10 +150,10 @@ inline constexpr double kSqrt2 = 1.4142135623730951;
 constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
 
 // The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp).
-template <int K, int R>
-ARM_ONCE DriveTable<K, R> implicit_table(const LinearDrive<K>& drive, double h, int stages) {
-  using In = StepInput<K, R>;
-  constexpr int n = LinearDrive<K>::kRows;
+template <int R, int K, int M>
+ARM_ONCE DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, double h, int stages) {
+  using In = StepInput<K, M, R>;
+  constexpr int n = LinearDrive<K, M>::kRows;
   const double s = gamma_of(stages) * h;
   double E[n][n] = {}, e[n] = {};
   drive.inverse(s, E);
@@ -148,7 +162,7 @@ ARM_ONCE DriveTable<K, R> implicit_table(const LinearDrive<K>& drive, double h, 
   double b = -(s * drive.G[In::q] + drive.G[In::v]);
   for (int k = 0; k < K; ++k) b -= drive.G[k] * e[k];
 
-  DriveTable<K, R> table = {};
+  DriveTable<K, M, R> table = {};
   table.diagonal = s * b;
   // What is left of a stage when z is eliminated: rhs of the link's row, then k_z from k_v.
   struct Stage {
@@ -166,7 +180,7 @@ ARM_ONCE DriveTable<K, R> implicit_table(const LinearDrive<K>& drive, double h, 
     double x[In::count] = {};
     x[input] = 1.0;
     double f[n] = {}, g = 0.0;
-    for (int column = 0; column < K + 4; ++column) {
+    for (int column = 0; column < drive.kColumns; ++column) {
       for (int k = 0; k < K; ++k) f[k] += drive.F[k][column] * x[column];
       g += drive.G[column] * x[column];
     }
@@ -199,16 +213,25 @@ ARM_ONCE DriveTable<K, R> implicit_table(const LinearDrive<K>& drive, double h, 
   return table;
 }
 
+struct MakeImplicit {
+  double h;
+  int stages;
+  template <int R, int K, int M>
+  auto operator()(const LinearDrive<K, M>& drive) const {
+    return implicit_table<R>(drive, h, stages);
+  }
+};
+
 // The table of the paper's scheme: backward Euler of the drive with the link held; `rhs_1` is the
 // torque on the link at the states after it. The drive's rest stays what it is at the step's start.
-template <int K, int R>
-ARM_ONCE DriveTable<K, R> paper_table(const LinearDrive<K>& drive, double h) {
-  using In = StepInput<K, R>;
-  constexpr int n = LinearDrive<K>::kRows;
+template <int R, int K, int M>
+ARM_ONCE DriveTable<K, M, R> paper_table(const LinearDrive<K, M>& drive, double h) {
+  using In = StepInput<K, M, R>;
+  constexpr int n = LinearDrive<K, M>::kRows;
   double E[n][n] = {};
   drive.inverse(h, E);
-  DriveTable<K, R> table = {};
-  for (int input = 0; input < K + 4; ++input) {
+  DriveTable<K, M, R> table = {};
+  for (int input = 0; input < drive.kColumns; ++input) {
     table.rhs_1[input] = drive.G[input];
     for (int r = 0; r < K; ++r) {
       for (int c = 0; c < K; ++c) table.dz[r][input] += h * E[r][c] * drive.F[c][input];
@@ -226,59 +249,72 @@ ARM_ONCE DriveTable<K, R> paper_table(const LinearDrive<K>& drive, double h) {
   return table;
 }
 
+struct MakePaper {
+  double h;
+  template <int R, int K, int M>
+  auto operator()(const LinearDrive<K, M>& drive) const {
+    return paper_table<R>(drive, h);
+  }
+};
+
 // The tables of all joints, side by side, so that a row is worked out for all of them at once.
-template <class S, class X>
+// `Make` makes a joint's table of its linear drive.
+template <class S, class X, class Make>
 class DriveTables {
  public:
-  static constexpr int N = S::N, K = most_states<S>(), row = kRow<N, X>;
+  static constexpr int N = S::N, K = most_states<S>(), M = most_modes<S>(), row = kRow<N, X>;
   static constexpr bool linear = !any_drive<S>([](const auto& d) { return !d.is_linear; });
   static constexpr int R = linear ? 0 : K + 1;
-  using In = StepInput<K, R>;
-  static constexpr bool limits = any_drive<S>([](const auto& d) { return d.motor.has_limit(); });
+  using In = StepInput<K, M, R>;
+  static constexpr bool modal = M > 0;
   static constexpr int width = kWidth<X>;
-  // Lanes may have drives of their own, and be at their limits each in its own way.
-  static constexpr bool own = arm::Numbers<S, X>::varied && width > 1;
-  using Number = std::conditional_t<limits || own, X, double>;
+  // Lanes may have drives of their own, and be in modes each of its own.
+  static constexpr bool own = (arm::Numbers<S, X>::varied || modal) && width > 1;
+  using Number = std::conditional_t<own, X, double>;
+  using Modes = DriveModes<M>;
 
   // For each input a row of numbers.
   using Numbers = Number[In::count][row];
   using Inputs = arm::Row<N, X>[In::count];
 
-  // `make(linear drive)` gives a joint's table.
-  template <class Make>
-  DriveTables(const arm::Numbers<S, X>& numbers, Make&& make) : n(numbers) {
-    fill(make);
+  DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker) : make(maker), n(numbers) {
+    fill();
   }
   static_assert(!any_drive<S>([](const auto& drive) {
-    return !LinearDrive<K>::is_sound(drive, false) || !LinearDrive<K>::is_sound(drive, true);
+    return !LinearDrive<K, M>::is_sound(drive);
   }),
                 "a part of a drive calls linear what is not, and the schemes would leave it out");
 
-  // The same, when the numbers have changed.
-  template <class Make>
-  void fill(Make&& make) {
-    for (int lane = 0; lane < width; ++lane) fill_lane(lane, make);
+  // The numbers have changed.
+  void fill() {
+    for (int lane = 0; lane < width; ++lane) fill_lane(lane);
   }
-  // The same for one lane.
-  template <class Make>
-  void fill_lane(int lane, Make&& make) {
+  // The same for one lane. All parts are in their usual modes.
+  void fill_lane(int lane) {
     n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-      DriveTable<K, R>* of = of_joint[own ? lane : 0][j];
-      of[0] = make(LinearDrive<K>::of(drive, false));
-      if constexpr (limits) of[1] = make(LinearDrive<K>::of(drive, true));
-      set_lane(served[j], lane, 0.0);
-      copy(of[0], j, lane);
+      if constexpr (modal) {
+        now[lane][j] = {};
+        put_offsets(j, lane);
+      }
+      copy(table_of(drive, 0), j, lane);
     });
   }
 
-  // Use the table of joint j for a current at the limit `side`, or for one within if it is 0.
-  void serve(int j, int lane, double side) {
-    if ((side != 0.0) != (lane_of(served[j], lane) != 0.0))
-      copy(of_joint[own ? lane : 0][j][side != 0.0], j, lane);
-    set_lane(served[j], lane, side);
+  // Have joint j in these modes.
+  void serve(int j, int lane, const Modes& modes) {
+    const unsigned held = modes.held();
+    if (held != now[lane][j].held()) change_table(j, lane, held);
+    now[lane][j] = modes;
+    put_offsets(j, lane);
   }
-  double served_side(int j, int lane) const { return lane_of(served[j], lane); }
-  ARM_INLINE arm::Row<N, X> sides() const { return arm::Row<N, X>::load(served); }
+  const Modes& served(int j, int lane) const { return now[lane][j]; }
+
+  // The numbers of the modes that are in use.
+  ARM_INLINE void put_modes(Inputs& in) const {
+    for_each<M, kMostInputs>([&](auto m) __attribute__((always_inline)) {
+      in[In::offset + m] = arm::Row<N, X>::load(offsets[m]);
+    });
+  }
 
   // The rest of every drive, in the rows of f and in g.
   struct Rest {
@@ -291,24 +327,22 @@ class DriveTables {
     }
   };
 
-  // That at x, with currents at the limits `side` or within where it is 0.
-  ARM_INLINE Rest rest_at(const State<S, X>& x, const X (&u)[row], const X (&side)[row]) const {
+  // That at x, in the modes that are in use.
+  ARM_INLINE Rest rest_at(const State<S, X>& x, const X (&u)[row]) const {
     Rest rest;
     if constexpr (own) {
       for (int lane = 0; lane < width; ++lane)
         n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-          if constexpr (!drive.is_linear) {
-            auto at = input_in_lane(drive, j, x, u[j], lane);
-            at.side = lane_of(side[j], lane);
-            const auto is = rest_of(drive, at);
-            for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
-            set_lane(rest.at[K][j], lane, is.g);
-          }
+          if constexpr (!drive.is_linear) put_rest(drive, j, lane, x, u, rest);
         });
+    } else if constexpr (modal) {
+      n.for_each_drive_of(0, [&](const auto& drive, int j) {
+        if constexpr (!drive.is_linear) put_rest(drive, j, 0, x, u, rest);
+      });
     } else {
       n.for_each_drive_of(0, [&](const auto& drive, int j) __attribute__((always_inline)) {
         if constexpr (!drive.is_linear) {
-          const auto is = rest_of(drive, input_of(drive, j, x, u[j], side[j]));
+          const auto is = drive.rest(input_of(drive, j, x, u[j]), 0);
           for (int k = 0; k < drive.states; ++k) rest.at[k][j] = is.f[k];
           rest.at[K][j] = is.g;
         }
@@ -316,34 +350,50 @@ class DriveTables {
     }
     return rest;
   }
-  ARM_INLINE Rest rest_at(const State<S, X>& x, const X (&u)[row]) const {
-    return rest_at(x, u, served);
+
+  // What a joint is after a step by the states at its start alone, of the paper's scheme.
+  template <class TheDrive>
+  auto end_of(const TheDrive& drive, int j, int lane, const State<S, X>& x, const X& u,
+              [[maybe_unused]] const Rest& rest) const {
+    auto end = input_in_lane(drive, j, x, u, lane);
+    const auto start = end;
+    for (int k = 0; k < TheDrive::states; ++k) {
+      const auto number = [&](int input) { return lane_of(dz[k][input][j], lane); };
+      for (int m = 0; m < TheDrive::states; ++m) end.z[k] += number(m) * start.z[m];
+      end.z[k] += number(In::q) * start.q + number(In::v) * start.v + number(In::u) * start.u;
+      for (int m = 0; m < TheDrive::modes; ++m)
+        end.z[k] += number(In::offset + m) * now[lane][j].at[m].offset;
+      if constexpr (R > 0)
+        for (int r = 0; r < R; ++r) end.z[k] += number(In::rest + r) * lane_of(rest.at[r][j], lane);
+    }
+    return end;
   }
 
-  // State k of joint j after the step, were the current free to pass its limit.
-  double free_state(int k, int j, int lane, const State<S, X>& x, const X& u,
-                    [[maybe_unused]] const Rest& rest) const {
-    const double* number = of_joint[own ? lane : 0][j][0].dz[k];
-    double z = lane_of(x.z[k][j], lane);
-    for (int m = 0; m < K; ++m) z += number[m] * lane_of(x.z[m][j], lane);
-    for (int r = 0; r < R; ++r) z += number[In::rest + r] * lane_of(rest.at[r][j], lane);
-    return z + number[In::q] * lane_of(x.q[j], lane) + number[In::v] * lane_of(x.v[j], lane) +
-           number[In::u] * lane_of(u, lane);
-  }
-
-  // What rounding has moved: a current at its limit is at it to the last bit, one within not
-  // beyond.
-  void settle(State<S, X>& x) const {
+  // Have x where the modes in use say, against rounding.
+  void settle(State<S, X>& x, const X (&u)[row]) const {
     for (int lane = 0; lane < width; ++lane) {
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.driven) {
-          const double limit = drive.motor.current_limit;
-          if (!drive.motor.has_limit()) return;
-          const double side = lane_of(served[j], lane), i = lane_of(x.z[drive.i][j], lane);
-          set_lane(x.z[drive.i][j], lane, select(side != 0.0, side * limit, clamp(i, limit)));
+        if constexpr (drive.modes > 0) {
+          auto at = input_in_lane(drive, j, x, u[j], lane);
+          drive.settle(at, of<drive.modes>(now[lane][j]));
+          put_states(drive, j, lane, at, x);
         }
       });
     }
+  }
+
+  // A drive has as many modes as its parts, those of a scene as many as any drive.
+  template <int m>
+  static constexpr DriveModes<m> of(const Modes& modes) {
+    DriveModes<m> some;
+    for (int k = 0; k < m; ++k) some.at[k] = modes.at[k];
+    return some;
+  }
+  template <int m>
+  static constexpr Modes all_of(const DriveModes<m>& some) {
+    Modes modes;
+    for (int k = 0; k < m; ++k) modes.at[k] = some.at[k];
+    return modes;
   }
 
   // A row's numbers times the inputs, for all joints.
@@ -368,8 +418,6 @@ class DriveTables {
         return any_drive<S>([](const auto& d) { return d.elastic; });
       case In::u:
         return any_drive<S>([](const auto& d) { return d.driven; });
-      case In::side:
-        return limits;
       default:
         return true;
     }
@@ -389,20 +437,29 @@ class DriveTables {
       return *reinterpret_cast<const typename Row::Vector*>(numbers + g * Row::group);
   }
 
-  // Of one drive, with its current within its limit or at it.
-  template <class TheDrive, class Input>
-  ARM_INLINE static auto rest_of(const TheDrive& drive, const Input& at) {
-    auto is = drive.rest(at, false);
-    if constexpr (limits) {
-      const auto limited = drive.rest(at, true);
-      for (int k = 0; k < drive.states; ++k)
-        is.f[k] = select(at.side != 0.0, limited.f[k], is.f[k]);
-      is.g = select(at.side != 0.0, limited.g, is.g);
-    }
-    return is;
+  void put_rest(const auto& drive, int j, int lane, const State<S, X>& x, const X (&u)[row],
+                Rest& rest) const {
+    const auto& modes = now[lane][j];
+    const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), of<drive.modes>(modes));
+    const auto is = drive.rest(at, modes.held());
+    for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
+    set_lane(rest.at[K][j], lane, is.g);
   }
 
-  void copy(const DriveTable<K, R>& table, int j, int lane) {
+  template <class TheDrive>
+  ARM_ONCE DriveTable<K, M, R> table_of(const TheDrive& drive, unsigned held) const {
+    return make.template operator()<R>(LinearDrive<K, M>::of(drive, held));
+  }
+  ARM_ONCE void change_table(int joint, int lane, unsigned held) {
+    n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+      if (j == joint) copy(table_of(drive, held), j, lane);
+    });
+  }
+  void put_offsets(int j, int lane) {
+    for (int m = 0; m < M; ++m) set_lane(offsets[m][j], lane, now[lane][j].at[m].offset);
+  }
+
+  void copy(const DriveTable<K, M, R>& table, int j, int lane) {
     for (int input = 0; input < In::count; ++input) {
       set_lane(rhs_1[input][j], lane, table.rhs_1[input]);
       set_lane(rhs_2[input][j], lane, table.rhs_2[input]);
@@ -413,9 +470,10 @@ class DriveTables {
     set_lane(diagonal[j], lane, table.diagonal);
   }
 
+  Make make;
   const arm::Numbers<S, X>& n;
-  DriveTable<K, R> of_joint[own ? width : 1][N][limits ? 2 : 1];
-  alignas(64) X served[row] = {};  // the side of the table in use
+  Modes now[modal ? width : 1][N];
+  alignas(64) X offsets[modal ? M : 1][row] = {};
 };
 
 }  // namespace arm

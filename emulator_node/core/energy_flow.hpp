@@ -30,7 +30,7 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
   EnergyFlow<S> power;
   n.for_each_drive([&](const auto& drive, int j) {
     const auto at = input_of(drive, j, x, u[j]);
-    power.given[j] = drive.given(at, modes.side[j] != 0.0);
+    power.given[j] = drive.given(at, modes.of(drive, j).held());
     power.dissipated[j] = drive.dissipated(at);
   });
   return power;
@@ -48,8 +48,8 @@ class EnergyMeter {
 
   // A part from x to y, in these modes, t long.
   void part(State<S> x, State<S> y, const double* u, const Modes<S>& modes, double t) {
-    Modes<S>::settle_currents(n, x, u);
-    Modes<S>::settle_currents(n, y, u);
+    Modes<S>::follow(n, x, u);
+    Modes<S>::follow(n, y, u);
     const State<S> middle = middle_of(x, y, u, modes, t);
     total.add(powers_of(n, x, u, modes), t / 6.0);
     total.add(powers_of(n, middle, u, modes), 4.0 * t / 6.0);
@@ -74,7 +74,7 @@ class EnergyMeter {
       put(middle.q[j], x.q[j], y.q[j], before.q[j], after.q[j]);
       put(middle.v[j], x.v[j], y.v[j], before.v[j], after.v[j]);
     }
-    Modes<S>::settle_currents(n, middle, u);
+    Modes<S>::follow(n, middle, u);
     return middle;
   }
 
@@ -87,9 +87,9 @@ class EnergyMeter {
     Coulomb<S, double> coulomb(n);
     modes.accelerations(x, u, links, a, coulomb);
     n.for_each_drive([&](const auto& drive, int j) {
-      const bool limited = modes.side[j] != 0.0;
-      const auto D = drive.D(limited);
-      const auto is = drive.rates(input_of(drive, j, x, u[j], modes.side[j]), limited);
+      const auto now = modes.of(drive, j);
+      const auto D = drive.D(now.held());
+      const auto is = drive.rates(drive.with(input_of(drive, j, x, u[j]), now), now.held());
       for (int k = 0; k < drive.states; ++k)
         if (D.f[k] > 0.0) rates.z[k][j] = is.f[k] / D.f[k];
       rates.q[j] = x.v[j];

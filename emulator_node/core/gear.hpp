@@ -1,4 +1,5 @@
-// Gears between motor and link, eq. (2). One that is not linear: progressive_gear.hpp.
+// Gears between motor and link, eq. (2). One that is not linear: progressive_gear.hpp. One with
+// play: backlash.hpp.
 #pragma once
 
 #include "number.hpp"
@@ -13,13 +14,14 @@ struct ElasticGear {
 
   static constexpr bool rigid = false;
   static constexpr int states = 2;  // tm [rad], wm [rad/s] of the rotor
+  static constexpr int modes = 0;
 
   // See drive.hpp.
   constexpr const ElasticGear& linear() const { return *this; }
 
   // Torque T on the link.
   template <class X>
-  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v) const {
+  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X, bool) const {
     return Kg * (Ng * tm - q) + Dg * (Ng * wm - v);
   }
   template <class X>
@@ -28,7 +30,7 @@ struct ElasticGear {
     return 0.5 * Kg * twist * twist;
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X wm, X v) const {
+  ARM_INLINE constexpr X dissipated(X, X wm, X, X v) const {
     const X rate = Ng * wm - v;
     return Dg * rate * rate;
   }
@@ -39,7 +41,7 @@ struct RigidGear {
   double Ng = 1.0;
 
   static constexpr bool rigid = true;
-  static constexpr int states = 0;
+  static constexpr int states = 0, modes = 0;
   constexpr const RigidGear& linear() const { return *this; }
 };
 

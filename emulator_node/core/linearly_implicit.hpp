@@ -41,12 +41,12 @@ class LinearlyImplicit {
  public:
   static constexpr int N = S::N, K = most_states<S>();
   using Dynamics = typename Links<S, X>::Dynamics;
-  using Tables = DriveTables<S, X>;
+  using Tables = DriveTables<S, X, MakeImplicit>;
   using In = typename Tables::In;
   static constexpr int row = Tables::row;
 
   LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers)
-      : h(step), n(numbers), tables(numbers, table_for(step)), coulomb(numbers) {}
+      : h(step), n(numbers), tables(numbers, {step, stages}), coulomb(numbers) {}
 
   ~LinearlyImplicit() { delete half; }
   LinearlyImplicit(const LinearlyImplicit&) = delete;
@@ -54,7 +54,7 @@ class LinearlyImplicit {
 
   // The numbers have changed.
   void renew() {
-    tables.fill(table_for(h));
+    tables.fill();
     if (half) half->renew();
   }
 
@@ -89,9 +89,9 @@ class LinearlyImplicit {
                Past from) {
     Inputs in;
     begin(x, u, in);
-    if constexpr (Tables::limits) {
-      for (int j = 0; j < N; ++j) tables.serve(j, 0, modes.side[j]);
-      in[In::side] = tables.sides();
+    if constexpr (Tables::modal) {
+      for (int j = 0; j < N; ++j) tables.serve(j, 0, modes.drive[j]);
+      tables.put_modes(in);
     }
     Accelerations k1;
     begin_links(x, u, in, k1);
@@ -125,7 +125,7 @@ class LinearlyImplicit {
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
     Inputs in;
     begin(x, u, in);
-    if constexpr (!Tables::limits) {
+    if constexpr (!Tables::modal) {
       Accelerations k1;
       begin_links(x, u, in, k1);
       exchange.take(links);
@@ -135,7 +135,7 @@ class LinearlyImplicit {
       move_drives(x, in);
     } else {
       exchange.take(links);
-      step_within_limits(x, u, links, in);
+      step_in_modes(x, u, links, in);
       exchange.give(x);
     }
   }
@@ -149,17 +149,13 @@ class LinearlyImplicit {
 
   using Numbers = Row<N, X>;
 
-  static auto table_for(double step) {
-    return [step](const auto& drive) { return implicit_table<K, Tables::R>(drive, step, stages); };
-  }
-
   ARM_INLINE static void begin(const State<S, X>& x, const X (&u)[row], Inputs& in) {
     for_each<K, kMostStates>([&](auto k)
                                  __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
     in[In::q] = Numbers::load(x.q);
     in[In::v] = Numbers::load(x.v);
     in[In::u] = Numbers::load(u);
-    in[In::side] = in[In::k1] = in[In::k2] = {};
+    in[In::k1] = in[In::k2] = {};
   }
 
   // What the links' first stage takes from the drives goes to `k1.torque`.
@@ -173,6 +169,7 @@ class LinearlyImplicit {
   ARM_INLINE void stages_of(const State<S, X>& x, const X (&u)[row], Dynamics& links, Inputs& in,
                             Accelerations& k1) {
     for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n.carried(j); });
+    coulomb.take(x, u);
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
@@ -180,7 +177,7 @@ class LinearlyImplicit {
     if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
     if constexpr (extrapolates && locates)
       if (given.past == Past::unknown) evaluate_change(x, k1, change);
-    if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in);
+    if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
     if constexpr (stages == 2) second_stage(links, change, in);
   }
 
@@ -213,8 +210,9 @@ class LinearlyImplicit {
     in[In::k2] = Numbers::gather(k2);
   }
 
-  // The drives' part of d: how their rest changes from x to x + h k1.
-  ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in) const {
+  // The drives' part of d: how their rest, and friction of the links that varies, change from x to
+  // x + h k1.
+  ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in, X (&change)[row]) const {
     State<S, X> y;
     Numbers number;
     const auto store = [&](auto&& of_group, X(&to)[row]) __attribute__((always_inline)) {
@@ -232,6 +230,7 @@ class LinearlyImplicit {
         },
         y.q);
     store([&](auto g) { return in[In::v].at[g] + h * in[In::k1].at[g]; }, y.v);
+    if constexpr (Coulomb<S, X>::varies) coulomb.add_change(y, u, change);
     const auto rest = tables.rest_at(y, u);
     for_each<Tables::R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
       const Numbers there = Numbers::gather(rest.at[r]);
@@ -295,39 +294,38 @@ class LinearlyImplicit {
     });
   }
 
-  // Limits are modes of the joints: a current is within its limit, or at it. A step is taken with
-  // the modes that hold at its end: a current within has not passed the limit, one at the limit is
-  // not drawn back by its own circuit. Where a motor changes its mind within the step there may be
-  // none: then the step is taken in halves.
-  void step_within_limits(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
+  // A step is taken with the modes that hold at its end: a current has not passed its limit, one at
+  // the limit is not drawn back by its own circuit, a stuck rotor is not overloaded. Where a joint
+  // changes its mind within the step there may be none: then the step is taken in halves.
+  void step_in_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past;
     for (int lane = 0; lane < kWidth<X>; ++lane) {
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.driven)
-          if (drive.motor.has_limit())
-            tables.serve(j, lane, drive.motor.side_of(lane_of(x.z[drive.i][j], lane)));
+        if constexpr (drive.modes > 0)
+          tables.serve(j, lane,
+                       Tables::all_of(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
       });
     }
     State<S, X> y;
     Mask<X> hold = {};
-    for (int round = 0; round <= 2 * N; ++round) {
+    for (int round = 0; round <= 2 * N * Tables::M; ++round) {
       Accelerations k1;
       Dynamics at_start = links;
       past = memory;
       y = x;
-      in[In::side] = tables.sides();
+      tables.put_modes(in);
       begin_links(y, u, in, k1);
       stages_of(y, u, at_start, in, k1);
       move_links(y, in);
       move_drives(y, in);
-      hold = modes_hold(y, u);
+      hold = modes_hold(x, y, u);
       if (all(hold)) {
         x = y;
-        tables.settle(x);
+        tables.settle(x, u);
         return;
       }
     }
-    tables.settle(y);
+    tables.settle(y, u);
     Memory later = past;
     past = memory;
     halve(x, u);
@@ -362,27 +360,23 @@ class LinearlyImplicit {
       Inputs in;
       Links<S, X>::dynamics(n, x.q, x.v, links);
       begin(x, u, in);
-      half->step_within_limits(x, u, links, in);
+      half->step_in_modes(x, u, links, in);
     }
     past = half->past;
   }
 
-  // Whether all modes hold at the step's end y; those that do not are changed.
-  Mask<X> modes_hold(const State<S, X>& y, const X (&u)[row]) {
+  // Whether all modes hold at the end y of a step from x; those that do not are changed.
+  Mask<X> modes_hold(const State<S, X>& x, const State<S, X>& y, const X (&u)[row]) {
     X changed = {};
     for (int lane = 0; lane < kWidth<X>; ++lane) {
+      if (!is_finite(lane_of(y.v[0], lane))) continue;  // it has diverged, whatever its modes
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.driven) {
-          if (!drive.motor.has_limit()) return;
-          if (!is_finite(lane_of(y.v[0], lane))) return;  // it has diverged, whatever its modes
-          const auto end = input_in_lane(drive, j, y, u[j], lane);
-          const double side = tables.served_side(j, lane);
-          const double i = end.z[drive.i];
-          const double wanted = side == 0.0 ? drive.motor.side_beyond(i)
-                                : side * drive.motor.surplus(i, end.u, drive.motor_speed(end)) < 0.0
-                                    ? 0.0
-                                    : side;
-          if (wanted == side) return;
+        if constexpr (drive.modes > 0) {
+          const auto& now = tables.served(j, lane);
+          const auto wanted = Tables::all_of(drive.wanted(input_in_lane(drive, j, x, u[j], lane),
+                                                          input_in_lane(drive, j, y, u[j], lane),
+                                                          Tables::template of<drive.modes>(now)));
+          if (wanted == now) return;
           set_lane(changed, lane, 1.0);
           tables.serve(j, lane, wanted);
         }

@@ -39,7 +39,7 @@ class Located {
   template <class Exchange>
   void step(State<S>& x, const double (&u)[row], Dynamics& links, Exchange& exchange) {
     exchange.take(links);
-    Modes<S>::settle_currents(n, x, u);
+    Modes<S>::follow(n, x, u);
     const Modes<S> modes(n, x, u, links);
     const Memory memory = whole.memory();
     State<S> y = x;
@@ -72,7 +72,7 @@ class Located {
         Nobody nobody;
         part.reset(y);
         part.step(y, u, links, nobody);
-        Modes<S>::settle_currents(n, y, u);
+        Modes<S>::follow(n, y, u);
         if (meter) meter->part(x, y, u, modes, left);
         x = y;
         break;

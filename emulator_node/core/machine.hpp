@@ -184,7 +184,7 @@ class Machine {
     double u[N];
     for (int j = 0; j < N; ++j) u[j] = clamp(voltage[j], S::supply_voltage);
     State<S> at = x;
-    Modes<S>::settle_currents(numbers, at, u);
+    Modes<S>::follow(numbers, at, u);
     return powers_of(numbers, at, u, modes_at(at, u));
   }
 
@@ -230,9 +230,14 @@ class Machine {
       Links<S>::dynamics_apart(numbers, x.q, x.v, links);
       numbers.for_each_drive([&](const auto& drive, int j) {
         links.M.at[j][j] += drive.carried();
-        a[j] = drive.rates(input_of(drive, j, x, 0.0), false).g - links.nle[j];
+        const auto at = input_of(drive, j, x, 0.0);
+        const auto modes = drive.modes_at(at);
+        a[j] = drive.rates(drive.with(at, modes), modes.held()).g - links.nle[j];
       });
-      Coulomb<S, double>(numbers).solve(links.M.at, x.v, a);
+      Coulomb<S, double> coulomb(numbers);
+      const double none[N] = {};
+      coulomb.take(x, none);
+      coulomb.solve(links.M.at, x.v, a);
     }
     numbers.for_each_drive([&](const auto& drive, int j) {
       T[j] = drive.gear_torque(input_of(drive, j, x, 0.0), a[j]);
@@ -246,7 +251,7 @@ class Machine {
   Modes<S> modes_at(State<S> x, const double* u) const {
     typename Links<S>::Dynamics links;
     Links<S>::dynamics_apart(numbers, x.q, x.v, links);
-    Modes<S>::settle_currents(numbers, x, u);
+    Modes<S>::follow(numbers, x, u);
     return Modes<S>(numbers, x, u, links);
   }
 

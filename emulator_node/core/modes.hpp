@@ -1,6 +1,6 @@
-// What each joint does at an instant: it slides or is locked (coulomb.hpp), its current is within
-// its limit or at it (dc_motor.hpp). That follows from the state and the commands: nothing has to
-// be remembered.
+// What each joint does at an instant: its link slides or is locked (coulomb.hpp), and the parts of
+// its drive that have modes are each in one (mode.hpp). All that follows from the state and the
+// commands: nothing has to be remembered.
 #pragma once
 
 #include "coulomb.hpp"
@@ -12,66 +12,59 @@ namespace arm {
 template <class S>
 class Modes {
  public:
-  static constexpr int N = S::N;
+  static constexpr int N = S::N, M = most_modes<S>();
   using Dynamics = typename Links<S>::Dynamics;
   using Friction = Coulomb<S, double>;
 
   // Whether this scene has any modes but one.
-  static constexpr bool present =
-      Friction::present || any_drive<S>([](const auto& drive) { return drive.motor.has_limit(); });
+  static constexpr bool present = Friction::present || M > 0;
 
   typename Friction::Modes friction;
-  double side[N] = {};  // of the limit at which the current is: 1 or -1, or 0 within
+  DriveModes<M> drive[N];
 
   // Those of the settled state x (see below) with its links' part.
   Modes(const Numbers<S>& numbers, const State<S>& x, const double* u, const Dynamics& links)
       : n(&numbers) {
     n->for_each_drive([&](const auto& drive, int j) {
-      if constexpr (drive.driven) {
-        if (!drive.motor.has_limit()) return;
-        const auto at = input_of(drive, j, x, u[j]);
-        side[j] = drive.motor.side_of(at.z[drive.i]);
-        if (side[j] * drive.motor.surplus(at.z[drive.i], at.u, drive.motor_speed(at)) < 0.0)
-          side[j] = 0.0;
-      }
+      if constexpr (drive.modes > 0)
+        take(this->drive[j], drive.modes_at(input_of(drive, j, x, u[j])));
     });
     if constexpr (Friction::present) {
       Friction coulomb(*n);
       Dynamics at = links;
       double a[N];
       torques(x, u, at, a);
+      coulomb.take(x, u);
       coulomb.solve(at.M.at, x.v, a);
       friction = coulomb.modes();
     }
+  }
+
+  // Those of the drive of joint j alone.
+  template <class Drive>
+  DriveModes<Drive::modes> of(const Drive&, int j) const {
+    DriveModes<Drive::modes> some;
+    for (int m = 0; m < Drive::modes; ++m) some.at[m] = drive[j].at[m];
+    return some;
   }
 
   // The links' accelerations at x.
   void accelerations(const State<S>& x, const double* u, Dynamics links, double (&a)[N],
                      Friction& coulomb) const {
     torques(x, u, links, a);
+    coulomb.take(x, u);
     coulomb.solve_in(friction, links.M.at, a);
   }
 
-  // How far x is from where a mode changes: negative if one does not hold any more. Beyond zero by
-  // rounding is not beyond. (Of quantities that differ in unit the least; only its sign counts.)
+  // How far x is from where a mode changes: negative if one does not hold any more. (Of quantities
+  // that differ in unit the least; only its sign counts.)
   double margin(const State<S>& x, const double* u) const {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
     n->for_each_drive([&](const auto& drive, int j) {
-      if (n->Dc(j) > 0.0 && !friction.locked[j]) at_most(x.v[j] * friction.direction[j]);
-      if constexpr (drive.driven) {
-        if (!drive.motor.has_limit()) return;
-        const auto& motor = drive.motor;
-        const auto at = input_of(drive, j, x, u[j]);
-        const double wm = drive.motor_speed(at), limit = motor.current_limit;
-        if (side[j] == 0.0) {
-          const double i = motor.L > 0.0 ? at.z[drive.i] : motor.current_at_once(at.u, wm);
-          at_most(limit * (1.0 + kRounding) - magnitude(i));
-        } else {
-          const double rounding = kRounding * (magnitude(at.u) + motor.R * limit);
-          at_most(side[j] * motor.surplus(side[j] * limit, at.u, wm) + rounding);
-        }
-      }
+      if (drive.is_dry() && !friction.locked[j]) at_most(x.v[j] * friction.direction[j]);
+      if constexpr (drive.modes > 0)
+        at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
     if (least < 0.0 || !any_locked()) return least;
     Dynamics links;
@@ -80,32 +73,39 @@ class Modes {
     Friction coulomb(*n);
     accelerations(x, u, links, a, coulomb);
     for (int j = 0; j < N; ++j)
-      if (friction.locked[j]) at_most(coulomb.spare(j) + kRounding * n->Ds(j));
+      if (friction.locked[j]) at_most(coulomb.spare(j));
     return least;
   }
 
   // Put x where its modes say: joints that have come to rest are at rest, a current is not beyond
   // its limit, and without inductance it is what the voltage makes it.
   void settle(State<S>& x, const double* u) const {
-    if constexpr (Friction::present)
-      for (int j = 0; j < N; ++j)
-        if (n->Dc(j) > 0.0 && x.v[j] * friction.direction[j] <= 0.0) x.v[j] = 0.0;
-    settle_currents(*n, x, u);
-  }
-  static void settle_currents(const Numbers<S>& n, State<S>& x, const double* u) {
-    n.for_each_drive([&](const auto& drive, int j) {
-      if constexpr (drive.driven) {
-        const auto at = input_of(drive, j, x, u[j]);
-        double& i = x.z[drive.i][j];
-        if (drive.motor.L == 0.0) i = drive.motor.current_at_once(at.u, drive.motor_speed(at));
-        if (drive.motor.has_limit()) i = clamp(i, drive.motor.current_limit);
+    n->for_each_drive([&](const auto& drive, int j) {
+      if (drive.is_dry() && x.v[j] * friction.direction[j] <= 0.0) x.v[j] = 0.0;
+      if constexpr (drive.modes > 0) {
+        auto at = input_of(drive, j, x, u[j]);
+        drive.settle(at, of(drive, j));
+        put_states(drive, j, 0, at, x);
       }
+    });
+    follow(*n, x, u);
+  }
+  // Put what follows at once where it is.
+  static void follow(const Numbers<S>& n, State<S>& x, const double* u) {
+    n.for_each_drive([&](const auto& drive, int j) {
+      auto at = input_of(drive, j, x, u[j]);
+      drive.follow(at);
+      put_states(drive, j, 0, at, x);
     });
   }
 
  private:
-  static constexpr double kRounding = 1e-12;
   const Numbers<S>* n;
+
+  template <int m>
+  static void take(DriveModes<M>& to, const DriveModes<m>& from) {
+    for (int k = 0; k < m; ++k) to.at[k] = from.at[k];
+  }
 
   bool any_locked() const {
     bool found = false;
@@ -119,7 +119,9 @@ class Modes {
   void torques(const State<S>& x, const double* u, Dynamics& links, double* rhs) const {
     n->for_each_drive([&](const auto& drive, int j) {
       links.M.at[j][j] += drive.carried();
-      rhs[j] = drive.rates(input_of(drive, j, x, u[j]), false).g - links.nle[j];
+      const auto modes = of(drive, j);
+      const auto at = drive.with(input_of(drive, j, x, u[j]), modes);
+      rhs[j] = drive.rates(at, modes.held()).g - links.nle[j];
     });
   }
 };

@@ -26,8 +26,8 @@ struct Sheet {
  private:
   constexpr void set(int j, const auto& drive) {
     carried[j] = drive.carried();
-    Dc[j] = drive.friction.Dc;
-    Ds[j] = drive.friction.Ds;
+    Dc[j] = drive.sliding(drive.at_rest_behind(0.0, 0.0));
+    Ds[j] = drive.holding(drive.at_rest_behind(0.0, 0.0));
   }
 };
 

@@ -13,16 +13,16 @@ class PaperScheme {
  public:
   static constexpr int N = S::N, K = most_states<S>();
   using Dynamics = typename Links<S, X>::Dynamics;
-  using Tables = DriveTables<S, X>;
+  using Tables = DriveTables<S, X, MakePaper>;
   using In = typename Tables::In;
   static constexpr int row = Tables::row;
 
   PaperScheme(double step, const Numbers<S, X>& numbers)
-      : h(step), n(numbers), tables(numbers, table_for(step)), coulomb(numbers) {}
+      : h(step), n(numbers), tables(numbers, {step}), coulomb(numbers) {}
   PaperScheme(const PaperScheme&) = delete;
 
   // The numbers have changed.
-  void renew() { tables.fill(table_for(h)); }
+  void renew() { tables.fill(); }
 
   // It takes nothing from the past.
   struct Memory {
@@ -40,16 +40,12 @@ class PaperScheme {
     alignas(64) X a[row];
     drives(x, u, a);
     exchange.take(links);
-    accelerations(x, links, a);
+    accelerations(x, u, links, a);
     integrate(x, a);
     exchange.give(x);
   }
 
  private:
-  static auto table_for(double step) {
-    return [step](const auto& drive) { return paper_table<K, Tables::R>(drive, step); };
-  }
-
   // Eq. (3), the links held at sample k; `torque` is what the drives put on the links after it.
   ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
     typename Tables::Inputs in;
@@ -58,7 +54,7 @@ class PaperScheme {
     in[In::q] = Row<N, X>::load(x.q);
     in[In::v] = Row<N, X>::load(x.v);
     in[In::u] = Row<N, X>::load(u);
-    if constexpr (Tables::limits) limit_currents(x, u, in);
+    if constexpr (Tables::modal) choose_modes(x, u, in);
     if constexpr (!Tables::linear) tables.rest_at(x, u).put(in);
     Tables::template answer<In::k1>(tables.rhs_1, in).store(torque);
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
@@ -66,31 +62,39 @@ class PaperScheme {
       for_each<z.groups>([&](auto g) __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
     });
-    if constexpr (Tables::limits) tables.settle(x);
+    if constexpr (Tables::modal) tables.settle(x, u);
   }
 
-  // Backward Euler's current grows with the voltage: what would pass the limit ends at it.
-  void limit_currents(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
-    typename Tables::Rest rest;
-    if constexpr (!Tables::linear) rest = tables.rest_at(x, u, {});
+  // The modes that hold at the end of the step, the link held: each drive finds its own.
+  void choose_modes(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
     for (int lane = 0; lane < kWidth<X>; ++lane) {
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.driven) {
-          if (!drive.motor.has_limit()) return;
-          const double i = tables.free_state(drive.i, j, lane, x, u[j], rest);
-          tables.serve(j, lane, drive.motor.side_of(i));
+        if constexpr (drive.modes > 0) {
+          const auto start = input_in_lane(drive, j, x, u[j], lane);
+          auto modes = drive.modes_at(start);
+          for (int round = 0; round <= 2 * drive.modes; ++round) {
+            tables.serve(j, lane, Tables::all_of(modes));
+            typename Tables::Rest rest;
+            if constexpr (!Tables::linear) rest = tables.rest_at(x, u);
+            const auto wanted =
+                drive.wanted(start, tables.end_of(drive, j, lane, x, u[j], rest), modes);
+            if (wanted == modes) return;
+            modes = wanted;
+          }
         }
       });
     }
-    in[In::side] = tables.sides();
+    tables.put_modes(in);
   }
 
   // Eq. (4) with the motors at sample k + 1.
-  ARM_INLINE void accelerations(const State<S, X>& x, Dynamics& links, X (&a)[row]) {
+  ARM_INLINE void accelerations(const State<S, X>& x, const X (&u)[row], Dynamics& links,
+                                X (&a)[row]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       links.M.at[j][j] += n.carried(j);
       a[j] -= links.nle[j];
     });
+    coulomb.take(x, u);
     coulomb.solve(links.M.at, x.v, a);
   }
 

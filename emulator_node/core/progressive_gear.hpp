@@ -15,14 +15,15 @@ struct ProgressiveGear {
 
   static constexpr bool rigid = false;
   static constexpr int states = ElasticGear::states;
+  static constexpr int modes = 0;
 
   // The same gear but for the cube.
   constexpr ElasticGear linear() const { return {Ng, Kg, Dg}; }
 
   template <class X>
-  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v) const {
+  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X none, bool held) const {
     const X w = Ng * tm - q;
-    return linear().torque(tm, wm, q, v) + Kg3 * w * w * w;
+    return linear().torque(tm, wm, q, v, none, held) + Kg3 * w * w * w;
   }
   template <class X>
   ARM_INLINE constexpr X stored(X tm, X q) const {
@@ -30,8 +31,8 @@ struct ProgressiveGear {
     return linear().stored(tm, q) + 0.25 * Kg3 * (w * w) * (w * w);
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X wm, X v) const {
-    return linear().dissipated(wm, v);
+  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v) const {
+    return linear().dissipated(tm, wm, q, v);
   }
 };
 

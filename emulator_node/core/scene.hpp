@@ -94,6 +94,15 @@ constexpr int most_states() {
   return most;
 }
 
+// The parts with modes that a joint's drive has at most.
+template <class S>
+constexpr int most_modes() {
+  int most = 0;
+  for_each_drive<S>(
+      [&](const auto& drive, int) { most = most < drive.modes ? drive.modes : most; });
+  return most;
+}
+
 // Whether a property holds for the drive of any joint.
 template <class S, class Property>
 constexpr bool any_drive(Property&& property) {

@@ -75,18 +75,25 @@ constexpr void for_each_number(State<S, X>& x, Number&& number) {
 template <class Drive, class S, class X>
 ARM_INLINE constexpr auto input_in_lane(const Drive&, int j, const State<S, X>& x, const X& u,
                                         int lane) {
-  DriveInput<Drive::states, double> in = {
-      {}, lane_of(x.q[j], lane), lane_of(x.v[j], lane), lane_of(u, lane), 0.0};
+  typename Drive::template Input<double> in = {
+      {}, lane_of(x.q[j], lane), lane_of(x.v[j], lane), lane_of(u, lane), {}};
   for (int k = 0; k < Drive::states; ++k) in.z[k] = lane_of(x.z[k][j], lane);
   return in;
 }
 
 // What the drive of joint j is asked at.
 template <class Drive, class S, class X>
-ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x, X u, X side = X{}) {
-  DriveInput<Drive::states, X> in = {{}, x.q[j], x.v[j], u, side};
+ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x, X u) {
+  typename Drive::template Input<X> in = {{}, x.q[j], x.v[j], u, {}};
   for (int k = 0; k < Drive::states; ++k) in.z[k] = x.z[k][j];
   return in;
+}
+
+// Take over what the drive of joint j has made of its states, in one lane.
+template <class Drive, class S, class X>
+constexpr void put_states(const Drive&, int j, int lane,
+                          const typename Drive::template Input<double>& from, State<S, X>& x) {
+  for (int k = 0; k < Drive::states; ++k) set_lane(x.z[k][j], lane, from.z[k]);
 }
 
 }  // namespace arm

@@ -1,0 +1,42 @@
+// What a part of a drive does that is not smooth: a current at its limit, a stuck rotor, a tooth
+// that touches. In each of its modes the part is smooth.
+//
+// A mode says which of two equations holds, and gives one number that enters there: the limit, the
+// torque of sliding, where a contact begins. Such a part tells
+//
+//   mode_at(...)         the mode that a state calls for,
+//   wanted(...)          the one that the end of a step calls for: the same where it holds,
+//   margin(...)          how far a state is from where the mode ceases to hold, negative beyond,
+//   settle(...)          and puts a state where its mode says, against rounding.
+#pragma once
+
+namespace arm {
+
+struct Mode {
+  bool held = false;    // the equation that takes the place of the usual one
+  double offset = 0.0;  // the number that enters
+
+  constexpr bool operator==(const Mode&) const = default;
+};
+
+// The modes of one drive, of M parts that have some.
+template <int M>
+struct DriveModes {
+  Mode at[M > 0 ? M : 1] = {};
+
+  constexpr bool operator==(const DriveModes&) const = default;
+
+  // A bit for each part that is held.
+  constexpr unsigned held() const {
+    unsigned bits = 0;
+    for (int m = 0; m < M; ++m) bits |= at[m].held ? 1u << m : 0u;
+    return bits;
+  }
+};
+
+constexpr bool is_held(unsigned held, int m) { return held >> m & 1u; }
+
+// Beyond by rounding is not beyond.
+inline constexpr double kRounding = 1e-12;
+
+}  // namespace arm
