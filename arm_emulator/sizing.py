@@ -14,7 +14,7 @@ import numpy as np
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.encoder import Encoder
-from emulator_node.parts.link_friction import LinkFriction
+from emulator_node.parts.friction import LinkFriction
 from emulator_node.scene import Joint
 
 # What a limit of the description may be. Beyond, it stands for "not known".

@@ -19,9 +19,9 @@ import numpy as np
 
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 from emulator_node.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
+from emulator_node.parts.friction import LinkFriction, RotorFriction
 from emulator_node.parts.gear import Gear, RigidGear
 from emulator_node.parts.known import read_extras, read_gear, read_motor
-from emulator_node.parts.link_friction import LinkFriction
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.section import LARGEST, LARGEST_COUNT, SMALLEST, Section
@@ -56,13 +56,15 @@ class Joint:
     gear: Gear
     encoder: Encoder | None
     friction: LinkFriction
+    rotor_friction: RotorFriction | None = None
     extras: tuple[Part, ...] = ()  # that stand in sections of their own
 
     @property
     def parts(self) -> tuple[Part, ...]:
         """All parts of its drive."""
         motor = () if self.motor is None else (self.motor,)
-        return (*motor, self.gear, self.friction, *self.extras)
+        rotor = () if self.rotor_friction is None else (self.rotor_friction,)
+        return (*motor, self.gear, self.friction, *rotor, *self.extras)
 
     @property
     def counts_per_turn(self) -> int:
@@ -260,6 +262,7 @@ def _joints(root: Section, chain: Chain, urdf_name: str) -> tuple[Joint, ...]:
 def _joint(name: str, one: Section) -> Joint:
     motor, gear, encoder = one.section("motor"), one.section("gear"), one.section("encoder")
     friction = one.section("friction")
+    of_rotor = None if motor is None else motor.section("friction")
     if motor is None:
         for key, part in (("gear", gear), ("encoder", encoder)):
             if part is not None:
@@ -271,6 +274,7 @@ def _joint(name: str, one: Section) -> Joint:
         gear=RigidGear(ratio=1.0) if gear is None else read_gear(gear),
         encoder=None if encoder is None else Encoder.read(encoder),
         friction=LinkFriction() if friction is None else LinkFriction.read(friction),
+        rotor_friction=None if of_rotor is None else RotorFriction.read(of_rotor),
         extras=read_extras(one),
     )
     one.finish()

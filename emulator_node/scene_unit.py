@@ -108,13 +108,22 @@ def _drive(joint: Joint, places: Mapping[str, str]) -> str:
     def part(one: Part) -> str:
         return one.initialiser(joint.name, places)
 
-    motor = joint.motor
-    kinds = f"{motor.cxx_type if motor else 'arm::NoMotor'}, {joint.gear.cxx_type}"
+    motor, rotor = joint.motor, joint.rotor_friction
+    kinds = [
+        motor.cxx_type if motor else "arm::NoMotor",
+        joint.gear.cxx_type,
+        joint.friction.cxx_type,
+        rotor.cxx_type if rotor else "arm::FreeRotor",
+        *(extra.cxx_type for extra in joint.extras),
+    ]
+    extras = ", ".join(map(part, joint.extras))
     return f"""\
-      arm::Drive<{kinds}>{{
+      arm::Drive<{", ".join(kinds)}>{{
           .motor = {part(motor) if motor else "arm::NoMotor{}"},
           .gear = {part(joint.gear)},
-          .friction = {part(joint.friction)}}}"""
+          .friction = {part(joint.friction)},
+          .rotor = {part(rotor) if rotor else "{}"},
+          .extras = {{{extras}}}}}"""
 
 
 def _device(joint: Joint) -> str:

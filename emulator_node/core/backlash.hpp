@@ -1,5 +1,6 @@
-// An elastic gear with play: while the twist w = Ng tm - q is within +-gap the teeth touch nothing
-// and T = 0; beyond, the tooth that touches pushes (one_sided.hpp) with the depth |w| - gap.
+// An elastic gear with play: while the twist w = Ng tm - q is within +-play/2 the teeth touch
+// nothing and T = 0; beyond, the tooth that touches pushes (one_sided.hpp) with the depth |w| -
+// play/2.
 //
 // Its mode is `held` while a tooth pushes, and the mode's number is the twist where it began to
 // touch: then T = Kg (w - offset) + Dg dw/dt.
@@ -12,10 +13,10 @@
 namespace arm {
 
 struct BacklashGear {
-  double Ng;   // link turns per motor turn
-  double Kg;   // N m/rad at the link
-  double Dg;   // N m s/rad at the link
-  double gap;  // rad at the link, from the middle to where a tooth touches
+  double Ng;    // link turns per motor turn
+  double Kg;    // N m/rad at the link
+  double Dg;    // N m s/rad at the link
+  double play;  // rad at the link, from tooth to tooth
 
   static constexpr bool rigid = false;
   static constexpr int states = ElasticGear::states;
@@ -28,28 +29,29 @@ struct BacklashGear {
   }
   template <class X>
   ARM_INLINE constexpr X stored(X tm, X q) const {
-    return tooth().stored(magnitude(Ng * tm - q) - gap);
+    return tooth().stored(magnitude(Ng * tm - q) - gap());
   }
   template <class X>
   ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v) const {
     const X w = Ng * tm - q, rate = Ng * wm - v;
-    return tooth().dissipated(magnitude(w) - gap, select(w < 0.0, -rate, rate));
+    return tooth().dissipated(magnitude(w) - gap(), select(w < 0.0, -rate, rate));
   }
 
   constexpr Mode mode_at(double tm, double wm, double q, double v) const {
     const double w = Ng * tm - q, rate = Ng * wm - v, way = w < 0.0 ? -1.0 : 1.0;
-    if (tooth().pushes(way * w - gap, way * rate)) return {true, way * gap};
+    if (tooth().pushes(way * w - gap(), way * rate)) return {true, way * gap()};
     return {};
   }
   constexpr double margin(double tm, double wm, double q, double v, const Mode& mode) const {
     const double w = Ng * tm - q, rate = Ng * wm - v;
     // While no tooth pushes, that on the nearer side is looked at.
     const double way = (mode.held ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
-    return tooth().margin(mode.held, way * w - gap, way * rate,
-                          kRounding * Kg * (gap + magnitude(q)));
+    return tooth().margin(mode.held, way * w - gap(), way * rate,
+                          kRounding * Kg * (gap() + magnitude(q)));
   }
 
  private:
+  constexpr double gap() const { return 0.5 * play; }
   constexpr OneSided tooth() const { return {Kg, Dg}; }
 };
 

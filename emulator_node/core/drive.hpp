@@ -76,7 +76,7 @@ struct Drive {
   constexpr DriveRates<states, double> D(unsigned held) const {
     DriveRates<states, double> D;
     if constexpr (driven)
-      for (int k = 0; k < Motor::states; ++k) D.f[k] = motor.inertia(k, is_held(held, 0));
+      for (int k = 0; k < Motor::states; ++k) D.f[k] = motor.inertia(k, motor_held(held));
     if constexpr (elastic) {
       D.f[tm] = 1.0, D.f[wm] = motor.Mm;
       if constexpr (Rotor::modes > 0)
@@ -109,7 +109,7 @@ struct Drive {
     r.g = -friction.Dv * x.v;
     X shaft{};  // torque on the rotor, beside its friction and the gear
     if constexpr (driven) {
-      motor.rates(x.z, x.u, motor_angle(x), motor_speed(x), x.offset[0], is_held(held, 0), r.f);
+      motor.rates(x.z, x.u, motor_angle(x), motor_speed(x), x.offset[0], motor_held(held), r.f);
       shaft = motor.torque(x.z, motor_angle(x));
     }
     for_each_extra([&](const auto& extra, auto state, auto mode) __attribute__((always_inline)) {
@@ -233,7 +233,7 @@ struct Drive {
     return P;
   }
   constexpr double given(const Input<double>& x, unsigned held) const {
-    if constexpr (driven) return motor.given(x.z, x.u, motor_speed(x), is_held(held, 0));
+    if constexpr (driven) return motor.given(x.z, x.u, motor_speed(x), motor_held(held));
     return 0.0;
   }
   template <class X>
@@ -312,6 +312,8 @@ struct Drive {
   }
 
  private:
+  static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }
+
   // Torques on the rotor: all but that of friction, and that of the gear.
   struct Shaft {
     double torque, of_gear;

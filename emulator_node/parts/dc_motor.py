@@ -25,6 +25,10 @@ class DcMotor(Motor):
     rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
     current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
 
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return "arm::DcMotor" if self.current_limit is None else "arm::LimitedDcMotor"
+
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,

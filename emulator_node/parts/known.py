@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from emulator_node.parts.backlash_gear import BacklashGear
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
+from emulator_node.parts.end_stops import EndStops
+from emulator_node.parts.friction import LinkFriction, RotorFriction
 from emulator_node.parts.gear import Gear, RigidGear
-from emulator_node.parts.link_friction import LinkFriction
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.parts.progressive_gear import ProgressiveGear
@@ -15,12 +17,23 @@ from emulator_node.section import Section
 MOTORS: tuple[type[Motor], ...] = (DcMotor,)
 
 # A gear is the first of these whose keys it has all.
-GEARS: tuple[type[Gear], ...] = (ProgressiveGear, ElasticGear, RigidGear)
+GEARS: tuple[type[Gear], ...] = (
+    ProgressiveGear,
+    BacklashGear,
+    ElasticGear,
+    RigidGear,
+)
 
 # Parts that stand in a section of their own, if there is one.
-EXTRAS: tuple[type[Part], ...] = ()
+EXTRAS: tuple[type[Part], ...] = (EndStops,)
 
-PARTS: tuple[type[Part], ...] = (*MOTORS, *GEARS, LinkFriction, *EXTRAS)
+PARTS: tuple[type[Part], ...] = (
+    *MOTORS,
+    *GEARS,
+    LinkFriction,
+    RotorFriction,
+    *EXTRAS,
+)
 
 
 def read_motor(section: Section) -> Motor:

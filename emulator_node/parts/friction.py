@@ -1,0 +1,48 @@
+"""Friction of links and of rotors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+from emulator_node.parts.part import Number, Part
+from emulator_node.section import Section
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction(Part):
+    """Viscous, and Coulomb's: `coulomb` while the shaft slides, `breakaway` at rest."""
+
+    header = "friction.hpp"
+    cxx = "Friction"
+
+    viscous: Annotated[float, Number("Dv", "N m s/rad", at_least=0.0)] = 0.0
+    coulomb: Annotated[float, Number("Dc", "N m", at_least=0.0)] = 0.0
+    breakaway: Annotated[float, Number("Ds", "N m", follows="coulomb")] = 0.0
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        if self.breakaway > 0.0 and self.coulomb == 0.0:
+            raise section.refusal("breakaway", "come with a coulomb friction", self.breakaway)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkFriction(Friction):
+    """Friction at the link."""
+
+    section = "friction"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorFriction(Friction):
+    """Friction at the motor's shaft."""
+
+    section = "motor.friction"
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::RotorFriction<{super().cxx_type}>"
+
+    def initialiser(self, joint: str, places: Mapping[str, str]) -> str:  # noqa: D102
+        members = ", ".join(f".{name} = {value}" for name, value in self.members(joint, places))
+        return f"{self.cxx_type}{{.law = {{{members}}}}}"
