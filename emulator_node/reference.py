@@ -18,8 +18,8 @@ from scipy.integrate import solve_ivp
 
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
+from emulator_node.parts.friction import LinkFriction
 from emulator_node.parts.gear import RigidGear
-from emulator_node.parts.link_friction import LinkFriction
 from emulator_node.parts.progressive_gear import ProgressiveGear
 from emulator_node.scene import Joint, Scene
 from words.refusal import Refusal
