@@ -11,6 +11,7 @@ help:
 	@echo 'make setup              prepare .venv/ and install/; every command below does it by itself'
 	@echo 'make demo [SCENE=ur5]   three nodes move an arm: three_axis, ur5, panda, or a scene file'
 	@echo 'make test               run the tests'
+	@echo 'make test-in-full       run the tests with every case of each class'
 	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
 	@echo 'make fuzz               random scenes, messages and machines, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
@@ -141,6 +142,9 @@ demo: setup $(ROBOTS)
 test: setup .venv/.robots
 	@$(RUN) && pytest -n 2 --dist loadfile $(ARGS)
 
+test-in-full: setup .venv/.robots
+	@$(RUN) && FULL=1 pytest -n 2 --dist loadfile $(ARGS)
+
 NETWORK_TESTS := test/test_network.py test/test_lockstep.py
 
 test-under-load: setup .venv/.robots
@@ -169,4 +173,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup demo test test-under-load fuzz bench lint format clean distclean FORCE
+.PHONY: help setup demo test test-in-full test-under-load fuzz bench lint format clean distclean FORCE

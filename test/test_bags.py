@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import shutil
@@ -10,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from arm_emulator.__main__ import main
 from arm_emulator.check import check
 from arm_emulator.record import request
 from arm_emulator.replay import offer
@@ -60,9 +62,15 @@ def command_line(*arguments: object) -> Iterator[subprocess.Popen[str]]:
 
 
 def run(*arguments: object) -> tuple[int, str]:
-    with command_line(*arguments) as process:
-        said, _ = process.communicate(timeout=PATIENCE)
-        return process.returncode, said
+    """Run a command in this process; return its exit code and all that it says."""
+    said = io.StringIO()
+    before, sys.argv = sys.argv, ["arm_emulator", *map(str, arguments)]
+    try:
+        with redirect_stdout(said), redirect_stderr(said), pytest.raises(SystemExit) as ended:
+            main()
+    finally:
+        sys.argv = before
+    return ended.value.code, said.getvalue()
 
 
 def await_line(process: subprocess.Popen[str], line: str) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import some
 from fuzz.cores import random_machine
 
 from emulator_node.compiler import CORE, compile_ahead
@@ -20,11 +21,11 @@ from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal
 
-MACHINES = 8
+MACHINES = some(range(8), 5)  # their seeds
 Piece = tuple[np.ndarray, int]  # voltages, and for how many steps
 
 
-@pytest.fixture(scope="module", params=range(MACHINES))
+@pytest.fixture(scope="module", params=MACHINES)
 def drawn(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Scene, np.random.Generator]:

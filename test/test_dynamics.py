@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from draws import some
 from machines import GRAVITY, Oracle, random_chain
 
 from emulator_node.plant import Plant
@@ -45,7 +46,10 @@ def test_shipped_scenes_equal_aba(name: str) -> None:
     assert worst_error(load_scene(name), seed=1) < TOLERANCE, "accelerations, relative"
 
 
-@pytest.mark.parametrize(("seed", "joints"), [(1, 1), (2, 2), (3, 5), (4, 12), (5, 7), (6, 14)])
+# 12 are the most that the core unrolls in nested loops, which a compiler takes long over.
+@pytest.mark.parametrize(
+    ("seed", "joints"), some([(1, 1), (2, 2), (3, 5), (6, 14), (5, 7), (4, 12)], 4)
+)
 def test_random_chains_equal_aba(tmp_path: Path, seed: int, joints: int) -> None:
     """Revolute and prismatic joints about any axis, fixed joints merged, gravity aslant.
 

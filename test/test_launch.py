@@ -16,6 +16,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from draws import some
 from network import PATIENCE, User
 from rclpy.parameter_client import AsyncParameterClient
 
@@ -216,7 +217,7 @@ time.sleep(1000)
 def test_nodes_end_with_a_launcher_that_leaves_them(stop: signal.Signals) -> None:
     """As `ros2 launch` does when it is ended by SIGTERM, at any moment."""
     rng = random.Random(f"{os.environ.get('SEED', '')}{stop}")
-    for _ in range(2):
+    for _ in some(range(2), 1):
         with own_domain():
             launcher = subprocess.Popen(
                 [sys.executable, "-c", LAUNCHER],
@@ -367,7 +368,7 @@ def wait(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("stop", some([signal.SIGINT, signal.SIGTERM], 1))
 def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) -> None:
     with up(ignores_ctrl_c=True) as (launcher, _):
         launcher.send_signal(stop)
@@ -377,7 +378,7 @@ def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) 
         assert "Traceback" not in complaint, complaint
 
 
-@pytest.mark.parametrize("name", ["emulator", "servo", "motion_controller"])
+@pytest.mark.parametrize("name", some(["emulator", "motion_controller", "servo"], 2))
 def test_up_ends_all_when_one_ends(name: str) -> None:
     with up() as (launcher, children):
         next(child for child in children if node_of(child) == name).kill()

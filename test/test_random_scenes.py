@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from draws import some
 from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 
 from arm_emulator.__main__ import main
@@ -24,7 +25,7 @@ from words.refusal import Refusal
 from words.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
 
 
-@pytest.mark.parametrize("block", range(10))
+@pytest.mark.parametrize("block", some(range(10), 5))
 def test_random_scenes_are_taken_or_refused(tmp_path: Path, block: int) -> None:
     """40 draws a block; `verdict` says what else may not come of it."""
     taken = 0
@@ -198,7 +199,7 @@ HABITS = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", some(range(60), 30))
 def test_published_habits_are_taken_alike_by_all_three(tmp_path: Path, seed: int) -> None:
     """Emulator, servo and motion controller name the same joints, unlimited where no limit is."""
     rng = np.random.default_rng(seed)

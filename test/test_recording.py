@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from draws import some
 from network import PATIENCE, User, network, user
 from rclpy.serialization import deserialize_message
 
@@ -222,10 +223,10 @@ def test_what_is_lost_in_real_time_is_counted_and_its_own_record_is_complete(
 
 
 def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
-    """The recorder starts in one or two seconds: six moments about there."""
+    """The recorder starts in one or two seconds: some moments about there."""
     draw = random.Random(6)
     with own_domain():
-        for case in range(6):
+        for case in some(range(6), 3):
             bag = tmp_path / f"bag{case}"
             with recorder(bag) as process:
                 moment = draw.uniform(0.0, 2.5)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import FULL, some
 from machines import GRAVITY, random_chain
 
 from bench.busy import busy_processes
@@ -51,17 +52,17 @@ def thread_count() -> int:
 
 
 @pytest.mark.parametrize("exchange", ["lag", "predict"])
-def test_same_bits_a_hundred_times_under_load(exchange: str) -> None:
+def test_same_bits_every_time_under_load(exchange: str) -> None:
     one = plant(2, exchange=exchange)
     seen = set()
     with busy_processes(2):
-        for repetition in range(100):
+        for repetition in range(100 if FULL else 30):
             one.reset()
             for steps in (30, 1, 69, 100) if repetition % 2 else (200,):
                 one.advance([10.0, -20.0, 15.0], steps)
             s = one.state
             seen.add(b"".join(a.tobytes() for a in (s.q, s.v, s.omega_m, s.current)))
-    assert len(seen) == 1, "different last states of a hundred runs"
+    assert len(seen) == 1, "different last states of equal runs"
 
 
 def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
@@ -77,7 +78,7 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
         assert falls == pytest.approx([10.0] * 3, rel=rel), f"differences, from {dt} s to a tenth"
 
 
-@pytest.mark.parametrize("scheme", ["paper", "implicit", "extrapolated"])
+@pytest.mark.parametrize("scheme", some(["paper", "extrapolated", "implicit"], 2))
 def test_predicting_makes_the_lag_an_error_of_second_order(scheme: str) -> None:
     differences = []
     for dt in (1e-3, 5e-4, 2.5e-4):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from draws import some
 from machines import MOTOR, moving_joints, random_chain_urdf, write_scene
 
 from emulator_node.compiler import library_of
@@ -58,7 +59,8 @@ def motion(plant: Plant, rows: np.ndarray, steps: int = 10) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("scheme", "threads"), [("rosenbrock", 1), ("implicit", 1), ("paper", 1), ("extrapolated", 2)]
+    ("scheme", "threads"),
+    some([("rosenbrock", 1), ("extrapolated", 2), ("implicit", 1), ("paper", 1)], 2),
 )
 def test_varied_numbers_give_the_motion_of_constants(
     scheme: str, threads: int, tmp_path: Path
@@ -148,8 +150,8 @@ def test_what_cannot_be_varied_is_refused(varied: object, rule: str, tmp_path: P
 
 def test_values_out_of_range_are_refused_and_change_nothing(tmp_path: Path) -> None:
     # The arm of the test above, whose library is there.
-    rng = np.random.default_rng([SCHEMES.index("implicit"), 1])
-    file = random_arm(tmp_path, rng, "implicit", 1)
+    rng = np.random.default_rng([SCHEMES.index("rosenbrock"), 1])
+    file = random_arm(tmp_path, rng, "rosenbrock", 1)
     plant = Plant(load_scene(str(file), overrides={"varied": ALL}))
     kept = plant.save()
     names = list(plant.parameters)
