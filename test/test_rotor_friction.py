@@ -1,0 +1,190 @@
+"""Dry friction of rotors: they stick exactly, and slide as the closed form says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import one_link_urdf, write_scene
+
+from emulator_node.chain import Array
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+
+PERIOD = 1e-2  # s
+
+
+def swinging(rng: np.random.Generator) -> tuple[dict[str, Any], float]:
+    """A rotor on its gear's spring, the link locked by friction of its own; where it is let go."""
+    ratio, stiffness = float(rng.uniform(0.02, 0.1)), float(10 ** rng.uniform(2.0, 3.0))
+    rotor = float(10 ** rng.uniform(-4.0, -3.0))
+    spring = ratio**2 * stiffness  # N m/rad at the rotor
+    dry = float(spring * rng.uniform(0.05, 0.2))
+    breakaway = dry * float(rng.choice([1.0, 1.3]))
+    joint = {
+        "motor": {
+            "resistance": 1.0,
+            "torque_constant": 0.05,
+            "back_emf_constant": 0.0,
+            "rotor_inertia": rotor,
+            "friction": {"coulomb": dry, "breakaway": breakaway},
+        },
+        "gear": {"ratio": ratio, "stiffness": stiffness},
+        "friction": {"coulomb": 1e6},
+    }
+    return joint, float(rng.uniform(0.8, 1.2))
+
+
+def swing_truth(joint: dict[str, Any], begin: float, t: Array) -> tuple[Array, float]:
+    """Angle of the rotor at times t, and where it rests.
+
+    Each half swing is a harmonic one about the angle at which spring and friction balance, and
+    ends at rest. There the rotor stays if the spring pulls by no more than the breakaway torque.
+    """
+    motor, gear = joint["motor"], joint["gear"]
+    k, J = gear["ratio"] ** 2 * gear["stiffness"], motor["rotor_inertia"]
+    dry, breakaway = motor["friction"]["coulomb"], motor["friction"]["breakaway"]
+    half = np.pi * np.sqrt(J / k)
+    out, at, start = np.full_like(t, np.nan), begin, 0.0
+    while abs(k * at) > breakaway:
+        middle = np.sign(at) * dry / k
+        here = (t >= start) & (t <= start + half)
+        out[here] = middle + (at - middle) * np.cos(np.pi * (t[here] - start) / half)
+        at, start = 2.0 * middle - at, start + half
+    out[t >= start] = at
+    return out, at
+
+
+def scene_of(folder: Path, joint: dict[str, Any], steps: int, **integrator: Any) -> Scene:
+    file = write_scene(
+        folder,
+        one_link_urdf(),
+        {"joint": joint},
+        servo_period=PERIOD,
+        integrator={"dt": PERIOD / steps, **integrator},
+        energy_flow=True,
+        # one library for all that are drawn
+        varied=["joints.*.motor.rotor_inertia", "joints.*.motor.friction.*", "joints.*.gear.*"],
+    )
+    return load_scene(file)
+
+
+def let_go(plant: Plant, angle: float) -> None:
+    plant.put("test", {"theta_m": [angle], "omega_m": [0.0]})
+
+
+@pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rotor_swings_and_sticks_as_the_closed_form_says_with_order_two(
+    tmp_path: Path, seed: int, scheme: str
+) -> None:
+    joint, begin = swinging(np.random.default_rng([seed, 11]))
+    rows = 40
+    truth, rest = swing_truth(joint, begin, PERIOD * np.arange(1, rows + 1))
+    errors = []
+    for steps in (10, 20, 40):
+        plant = Plant(scene_of(tmp_path, joint, steps, scheme=scheme, events="located"))
+        let_go(plant, begin)
+        angles = []
+        for _ in range(rows):
+            plant.advance(np.zeros(1), steps)
+            angles.append(float(plant.state.theta_m[0]))
+        errors.append(float(np.abs(angles - truth).max()))
+        if abs(truth[-1] - rest) < 1e-12:
+            assert plant.state.omega_m[0] == 0.0, "the rotor sticks exactly"
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    # What comes next in the error's expansion is a few per cent of it, more where few steps make a
+    # swing.
+    assert orders[-1] == pytest.approx(2.0, abs=0.2), errors
+
+
+@pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated", "implicit", "paper"])
+@pytest.mark.parametrize("seed", range(2))
+def test_where_steps_are_not_cut_the_error_is_of_first_order(
+    tmp_path: Path, seed: int, scheme: str
+) -> None:
+    joint, begin = swinging(np.random.default_rng([seed, 11]))
+    rows = 40
+    truth, _ = swing_truth(joint, begin, PERIOD * np.arange(1, rows + 1))
+    gear, rotor = joint["gear"], joint["motor"]["rotor_inertia"]
+    rate = gear["ratio"] * np.sqrt(gear["stiffness"] / rotor)
+    for steps in (97, 1601):
+        plant = Plant(scene_of(tmp_path, joint, steps, scheme=scheme))
+        let_go(plant, begin)
+        angles = []
+        for _ in range(rows):
+            plant.advance(np.zeros(1), steps)
+            angles.append(float(plant.state.theta_m[0]))
+        # Each turn takes up to a step too long, at a speed of at most rate * begin. Schemes of
+        # first order are a step beside the truth in each radian of the swing, too.
+        turned = rate * rows * PERIOD * (1.0 / np.pi + (scheme in ("implicit", "paper")))
+        most = (1.0 + turned) * rate * begin * PERIOD / steps
+        assert np.abs(np.array(angles) - truth).max() < most, f"{steps} steps"
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_stuck_rotor_holds_up_to_its_breakaway_torque(tmp_path: Path, seed: int) -> None:
+    joint, _ = swinging(np.random.default_rng([seed, 12]))
+    volts_per_torque = joint["motor"]["resistance"] / joint["motor"]["torque_constant"]
+    at_most = joint["motor"]["friction"]["breakaway"] * volts_per_torque
+    for events in ("step", "located"):
+        plant = Plant(scene_of(tmp_path, joint, 10, events=events))
+        plant.advance(np.array([0.999999 * at_most]), 200)
+        assert plant.state.theta_m[0] == 0.0, "a stuck rotor has moved"
+        plant.advance(np.array([1.000001 * at_most]), 20)
+        assert plant.state.theta_m[0] > 0.0, "an overloaded rotor is still stuck"
+
+
+def test_friction_of_a_rotor_that_turns_with_its_link_is_that_of_the_link(tmp_path: Path) -> None:
+    """Behind a rigid gear the same motion as with that friction at the link, to rounding."""
+    motor = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.05}
+    motor["rotor_inertia"] = 1e-4
+    ratio, rows = 0.05, np.array([[6.0], [-6.0], [0.0], [3.0]])
+    dry, viscous = 0.05, 1e-4
+    friction = {
+        "coulomb": dry / ratio,
+        "breakaway": 1.5 * dry / ratio,
+        "viscous": viscous / ratio**2,
+    }
+    at_link = {"motor": motor, "gear": {"ratio": ratio}, "friction": friction}
+    own = {"coulomb": dry, "breakaway": 1.5 * dry, "viscous": viscous}
+    at_rotor = {"motor": {**motor, "friction": own}, "gear": {"ratio": ratio}}
+    runs = []
+    for joint in (at_link, at_rotor):
+        file = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, servo_period=0.1)
+        runs.append(Plant(load_scene(file, {"integrator.dt": 1e-3})).run(rows, 100))
+    assert np.ptp(runs[0]) > 0.01, "the link shall move"
+    assert runs[1] == pytest.approx(runs[0], rel=1e-9), "friction of rotor and of link differ"
+
+
+def test_lanes_stick_as_machines_alone(tmp_path: Path) -> None:
+    joint, begin = swinging(np.random.default_rng(5))
+    scene = scene_of(tmp_path, joint, 20)
+    count, rows = 7, 30
+    fleet = Fleet(scene, count)
+    for k in range(count):
+        let_go(fleet[k], begin * (0.3 + 0.2 * k))
+    fleet.run(np.zeros((rows, count, 1)), 20)
+    for k in range(count):
+        plant = Plant(scene)
+        let_go(plant, begin * (0.3 + 0.2 * k))
+        plant.run(np.zeros((rows, 1)), 20)
+        assert fleet[k].state.theta_m == pytest.approx(plant.state.theta_m, abs=1e-9), k
+        assert (fleet[k].state.omega_m == 0.0) == (plant.state.omega_m == 0.0), k
+
+
+def test_energy_of_sliding_goes_into_friction(tmp_path: Path) -> None:
+    joint, begin = swinging(np.random.default_rng(6))
+    left = []
+    for steps in (10, 20, 40, 80):
+        plant = Plant(scene_of(tmp_path, joint, steps, events="located"))
+        let_go(plant, begin)
+        stored = plant.energy
+        lost = sum(plant.advance_metered(np.zeros(1), steps).dissipated.sum() for _ in range(40))
+        left.append(abs(plant.energy - stored + lost) / stored)
+    orders = np.log2(np.array(left[:-1]) / left[1:])
+    assert orders[-1] > 1.7, f"the balance closes with the scheme's order, {left}"
+    assert left[-1] < 1e-3, left
