@@ -45,4 +45,4 @@ class RotorFriction(Friction):
 
     def initialiser(self, joint: str, places: Mapping[str, str]) -> str:  # noqa: D102
         members = ", ".join(f".{name} = {value}" for name, value in self.members(joint, places))
-        return f"{self.cxx_type}{{.law = {{{members}}}}}"
+        return f"{self.cxx_type}{{{super().cxx_type}{{{members}}}}}"

@@ -1,0 +1,168 @@
+"""Gears with play: rotor and link fly freely, touch and bounce as the closed form says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import LINK_INERTIA, one_link_urdf, write_scene
+
+from emulator_node.chain import Array
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+
+ROWS = 60
+
+
+def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], float]:
+    """A joint that nothing drives, and the speed of its rotor, seen at the link."""
+    ratio = float(rng.uniform(0.01, 0.05))
+    reflected = LINK_INERTIA * float(10 ** rng.uniform(-0.7, 0.7))
+    stiffness = float(10 ** rng.uniform(3.0, 4.0))
+    mu = reflected * LINK_INERTIA / (reflected + LINK_INERTIA)
+    damping = float(rng.choice([0.0, rng.uniform(0.05, 0.6)])) * 2.0 * np.sqrt(stiffness * mu)
+    gear = {"ratio": ratio, "stiffness": stiffness, "damping": float(damping), "backlash": 0.02}
+    motor = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.0}
+    motor["rotor_inertia"] = reflected * ratio**2
+    return {"motor": motor, "gear": gear}, float(rng.uniform(0.3, 1.0))
+
+
+def truth(joint: dict[str, Any], speed: float, t: Array) -> tuple[Array, int, Array]:
+    """Position of the link, how often a tooth touched, and the gear's twist w and dw/dt at the end.
+
+    The twist flies freely within the play. From where a tooth touches it is a damped oscillation,
+    until the tooth would have to pull.
+    """
+    motor, gear = joint["motor"], joint["gear"]
+    K, D, gap = gear["stiffness"], gear["damping"], gear["backlash"] / 2.0
+    reflected = motor["rotor_inertia"] / gear["ratio"] ** 2
+    both = reflected + LINK_INERTIA
+    mu = reflected * LINK_INERTIA / both
+    a = D / (2.0 * mu)
+    wd = np.sqrt(K / mu - a * a)
+    contact = np.arctan2(2.0 * a * wd, a * a - wd * wd)
+    contact /= wd
+    w = np.full_like(t, np.nan)
+    start, at, rate, touched = 0.0, 0.0, speed, 0
+    while start < t[-1]:
+        way = np.sign(rate)
+        flight = (way * gap - at) / rate
+        here = (t >= start) & (t < start + flight)
+        w[here] = at + rate * (t[here] - start)
+        start += flight
+        here = (t >= start) & (t < start + contact)
+        s = t[here] - start
+        w[here] = way * gap + rate / wd * np.exp(-a * s) * np.sin(wd * s)
+        touched += 1
+        decay, s = np.exp(-a * contact), wd * contact
+        at = way * gap + rate / wd * decay * np.sin(s)
+        rate *= decay * (np.cos(s) - a / wd * np.sin(s))
+        start += contact
+    together = reflected / both * speed * t
+    return together - reflected / both * w, touched, w
+
+
+def scene_of(folder: Path, period: float, steps: int, **integrator: Any) -> Scene:
+    joint, _ = drawn(np.random.default_rng(0))
+    file = write_scene(
+        folder,
+        one_link_urdf(),
+        {"joint": joint},
+        servo_period=period,
+        integrator={"scheme": "rosenbrock", "dt": period / steps, **integrator},
+        energy_flow=True,
+        varied=["joints.*.motor.rotor_inertia", "joints.*.gear.*"],
+    )
+    return load_scene(file)
+
+
+def begin(plant: Plant, joint: dict[str, Any], speed: float) -> None:
+    """Make the machine the drawn one, its rotor moving. (The ratio is no number but structure.)"""
+    for key in ("stiffness", "damping", "backlash"):
+        plant.set_parameter(f"joints.joint.gear.{key}", joint["gear"][key])
+    ratio = plant.scene.joints[0].gear.ratio
+    inertia = joint["motor"]["rotor_inertia"] * (ratio / joint["gear"]["ratio"]) ** 2
+    plant.set_parameter("joints.joint.motor.rotor_inertia", inertia)
+    plant.put("test", {"theta_m": [0.0], "omega_m": [speed / ratio]})
+
+
+def span(joint: dict[str, Any], speed: float) -> float:
+    """A servo period of which ROWS have some bounces."""
+    return float(round(3.0 * joint["gear"]["backlash"] / speed / ROWS * 3.0, 9))
+
+
+@pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated"])
+@pytest.mark.parametrize("seed", range(4))
+def test_teeth_bounce_as_the_closed_form_says_with_order_two(
+    tmp_path: Path, seed: int, scheme: str
+) -> None:
+    joint, speed = drawn(np.random.default_rng([seed, 21]))
+    period = span(joint, speed)
+    q, touched, _ = truth(joint, speed, period * np.arange(1, ROWS + 1))
+    assert touched >= 2, "both teeth shall touch"
+    errors, left = [], []
+    for steps in (8, 16, 32):
+        plant = Plant(scene_of(tmp_path, period, steps, scheme=scheme, events="located"))
+        begin(plant, joint, speed)
+        stored, out, lost = plant.energy, [], 0.0
+        for _ in range(ROWS):
+            lost += plant.advance_metered(np.zeros(1), steps).dissipated.sum()
+            out.append(float(plant.state.q[0]))
+        errors.append(float(np.abs(np.array(out) - q).max()))
+        left.append(abs(plant.energy - stored + lost) / stored)
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    # What comes next in the error's expansion is a few per cent of it with 60 steps a contact.
+    assert orders[-1] == pytest.approx(2.0, abs=0.25), errors
+    assert left[-1] < 1e-2, f"energy {left}"
+    assert left[-1] < 0.4 * left[-2] or left[-1] < 1e-5, f"the balance closes as the scheme, {left}"
+
+
+@pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated", "implicit", "paper"])
+def test_steps_that_are_not_cut_come_to_the_same_bounces(tmp_path: Path, scheme: str) -> None:
+    joint, speed = drawn(np.random.default_rng([3, 21]))
+    period = span(joint, speed)
+    q, _, _ = truth(joint, speed, period * np.arange(1, ROWS + 1))
+    errors = []
+    for steps in (20, 200):
+        plant = Plant(scene_of(tmp_path, period, steps, scheme=scheme))
+        begin(plant, joint, speed)
+        errors.append(float(np.abs(plant.run(np.zeros((ROWS, 1)), steps)[:, 0] - q).max()))
+    assert errors[1] < 0.02 * np.ptp(q), errors
+    assert errors[1] < 0.4 * errors[0], f"a tenth of the step, {errors}"
+
+
+def test_lanes_bounce_as_machines_alone(tmp_path: Path) -> None:
+    joint, speed = drawn(np.random.default_rng([1, 21]))
+    scene = scene_of(tmp_path, span(joint, speed), 20)
+    count = 6
+    fleet, rows = Fleet(scene, count), np.zeros((ROWS, 1))
+    for k in range(count):
+        begin(fleet[k], joint, speed * (0.5 + 0.2 * k))
+    fleet.run(np.zeros((ROWS, count, 1)), 20)
+    for k in range(count):
+        plant = Plant(scene)
+        begin(plant, joint, speed * (0.5 + 0.2 * k))
+        q = plant.run(rows, 20)
+        assert np.ptp(q) > 1e-3, "the link shall move"
+        assert fleet[k].state.q == pytest.approx(plant.state.q, abs=1e-9), k
+
+
+def test_without_play_the_gear_is_an_elastic_one(tmp_path: Path) -> None:
+    """Teeth without play always touch one side or the other: the same spring."""
+    joint, speed = drawn(np.random.default_rng([0, 21]))
+    period = span(joint, speed)
+    joint["gear"] |= {"backlash": 0.0, "damping": 0.0}
+    runs = []
+    for gear in (joint["gear"], {k: v for k, v in joint["gear"].items() if k != "backlash"}):
+        file = write_scene(
+            tmp_path, one_link_urdf(), {"joint": joint | {"gear": gear}}, servo_period=period,
+            integrator={"scheme": "rosenbrock", "dt": period / 20, "events": "located"},
+        )  # fmt: skip
+        plant = Plant(load_scene(file))
+        plant.put("test", {"omega_m": [speed / joint["gear"]["ratio"]]})
+        runs.append(plant.run(np.zeros((ROWS, 1)), 20))
+    # Steps are cut where the twist changes sign, so that the two differ by the scheme's error.
+    assert runs[0] == pytest.approx(runs[1], abs=2e-3 * np.ptp(runs[1]))
