@@ -31,10 +31,9 @@ struct BacklashGear {
   ARM_INLINE constexpr X stored(X tm, X q) const {
     return tooth().stored(magnitude(Ng * tm - q) - gap());
   }
-  template <class X>
-  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v) const {
-    const X w = Ng * tm - q, rate = Ng * wm - v;
-    return tooth().dissipated(magnitude(w) - gap(), select(w < 0.0, -rate, rate));
+  constexpr double dissipated(double tm, double wm, double q, double v, bool held) const {
+    const double w = Ng * tm - q, rate = Ng * wm - v;
+    return tooth().dissipated(magnitude(w) - gap(), w < 0.0 ? -rate : rate, held);
   }
 
   constexpr Mode mode_at(double tm, double wm, double q, double v) const {

@@ -219,16 +219,18 @@ struct Drive {
     });
     return E;
   }
-  constexpr double dissipated(const Input<double>& x) const {
+  constexpr double dissipated(const Input<double>& x, unsigned held) const {
     double P = friction.Dv * x.v * x.v + sliding(x) * magnitude(x.v);
     if constexpr (driven) P += motor.dissipated(x.z);
-    if constexpr (elastic) P += gear.dissipated(x.z[tm], x.z[wm], x.q, x.v);
+    if constexpr (elastic)
+      P += gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, Gear::modes > 0 && is_held(held, of_gear));
     if constexpr (elastic && Rotor::modes > 0)
       P += rotor.dissipated(x.z[wm], gear.Ng * load_on_link(x));
     if constexpr (carries_rotor && Rotor::modes > 0)
       P += rotor.law.Dv * motor_speed(x) * motor_speed(x);
-    for_each_extra([&](const auto& extra, auto state, auto) {
-      P += extra.dissipated(angle_of(extra, x), speed_of(extra, x), x.z + state);
+    for_each_extra([&](const auto& extra, auto state, auto mode) {
+      P += extra.dissipated(angle_of(extra, x), speed_of(extra, x), x.z + state,
+                            extra.modes > 0 && is_held(held, mode));
     });
     return P;
   }

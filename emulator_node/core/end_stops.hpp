@@ -27,9 +27,9 @@ struct EndStops {
   ARM_INLINE constexpr X stored(X q, const X*) const {
     return stop().stored(q - upper) + stop().stored(lower - q);
   }
-  template <class X>
-  ARM_INLINE constexpr X dissipated(X q, X v, const X*) const {
-    return stop().dissipated(q - upper, v) + stop().dissipated(lower - q, -v);
+  constexpr double dissipated(double q, double v, const double*, bool held) const {
+    const bool above = q - upper > lower - q;
+    return above ? stop().dissipated(q - upper, v, held) : stop().dissipated(lower - q, -v, held);
   }
 
   constexpr Mode mode_at(double q, double v, const double*) const {

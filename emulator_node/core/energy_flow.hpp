@@ -31,7 +31,7 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
   n.for_each_drive([&](const auto& drive, int j) {
     const auto at = input_of(drive, j, x, u[j]);
     power.given[j] = drive.given(at, modes.of(drive, j).held());
-    power.dissipated[j] = drive.dissipated(at);
+    power.dissipated[j] = drive.dissipated(at, modes.of(drive, j).held());
   });
   return power;
 }

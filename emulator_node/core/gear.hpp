@@ -30,7 +30,7 @@ struct ElasticGear {
     return 0.5 * Kg * twist * twist;
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X, X wm, X, X v) const {
+  ARM_INLINE constexpr X dissipated(X, X wm, X, X v, bool) const {
     const X rate = Ng * wm - v;
     return Dg * rate * rate;
   }

@@ -34,10 +34,10 @@ struct OneSided {
   ARM_INLINE constexpr X stored(X u) const {
     return select(u > 0.0, 0.5 * K * u * u, X{});
   }
-  template <class X>
-  ARM_INLINE constexpr X dissipated(X u, X du) const {
-    const X T = push(u, du);
-    return select(u > 0.0, (select(T > 0.0, T, X{}) - K * u) * du, X{});
+  // While it pushes, and while it does not.
+  constexpr double dissipated(double u, double du, bool pushing) const {
+    if (pushing) return D * du * du;
+    return u > 0.0 ? -K * u * du : 0.0;
   }
 };
 

@@ -31,8 +31,8 @@ struct ProgressiveGear {
     return linear().stored(tm, q) + 0.25 * Kg3 * (w * w) * (w * w);
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v) const {
-    return linear().dissipated(tm, wm, q, v);
+  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v, bool held) const {
+    return linear().dissipated(tm, wm, q, v, held);
   }
 };
 
