@@ -8,7 +8,7 @@ from typing import Any
 
 VERSION = 1  # of arm.h
 OK, REFUSED, DIVERGED = range(3)  # enum arm_result
-VOLTAGE = 1  # enum arm_mode
+MODES = {"V": 1, "N m": 2, "A": 4}  # enum arm_mode, by the unit of the command
 
 _pointer, _int, _count, _double = ctypes.c_void_p, ctypes.c_int, ctypes.c_int64, ctypes.c_double
 _int32, _uint32, _uint64 = ctypes.c_int32, ctypes.c_uint32, ctypes.c_uint64

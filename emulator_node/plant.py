@@ -17,9 +17,9 @@ from emulator_node.core_calls import (
     DIVERGED,
     JOINT_COMMAND,
     JOINT_MEASUREMENT,
+    MODES,
     OK,
     REFUSED,
-    VOLTAGE,
     Command,
     Measurement,
     Options,
@@ -160,7 +160,8 @@ class Plant:
         self._energy_alone = Truth(energy=_address(self._energy))
         self._truth = Truth(**dict(zip(ROWS, map(_address, self._rows), strict=True)))
         self._commands = np.zeros(N, JOINT_COMMAND)
-        self._commands["mode"], self._commands["enable"] = VOLTAGE, 1
+        self._commands["mode"] = [MODES[joint.command] for joint in scene.joints]
+        self._commands["enable"] = 1
         self._command = Command(tick=-1, joint=_address(self._commands))
         self._measured = np.zeros(N, JOINT_MEASUREMENT)
         self._measurement = Measurement(joint=_address(self._measured))

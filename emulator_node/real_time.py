@@ -18,13 +18,13 @@ from emulator_node.compiler import real_time_library
 from emulator_node.core_calls import (
     JOINT_COMMAND,
     JOINT_MEASUREMENT,
+    MODES,
     Command,
     RealTimeOptions,
     Snapshot,
     Truth,
     address,
 )
-from emulator_node.core_calls import VOLTAGE as VOLTAGE_MODE
 from emulator_node.plant import LARGEST_STEPS, ROWS, Plant, PlantState
 from emulator_node.scene import Scene
 from emulator_node.session import Session
@@ -107,7 +107,8 @@ class RealTimeLoop:
             joint=self._measured.ctypes.data,
         )
         self._commands = np.zeros(N, JOINT_COMMAND)
-        self._commands["mode"], self._commands["enable"] = VOLTAGE_MODE, 1
+        self._commands["mode"] = [MODES[joint.command] for joint in plant.scene.joints]
+        self._commands["enable"] = 1
         self._command = Command(tick=-1, joint=self._commands.ctypes.data)
 
     def __del__(self) -> None:

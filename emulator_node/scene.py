@@ -67,6 +67,11 @@ class Joint:
         return (*motor, self.gear, self.friction, *rotor, *self.extras)
 
     @property
+    def command(self) -> str:
+        """Unit of what its motor is commanded: V, N m or A."""
+        return self.motor.command if self.motor else "V"
+
+    @property
     def counts_per_turn(self) -> int:
         """Counts of the encoder in a turn of the motor; without one, of the finest there is."""
         return self.encoder.counts_per_turn if self.encoder else IDEAL_COUNTS_PER_TURN

@@ -39,6 +39,21 @@ def one_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) ->
     }</robot>"""  # fmt: skip
 
 
+GANTRY = "x", "y", "z"  # joints of gantry_urdf(), base to tool
+
+
+def gantry_urdf(mass: float = 2.0) -> str:
+    """Three links that slide along x, y and z, and so do not feel each other: 3, 2, 1 `mass`."""
+    text, parent = '<robot name="gantry"><link name="base"/>', "base"
+    for name, axis in zip(GANTRY, ("1 0 0", "0 1 0", "0 0 1"), strict=True):
+        text += LINK.format(
+            name=name, kind="prismatic", xyz="0 0 0", rpy="0 0 0", parent=parent, axis=axis,
+            com="0 0 0", com_rpy="0 0 0", mass=mass, ixx=0.1, iyy=0.1, izz=0.1, ixy=0, ixz=0, iyz=0,
+        )  # fmt: skip
+        parent = f"{name}_link"
+    return text + "</robot>"
+
+
 def write_scene(folder: Path, urdf: str, joints: dict[str, Any], **keys: Any) -> Path:
     """Write a scene and its URDF into `folder` and return the scene's path.
 

@@ -56,7 +56,7 @@ typedef struct arm_description {
 enum arm_kind { ARM_REVOLUTE = 0, ARM_PRISMATIC = 1 };
 
 /* What a command sets; bits of arm_joint_description.modes. */
-enum arm_mode { ARM_VOLTAGE = 1 };
+enum arm_mode { ARM_VOLTAGE = 1, ARM_TORQUE = 2, ARM_CURRENT = 4 };
 
 typedef struct arm_joint_description {
   uint32_t size;
@@ -97,8 +97,8 @@ int arm_join_schedule(arm_machine* machine);
 
 typedef struct arm_joint_command {
   int32_t mode;    /* enum arm_mode */
-  uint32_t enable; /* 0: the motor gets 0 V */
-  double value;    /* V, clamped to the supply */
+  uint32_t enable; /* 0: the command is 0 */
+  double value;    /* V, clamped to the supply; N m or A, clamped to the motor's limit */
 } arm_joint_command;
 
 typedef struct arm_command {
@@ -113,7 +113,7 @@ enum arm_fault { ARM_FAULT_DIVERGED = 1 };
 typedef struct arm_joint_measurement {
   int64_t encoder; /* counts at the motor, rounded down */
   double current;  /* A */
-  double voltage;  /* V, in the period that has passed */
+  double voltage;  /* V (N m, A), the command in the period that has passed */
   uint32_t faults; /* bits of enum arm_fault */
   uint32_t reserved;
 } arm_joint_measurement;
@@ -130,7 +130,7 @@ typedef struct arm_measurement {
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out);
 /* The measurement of this tick once more. */
 int arm_measure(const arm_machine* machine, arm_measurement* out);
-/* Switch the power of all drives: without it every motor gets 0 V. A machine begins with it. */
+/* Switch the power of all drives: without it every command is 0. A machine begins with it. */
 void arm_power(arm_machine* machine, int on);
 
 /* What refused the newest call on this machine. */

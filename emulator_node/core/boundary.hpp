@@ -20,6 +20,16 @@ void write_text(char (&to)[room], const char* text) {
   to[length] = 0;
 }
 
+// The enum arm_mode of each joint's commands.
+struct CommandModes {
+  std::int32_t at[Scene::N] = {};
+  constexpr CommandModes() {
+    for_each_drive<Scene>(
+        [&](const auto& drive, int j) { at[j] = static_cast<std::int32_t>(drive.motor.takes); });
+  }
+};
+inline constexpr CommandModes kModes;
+
 }  // namespace arm
 
 struct arm_machine {
@@ -114,7 +124,7 @@ int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
   out->counts_per_rad = Scene::device[joint].counts_per_rad;
   arm::for_each_drive<Scene>([&](const auto& drive, int j) {
     if (j != joint) return;
-    out->modes = drive.driven ? ARM_VOLTAGE : 0;
+    out->modes = drive.driven ? arm::kModes.at[j] : 0;
     out->gear_ratio = drive.gear.Ng;
     out->current_limit = drive.motor.largest_current();
   });
@@ -159,13 +169,14 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
   double voltage[arm_machine::N];
   for (int j = 0; j < arm_machine::N; ++j) {
     const arm_joint_command& joint = command->joint[j];
-    if (joint.enable && joint.mode != ARM_VOLTAGE)
+    if (joint.enable && joint.mode != arm::kModes.at[j])
       return machine->refuse(j, "mode", "be one that the drive has", joint.mode);
     if (joint.enable && !arm::is_finite(joint.value))
       return machine->refuse(j, "value", "be finite", joint.value);
     const bool on = machine->powered && joint.enable;
-    voltage[j] = on ? arm::clamp(joint.value, Scene::supply_voltage) : 0.0;
+    voltage[j] = on ? joint.value : 0.0;
   }
+  machine->machine.bound(voltage);
   machine->answered = command->tick;
   for (int j = 0; j < arm_machine::N; ++j) machine->voltage[j] = voltage[j];
   machine->machine.advance(voltage, machine->steps_per_period);

@@ -1,8 +1,9 @@
-// What one machine, or several side by side, are to do: rows of voltages, each held for some steps.
+// What one machine, or several side by side, are to do: rows of commands, each held for some steps.
 #pragma once
 
 #include <cstdint>
 
+#include "command_bounds.hpp"
 #include "energy.hpp"
 
 namespace arm {
@@ -12,7 +13,7 @@ class Course {
  public:
   static constexpr int N = S::N, width = kWidth<X>;
 
-  // For each lane the first row of its voltages, and where its positions after that row go, if not
+  // For each lane the first row of its commands, and where its positions after that row go, if not
   // null. `stride`: numbers from one row to the next, of both.
   Course(const double* const (&voltage)[width], double* const (&positions)[width],
          std::int64_t stride, std::int64_t steps_per_row, std::int64_t left_of_this = 0)
@@ -27,16 +28,18 @@ class Course {
     return {{command[lane]}, {q[lane]}, step_over, steps, left};
   }
 
-  // Begin the next row: `u` becomes its voltages within the supply. Returns where they differ from
-  // those before.
-  ARM_INLINE Mask<X> begin_row(X (&u)[row]) {
+  // Begin the next row: `u` becomes its commands within their bounds. Returns where they differ
+  // from those before.
+  ARM_INLINE Mask<X> begin_row(const Numbers<S, X>& numbers, const State<S, X>& x, X (&u)[row]) {
     Mask<X> differ = {};
+    X wanted[N];
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      X given;
-      for (int lane = 0; lane < width; ++lane) set_lane(given, lane, command[lane][j]);
-      const X wanted = clamp(given, S::supply_voltage);
-      differ |= wanted != u[j];
-      u[j] = wanted;
+      for (int lane = 0; lane < width; ++lane) set_lane(wanted[j], lane, command[lane][j]);
+    });
+    bound_commands(numbers, x, wanted);
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      differ |= wanted[j] != u[j];
+      u[j] = wanted[j];
     });
     for (const double*& next : command) {
       next += step_over;
@@ -63,7 +66,7 @@ class Course {
     X given = h * power;
     for (int s = 0; s < count; ++s) {
       if (left == 0) {
-        const Mask<X> differ = begin_row(u);
+        const Mask<X> differ = begin_row(numbers, y, u);
         if (any(differ)) {
           power = select(differ, EnergyBalance<S>::largest_power(numbers, y, u), power);
           given = h * power;

@@ -7,6 +7,7 @@
 // number is the limit, with the current's sign.
 #pragma once
 
+#include "command.hpp"
 #include "mode.hpp"
 #include "number.hpp"
 
@@ -28,8 +29,7 @@ struct DcMotorOf {
   // See drive.hpp.
   constexpr const DcMotorOf& linear() const { return *this; }
 
-  // The largest command that it takes, under this supply [V].
-  constexpr double largest_command(double supply) const { return supply; }
+  static constexpr Command takes = Command::voltage;  // within the supply's
   constexpr double largest_current() const { return current_limit; }
 
   // What stands before di/dt in (1), and (1) itself.
@@ -91,7 +91,7 @@ struct DcMotorOf {
   }
   // The most that it can be given at the voltage V, for the best i [W].
   template <class X>
-  ARM_INLINE constexpr X given_at_most(X V, X wm) const {
+  ARM_INLINE constexpr X given_at_most(const X*, X V, X wm) const {
     const X U = magnitude(V) + magnitude((Kt - Kb) * wm);
     return U * U / (4.0 * R);
   }
@@ -115,8 +115,8 @@ struct NoMotor {
   static constexpr bool present = false;
   static constexpr int states = 0, modes = 0;
   static constexpr double Mm = 0.0;
+  static constexpr Command takes = Command::voltage;
   constexpr const NoMotor& linear() const { return *this; }
-  constexpr double largest_command(double supply) const { return supply; }
   constexpr double largest_current() const { return 0.0; }
 };
 

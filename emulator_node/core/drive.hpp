@@ -240,8 +240,17 @@ struct Drive {
   }
   template <class X>
   ARM_INLINE constexpr X given_at_most(const Input<X>& x) const {
-    if constexpr (driven) return motor.given_at_most(x.u, motor_speed(x));
+    if constexpr (driven) return motor.given_at_most(x.z, x.u, motor_speed(x));
     return X{};
+  }
+
+  // Whether commands are bounded by the supply alone, as voltages are; and the command of x within
+  // its bounds.
+  static constexpr bool bounded_by_supply = Motor::takes == Command::voltage;
+  template <class X>
+  ARM_INLINE constexpr X command(const Input<X>& x, double supply) const {
+    if constexpr (bounded_by_supply) return clamp(x.u, supply);
+    return clamp(x.u, motor.largest_command(x.z, supply));
   }
 
   // The modes that x calls for.

@@ -165,7 +165,8 @@ class Machine {
   int advance_metered(const double* voltage, std::int64_t steps, EnergyFlow<S>& flow) {
     EnergyMeter<S> meter(numbers);
     double u[Stepper::row] = {};
-    for (int j = 0; j < N; ++j) u[j] = clamp(voltage[j], S::supply_voltage);
+    for (int j = 0; j < N; ++j) u[j] = voltage[j];
+    bound(u);
     if constexpr (locates) threads.watch(&meter);
     int joint = fault;
     for (; joint < 0 && steps > 0; --steps) {
@@ -179,10 +180,14 @@ class Machine {
     return joint;
   }
 
+  // Put commands within the bounds of their motors.
+  void bound(double* u) const { bound_commands(numbers, x, u); }
+
   // What the joints are given and dissipate now, under these voltages [W].
   EnergyFlow<S> powers(const double* voltage) const {
     double u[N];
-    for (int j = 0; j < N; ++j) u[j] = clamp(voltage[j], S::supply_voltage);
+    for (int j = 0; j < N; ++j) u[j] = voltage[j];
+    bound(u);
     State<S> at = x;
     Modes<S>::follow(numbers, at, u);
     return powers_of(numbers, at, u, modes_at(at, u));

@@ -84,6 +84,11 @@ template <class X>
 ARM_INLINE constexpr X clamp(X x, double limit) {
   return select(x > limit, X{} + limit, select(x < -limit, X{} - limit, x));
 }
+template <class X>
+  requires(kWidth<X> > 1)
+ARM_INLINE X clamp(const X& x, const X& limit) {
+  return select(x > limit, limit, select(x < -limit, -limit, x));
+}
 
 // The value of one lane.
 ARM_INLINE constexpr double lane_of(double x, int) { return x; }

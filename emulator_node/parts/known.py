@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from emulator_node.parts.backlash_gear import BacklashGear
+from emulator_node.parts.current_motor import CurrentMotor
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.end_stops import EndStops
@@ -11,10 +12,15 @@ from emulator_node.parts.gear import Gear, RigidGear
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.parts.progressive_gear import ProgressiveGear
+from emulator_node.parts.torque_motor import TorqueMotor
 from emulator_node.section import Section
 
 # The first is meant where a scene gives no `motor.kind`.
-MOTORS: tuple[type[Motor], ...] = (DcMotor,)
+MOTORS: tuple[type[Motor], ...] = (
+    DcMotor,
+    TorqueMotor,
+    CurrentMotor,
+)
 
 # A gear is the first of these whose keys it has all.
 GEARS: tuple[type[Gear], ...] = (

@@ -1,0 +1,31 @@
+"""Motors whose current control is taken for granted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from emulator_node.parts.motor import Motor
+from emulator_node.parts.part import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentMotor(Motor):
+    """The current follows the command, with a bandwidth if there is one."""
+
+    kind = "current"
+    header = "current_motor.hpp"
+    cxx = "CurrentMotor"
+    command = "A"
+
+    torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
+    resistance: Annotated[float, Number("R", "ohm", at_least=0.0)] = 0.0
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
+    bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
+    current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+        return {
+            "rotor inertia": self.rotor_inertia / ratio**2,
+            "torque per current": self.torque_constant / abs(ratio),
+        }

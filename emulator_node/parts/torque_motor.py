@@ -1,0 +1,26 @@
+"""Motors whose torque control is taken for granted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from emulator_node.parts.motor import Motor
+from emulator_node.parts.part import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueMotor(Motor):
+    """The torque follows the command, with a bandwidth if there is one."""
+
+    kind = "torque"
+    header = "torque_motor.hpp"
+    cxx = "TorqueMotor"
+    command = "N m"
+
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
+    bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
+    torque_limit: Annotated[float | None, Number("torque_limit", "N m", above=0.0)] = None
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+        return {"rotor inertia": self.rotor_inertia / ratio**2}

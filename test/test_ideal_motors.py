@@ -1,0 +1,199 @@
+"""Motors that are commanded a torque or a current, against closed forms.
+
+The joints of a gantry do not feel each other: each is a linear machine by itself, whose state at
+the end of a period is a matrix exponential.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import GANTRY, gantry_urdf, write_scene
+from scipy.linalg import expm
+
+from arm_emulator.gains import check_joints
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Plant
+from emulator_node.reference import reference
+from emulator_node.scene import Scene, load_scene
+from servo_node.servo_config import load_servo_config
+from words.config_files import find_beside, find_scene
+from words.refusal import Refusal
+
+PERIOD = 1e-2  # s, over which a command is held
+MOVED = 6.0, 4.0, 2.0  # kg, by each joint
+ROTOR = {"rotor_inertia": 1e-4}
+TORQUE = {"kind": "torque", **ROTOR}
+CURRENT = {"kind": "current", "torque_constant": 0.1, **ROTOR}
+ELASTIC, RIGID = {"ratio": 0.01, "stiffness": 2e4, "damping": 20.0}, {"ratio": 0.01}
+VISCOUS = {"viscous": 3.0}
+# Two libraries with all combinations of motor, gear and bandwidth that matter.
+STRUCTURES: dict[str, list[dict[str, Any]]] = {
+    "bandwidth": [
+        {"motor": {**TORQUE, "bandwidth": 30.0}, "gear": ELASTIC, "friction": VISCOUS},
+        {"motor": {**CURRENT, "bandwidth": 50.0, "resistance": 0.5}, "gear": ELASTIC},
+        {"motor": {**TORQUE, "bandwidth": 40.0}, "gear": RIGID, "friction": VISCOUS},
+    ],
+    "at_once": [
+        {"motor": {**CURRENT, "current_limit": 4.0}, "gear": RIGID, "friction": VISCOUS},
+        {"motor": {**TORQUE, "torque_limit": 0.3}, "gear": ELASTIC},
+        {"motor": {**CURRENT, "resistance": 0.7}, "gear": ELASTIC, "friction": VISCOUS},
+    ],
+}
+
+
+@pytest.fixture(scope="module", params=STRUCTURES)
+def gantry(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    joints = dict(zip(GANTRY, STRUCTURES[request.param], strict=True))
+    return write_scene(
+        tmp_path_factory.mktemp("gantry"), gantry_urdf(), joints, energy_flow=True,
+        varied=["joints.*.motor.*", "joints.*.gear.*", "joints.*.friction.viscous"],
+        integrator={"scheme": "rosenbrock", "dt": 1e-4},
+    )  # fmt: skip
+
+
+def drawn(file: Path, seed: int, dt: float = 1e-4) -> tuple[Scene, Plant, np.ndarray]:
+    """The gantry with other numbers, and commands within the limits of its motors."""
+    rng = np.random.default_rng([seed, 11])
+    scene = load_scene(file, {"integrator.dt": dt})
+    plant = Plant(scene)
+    for one in scene.varied:
+        plant.set_parameter(one.name, one.value * float(rng.uniform(0.5, 2.0)))
+    plant.reset()
+    return scene, plant, rng.uniform(-0.1, 0.1, (8, 3))
+
+
+def exact(scene: Scene, plant: Plant, commands: np.ndarray) -> np.ndarray:
+    """Rows (current, tm, wm, q, v) of the joints after each period, (K, 5, N)."""
+    out = np.zeros((len(commands), 5, 3))
+    for j, (joint, M) in enumerate(zip(scene.joints, MOVED, strict=True)):
+        at = f"joints.{joint.name}."
+        own = {k.removeprefix(at): x for k, x in plant.parameters.items() if k.startswith(at)}
+        Mm, Dl = own["motor.rotor_inertia"], own.get("friction.viscous", 0.0)
+        Kt, lag = own.get("motor.torque_constant", 1.0), own.get("motor.bandwidth")
+        Ng, Kg, Dg = joint.gear.ratio, own.get("gear.stiffness"), own.get("gear.damping", 0.0)
+        A, B = np.zeros((5, 5)), np.zeros(5)  # of (s, tm, wm, q, v); s what follows the command
+        torque = np.zeros(6)  # on the rotor, of the states and u
+        torque[5 if lag is None else 0] = Kt
+        if lag is not None:
+            A[0, 0], B[0] = -2.0 * np.pi * lag, 2.0 * np.pi * lag
+        A[3, 4] = 1.0
+        if Kg is None:
+            inertia = M + Mm / Ng**2
+            A[4], B[4] = torque[:5] / Ng / inertia, torque[5] / Ng / inertia
+            A[4, 4] -= Dl / inertia
+        else:
+            T = np.array([0.0, Ng * Kg, Ng * Dg, -Kg, -Dg])
+            A[1, 2] = 1.0
+            A[2], B[2] = (torque[:5] - Ng * T) / Mm, torque[5] / Mm
+            A[4] = T / M
+            A[4, 4] -= Dl / M
+        augmented = np.zeros((6, 6))
+        augmented[:5, :5], augmented[:5, 5] = A, B
+        over = expm(augmented * PERIOD)
+        x = np.zeros(5)
+        for k, u in enumerate(commands[:, j]):
+            x = over[:5, :5] @ x + over[:5, 5] * u
+            out[k, :, j] = x
+            if lag is None:
+                out[k, 0, j] = u
+            if Kg is None:
+                out[k, 1:3, j] = x[3:5] / Ng
+            if joint.command == "N m":
+                out[k, 0, j] = 0.0  # no current is known
+    return out
+
+
+def motion(plant: Plant, commands: np.ndarray) -> np.ndarray:
+    rows = []
+    for row in commands:
+        plant.advance(row, round(PERIOD / plant.scene.integrator.dt))
+        x = plant.state
+        rows.append([x.current, x.theta_m, x.omega_m, x.q, x.v])
+    return np.array(rows)
+
+
+def test_the_motion_is_a_matrix_exponential_to_second_order(gantry: Path) -> None:
+    for seed in range(4):
+        errors = []
+        for dt in (1e-4, 5e-5):
+            scene, plant, commands = drawn(gantry, seed, dt)
+            truth = exact(scene, plant, commands)
+            size = np.abs(truth).max(axis=0) + 1e-300
+            errors.append(float((np.abs(motion(plant, commands) - truth) / size).max()))
+        # Order 2: a quarter at half the step, but for the error's next term.
+        assert errors[1] < 1e-3 and errors[1] < 0.3 * errors[0] + 1e-12, f"seed {seed}: {errors}"
+
+
+def test_energy_is_what_the_supply_gives_less_what_is_dissipated(gantry: Path) -> None:
+    for seed in range(4):
+        left = []
+        for dt in (1e-4, 5e-5):
+            _, plant, commands = drawn(gantry, seed, dt)
+            before, given, dissipated = plant.energy, 0.0, 0.0
+            for row in commands:
+                flow = plant.advance_metered(row, round(PERIOD / dt))
+                given += float(flow.given.sum())
+                dissipated += float(flow.dissipated.sum())
+            turned = abs(given) + dissipated
+            left.append(abs(plant.energy - before - given + dissipated) / turned)
+        # What is left is the scheme's error, of order 2.
+        assert left[1] < 1e-4 and left[1] < 0.35 * left[0] + 1e-9, f"seed {seed}: {left}"
+
+
+def test_commands_are_clamped_to_the_motors_own_limits(tmp_path: Path) -> None:
+    """Not to the supply, which is 48 V here; without power they are 0."""
+    joints = dict(zip(GANTRY, STRUCTURES["at_once"], strict=True))
+    file = write_scene(
+        tmp_path, gantry_urdf(), joints, integrator={"scheme": "rosenbrock", "dt": 1e-4}
+    )
+    plant = Plant(load_scene(file))
+    for _ in range(3):
+        plant.exchange(np.array([-7.0, 100.0, 60.0]))
+        assert plant.voltage.tolist() == [-4.0, 0.3, 60.0], "limit, limit, none"
+        assert plant.state.current[[0, 2]] == pytest.approx([-4.0, 60.0]), "currents that follow"
+    plant.powered = False
+    plant.exchange(np.array([-7.0, 100.0, 60.0]))
+    assert plant.voltage.tolist() == [0.0, 0.0, 0.0], "commands without power"
+    assert np.abs(plant.state.current).max() < 1e-12, "currents without power"
+
+
+def test_a_motor_that_speeds_up_has_its_energy_from_the_supply(gantry: Path) -> None:
+    """From rest, where it is given nothing, to speeds at which it is given much in each step."""
+    for seed in range(3):
+        _, plant, _ = drawn(gantry, seed)
+        for name in plant.parameters:
+            if name.endswith("resistance"):
+                plant.set_parameter(name, 0.0)  # nothing is given but to what moves
+        plant.reset()
+        plant.advance([0.5, 0.5, 0.5], 20_000)  # 2 s; would raise Diverged
+        assert (plant.state.v > 0.3).all(), "speeds that were reached"
+
+
+def test_lanes_go_as_one(gantry: Path) -> None:
+    scene = load_scene(gantry)
+    rng = np.random.default_rng(7)
+    rows = rng.uniform(-6.0, 6.0, (20, 9, 3))
+    values = {one.name: one.value * rng.uniform(0.5, 2.0, 9) for one in scene.varied}
+    q = Fleet(scene, 9, varied=values).run(rows, 50)
+    for k in range(9):
+        one = Plant(scene)
+        for name, column in values.items():
+            one.set_parameter(name, float(column[k]))
+        one.reset()
+        # Lanes differ from one machine by rounding.
+        assert q[:, k] == pytest.approx(one.run(rows[:, k], 50), rel=1e-9, abs=1e-12), f"arm {k}"
+
+
+@pytest.mark.parametrize("motor", [TORQUE, CURRENT], ids=lambda motor: motor["kind"])
+def test_our_servo_and_its_gains_refuse_them_by_name(motor: dict[str, Any]) -> None:
+    scene = load_scene("three_axis", {"joints.shoulder.motor": motor})
+    servo = load_servo_config(find_beside(find_scene("three_axis"), "servo"))
+    words = f"joints.shoulder.motor.kind must be dc for our servo, got {motor['kind']}"
+    with pytest.raises(Refusal, match=words):
+        check_joints(scene, servo)
+    with pytest.raises(Refusal, match="joints.shoulder.motor must be a part that the reference"):
+        reference(scene, [[0.0, 0.0, 0.0]], 1e-3)
