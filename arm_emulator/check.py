@@ -10,7 +10,7 @@ from tick 0 on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, MotorState
+from emulator_node.measured import told_by
 from emulator_node.plant import SET, Plant
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
@@ -45,6 +46,7 @@ TYPES: dict[str, tuple[Any, str]] = {
     "robot_description": (String, "std_msgs/msg/String"),
     "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
 }
+PER_UNIT = ("specific_force", "angular_rate")  # of motor states: three values per IMU
 COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator/events")
 KINDS = {
     MachineEvent.KIND_SET_STATE: "set_state",
@@ -137,6 +139,7 @@ class _Checker:
         self._lockstep = lockstep
         self._commanded = JointOrder("motor_commands", session.scene.joint_names)
         self._inside = False  # a run that began at tick 0
+        self._per_joint = [name for name in told_by(session.scene) if name not in PER_UNIT]
         self._told = Plant(session.scene)  # machines as events tell them
         self._event = (0, 0)  # emulator and number of the newest one
         self._waiting: list[MachineEvent] = []  # at tick 0 of a run whose first state is to come
@@ -259,9 +262,25 @@ class _Checker:
         if tick == session.tick + 1:
             self._advance(self._applied(state, order))
         self.tally.states += 1
-        now = session.state
-        self._compare("encoder_counts", order, np.array(state.encoder_counts), now.encoder_counts)
-        self._compare("current", order, np.array(state.current), now.current)
+        now = session.measured
+        for name in ("encoder_counts", "current", *self._per_joint):
+            self._compare(name, order, np.array(getattr(state, name)), getattr(now, name))
+        if session.scene.imus:
+            self._compare_imus(state)
+
+    def _compare_imus(self, state: MotorState) -> None:
+        known = [one.name for one in self._session.scene.imus]
+        if list(state.imu_names) != known:
+            got = ", ".join(state.imu_names) or "none"
+            raise Refusal(self._where, "imu_names", "be those of the scene", got, ", ".join(known))
+        for name in PER_UNIT:
+            computed = getattr(self._session.measured, name).ravel()
+            recorded = np.array(getattr(state, name))
+            if len(recorded) != len(computed):
+                rule = f"have {len(computed)} values"
+                raise Refusal(self._where, name, rule, f"{len(recorded)} values")
+            owners = [unit for unit in known for _ in range(3)]
+            self._same_bits(name, recorded, computed, owners)
 
     def _applied(self, state: MotorState, order: list[int]) -> NDArray[np.float64]:
         """Return the voltages of the period before this state; they must be as commanded."""
@@ -329,15 +348,23 @@ class _Checker:
         self._has_values(quantity, order, len(given))
         self._same_bits(quantity, given[order], computed)
 
-    def _same_bits(self, quantity: str, recorded: NDArray[Any], computed: NDArray[Any]) -> None:
+    def _same_bits(
+        self,
+        quantity: str,
+        recorded: NDArray[Any],
+        computed: NDArray[Any],
+        owners: Sequence[str] | None = None,
+    ) -> None:
         # Of the bits: 0.0 and -0.0 differ, and a NaN is equal to itself.
+        recorded, computed = np.ascontiguousarray(recorded), np.ascontiguousarray(computed)
         differ = recorded.view(np.int64) != computed.view(np.int64)
         if differ.any():
-            joint = int(np.argmax(differ))
+            place = int(np.argmax(differ))
+            joints = [f"joint {name}" for name in self._session.scene.joint_names]
+            owner = owners[place] if owners else joints[place]
             raise Difference(
-                f"run {self.tally.runs}, tick {self._session.tick}, "
-                f"joint {self._session.scene.joint_names[joint]}, {quantity}: "
-                f"recorded {recorded[joint].item()!r}, computed {computed[joint].item()!r}"
+                f"run {self.tally.runs}, tick {self._session.tick}, {owner}, {quantity}: "
+                f"recorded {recorded[place].item()!r}, computed {computed[place].item()!r}"
             )
 
 

@@ -40,7 +40,7 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
     """Refuse gains that are those of another scene.
 
     Raises:
-        Refusal: other joints than the scene's, or other periods.
+        Refusal: as `check_joints`, or other periods.
     """
     check_joints(scene, servo)
     where = scene.where
@@ -51,19 +51,27 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
 
 
 def check_joints(scene: Scene, servo: ServoConfig) -> None:
-    """Refuse a servo of other joints than the scene's, or of motors that it does not know.
+    """Refuse a servo of other joints than the scene's, or of other motors or encoders.
 
     Raises:
-        Refusal: a joint too many or too few, or a motor that our servo cannot drive.
+        Refusal: a joint too many or too few, a motor that our servo cannot drive, or another word
+            length of an absolute encoder.
     """
     if sorted(servo.joint_names) != sorted(scene.joint_names):
         rule = "name every moving joint of the scene once"
         got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
         raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
+    told = {joint.name: joint.encoder_bits for joint in servo.joints}
     for joint in scene.joints:
         if joint.motor is not None and not isinstance(joint.motor, DcMotor):
             where = f"joints.{joint.name}.motor.kind"
             raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
+        bits = 0 if joint.encoder is None else joint.encoder.bits or 0
+        if told[joint.name] != bits:
+            rule = f"be that of the scene's encoder, {bits}"
+            raise Refusal(
+                scene.where, f"servo.joints.{joint.name}.encoder_bits", rule, told[joint.name]
+            )
 
 
 def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:

@@ -79,12 +79,12 @@ class OfflineRun:
         session, drives, names = self.session, self.drives, self._servo_names
         to_servo, motion_ticks = self._to_servo, self.motion_ticks
         for _ in range(ticks):
-            tick, state = session.tick, session.state
+            tick, measured = session.tick, session.measured
             now = session.logical_ns
             drives.measure(
                 now,
-                state.encoder_counts[to_servo],
-                state.current[to_servo],
+                measured.encoder_counts[to_servo],
+                measured.current[to_servo],
                 session.voltage[to_servo],
             )
             if tick % motion_ticks == 0:

@@ -15,6 +15,7 @@ from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.encoder import Encoder
 from emulator_node.parts.friction import LinkFriction
+from emulator_node.parts.sensors import JointSensors
 from emulator_node.scene import Joint
 
 # What a limit of the description may be. Beyond, it stands for "not known".
@@ -157,7 +158,7 @@ def _drive(
             stiffness=rounded(stiffness),
             damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
         ),
-        encoder=Encoder(counts_per_turn=COUNTS_PER_TURN),
+        sensors=JointSensors(encoder=Encoder(counts_per_turn=COUNTS_PER_TURN)),
         friction=LinkFriction(viscous=rounded(FRICTION_PART * torque / speed)),
     )
     return Sized(joint, torque, speed, acceleration, notes)

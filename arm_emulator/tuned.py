@@ -190,8 +190,8 @@ def run(scene: Scene, servo: ServoConfig) -> Run:
     begin, end = round(SETTLE / period), round((SETTLE + time) / period)
     off, q_late = [], []
     for tick in range(ticks):
-        state = session.state
-        counts, current = state.encoder_counts[order], state.current[order]
+        state, measured = session.state, session.measured
+        counts, current = measured.encoder_counts[order], measured.current[order]
         drives.measure(session.logical_ns, counts, current, session.voltage[order])
         s, rate = _quintic((tick - begin) * period / time)
         if tick % every == 0:

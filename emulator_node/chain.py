@@ -142,11 +142,20 @@ class Chain:
     """The moving joints from base to tip, and the base's frame.
 
     `R_BW` (3, 3) turns world vectors (gravity) into the base's frame, from which the first joint is
-    seen; both have their origin at the URDF's root link.
+    seen; both have their origin at the URDF's root link. `carried` has the URDF's links that move,
+    each with the joint that carries it and its frame in that of the joint's child link, which
+    `R_core` (N, 3, 3) turns into the core's.
     """
 
     joints: tuple[ChainJoint, ...]
     R_BW: Array
+    R_core: Array
+    carried: Mapping[str, tuple[int, Frame]]
+
+    def place_of(self, link: str) -> tuple[int, Frame]:
+        """Return the joint that carries a link of `carried`, and the frame in the core's of it."""
+        joint, frame = self.carried[link]
+        return joint, Frame(self.R_core[joint]) @ frame
 
 
 @dataclass(frozen=True)
@@ -399,6 +408,13 @@ def _frames(
     return [Frame(R[k] if turned[k] else _EYE, p[k]) for k in range(len(rows))]
 
 
+def frame_of(xyz: Iterable[float], rpy: Iterable[float]) -> Frame:
+    """Return the frame at `xyz` [m], turned by roll, pitch and yaw [rad] as in a URDF."""
+    turns = (_turn(axis, angle) for axis, angle in enumerate(rpy))
+    roll, pitch, yaw = turns
+    return Frame(_clean(yaw @ pitch @ roll), np.array(tuple(xyz)))
+
+
 def _numbers(text: str | None, count: int, what: str, where: str) -> list[float]:
     words = (text or "").split() if count > 1 else [text or ""]
     if len(words) != count:
@@ -547,7 +563,12 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
                 body=one.body.seen_from(Frame(turned[index].T)),
             )
         )
-    return Chain(tuple(joints), R_WB.T)
+    carried = {
+        link: (index, frame)
+        for index, one in enumerate(moving)
+        for link, frame in zip(one.links, one.frames, strict=True)
+    }
+    return Chain(tuple(joints), R_WB.T, np.array([R.T for R in turned]), carried)
 
 
 def _check_body(one: _Moving, where: str) -> None:

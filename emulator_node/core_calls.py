@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Mapping
 from typing import Any
 
-VERSION = 1  # of arm.h
+VERSION = 2  # of arm.h
 OK, REFUSED, DIVERGED = range(3)  # enum arm_result
 MODES = {"V": 1, "N m": 2, "A": 4}  # enum arm_mode, by the unit of the command
 
@@ -104,14 +104,14 @@ class Command(_Sized):
 
 
 class Measurement(_Sized):
-    """``arm_measurement``; `joint` points to an array of JOINT_MEASUREMENT."""
+    """``arm_measurement``; arrays of JOINT_MEASUREMENT, JOINT_SENSORS and IMU_MEASUREMENT."""
 
     _fields_ = (
         ("size", _uint32),
         ("powered", _uint32),
         ("tick", _count),
         ("answered", _count),
-        ("joint", _pointer),
+        *((name, _pointer) for name in ("joint", "sensors", "imu")),
     )
 
 
@@ -139,14 +139,14 @@ class FleetTruth(_Sized):
 
 
 class Snapshot(_Sized):
-    """``arm_snapshot``; `joint` points to an array of JOINT_MEASUREMENT."""
+    """``arm_snapshot``; its arrays are those of a `Measurement`."""
 
     _fields_ = (
         ("size", _uint32),
         ("reserved", _uint32),
         *((name, _count) for name in ("tick", "answered", "lateness", "spent")),
         ("truth", Truth),
-        ("joint", _pointer),
+        *((name, _pointer) for name in ("joint", "sensors", "imu")),
     )
 
 
@@ -160,11 +160,11 @@ class RealTimeOptions(_Sized):
         ("join_schedule", _pointer),
         ("period", _count),
         ("core", _int32),
-        ("reserved", _int32),
+        ("imus", _int32),
     )
 
 
-# ``arm_joint_command`` and ``arm_joint_measurement``, for arrays of numpy.
+# ``arm_joint_command``, ``arm_joint_measurement`` and so on, for arrays of numpy.
 JOINT_COMMAND = [("mode", "i4"), ("enable", "u4"), ("value", "f8")]
 JOINT_MEASUREMENT = [
     ("encoder", "i8"),
@@ -173,6 +173,12 @@ JOINT_MEASUREMENT = [
     ("faults", "u4"),
     ("reserved", "u4"),
 ]
+JOINT_SENSORS = [
+    *((name, "i8") for name in ("index", "index_pulses", "link_encoder")),
+    *((name, "i8") for name in ("link_index", "link_index_pulses")),
+    ("torque", "f8"),
+]
+IMU_MEASUREMENT = [("specific_force", "f8", 3), ("angular_rate", "f8", 3)]
 
 
 def declare(library: ctypes.CDLL, calls: Calls) -> ctypes.CDLL:

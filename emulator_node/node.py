@@ -35,6 +35,7 @@ from arm_emulator_msgs.msg import (
     RecorderReport,
 )
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
+from emulator_node.measured import MORE_SENSORS, told_by
 from emulator_node.plant import Diverged
 from emulator_node.real_time import RealTimeSession
 from emulator_node.recorders import Recorders
@@ -141,7 +142,10 @@ class EmulatorNode(Node):
         self._report_ticks = max(1, round(self._config.report_period / scene.servo_period))
 
         names = list(scene.joint_names)
-        self._motor_state = MotorState(joint_names=names, machine=STARTED)
+        self._motor_state = MotorState(
+            joint_names=names, machine=STARTED, imu_names=[one.name for one in scene.imus]
+        )
+        self._more_sensors = {name: MORE_SENSORS[name] for name in told_by(scene)}
         self._truth = JointState(name=names)
         self._motor_states = self.create_publisher(MotorState, "motor_states", STATE_PUB_QOS)
         self._truths = self.create_publisher(JointState, "emulator/joint_states", STATE_PUB_QOS)
@@ -397,9 +401,12 @@ class EmulatorNode(Node):
         message.header.stamp = stamp(session.logical_ns)
         message.tick = session.tick
         message.powered = session.powered
-        message.encoder_counts = array("q", session.state.encoder_counts.tobytes())
-        message.current = array("d", session.state.current.tobytes())
+        measured = session.measured
+        message.encoder_counts = array("q", measured.encoder_counts.tobytes())
+        message.current = array("d", measured.current.tobytes())
         message.voltage = array("d", session.voltage.tobytes())
+        for name, kind in self._more_sensors.items():
+            setattr(message, name, array(kind, getattr(measured, name).tobytes()))
         self._recorders.published += 1
         if self._record is not None:
             self._record.count(session.tick)

@@ -16,7 +16,6 @@ from emulator_node.compiler import library_of
 from emulator_node.core_calls import (
     DIVERGED,
     JOINT_COMMAND,
-    JOINT_MEASUREMENT,
     MODES,
     OK,
     REFUSED,
@@ -26,6 +25,7 @@ from emulator_node.core_calls import (
     Refused,
     Truth,
 )
+from emulator_node.measured import Measured, MeasuredPlace
 from emulator_node.scene import Scene
 from words.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY, Bound
 from words.count import check_count
@@ -87,7 +87,7 @@ class PlantState:
     q: Array  # rad or m, link side
     v: Array  # rad/s or m/s, link side
     gear_torque: Array  # N m or N, on the link
-    encoder_counts: NDArray[np.int64]  # at the motor, floor
+    encoder_counts: NDArray[np.int64]  # at the motor, as the encoder tells them
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,9 @@ class Plant:
         self._commands["mode"] = [MODES[joint.command] for joint in scene.joints]
         self._commands["enable"] = 1
         self._command = Command(tick=-1, joint=_address(self._commands))
-        self._measured = np.zeros(N, JOINT_MEASUREMENT)
-        self._measurement = Measurement(joint=_address(self._measured))
+        self._place = MeasuredPlace(scene)
+        self._measured = self._place.joints
+        self._measurement = Measurement(**self._place.addresses)
         self._structs = tuple(map(ctypes.byref, (self._command, self._measurement)))
         self.link_angle_per_count = link_angle_per_count(scene)
         at_most = largest_position(scene)
@@ -266,6 +267,15 @@ class Plant:
     def voltage(self) -> Array:
         """What the motors got in the servo period that has passed (N,) [V], within the supply."""
         return self._measured["voltage"].copy()
+
+    @property
+    def measured(self) -> Measured:
+        """What the sensors told at the newest tick, as a copy.
+
+        Without sensors of their own, see docs/sensors.md, joints tell what is there now.
+        """
+        self.core.arm_measure(self.machine, self._structs[1])
+        return self._place.read()
 
     @property
     def powered(self) -> bool:

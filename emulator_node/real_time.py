@@ -11,13 +11,11 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from emulator_node.chain import Array
 from emulator_node.compiler import real_time_library
 from emulator_node.core_calls import (
     JOINT_COMMAND,
-    JOINT_MEASUREMENT,
     MODES,
     Command,
     RealTimeOptions,
@@ -25,6 +23,7 @@ from emulator_node.core_calls import (
     Truth,
     address,
 )
+from emulator_node.measured import Measured, MeasuredPlace
 from emulator_node.plant import LARGEST_STEPS, ROWS, Plant, PlantState
 from emulator_node.scene import Scene
 from emulator_node.session import Session
@@ -60,8 +59,7 @@ class Reached:
     fault: int  # joint that diverged; -1: none
     energy: float  # J
     rows: Array  # (len(ROWS), N), see `PlantState`
-    voltage: Array  # (N,) V, in that period
-    encoder_counts: NDArray[np.int64]  # (N,)
+    measured: Measured
 
 
 class RealTimeLoop:
@@ -96,15 +94,16 @@ class RealTimeLoop:
             join_schedule=address(plant.core, "arm_join_schedule"),
             period=period_ns,
             core=core,
+            imus=len(plant.scene.imus),
         )
         self._loop = self._calls.arm_real_time_new(ctypes.byref(options))
         self._bell = self._calls.arm_real_time_descriptor(self._loop)
         self._energy, self._rows = np.zeros(1), np.zeros((len(ROWS), N))
-        self._measured = np.zeros(N, JOINT_MEASUREMENT)
+        self._place = MeasuredPlace(plant.scene)
         places = {name: row.ctypes.data for name, row in zip(ROWS, self._rows, strict=True)}
         self._snapshot = Snapshot(
             truth=Truth(energy=self._energy.ctypes.data, **places),
-            joint=self._measured.ctypes.data,
+            **self._place.addresses,
         )
         self._commands = np.zeros(N, JOINT_COMMAND)
         self._commands["mode"] = [MODES[joint.command] for joint in plant.scene.joints]
@@ -162,8 +161,7 @@ class RealTimeLoop:
             self._snapshot.truth.fault,
             float(self._energy[0]),
             self._rows.copy(),
-            self._measured["voltage"].copy(),
-            self._measured["encoder"].copy(),
+            self._place.read(),
         )
 
     def figures(self) -> RealTimeFigures:
@@ -192,7 +190,7 @@ class RealTimeSession(Session):
         self._loop = RealTimeLoop(
             self.plant, self.period_ns, scene.steps_per_period, scene.cores[0]
         )
-        self._energy = self.plant.energy
+        self._look()
         self._follow_phase()
 
     def reset(self) -> None:
@@ -204,7 +202,7 @@ class RealTimeSession(Session):
             while self._loop.take() is not None:
                 pass
             super().reset()
-            self._energy = self.plant.energy
+            self._look()
             self._loop.command(-1, self._zero)
             self._loop.clear_figures()
             self._goes_on = False
@@ -259,7 +257,11 @@ class RealTimeSession(Session):
 
     def _take_machine(self) -> None:
         super()._take_machine()
-        self._state = self.plant.state
+        self._look()
+
+    def _look(self) -> None:
+        """Take what there is at this tick, while the loop stands still."""
+        self._state, self._measured = self.plant.state, self.plant.measured
         self._energy = self.plant.energy
 
     def offer(self, tick: int, joint_names: Any, voltage: Any) -> None:
@@ -280,14 +282,15 @@ class RealTimeSession(Session):
         reached = self._loop.take()
         if reached is None:
             return False
-        self.tick, self.voltage, self._energy = reached.tick, reached.voltage, reached.energy
+        self.tick, self._energy, self._measured = reached.tick, reached.energy, reached.measured
+        self.voltage = reached.measured.voltage
         self.step_wall_ns += reached.spent
         t = reached.tick * self.scene.servo_period
         current, theta_m, omega_m, q, v, gear_torque = reached.rows
-        counts = reached.encoder_counts
+        counts = reached.measured.encoder_counts
         self._state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque, counts)
         if reached.fault >= 0:
-            self.fault = self.plant.fault(reached.fault, t, q, v, reached.voltage)
+            self.fault = self.plant.fault(reached.fault, t, q, v, self.voltage)
             self.fault.hint = what_holds(self.fault)
             self._running = False
         return True

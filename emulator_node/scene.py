@@ -21,9 +21,11 @@ from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, 
 from emulator_node.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
 from emulator_node.parts.friction import LinkFriction, RotorFriction
 from emulator_node.parts.gear import Gear, RigidGear
+from emulator_node.parts.imu import Imu
 from emulator_node.parts.known import read_extras, read_gear, read_motor
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
+from emulator_node.parts.sensors import JointSensors
 from emulator_node.section import LARGEST, LARGEST_COUNT, SMALLEST, Section
 from emulator_node.varied import Varied, choose_varied
 from words.config_files import BESIDE, find_config
@@ -35,6 +37,7 @@ from words.yaml_file import read_yaml
 SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
 EXCHANGES = ("predict", "lag")
 EVENTS = ("step", "located")
+LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class Joint:
     start: float  # rad or m
     motor: Motor | None
     gear: Gear
-    encoder: Encoder | None
+    sensors: JointSensors
     friction: LinkFriction
     rotor_friction: RotorFriction | None = None
     extras: tuple[Part, ...] = ()  # that stand in sections of their own
@@ -70,6 +73,11 @@ class Joint:
     def command(self) -> str:
         """Unit of what its motor is commanded: V, N m or A."""
         return self.motor.command if self.motor else "V"
+
+    @property
+    def encoder(self) -> Encoder | None:
+        """Of its motor."""
+        return self.sensors.encoder
 
     @property
     def counts_per_turn(self) -> int:
@@ -106,6 +114,13 @@ class Scene:
     cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
     varied: tuple[Varied, ...]  # numbers that every machine has for itself
     load: Load | None  # the payload, where its mass is varied
+    imus: tuple[Imu, ...]
+    seed: int  # of the noise of sensors
+
+    @property
+    def sensed(self) -> bool:
+        """Whether there are sensors that do not tell what is there as it is."""
+        return bool(self.imus) or not all(joint.sensors.plain for joint in self.joints)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -197,8 +212,15 @@ def _build(root: Section, file: Path) -> Scene:
         if rule:
             raise root.refusal("integrator.events", rule, "located", valid)
     cores = _cores(root)
-    mass = payload_body.mass if payload_body is not None else None
-    varied = choose_varied(root.entries("varied"), _could_vary(joints, mass), where)
+    imus = _imus(root, chain)
+    seed = root.integer("seed", default=0, at_least=0, at_most=LARGEST_SEED)
+    possible = _could_vary(joints, imus)
+    if payload_body is not None:
+        possible.append(Varied("payload.mass", payload_body.mass, SMALLEST, LARGEST))
+    if root.has("seed"):
+        possible.append(Varied("seed", seed, 0.0, LARGEST_SEED))
+    by_name = {one.name: one for one in possible}
+    varied = choose_varied(root.entries("varied"), by_name, where)
     load = None
     if payload is not None and any(one.name == "payload.mass" for one in varied):
         load = _load(*(read(_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
@@ -223,6 +245,8 @@ def _build(root: Section, file: Path) -> Scene:
         cores=cores,
         varied=varied,
         load=load,
+        imus=imus,
+        seed=seed,
     )
 
 
@@ -239,7 +263,7 @@ def _cores(root: Section) -> tuple[int, int]:
 
 def _joints(root: Section, chain: Chain, urdf_name: str) -> tuple[Joint, ...]:
     section = root.required_section("joints")
-    names = [joint.name for joint in chain.joints]
+    names = {joint.name: joint.kind for joint in chain.joints}
     for key in section.keys():
         if key not in names:
             raise Refusal(
@@ -250,7 +274,7 @@ def _joints(root: Section, chain: Chain, urdf_name: str) -> tuple[Joint, ...]:
                 ", ".join(names),
             )
     joints = []
-    for name in names:
+    for name, kind in names.items():
         one = section.section(name)
         if one is None:
             raise Refusal(
@@ -260,24 +284,21 @@ def _joints(root: Section, chain: Chain, urdf_name: str) -> tuple[Joint, ...]:
                 "nothing",
                 "a section, or its position under `locked`",
             )
-        joints.append(_joint(name, one))
+        joints.append(_joint(name, kind, one))
     return tuple(joints)
 
 
-def _joint(name: str, one: Section) -> Joint:
-    motor, gear, encoder = one.section("motor"), one.section("gear"), one.section("encoder")
-    friction = one.section("friction")
+def _joint(name: str, kind: str, one: Section) -> Joint:
+    motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
     of_rotor = None if motor is None else motor.section("friction")
-    if motor is None:
-        for key, part in (("gear", gear), ("encoder", encoder)):
-            if part is not None:
-                raise one.refusal(key, "belong to a joint with a motor", "no motor section")
+    if motor is None and gear is not None:
+        raise one.refusal("gear", "belong to a joint with a motor", "no motor section")
     joint = Joint(
         name=name,
         start=one.number("start", "rad or m", default=0.0, at_least=-1e4, at_most=1e4),
         motor=None if motor is None else read_motor(motor),
         gear=RigidGear(ratio=1.0) if gear is None else read_gear(gear),
-        encoder=None if encoder is None else Encoder.read(encoder),
+        sensors=JointSensors.read(one, kind),
         friction=LinkFriction() if friction is None else LinkFriction.read(friction),
         rotor_friction=None if of_rotor is None else RotorFriction.read(of_rotor),
         extras=read_extras(one),
@@ -320,14 +341,22 @@ def _load(light: Chain, heavy: Chain) -> Load | None:
     return None
 
 
-def _could_vary(joints: tuple[Joint, ...], payload: float | None) -> dict[str, Varied]:
-    """Return all numbers that a scene may list as varied, by name."""
-    possible = [
-        one for joint in joints for part in joint.parts for one in part.could_vary(joint.name)
+def _imus(root: Section, chain: Chain) -> tuple[Imu, ...]:
+    section = root.section("imus")
+    if section is None:
+        return ()
+    return tuple(Imu.read(name, section.required_section(name), chain) for name in section.keys())
+
+
+def _could_vary(joints: tuple[Joint, ...], imus: tuple[Imu, ...]) -> list[Varied]:
+    """Return the numbers of joints and inertial measurement units that may be varied."""
+    of_joints = [
+        one
+        for joint in joints
+        for part in (*joint.parts, *joint.sensors.parts.values())
+        for one in part.could_vary(joint.name)
     ]
-    if payload is not None:
-        possible.append(Varied("payload.mass", payload, SMALLEST, LARGEST))
-    return {one.name: one for one in possible}
+    return of_joints + [one for imu in imus for one in imu.could_vary()]
 
 
 def _check_periods(servo_period: float, dt: float, where: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from emulator_node.chain import Body, ChainJoint
 from emulator_node.cxx_literals import fields, number, text, vector
 from emulator_node.parts.part import Part
+from emulator_node.parts.sensors import suite
 from emulator_node.scene import Joint, Scene
 from emulator_node.varied import Varied
 
@@ -39,6 +40,11 @@ def scene_unit(scene: Scene, boundary: str = "boundary.hpp") -> str:
     devices = ",\n".join(_device(joint) for joint in scene.joints)
     drives = ",\n".join(_drive(joint, places) for joint in scene.joints)
     headers = sorted({part.header for joint in scene.joints for part in joint.parts})
+    sensors = ""
+    if scene.sensed:
+        headers.append("sensors.hpp")
+        of_joints = {joint.name: joint.sensors for joint in scene.joints}
+        sensors = suite(scene.seed, of_joints, scene.imus, places)
     includes = "".join(f'#include "{header}"\n' for header in headers)
     parameters = "".join(f"      {_parameter(one)},\n" for one in scene.varied)
     return f"""\
@@ -69,7 +75,7 @@ struct Scene {{
   }}
   static constexpr arm::Device device[N] = {{
 {devices}}};
-}};
+{sensors}}};
 
 #include "{boundary}"
 """

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from emulator_node.chain import Array
+from emulator_node.measured import Measured
 from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene
 from emulator_node.stability import what_holds
@@ -102,6 +103,7 @@ class Session:
         self._answered_tick = -1  # the tick that it answers
         self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
         self._state: PlantState | None = None
+        self._measured: Measured | None = None
 
     @property
     def powered(self) -> bool:
@@ -183,7 +185,7 @@ class Session:
         if fault is not None:
             fault.hint = what_holds(fault)
         self.fault = fault
-        self._state = None
+        self._state = self._measured = None
 
     @property
     def state(self) -> PlantState:
@@ -191,6 +193,13 @@ class Session:
         if self._state is None:
             self._state = self.plant.state
         return self._state
+
+    @property
+    def measured(self) -> Measured:
+        """What the sensors told at this tick."""
+        if self._measured is None:
+            self._measured = self.plant.measured
+        return self._measured
 
     @property
     def energy(self) -> float:
@@ -285,7 +294,7 @@ class Session:
             fault.hint = what_holds(fault)
             self.fault = fault
         self.voltage = self.plant.voltage
-        self._state = None
+        self._state = self._measured = None
         if self.fault is not None:
             return
         self.step_wall_ns += time.perf_counter_ns() - started

@@ -40,7 +40,7 @@ from servo_node.drives import Drives, Target
 from servo_node.servo import FloatArray, Servo
 from servo_node.servo_config import SETTABLE, ServoConfig, describe
 from servo_node.watchdog import WatchdogState
-from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, encoder_counts
+from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE
 from words.joint_order import JointOrder
 from words.parameters import ROS_PARAMETERS, parameter
 from words.refusal import Refusal
@@ -116,7 +116,7 @@ class ServoNode(Node):
         names = self._config.joint_names
         self._states_order = JointOrder("motor_states", names)
         self._targets_order = JointOrder("joint_targets", names)
-        self._counts = encoder_counts([joint.count_angle for joint in self._config.joints])
+        self._counts = self._config.counts
         self._drives = Drives(self._config)
         self._diagnostics = Diagnostics(self, "servo drives")
         self._doubles = Doubles(

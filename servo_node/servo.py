@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from servo_node.held_motor import Sum, held_motor
 from servo_node.servo_config import JointServo, ServoConfig, load_servo_config
-from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound, encoder_counts
+from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound
 from words.refusal import Refusal
 
 __all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
@@ -63,7 +63,7 @@ class Servo:
         self.config = config
         self._axes = self._axes_of(config)
         self._zeros = [0.0] * len(self._axes)
-        self._counts = encoder_counts([j.count_angle for j in config.joints]).named("counts")
+        self._counts = config.counts.named("counts")
         self.restarts = 0
         """How often the state of a joint was no longer finite, and began anew."""
 
@@ -277,6 +277,7 @@ class _Axis:
 
     __slots__ = (
         "count_angle",
+        "counts",
         "current",
         "current_kept",
         "current_limit",
@@ -303,9 +304,11 @@ class _Axis:
         "voltage",
         "voltage_limit",
         "winding",
+        "wrap",
     )
 
     STATE = (
+        "counts",
         "theta_measured",
         "theta",
         "omega",
@@ -319,6 +322,7 @@ class _Axis:
     def __init__(self, joint: JointServo, period: float, supply_voltage: float) -> None:
         self.ratio = joint.gear_ratio
         self.count_angle = 2.0 * math.pi / joint.counts_per_turn
+        self.wrap = 2.0**joint.encoder_bits if joint.encoder_bits else 0.0
         self.torque_constant = joint.torque_constant
         self.emf = joint.back_emf_constant
         self.omega_limit = joint.velocity_limit / joint.gear_ratio
@@ -418,6 +422,7 @@ class _Axis:
 
     def reset(self) -> None:
         """Forget the past."""
+        self.counts = 0.0
         self.theta_measured = math.nan
         self.theta = math.nan
         self.omega = math.nan
@@ -434,7 +439,18 @@ class _Axis:
         by the encoder. A plain difference of counts would step by a whole count per period (6 rad/s
         at 1024 counts and 1 ms).
         """
+        if self.wrap:
+            count = self.unwrapped(count)
         self.take((count + 0.5) * self.count_angle, current, voltage)
+
+    def unwrapped(self, word: float) -> float:
+        """Return the counts of an absolute encoder that are next to those before; next to 0 first.
+
+        So a motor may turn by less than half a word in a servo period.
+        """
+        turned = (word - self.counts + 0.5 * self.wrap) % self.wrap - 0.5 * self.wrap
+        self.counts += turned
+        return self.counts
 
     def take(self, theta: float, current: float, voltage: float) -> None:
         """Follow a motor that was measured at an angle [rad]."""

@@ -8,6 +8,9 @@ from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from words.bound import Bound, encoder_counts
 from words.parameters import ROS_PARAMETERS, perhaps, ros_parameters
 from words.refusal import Refusal
 
@@ -20,15 +23,17 @@ class _Rule:
     low: float
     open: bool = True
     integer: bool = False
+    high: float = math.inf
 
     @property
     def interval(self) -> str:
         """The same in short: ``number in (0, inf)``."""
         number, bracket = "whole number" if self.integer else "number", "[("[self.open]
-        return f"{number} in {bracket}{self.low:g}, inf)"
+        end = "inf)" if self.high == math.inf else f"{self.high:g}]"
+        return f"{number} in {bracket}{self.low:g}, {end}"
 
     def refuses(self, value: float) -> bool:
-        return value <= self.low if self.open else value < self.low
+        return value > self.high or (value <= self.low if self.open else value < self.low)
 
 
 def _positive(unit: str) -> dict[str, _Rule]:
@@ -78,6 +83,16 @@ class JointServo:
     """Link inertia that turns rigidly with the rotor [kg m2]; 0: behind an elastic gear."""
     current_limit: float = field(default=math.inf, metadata=_positive("A"))
     """Largest current that the drive may ask for [A]; left out: only the voltage limits."""
+    encoder_bits: int = field(
+        default=0,
+        metadata={
+            "rule": _Rule(
+                "be a whole number from 0 to 48", 0.0, open=False, integer=True, high=48.0
+            )
+        },
+    )
+    """Word length of an absolute encoder, whose counts begin anew at 0 after 2**bits; 0: counts
+    that go on."""
 
     @property
     def inertia(self) -> float:
@@ -110,6 +125,14 @@ class ServoConfig:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints in the order of all arrays."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def counts(self) -> Bound:
+        """How large the encoders' counts may be, (N,)."""
+        going_on = encoder_counts([joint.count_angle for joint in self.joints])
+        words = np.array([2.0**joint.encoder_bits for joint in self.joints])
+        largest = np.where(words > 1.0, words - 1.0, going_on.largest)
+        return Bound(going_on.quantity, "", largest)
 
     def count_angles(self, joint_names: Iterable[str]) -> list[float]:
         """Return the link angle of one encoder count for each of some joints [rad]."""
@@ -203,7 +226,7 @@ def describe(name: str) -> ParameterDescription:
     rule = _FIELDS[leaf].metadata["rule"] if leaf in _FIELDS else _SCALARS.get(leaf)
     if rule is None:
         return ParameterDescription(words)
-    unit = rule.words.partition(f" {rule.low:g}")[2].strip()
+    unit = "" if rule.high < math.inf else rule.words.partition(f" {rule.low:g}")[2].strip()
     words = f"{words}: {rule.interval}" + (f" [{unit}]" if unit else "")
     low = math.nextafter(rule.low, math.inf) if rule.open else rule.low
     return ParameterDescription(words, low, rule.integer)

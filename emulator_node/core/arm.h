@@ -23,7 +23,7 @@
 extern "C" {
 #endif
 
-#define ARM_VERSION 1
+#define ARM_VERSION 2
 
 typedef struct arm_machine arm_machine; /* one machine of the library's scene */
 
@@ -51,6 +51,8 @@ typedef struct arm_description {
   int32_t parameters;    /* that are varied */
   uint64_t fingerprint;  /* of scene, core and compiler flags: equal bits need equal ones */
   double supply_voltage; /* V */
+  int32_t imus;          /* inertial measurement units; since version 2 */
+  int32_t reserved;
 } arm_description;
 
 enum arm_kind { ARM_REVOLUTE = 0, ARM_PRISMATIC = 1 };
@@ -67,7 +69,20 @@ typedef struct arm_joint_description {
   double gear_ratio;     /* link turns (or m per rad) per motor turn */
   double counts_per_rad; /* encoder counts at the motor */
   double current_limit;  /* A, 0: none */
+  /* Since version 2. */
+  int64_t encoder_wrap; /* an absolute encoder's counts are modulo this; 0: no wrap */
+  int64_t link_encoder_wrap;
+  double link_counts_per_rad; /* counts of the encoder at the link (per m for prismatic joints) */
+  uint32_t sensors;           /* bits of enum arm_sensor: what else is there */
+  uint32_t more;
 } arm_joint_description;
+
+enum arm_sensor {
+  ARM_HAS_INDEX = 1, /* of the encoder at the motor */
+  ARM_HAS_LINK_ENCODER = 2,
+  ARM_HAS_LINK_INDEX = 4, /* of the encoder at the link */
+  ARM_HAS_TORQUE = 8
+};
 
 /* Fill `out`. For `arm_describe_joint`: ARM_REFUSED if there is no such joint. */
 int arm_describe(arm_description* out);
@@ -111,12 +126,28 @@ typedef struct arm_command {
 enum arm_fault { ARM_FAULT_DIVERGED = 1 };
 
 typedef struct arm_joint_measurement {
-  int64_t encoder; /* counts at the motor, rounded down */
-  double current;  /* A */
+  int64_t encoder; /* counts at the motor, as its encoder tells them */
+  double current;  /* A, as its sensor tells it */
   double voltage;  /* V (N m, A), the command in the period that has passed */
   uint32_t faults; /* bits of enum arm_fault */
   uint32_t reserved;
 } arm_joint_measurement;
+
+/* What further sensors of a joint tell; 0 of those that it does not have. */
+typedef struct arm_joint_sensors {
+  int64_t index;        /* counts of the encoder at the motor when its newest index pulse came */
+  int64_t index_pulses; /* that have come */
+  int64_t link_encoder; /* counts at the link */
+  int64_t link_index;
+  int64_t link_index_pulses;
+  double torque; /* N m or N, of the gear on the link */
+} arm_joint_sensors;
+
+/* An inertial measurement unit, in its own frame. */
+typedef struct arm_imu_measurement {
+  double specific_force[3]; /* m/s2: acceleration less that of free fall */
+  double angular_rate[3];   /* rad/s */
+} arm_imu_measurement;
 
 typedef struct arm_measurement {
   uint32_t size;
@@ -124,6 +155,9 @@ typedef struct arm_measurement {
   int64_t tick;
   int64_t answered; /* tick that the newest command answered; -1: none */
   arm_joint_measurement* joint;
+  /* Since version 2; each may be null. */
+  arm_joint_sensors* sensors; /* an entry per joint */
+  arm_imu_measurement* imu;   /* an entry per unit */
 } arm_measurement;
 
 /* Go through one servo period; `out` is as of its end, or of the last sound state. */

@@ -2,8 +2,11 @@
 // `struct Scene`.
 #pragma once
 
+#include <cstddef>
+
 #include "arm.h"
 #include "machine.hpp"
+#include "sensors.hpp"
 
 // What a scene's library was built of; the compiler's command line tells (compiler.py).
 #ifndef ARM_FINGERPRINT
@@ -46,6 +49,7 @@ struct arm_machine {
     number(one.step);
     number(one.steps_per_period);
     whole.for_each_number(number);
+    one.sensors.for_each_number(number);
     number(one.answered);
     for (double& volts : one.voltage) number(volts);
     number(one.powered);
@@ -70,15 +74,54 @@ struct arm_machine {
       if (!arm::is_finite(row[j])) return refuse(j, quantity, "be finite", row[j]);
     return ARM_OK;
   }
-  // A struct of an older version of arm.h is shorter than what version 1 had.
+  // A struct may be as short as it was in version 1 of arm.h.
   template <class Struct>
-  int check_size(const Struct* one) const {
-    if (one && one->size >= sizeof(Struct)) return ARM_OK;
+  int check_size(const Struct* one, std::size_t least = sizeof(Struct)) const {
+    if (one && one->size >= least) return ARM_OK;
     return refuse(-1, "size", "be that of the struct in arm.h", one ? one->size : 0.0);
+  }
+
+  int check_measurement(const arm_measurement* out) const {
+    return check_size(out, offsetof(arm_measurement, sensors));
   }
 
   std::int64_t tick() const { return machine.steps() / steps_per_period; }
   int result() const { return machine.faulty_joint() < 0 ? ARM_OK : ARM_DIVERGED; }
+
+  // Go through `steps` steps by advance(so many of them), and let the sensors look at every tick.
+  template <class Advance>
+  void go(std::int64_t steps, Advance&& advance) {
+    if constexpr (!Sensors::present) {
+      advance(steps);
+    } else {
+      while (steps > 0 && machine.faulty_joint() < 0) {
+        const std::int64_t due = steps_per_period - machine.steps() % steps_per_period;
+        const std::int64_t some = steps < due ? steps : due;
+        advance(some);
+        look();
+        steps -= some;
+      }
+    }
+  }
+  // The same for rows of voltages; q after each goes to `q`.
+  void follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
+    if constexpr (!Sensors::present) {
+      machine.follow(voltage, rows, steps, q);
+    } else {
+      for (; rows > 0; --rows, voltage += N, q += N) {
+        go(steps, [&](std::int64_t some) { machine.advance(voltage, some); });
+        for (int j = 0; j < N; ++j) q[j] = machine.state().q[j];
+      }
+    }
+  }
+  // To be called when steps were taken, up to the next tick at most. A machine that has diverged is
+  // back at a state before.
+  void look() {
+    if (machine.faulty_joint() < 0)
+      sensors.look(machine, tick());
+    else
+      sensors.begin(machine, tick(), false);
+  }
 
   void measure(arm_measurement* out) const {
     double current[N], angle[N], speed[N];
@@ -95,9 +138,50 @@ struct arm_machine {
     out->powered = powered != 0;
     out->tick = tick();
     out->answered = answered;
+    const bool more = out->size >= sizeof *out;
+    measure_by(sensors, out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr);
+  }
+  // What sensors tell in place of what is there.
+  template <class TheSensors>
+  static void measure_by(const TheSensors& sensors, [[maybe_unused]] arm_joint_measurement* joint,
+                         arm_joint_sensors* more, [[maybe_unused]] arm_imu_measurement* units) {
+    for (int j = 0; more && j < N; ++j) more[j] = {};
+    if constexpr (TheSensors::present) {
+      for (int j = 0; j < N; ++j) {
+        const arm::EncoderReading &motor = sensors.encoder(j), &link = sensors.link_encoder(j);
+        joint[j].encoder = motor.counts;
+        joint[j].current = sensors.current(j);
+        if (more)
+          more[j] = {motor.index, motor.pulses, link.counts,
+                     link.index,  link.pulses,  sensors.torque(j)};
+      }
+      for (int m = 0; units && m < sensors.M; ++m)
+        for (int k = 0; k < 3; ++k) {
+          units[m].specific_force[k] = sensors.imu(m).specific_force[k];
+          units[m].angular_rate[k] = sensors.imu(m).angular_rate[k];
+        }
+    }
+  }
+  template <class TheSensors>
+  static void describe([[maybe_unused]] int j, [[maybe_unused]] arm_joint_description& joint) {
+    if constexpr (TheSensors::present) {
+      const arm::Encoder &motor = TheSensors::structure.encoder[j],
+                         &link = TheSensors::structure.link_encoder[j];
+      joint.encoder_wrap = motor.wrap();
+      joint.link_encoder_wrap = link.wrap();
+      if (motor.index != arm::Index::none) joint.sensors |= ARM_HAS_INDEX;
+      if (link.kind != arm::EncoderKind::none) {
+        joint.link_counts_per_rad = link.counts_per_rad;
+        joint.sensors |= ARM_HAS_LINK_ENCODER;
+      }
+      if (link.index != arm::Index::none) joint.sensors |= ARM_HAS_LINK_INDEX;
+      if (TheSensors::structure.torque[j].present) joint.sensors |= ARM_HAS_TORQUE;
+    }
   }
 
+  using Sensors = arm::Sensors<Scene>;
   Machine machine;
+  [[no_unique_address]] Sensors sensors;
   double step;
   std::int64_t steps_per_period;
   std::int64_t answered = -1;  // tick that the newest command answered
@@ -106,29 +190,44 @@ struct arm_machine {
   mutable arm_refusal why = {sizeof(arm_refusal), -1, "", "", 0.0};
 };
 
-#pragma GCC visibility push(default)
+namespace {
 
-int arm_describe(arm_description* out) {
-  if (!out || out->size < sizeof *out) return ARM_REFUSED;
-  *out = {out->size,         ARM_VERSION,     arm_machine::N,
-          Scene::parameters, ARM_FINGERPRINT, Scene::supply_voltage};
+// Write as much of a struct as its user's version of arm.h has.
+template <class Struct>
+int fill(Struct* out, const Struct& all) {
+  __builtin_memcpy(out, &all, out->size < sizeof all ? out->size : sizeof all);
   return ARM_OK;
 }
 
+}  // namespace
+
+#pragma GCC visibility push(default)
+
+int arm_describe(arm_description* out) {
+  if (!out || out->size < offsetof(arm_description, imus)) return ARM_REFUSED;
+  return fill(out,
+              arm_description{out->size, ARM_VERSION, arm_machine::N, Scene::parameters,
+                              ARM_FINGERPRINT, Scene::supply_voltage, arm_machine::Sensors::M, 0});
+}
+
 int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
-  if (!out || out->size < sizeof *out || joint < 0 || joint >= arm_machine::N) return ARM_REFUSED;
-  out->name = Scene::device[joint].name;
-  out->kind =
+  if (!out || out->size < offsetof(arm_joint_description, encoder_wrap) || joint < 0 ||
+      joint >= arm_machine::N)
+    return ARM_REFUSED;
+  arm_joint_description all = {};
+  all.size = out->size;
+  all.name = Scene::device[joint].name;
+  all.kind =
       arm::kLinks<Scene>.at[joint].kind == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
-  out->reserved = 0;
-  out->counts_per_rad = Scene::device[joint].counts_per_rad;
+  all.counts_per_rad = Scene::device[joint].counts_per_rad;
   arm::for_each_drive<Scene>([&](const auto& drive, int j) {
     if (j != joint) return;
-    out->modes = drive.driven ? arm::kModes.at[j] : 0;
-    out->gear_ratio = drive.gear.Ng;
-    out->current_limit = drive.motor.largest_current();
+    all.modes = drive.driven ? arm::kModes.at[j] : 0;
+    all.gear_ratio = drive.gear.Ng;
+    all.current_limit = drive.motor.largest_current();
   });
-  return ARM_OK;
+  arm_machine::describe<arm_machine::Sensors>(joint, all);
+  return fill(out, all);
 }
 
 namespace {
@@ -150,6 +249,7 @@ ARM_ONCE arm_machine* arm_new(const arm_options* options) {
   arm_machine* machine = new arm_machine(*options);
   const double zero[arm_machine::N] = {};
   machine->machine.reset(zero, zero);
+  machine->sensors.begin(machine->machine, 0, true);
   return machine;
 }
 void arm_delete(arm_machine* machine) { delete machine; }
@@ -157,6 +257,7 @@ void arm_delete(arm_machine* machine) { delete machine; }
 int arm_reset(arm_machine* machine, const double* q, const double* v) {
   if (machine->check_finite(q, "q") || machine->check_finite(v, "v")) return ARM_REFUSED;
   machine->machine.reset(q, v);
+  machine->sensors.begin(machine->machine, 0, true);
   machine->answered = -1;
   for (double& volts : machine->voltage) volts = 0.0;
   return ARM_OK;
@@ -165,7 +266,7 @@ int arm_reset(arm_machine* machine, const double* q, const double* v) {
 int arm_join_schedule(arm_machine* machine) { return machine->machine.join_schedule(); }
 
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out) {
-  if (machine->check_size(command) || machine->check_size(out)) return ARM_REFUSED;
+  if (machine->check_size(command) || machine->check_measurement(out)) return ARM_REFUSED;
   double voltage[arm_machine::N];
   for (int j = 0; j < arm_machine::N; ++j) {
     const arm_joint_command& joint = command->joint[j];
@@ -179,13 +280,14 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
   machine->machine.bound(voltage);
   machine->answered = command->tick;
   for (int j = 0; j < arm_machine::N; ++j) machine->voltage[j] = voltage[j];
-  machine->machine.advance(voltage, machine->steps_per_period);
+  machine->go(machine->steps_per_period,
+              [&](std::int64_t steps) { machine->machine.advance(voltage, steps); });
   machine->measure(out);
   return machine->result();
 }
 
 int arm_measure(const arm_machine* machine, arm_measurement* out) {
-  if (machine->check_size(out)) return ARM_REFUSED;
+  if (machine->check_measurement(out)) return ARM_REFUSED;
   machine->measure(out);
   return machine->result();
 }
@@ -377,13 +479,15 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
     drive.put_motor(put, current[j], angle[j], speed[j]);
     put_states(drive, j, 0, put, x);
   });
-  if (result == ARM_OK) machine->machine.put(x, false);
-  return result;
+  if (result != ARM_OK) return result;
+  machine->machine.put(x, false);
+  machine->sensors.begin(machine->machine, machine->tick(), false);
+  return ARM_OK;
 }
 
 int arm_advance(arm_machine* machine, const double* voltage, std::int64_t steps) {
   if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
-  machine->machine.advance(voltage, steps);
+  machine->go(steps, [&](std::int64_t some) { machine->machine.advance(voltage, some); });
   return machine->result();
 }
 
@@ -391,7 +495,7 @@ int arm_run(arm_machine* machine, const double* voltage, std::int64_t rows, std:
             double* q) {
   for (std::int64_t row = 0; row < rows; ++row)
     if (machine->check_finite(voltage + row * arm_machine::N, "voltage")) return ARM_REFUSED;
-  machine->machine.follow(voltage, rows, steps, q);
+  machine->follow(voltage, rows, steps, q);
   return machine->result();
 }
 
@@ -427,7 +531,8 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_
   } else {
     if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
     arm::EnergyFlow<Scene> flow;
-    machine->machine.advance_metered(voltage, steps, flow);
+    machine->go(steps,
+                [&](std::int64_t some) { machine->machine.advance_metered(voltage, some, flow); });
     write_flow(flow, out);
     return machine->result();
   }

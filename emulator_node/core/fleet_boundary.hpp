@@ -36,6 +36,30 @@ struct arm_fleet {
   }
   arm_fleet(const arm_fleet&) = delete;
 
+  // Take a group through rows of voltages, see SideBySide; sensors look at every tick.
+  void follow(int g, const double* voltage, std::int64_t stride, std::int64_t rows,
+              std::int64_t steps, double* q) {
+    if constexpr (!arm_machine::Sensors::present) {
+      group[g]->follow(voltage, stride, rows, steps, q);
+    } else {
+      const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
+      for (; rows > 0; --rows, voltage += stride, q += stride) {
+        if (steps == 0) group[g]->follow(voltage, stride, 1, 0, q);
+        for (std::int64_t left = steps; left > 0;) {
+          std::int64_t some = left;  // up to the next tick of one of them
+          for (int k = first; k < end; ++k) {
+            const std::int64_t period = machine[k]->steps_per_period;
+            const std::int64_t due = period - machine[k]->machine.steps() % period;
+            if (machine[k]->machine.faulty_joint() < 0 && due < some) some = due;
+          }
+          group[g]->follow(voltage, stride, 1, some, q);
+          for (int k = first; k < end; ++k) machine[k]->look();
+          left -= some;
+        }
+      }
+    }
+  }
+
   int groups() const { return (arms + lanes - 1) / lanes; }
 
   int arms;
@@ -76,7 +100,7 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
   }
   int result = ARM_OK;
   for (std::int32_t k = first; k < end; k += lanes)
-    fleet->group[k / lanes]->follow(voltage + k * N, stride, rows, steps, q + k * N);
+    fleet->follow(k / lanes, voltage + k * N, stride, rows, steps, q + k * N);
   for (std::int32_t k = first; k < end; ++k)
     if (fleet->machine[k]->result() != ARM_OK) result = ARM_DIVERGED;
   return result;
@@ -103,7 +127,7 @@ int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {
     if (out->time) out->time[arm] = truth.time;
     if (!out->encoder) continue;
     arm_joint_measurement joint[N];
-    arm_measurement measurement = {sizeof measurement, 0, 0, 0, joint};
+    arm_measurement measurement = {sizeof measurement, 0, 0, 0, joint, nullptr, nullptr};
     arm_measure(&machine, &measurement);
     for (int j = 0; j < N; ++j) out->encoder[arm * N + j] = joint[j].encoder;
   }

@@ -226,24 +226,28 @@ class Machine {
     });
   }
 
+  // Accelerations of the joints under what acts on them now [rad/s2].
+  void accelerations(double* a) const {
+    typename Links<S>::Dynamics links;
+    Links<S>::dynamics_apart(numbers, x.q, x.v, links);
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      links.M.at[j][j] += drive.carried();
+      const auto at = input_of(drive, j, x, 0.0);
+      const auto modes = drive.modes_at(at);
+      a[j] = drive.rates(drive.with(at, modes), modes.held()).g - links.nle[j];
+    });
+    Coulomb<S, double> coulomb(numbers);
+    const double none[N] = {};
+    coulomb.take(x, none);
+    coulomb.solve(links.M.at, x.v, a);
+  }
+
   // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when
   // the motor has accelerated its rotor.
   void gear_torques(double* T) const {
     double a[N] = {};
-    if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; })) {
-      typename Links<S>::Dynamics links;
-      Links<S>::dynamics_apart(numbers, x.q, x.v, links);
-      numbers.for_each_drive([&](const auto& drive, int j) {
-        links.M.at[j][j] += drive.carried();
-        const auto at = input_of(drive, j, x, 0.0);
-        const auto modes = drive.modes_at(at);
-        a[j] = drive.rates(drive.with(at, modes), modes.held()).g - links.nle[j];
-      });
-      Coulomb<S, double> coulomb(numbers);
-      const double none[N] = {};
-      coulomb.take(x, none);
-      coulomb.solve(links.M.at, x.v, a);
-    }
+    if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; }))
+      accelerations(a);
     numbers.for_each_drive([&](const auto& drive, int j) {
       T[j] = drive.gear_torque(input_of(drive, j, x, 0.0), a[j]);
     });

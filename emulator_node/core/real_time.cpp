@@ -76,10 +76,13 @@ constexpr double* arm_truth::* kRows[] = {&arm_truth::current,     &arm_truth::m
 // Snapshots that one thread writes and another takes.
 class Ring {
  public:
-  explicit Ring(int joints)
+  Ring(int joints, int imus)
       : N(static_cast<std::size_t>(joints)),
+        M(static_cast<std::size_t>(imus)),
         numbers(kSnapshots * (1 + std::size(kRows) * N)),
         measured(kSnapshots * N),
+        sensors(kSnapshots * N),
+        units(kSnapshots * M),
         snapshots(kSnapshots) {
     double* next = numbers.data();
     for (std::size_t k = 0; k < kSnapshots; ++k) {
@@ -87,7 +90,9 @@ class Ring {
       snapshot.truth.size = sizeof snapshot.truth;
       snapshot.truth.energy = next++;
       for (const auto row : kRows) snapshot.truth.*row = next, next += N;
-      snapshot.joint = &measured[k * N];
+      snapshot.joint = measured.data() + k * N;
+      snapshot.sensors = sensors.data() + k * N;
+      snapshot.imu = units.data() + k * M;
     }
   }
 
@@ -110,6 +115,8 @@ class Ring {
     for (const auto row : kRows)
       if (out.truth.*row) std::copy_n(from.truth.*row, N, out.truth.*row);
     if (out.joint) std::copy_n(from.joint, N, out.joint);
+    if (out.sensors) std::copy_n(from.sensors, N, out.sensors);
+    if (out.imu) std::copy_n(from.imu, M, out.imu);
     taken.store(t + 1, std::memory_order_release);
     return true;
   }
@@ -117,9 +124,11 @@ class Ring {
  private:
   static constexpr std::size_t kSnapshots = 16384;  // 16 s at 1 kHz: a busy machine may let us wait
 
-  const std::size_t N;  // joints
+  const std::size_t N, M;  // joints, inertial measurement units
   std::vector<double> numbers;
   std::vector<arm_joint_measurement> measured;
+  std::vector<arm_joint_sensors> sensors;
+  std::vector<arm_imu_measurement> units;
   std::vector<arm_snapshot> snapshots;
   alignas(64) std::atomic<std::size_t> written = 0;
   alignas(64) std::atomic<std::size_t> taken = 0;
@@ -175,7 +184,10 @@ struct arm_real_time {
   static constexpr std::int64_t kOldAfter = 2;  // servo periods
 
   explicit arm_real_time(const arm_real_time_options& options)
-      : arm(options), bell(eventfd(0, EFD_NONBLOCK)), cell(options.joints), ring(options.joints) {}
+      : arm(options),
+        bell(eventfd(0, EFD_NONBLOCK)),
+        cell(options.joints),
+        ring(options.joints, options.imus) {}
 
   ~arm_real_time() {
     stop();
@@ -208,7 +220,10 @@ struct arm_real_time {
     std::vector<arm_joint_command> wanted(joints), scratch(joints);
     std::vector<arm_joint_measurement> measured(joints);
     arm_command command = {sizeof command, 0, -1, wanted.data()};
-    arm_measurement measurement = {sizeof measurement, 0, 0, -1, measured.data()};
+    std::vector<arm_joint_sensors> sensors(joints);
+    std::vector<arm_imu_measurement> units(static_cast<std::size_t>(arm.imus));
+    arm_measurement measurement = {sizeof measurement, 0,           0, -1, measured.data(),
+                                   sensors.data(),     units.data()};
     while (!stopping.load(std::memory_order_relaxed)) {
       due += arm.period;
       sleep_until(due);
@@ -232,13 +247,13 @@ struct arm_real_time {
       const bool sound = result == ARM_OK;
       const std::int64_t spent = now() - began;
       if (sound) tick.store(k + 1);
-      tell(sound ? k + 1 : k, command.tick, lateness, spent, measured);
+      tell(sound ? k + 1 : k, command.tick, lateness, spent, measurement);
       if (!sound) return;
     }
   }
 
   void tell(std::int64_t at, std::int64_t answered, std::int64_t lateness, std::int64_t spent,
-            const std::vector<arm_joint_measurement>& measured) {
+            const arm_measurement& measured) {
     arm_snapshot* const out = ring.free();
     if (!out) {
       unread.fetch_add(1);
@@ -247,7 +262,9 @@ struct arm_real_time {
     out->tick = at, out->answered = answered;
     out->lateness = lateness, out->spent = spent;
     arm.get_truth(arm.machine, &out->truth);
-    std::copy(measured.begin(), measured.end(), out->joint);
+    std::copy_n(measured.joint, arm.joints, out->joint);
+    std::copy_n(measured.sensors, arm.joints, out->sensors);
+    std::copy_n(measured.imu, arm.imus, out->imu);
     ring.publish();
     const std::uint64_t one = 1;
     [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
@@ -285,7 +302,8 @@ struct arm_real_time {
 
 arm_real_time* arm_real_time_new(const arm_real_time_options* options) {
   const bool sound = options && options->size >= sizeof *options && options->joints > 0 &&
-                     options->machine && options->period > 0 && options->core >= -1;
+                     options->machine && options->period > 0 && options->core >= -1 &&
+                     options->imus >= 0;
   return sound ? new arm_real_time(*options) : nullptr;
 }
 void arm_real_time_delete(arm_real_time* loop) { delete loop; }

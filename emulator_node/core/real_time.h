@@ -21,7 +21,7 @@ typedef struct arm_real_time_options {
   int (*join_schedule)(arm_machine*);
   int64_t period; /* ns */
   int32_t core;   /* processor core of the thread; -1: any */
-  int32_t reserved;
+  int32_t imus;   /* inertial measurement units, arm_description.imus */
 } arm_real_time_options;
 
 /* What a period leaves behind: the machine at the tick that ends it. Every pointer may be null, in
@@ -35,6 +35,8 @@ typedef struct arm_snapshot {
   int64_t spent;    /* ns, on the exchange */
   arm_truth truth;
   arm_joint_measurement* joint; /* an entry per joint */
+  arm_joint_sensors* sensors;   /* an entry per joint */
+  arm_imu_measurement* imu;     /* an entry per unit */
 } arm_snapshot;
 
 /* Since `arm_real_time_clear_figures`; times in ns. */

@@ -60,7 +60,8 @@ class Number:
 class Part:
     """A part of a joint's drive; see the top of this file."""
 
-    section: ClassVar[str]  # where it stands below the joint's, such as "motor.friction"
+    owners: ClassVar[str] = "joints"  # the section of the scene that has whom it belongs to
+    section: ClassVar[str]  # where it stands below its owner's, such as "motor.friction"
     header: ClassVar[str]  # that has the C++ part
     cxx: ClassVar[str]  # and its name
 
@@ -110,7 +111,7 @@ class Part:
     def could_vary(self, joint: str) -> list[Varied]:
         """Return the numbers that a scene may list as varied."""
         return [
-            Varied(f"joints.{joint}.{self.section}.{key}", value, one.least, one.most)
+            Varied(f"{self.owners}.{joint}.{self.section}.{key}", value, one.least, one.most)
             for key, one in self.numbers().items()
             if one.varied and one.follows is None and (value := getattr(self, key)) is not None
         ]
@@ -135,7 +136,7 @@ class Part:
         members = []
         for key, one in self.numbers().items():
             value = getattr(self, key)
-            place = places.get(f"joints.{joint}.{self.section}.{one.follows or key}")
+            place = places.get(f"{self.owners}.{joint}.{self.section}.{one.follows or key}")
             if value is None:
                 continue
             if place is None:
