@@ -19,10 +19,17 @@ import numpy as np
 
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 from emulator_node.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
-from emulator_node.parts.friction import LinkFriction, RotorFriction
+from emulator_node.parts.friction import Friction, LinkFriction
 from emulator_node.parts.gear import Gear, RigidGear
 from emulator_node.parts.imu import Imu
-from emulator_node.parts.known import read_extras, read_gear, read_motor
+from emulator_node.parts.known import (
+    LINK_FRICTIONS,
+    ROTOR_FRICTIONS,
+    read_extras,
+    read_friction,
+    read_gear,
+    read_motor,
+)
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.parts.sensors import JointSensors
@@ -58,8 +65,8 @@ class Joint:
     motor: Motor | None
     gear: Gear
     sensors: JointSensors
-    friction: LinkFriction
-    rotor_friction: RotorFriction | None = None
+    friction: Friction
+    rotor_friction: Friction | None = None
     extras: tuple[Part, ...] = ()  # that stand in sections of their own
 
     @property
@@ -299,8 +306,8 @@ def _joint(name: str, kind: str, one: Section) -> Joint:
         motor=None if motor is None else read_motor(motor),
         gear=RigidGear(ratio=1.0) if gear is None else read_gear(gear),
         sensors=JointSensors.read(one, kind),
-        friction=LinkFriction() if friction is None else LinkFriction.read(friction),
-        rotor_friction=None if of_rotor is None else RotorFriction.read(of_rotor),
+        friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
+        rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
         extras=read_extras(one),
     )
     one.finish()

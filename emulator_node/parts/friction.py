@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from emulator_node.parts.part import Number, Part
 from emulator_node.section import Section
@@ -16,6 +16,7 @@ class Friction(Part):
 
     header = "friction.hpp"
     cxx = "Friction"
+    told_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
 
     viscous: Annotated[float, Number("Dv", "N m s/rad", at_least=0.0)] = 0.0
     coulomb: Annotated[float, Number("Dc", "N m", at_least=0.0)] = 0.0
@@ -34,8 +35,8 @@ class LinkFriction(Friction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RotorFriction(Friction):
-    """Friction at the motor's shaft."""
+class OfRotor(Friction):
+    """Any law of friction at the motor's shaft."""
 
     section = "motor.friction"
 
@@ -46,3 +47,8 @@ class RotorFriction(Friction):
     def initialiser(self, joint: str, places: Mapping[str, str]) -> str:  # noqa: D102
         members = ", ".join(f".{name} = {value}" for name, value in self.members(joint, places))
         return f"{self.cxx_type}{{{super().cxx_type}{{{members}}}}}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorFriction(OfRotor):
+    """Friction at the motor's shaft."""

@@ -7,11 +7,13 @@ from emulator_node.parts.current_motor import CurrentMotor
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.end_stops import EndStops
-from emulator_node.parts.friction import LinkFriction, RotorFriction
+from emulator_node.parts.friction import Friction, LinkFriction, RotorFriction
 from emulator_node.parts.gear import Gear, RigidGear
+from emulator_node.parts.load_friction import LinkLoadFriction, RotorLoadFriction
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.parts.progressive_gear import ProgressiveGear
+from emulator_node.parts.stribeck import LinkStribeck, RotorStribeck
 from emulator_node.parts.torque_motor import TorqueMotor
 from emulator_node.section import Section
 
@@ -30,14 +32,18 @@ GEARS: tuple[type[Gear], ...] = (
     RigidGear,
 )
 
+# And so is friction.
+LINK_FRICTIONS: tuple[type[LinkFriction], ...] = (LinkLoadFriction, LinkStribeck, LinkFriction)
+ROTOR_FRICTIONS: tuple[type[Friction], ...] = (RotorLoadFriction, RotorStribeck, RotorFriction)
+
 # Parts that stand in a section of their own, if there is one.
 EXTRAS: tuple[type[Part], ...] = (EndStops,)
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
     *GEARS,
-    LinkFriction,
-    RotorFriction,
+    *LINK_FRICTIONS,
+    *ROTOR_FRICTIONS,
     *EXTRAS,
 )
 
@@ -58,6 +64,11 @@ def read_gear(section: Section) -> Gear:
                 rule = "come with a stiffness (a rigid gear has none)"
                 raise section.refusal(key, rule, "alone")
     return gear
+
+
+def read_friction(section: Section, kinds: tuple[type[Friction], ...]) -> Friction:
+    """Return the friction that a section describes, of a link or of a rotor."""
+    return next(one for one in kinds if all(map(section.has, one.told_by))).read(section)
 
 
 def read_extras(joint: Section) -> tuple[Part, ...]:

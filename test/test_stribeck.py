@@ -1,0 +1,154 @@
+"""Friction that falls as a shaft begins to slide."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from draws import some
+from machines import LINK_INERTIA, one_link_urdf, write_scene
+from scipy.integrate import solve_ivp
+from stick_slip import RATIO, ROWS, STEPS, Towed, row, scene_of
+
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Plant
+from emulator_node.scene import SCHEMES, Scene, load_scene
+
+
+def drawn(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
+    """Friction that falls by 20 to 60 %, and a spring that tows a mass at a part of its speed."""
+    Dc, Kg = float(rng.uniform(0.5, 3.0)), float(10 ** rng.uniform(1.0, 2.0))
+    Ds, viscous = Dc * float(rng.uniform(1.2, 1.6)), float(rng.uniform(0.0, 0.1))
+    swing = Dc / float(np.sqrt(Kg * LINK_INERTIA))  # rad/s, of the mass on the spring
+    speed, vs = swing * float(rng.uniform(0.2, 0.5)), swing * float(rng.uniform(0.3, 1.0))
+    friction = {"viscous": viscous, "coulomb": Dc, "breakaway": Ds, "stribeck": vs}
+
+    def sliding(v: float, _: float) -> float:
+        return Dc + (Ds - Dc) * float(np.exp(-((v / vs) ** 2)))
+
+    damping = float(rng.uniform(0.0, 0.05)) * float(np.sqrt(Kg * LINK_INERTIA))
+    return friction, Towed(Kg, damping, viscous, speed, sliding, lambda T: Ds)
+
+
+@pytest.mark.parametrize(
+    ("seed", "side", "scheme"),
+    some([(0, "link", "rosenbrock"), (1, "rotor", "extrapolated"), (2, "rotor", "rosenbrock"),
+          (3, "link", "extrapolated"), (4, "link", "rosenbrock"), (5, "rotor", "rosenbrock")], 2),
+)  # fmt: skip
+def test_sticking_and_slipping_is_of_order_two_where_located(
+    tmp_path: Path, seed: int, side: str, scheme: str
+) -> None:
+    friction, towed = drawn(np.random.default_rng([seed, 31]))
+    t = row(towed) * np.arange(1, ROWS + 1)
+    truth, stops = towed.positions(t)
+    assert stops >= 2, "the mass shall stick and slip"
+    file = scene_of(tmp_path, towed, friction, side, scheme=scheme, events="located")
+    errors = []
+    for steps in STEPS:
+        plant = Plant(load_scene(file, {"integrator.dt": row(towed) / steps}))
+        plant.reset(v=[towed.speed])
+        q = []
+        for _ in t:
+            plant.advance([0.0], steps)
+            q.append(plant.state.q[0] if side == "link" else plant.state.theta_m[0] * RATIO)
+        errors.append(float(np.abs(np.array(q) - truth).max()))
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    # What comes next in the error's expansion is some per cent of it.
+    assert orders[1:] == pytest.approx(2.0, abs=0.2), errors
+
+
+@pytest.mark.parametrize("scheme", some(SCHEMES, 2))
+def test_a_thrown_link_comes_to_rest_where_the_equation_says(tmp_path: Path, scheme: str) -> None:
+    """I dv/dt = -Dv v - sliding(v), to the end of the step in which it stops."""
+    rng = np.random.default_rng([SCHEMES.index(scheme), 32])
+    friction, towed = drawn(rng)
+    v0 = float(rng.uniform(2.0, 6.0)) * friction["stribeck"]
+
+    def rates(_: float, x: np.ndarray) -> list[float]:
+        torque = friction["viscous"] * x[1] + towed.sliding(x[1], 0.0)
+        return [x[1], -torque / LINK_INERTIA]
+
+    def stopped(_: float, x: np.ndarray) -> float:
+        return float(x[1])
+
+    stopped.terminal = True  # type: ignore[attr-defined]
+    found = solve_ivp(rates, (0.0, 1e3), [0.0, v0], "DOP853", rtol=1e-12, atol=1e-14,
+                      events=stopped)  # fmt: skip
+    time, distance = found.t[-1], found.y[0, -1]
+    dt = float(f"{time / 3000.0:.3g}")
+    file = write_scene(
+        tmp_path, one_link_urdf(), {"joint": {"friction": friction}}, servo_period=dt,
+        integrator={"scheme": scheme, "dt": dt}, varied=["joints.*"],
+    )  # fmt: skip
+    plant = Plant(load_scene(file))
+    plant.reset(v=[v0])
+    while plant.state.v[0] > 0.0:
+        plant.advance([0.0], 1)
+    # First order is off by about a step's part of the whole.
+    assert plant.t == pytest.approx(time, abs=3.0 * dt), "when it comes to rest"
+    slack = 2.0 * v0 * dt if scheme in ("implicit", "paper") else 20.0 * v0 * dt * dt / time
+    assert plant.state.q[0] == pytest.approx(distance, abs=slack), "how far it slid"
+    rest = plant.state.q[0]
+    plant.advance([0.0], 10_000)
+    assert plant.state.q[0] == rest and plant.state.v[0] == 0.0, "it stays there"
+
+
+def test_the_balance_of_energy_closes_with_order_two(tmp_path: Path) -> None:
+    """Of a link and of its rotor that both stick and slip under a motor, events located."""
+    rng = np.random.default_rng(33)
+    friction, _ = drawn(rng)
+    motor = {
+        "resistance": 1.0, "inductance": 1e-3, "torque_constant": 0.05, "back_emf_constant": 0.05,
+        "rotor_inertia": 1e-4,
+        "friction": {"coulomb": 0.005, "breakaway": 0.008, "stribeck": 2.0},
+    }  # fmt: skip
+    joint = {"motor": motor, "gear": {"ratio": 0.02, "stiffness": 2e3, "damping": 2.0},
+             "friction": friction}  # fmt: skip
+    file = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, servo_period=2e-2,
+                       gravity=[0.0, 0.0, -9.81], energy_flow=True)  # fmt: skip
+    voltages = rng.uniform(-15.0, 15.0, (15, 1))
+    left = []
+    for steps in (100, 1000, 10_000):
+        integrator = {"scheme": "rosenbrock", "dt": 2e-2 / steps, "events": "located"}
+        plant = Plant(load_scene(file, {"integrator": integrator}))
+        before, flow, exchanged = plant.energy, 0.0, 0.0
+        for V in voltages:
+            one = plant.advance_metered(V, steps)
+            flow += float(one.given.sum() - one.dissipated.sum())
+            exchanged += float(np.abs(one.given).sum() + one.dissipated.sum())
+        left.append(abs(plant.energy - before - flow) / exchanged)
+    assert left[2] < 3.0 * left[0] / 100.0**2 + 1e-12, (
+        f"what is left, of what was exchanged: {left}"
+    )
+
+
+@pytest.mark.parametrize("side", ["link", "rotor"])
+def test_lanes_move_as_single_arms(tmp_path: Path, side: str) -> None:
+    rng = np.random.default_rng([34, side == "link"])
+    friction, towed = drawn(rng)
+    file = scene_of(tmp_path, towed, friction, side, scheme="rosenbrock")
+    assert_lanes_move_as_single_arms(load_scene(file), rng, towed.speed)
+
+
+def assert_lanes_move_as_single_arms(scene: Scene, rng: np.random.Generator, speed: float) -> None:
+    """With friction and speeds of their own."""
+    count = 9  # more than a group
+    values = {
+        one.name: one.value * rng.uniform(0.7, 1.4, count)
+        for one in scene.varied
+        if "friction" in one.name
+    }
+    v, still = speed * rng.uniform(0.5, 1.5, (count, 1)), np.zeros((ROWS, 1))
+    fleet = Fleet(scene, count, varied=values, v=v)
+    fleet.run(np.zeros((ROWS, count, 1)), STEPS[0])
+    for arm in range(count):
+        plant = Plant(scene)
+        for name, of_arms in values.items():
+            plant.set_parameter(name, float(of_arms[arm]))
+        plant.reset(v=v[arm])
+        plant.run(still, STEPS[0])
+        for name in ("q", "theta_m"):
+            moved, alone = getattr(fleet.state, name)[arm], getattr(plant.state, name)
+            np.testing.assert_allclose(moved, alone, rtol=1e-11, atol=1e-11,
+                                       err_msg=f"{name} of arm {arm}")  # fmt: skip
