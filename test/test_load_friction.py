@@ -12,7 +12,7 @@ from stick_slip import RATIO, ROWS, STEPS, Towed, row, scene_of
 from test_stribeck import assert_lanes_move_as_single_arms
 from test_stribeck import drawn as drawn_stribeck
 
-from emulator_node.plant import Diverged, Plant
+from emulator_node.plant import Plant
 from emulator_node.scene import SCHEMES, load_scene
 
 
@@ -78,26 +78,27 @@ def lift(folder: Path, mu: float, scheme: str, dt: float, stiffness: float | Non
 def test_motors_need_what_the_efficiency_says_to_lift_and_to_lower(
     tmp_path: Path, scheme: str, elastic: bool
 ) -> None:
-    """The weight's torque at the rotor over eta lifts it, times 2 - 1/eta lets it sink."""
+    """Behind an elastic gear (1 + mu) and (1 - mu) times the weight; behind a rigid one the load is
+    what the motor gives, and the weight over (1 - mu) and (1 + mu)."""
     weight = 2.0 * 9.81 * 0.3 * 0.02  # N m at the rotor, of the level arm
     for eta in (0.9, 0.75, 0.6):
-        plant = lift(tmp_path, 1.0 / eta - 1.0, scheme, 1e-4, 2e4 if elastic else None)
+        mu = 1.0 / eta - 1.0 if elastic else 1.0 - eta
+        most = weight / eta
+        least = weight * (2.0 - 1.0 / eta if elastic else 1.0 / (2.0 - eta))
+        plant = lift(tmp_path, mu, scheme, 1e-4, 2e4 if elastic else None)
         for torque, way in (
-            (1.01 * weight / eta, -1.0), (0.99 * weight / eta, 0.0),
-            (1.01 * weight * (2.0 - 1.0 / eta), 0.0), (0.99 * weight * (2.0 - 1.0 / eta), 1.0),
+            (1.01 * most, -1.0), (0.99 * most, 0.0), (1.01 * least, 0.0), (0.99 * least, 1.0),
         ):  # fmt: skip
             plant.reset()
-            # The gear is wound up by the weight first, while the rotor is held in the middle.
+            # The weight winds the gear up before the motor takes more or less of it.
             for part in np.linspace(0.0, 1.0, 200):
-                volts = -10.0 * (part * torque + (1.0 - part) * weight)
-                plant.advance([volts], 10)
+                plant.advance([-10.0 * (part * torque + (1.0 - part) * weight)], 10)
             before = float(plant.state.theta_m[0])
-            plant.advance([-10.0 * torque], 2000)
+            plant.advance([-10.0 * torque], 10_000)
             moved = float(plant.state.theta_m[0]) - before
-            if way == 0.0:
-                assert abs(moved) < 1e-6, f"eta {eta}: it moves by {moved:.2g} rad under {torque}"
-            else:
-                assert moved * way > 1e-3, f"eta {eta}: it stays ({moved:.2g} rad) under {torque}"
+            told = f"eta {eta}: the rotor turns by {moved:.2g} rad under {torque / weight:.3f}"
+            # A hundredth of the weight turns it by some rad; held, it yields as the link swings.
+            assert abs(moved) < 0.05 if way == 0.0 else moved * way > 0.3, told
 
 
 def test_lanes_move_as_single_arms(tmp_path: Path) -> None:
@@ -107,15 +108,15 @@ def test_lanes_move_as_single_arms(tmp_path: Path) -> None:
     assert_lanes_move_as_single_arms(load_scene(file), rng, towed.speed)
 
 
-def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path) -> None:
-    """Where the load changes faster than a step resolves, no wrong motion comes in silence."""
-    for mu in (0.1, 0.5, 2.0):
-        for stiffness in 10.0 ** np.arange(3.0, 9.0):
-            coarse, fine = (lift(tmp_path, mu, "rosenbrock", dt, stiffness) for dt in (1e-3, 1e-5))
-            rows = 1.5 * np.sin(0.01 * np.arange(1000))[:, None]
-            try:
-                q = coarse.run(rows, 1)
-            except Diverged:
-                continue
-            off = np.abs(q - fine.run(rows, 100)).max()
-            assert off < 0.05, f"mu {mu}, {stiffness:g} N m/rad: off by {off:.2g} rad"
+@pytest.mark.parametrize("mu", [0.1, 0.5])
+def test_a_gear_that_a_step_does_not_resolve_is_followed(tmp_path: Path, mu: float) -> None:
+    """Up to a thousand times as stiff as one that is resolved."""
+    for stiffness in 10.0 ** np.arange(3.0, 8.0):
+        coarse, fine = (
+            lift(tmp_path, mu, "rosenbrock", dt, float(stiffness)) for dt in (1e-3, 2e-5)
+        )
+        rows = 1.5 * np.sin(0.01 * np.arange(1000))[:, None]
+        q, truth = coarse.run(rows, 1), fine.run(rows, 50)
+        off = np.abs(q - truth).max() / np.abs(truth).max()
+        # Stops and starts cost steps: 1 ms of a swing that takes some tenths of a second.
+        assert off < 0.02, f"{stiffness:g} N m/rad: off by {off:.2g} of the way"
