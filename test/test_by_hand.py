@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from in_process import InProcess, in_process
 from network import JOINTS, PATIENCE, User, user
 from rclpy.serialization import deserialize_message, serialize_message
@@ -118,15 +119,23 @@ def go_on(one: InProcess, ticks: int, between: Callable[[], None] = lambda: None
 
 @pytest.fixture(scope="module")
 def varied(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The three-axis arm with numbers that can be set while it runs."""
+    """The three-axis arm with sensors, and with numbers that can be set while it runs."""
     folder, config = (
         tmp_path_factory.mktemp("varied"),
         Path(__file__).resolve().parents[1] / "config",
     )
     shutil.copytree(config / "urdf", folder / "urdf")
-    text = (config / "three_axis.yaml").read_text()
-    numbers = "[joints.*.motor.resistance, joints.*.gear.stiffness]"
-    (folder / "three_axis.yaml").write_text(f"{text}\nvaried: {numbers}\n")
+    scene = yaml.safe_load((config / "three_axis.yaml").read_text())
+    joints = scene["joints"]
+    joints["waist"]["encoder"] |= {"index": "latch", "missed": 0.01, "noise": 1e-3}
+    joints["shoulder"]["link_encoder"] = {"kind": "absolute", "counts_per_turn": 4096, "bits": 12}
+    joints["shoulder"]["torque_sensor"] = {"noise": 0.1, "delay": 2}
+    joints["elbow"]["current_sensor"] = {"noise": 0.05, "offset": 0.0, "delay": 1}
+    numbers = ["joints.*.motor.resistance", "joints.*.gear.stiffness"]
+    sensors = {"missed": "waist.encoder", "offset": "elbow.current_sensor"}
+    scene["varied"] = numbers + [f"joints.{place}.{key}" for key, place in sensors.items()]
+    scene["imus"] = {"hand": {"link": "forearm", "gyroscope": {"noise": 1e-3}}}
+    (folder / "three_axis.yaml").write_text(yaml.safe_dump(scene))
     return folder / "three_axis.yaml"
 
 

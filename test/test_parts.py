@@ -12,13 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from emulator_node.parts.current_sensor import CurrentSensor
 from emulator_node.parts.known import PARTS
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.sensors import SENSORS
+from emulator_node.parts.torque_sensor import TorqueSensor
 from emulator_node.section import LARGEST, SMALLEST, Section
 from words.refusal import Refusal
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-parts = pytest.mark.parametrize("part", PARTS, ids=lambda part: part.__name__)
+# Other sensors have more than numbers, see test_sensors.py.
+OF_NUMBERS = (*PARTS, CurrentSensor, TorqueSensor)
+parts = pytest.mark.parametrize("part", OF_NUMBERS, ids=lambda part: part.__name__)
 
 
 def defaults(part: type[Part]) -> dict[str, Any]:
@@ -167,7 +172,7 @@ def written_range(one: Number) -> str:
     return ", ".join(words)
 
 
-@parts
+@pytest.mark.parametrize("part", (*PARTS, *SENSORS), ids=lambda part: part.__name__)
 def test_every_key_has_a_row_with_its_unit_range_and_default(part: type[Part]) -> None:
     """In the page of its part, or in that of the scene."""
     page = DOCS / "parts" / f"{part.__module__.rsplit('.', 1)[1]}.md"

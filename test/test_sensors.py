@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from machines import GRAVITY, LINK, MOTOR, Oracle, write_scene
+from machines import CONFIG, GRAVITY, LINK, MOTOR, Oracle, write_scene
 from scipy import stats
 
+from arm_emulator.gains import check_joints
+from arm_emulator.tuned import run
 from emulator_node.core_calls import Measurement
 from emulator_node.fleet import Fleet
 from emulator_node.measured import MORE_SENSORS, Measured
@@ -22,6 +24,7 @@ from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.real_time import RealTimeLoop
 from emulator_node.scene import Scene, load_scene
 from emulator_node.scene_unit import scene_unit
+from servo_node.servo_config import load_servo_config
 from words.refusal import Refusal
 
 TURN = 2.0 * math.pi
@@ -644,6 +647,36 @@ def test_a_client_of_version_1_is_served(scene: Scene) -> None:
     assert bytes(room)[short:] == b"\xab" * (len(room) - short), "behind its end"
     ctypes.c_uint32.from_buffer(room).value = short - 1
     assert plant.core.arm_measure(plant.machine, room) == 1, "one that is too short"
+
+
+def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
+    """As with counts that go on; noise moves the links by no more than it says of them."""
+    encoder = {"kind": "absolute", "counts_per_turn": 1024, "bits": 16, "noise": 0.0}
+    numbers = {"joints.*.encoder": encoder, "joints.*.current_sensor": {"noise": 0.0}}
+    scene = load_scene("three_axis", {**numbers, "varied": ["joints.*.*.noise"]})
+    plain = load_scene("three_axis")
+    servo = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
+    with pytest.raises(Refusal, match=r"servo.joints.waist.encoder_bits must be .* 16, got 0"):
+        check_joints(scene, servo)
+    joints = tuple(dataclasses.replace(joint, encoder_bits=16) for joint in servo.joints)
+    words = dataclasses.replace(servo, joints=joints)
+    check_joints(scene, words)
+    with pytest.raises(Refusal, match=r"servo.joints.waist.encoder_bits must be .* 0, got 16"):
+        check_joints(plain, words)
+    one, other = run(plain, servo), run(scene, words)
+    # The counts are the same, but for angles at the very edge of one.
+    np.testing.assert_allclose(other.off, one.off, rtol=0, atol=1e-9, err_msg="the motion")
+    count = TURN / 1024
+    for sigma in (1.0 * count, 3.0 * count):  # of the motor's angle; and 0.05 A
+        varied = tuple(
+            dataclasses.replace(number, value=sigma if "encoder" in number.name else 0.05)
+            for number in scene.varied
+        )
+        noisy = run(dataclasses.replace(scene, varied=varied), words)
+        at_link = np.array([joint.gear.ratio for joint in scene.joints]) * (sigma + count)
+        assert (noisy.swing < 6.0 * at_link).all(), f"at rest: {noisy.swing} of {at_link}"
+        worse = np.abs(noisy.off).max(axis=0) - np.abs(one.off).max(axis=0)
+        assert (worse < 6.0 * at_link).all(), f"on the way: {worse} of {at_link}"
 
 
 BAD: list[tuple[dict[str, Any], str]] = [

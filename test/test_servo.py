@@ -590,3 +590,40 @@ def test_watchdog_takes_a_clock_that_jumps_back() -> None:
 def test_watchdog_refuses_times_out_of_order(hold_after: float, cut_after: float) -> None:
     with pytest.raises(Refusal, match="watchdog: "):
         Watchdog(hold_after, cut_after)
+
+
+def test_a_word_that_wraps_is_followed_as_counts_that_go_on() -> None:
+    """Of any length, from any word on, by steps of less than half a word, also after a reset."""
+    rng = np.random.default_rng(21)
+    plain = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
+    N = len(plain.joints)
+    for bits in (10, 13, 24, 48):
+        joints = tuple(dataclasses.replace(joint, encoder_bits=bits) for joint in plain.joints)
+        word = 2**bits
+        going_on, wrapping = Servo(plain), Servo(dataclasses.replace(plain, joints=joints))
+        largest = min(word // 2 - 1, 10**6)  # counts of a step
+        counts = rng.integers(-largest, largest, N)  # nearer to 0 than half a word
+        for k in range(300):
+            if k == 200:  # where it stands is known up to whole words
+                going_on.reset(), wrapping.reset()
+                counts = (counts + word // 2) % word - word // 2
+            current, target = rng.normal(0.0, 1.0, N), rng.normal(0.0, 1.0, N)
+            voltages = [
+                servo.update(told, current, target)
+                for servo, told in ((going_on, counts), (wrapping, counts % word))
+            ]
+            np.testing.assert_array_equal(*voltages, err_msg=f"{bits} bits, period {k}")
+            counts = counts + rng.integers(-largest, largest, N)
+
+
+def test_a_word_that_is_none_is_refused_and_changes_nothing() -> None:
+    plain = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
+    joints = tuple(dataclasses.replace(joint, encoder_bits=10) for joint in plain.joints)
+    servo, other = (Servo(dataclasses.replace(plain, joints=joints)) for _ in range(2))
+    zero = np.zeros(3)
+    for one in (servo, other):
+        one.update([1023, 0, 5], zero, zero)
+    with pytest.raises(Refusal, match="counts must be within"):
+        servo.update([0, 1024, 0], zero, zero)
+    voltages = [one.update([2, 1022, 7], zero, zero) for one in (servo, other)]
+    np.testing.assert_array_equal(*voltages)

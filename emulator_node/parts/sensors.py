@@ -9,10 +9,19 @@ from dataclasses import dataclass
 from emulator_node import cxx_literals
 from emulator_node.parts.current_sensor import CurrentSensor
 from emulator_node.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder, LinkEncoder
-from emulator_node.parts.imu import Imu
+from emulator_node.parts.imu import Accelerometer, Gyroscope, Imu
 from emulator_node.parts.part import Part
 from emulator_node.parts.torque_sensor import TorqueSensor
 from emulator_node.section import Section
+
+# All kinds of numbers that sensors have.
+SENSORS: tuple[type[Part], ...] = (
+    Encoder,
+    CurrentSensor,
+    TorqueSensor,
+    Accelerometer,
+    Gyroscope,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
