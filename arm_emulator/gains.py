@@ -51,27 +51,31 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
 
 
 def check_joints(scene: Scene, servo: ServoConfig) -> None:
-    """Refuse a servo of other joints than the scene's, or of other motors or encoders.
+    """Refuse a servo of other joints than the scene's, or of other motors, gears or encoders.
 
     Raises:
-        Refusal: a joint too many or too few, a motor that our servo cannot drive, or another word
-            length of an absolute encoder.
+        Refusal: a joint too many or too few, a motor that our servo cannot drive, a gear that turns
+            the other way, or another word length of an absolute encoder.
     """
     if sorted(servo.joint_names) != sorted(scene.joint_names):
         rule = "name every moving joint of the scene once"
         got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
         raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
-    told = {joint.name: joint.encoder_bits for joint in servo.joints}
+    of_servo = {joint.name: joint for joint in servo.joints}
     for joint in scene.joints:
+        told = of_servo[joint.name]
         if joint.motor is not None and not isinstance(joint.motor, DcMotor):
             where = f"joints.{joint.name}.motor.kind"
             raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
         bits = 0 if joint.encoder is None else joint.encoder.bits or 0
-        if told[joint.name] != bits:
+        if told.encoder_bits != bits:
             rule = f"be that of the scene's encoder, {bits}"
-            raise Refusal(
-                scene.where, f"servo.joints.{joint.name}.encoder_bits", rule, told[joint.name]
-            )
+            where = f"servo.joints.{joint.name}.encoder_bits"
+            raise Refusal(scene.where, where, rule, told.encoder_bits)
+        if told.gear_ratio * joint.gear.ratio < 0.0:
+            rule = f"have the sign of the scene's gear.ratio, {joint.gear.ratio:g}"
+            where = f"servo.joints.{joint.name}.gear_ratio"
+            raise Refusal(scene.where, where, rule, told.gear_ratio)
 
 
 def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:

@@ -169,7 +169,7 @@ class Plant:
         self._structs = tuple(map(ctypes.byref, (self._command, self._measurement)))
         self.link_angle_per_count = link_angle_per_count(scene)
         at_most = largest_position(scene)
-        ratio = np.array([joint.gear.ratio for joint in scene.joints])
+        ratio = np.abs([joint.gear.ratio for joint in scene.joints])
         self.bounds = {
             "current": CURRENT,
             "theta_m": Bound("motor position", "rad", at_most / ratio),
@@ -571,7 +571,7 @@ def link_angle_per_count(scene: Scene) -> Array:
 
 def largest_position(scene: Scene) -> Array:
     """Return how far a link may be (N,) [rad or m], so that its encoder's counts are exact."""
-    return np.minimum(POSITION.largest, LARGEST_COUNT * link_angle_per_count(scene))
+    return np.minimum(POSITION.largest, LARGEST_COUNT * np.abs(link_angle_per_count(scene)))
 
 
 def check_start(where: str, scene: Scene, q: Array, v: Array) -> None:

@@ -99,19 +99,24 @@ class Section:
         above: float | None = None,
         at_least: float | None = None,
         at_most: float | None = None,
+        in_size: bool = False,
     ) -> float:
-        """Return a finite number within its bounds; `LARGEST` where no upper one is given."""
+        """Return a finite number within its bounds; `LARGEST` where no upper one is given.
+
+        With `in_size` the bounds are those of its size, and it may be negative.
+        """
         rules: list[tuple[str, Callable[[float], bool]]] = []
+        unit_of_rule = f"{unit} in size" if in_size else unit
         if above is not None:
             least = above or SMALLEST
-            rules.append((f"be > {above:g} {unit}", lambda x: x > above))
-            rules.append((f"be >= {least:g} {unit}", lambda x: x >= least))
+            rules.append((f"be > {above:g} {unit_of_rule}", lambda x: x > above))
+            rules.append((f"be >= {least:g} {unit_of_rule}", lambda x: x >= least))
         if at_most is None:
             at_most = LARGEST
         if at_least is not None:
-            rules.append((f"be >= {at_least:g} {unit}", lambda x: x >= at_least))
+            rules.append((f"be >= {at_least:g} {unit_of_rule}", lambda x: x >= at_least))
         if at_most is not None:
-            rules.append((f"be <= {at_most:g} {unit}", lambda x: x <= at_most))
+            rules.append((f"be <= {at_most:g} {unit_of_rule}", lambda x: x <= at_most))
         value = self._take(key)
         if value is None and default is not None and key not in self._data:
             return default
@@ -120,7 +125,7 @@ class Section:
             raise self.refusal(key, rule, "nothing" if value is None else repr(value))
         value = _as_float(value)
         for rule, holds in [(f"be finite [{unit}]", math.isfinite), *rules]:
-            if not holds(value):
+            if not holds(abs(value) if in_size else value):
                 raise self.refusal(key, rule, value)
         return value
 

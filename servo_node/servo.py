@@ -325,7 +325,7 @@ class _Axis:
         self.wrap = 2.0**joint.encoder_bits if joint.encoder_bits else 0.0
         self.torque_constant = joint.torque_constant
         self.emf = joint.back_emf_constant
-        self.omega_limit = joint.velocity_limit / joint.gear_ratio
+        self.omega_limit = joint.velocity_limit / abs(joint.gear_ratio)
         self.current_limit = joint.current_limit
         self.voltage_limit = supply_voltage
         self.position_gain = joint.position_gain

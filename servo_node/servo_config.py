@@ -24,16 +24,23 @@ class _Rule:
     open: bool = True
     integer: bool = False
     high: float = math.inf
+    nonzero: bool = False
 
     @property
     def interval(self) -> str:
         """The same in short: ``number in (0, inf)``."""
+        if self.nonzero:
+            return "number other than 0"
         number, bracket = "whole number" if self.integer else "number", "[("[self.open]
         end = "inf)" if self.high == math.inf else f"{self.high:g}]"
         return f"{number} in {bracket}{self.low:g}, {end}"
 
     def refuses(self, value: float) -> bool:
-        return value > self.high or (value <= self.low if self.open else value < self.low)
+        return (
+            (self.nonzero and value == 0.0)
+            or value > self.high
+            or (value <= self.low if self.open else value < self.low)
+        )
 
 
 def _positive(unit: str) -> dict[str, _Rule]:
@@ -53,8 +60,10 @@ class JointServo:
     """
 
     name: str
-    gear_ratio: float = field(metadata=_positive(""))
-    """Link turns per motor turn."""
+    gear_ratio: float = field(
+        metadata={"rule": _Rule("be a number other than 0", -math.inf, nonzero=True)}
+    )
+    """Link turns per motor turn; negative: the link turns the other way."""
     counts_per_turn: int = field(
         metadata={"rule": _Rule("be a whole number >= 1", 1.0, open=False, integer=True)}
     )
@@ -101,8 +110,8 @@ class JointServo:
 
     @property
     def count_angle(self) -> float:
-        """Link angle of one encoder count [rad]."""
-        return 2.0 * math.pi / self.counts_per_turn * self.gear_ratio
+        """Link angle of one encoder count [rad], >= 0."""
+        return 2.0 * math.pi / self.counts_per_turn * abs(self.gear_ratio)
 
 
 @dataclass(frozen=True)

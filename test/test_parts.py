@@ -35,7 +35,8 @@ def drawn_number(one: Number, rng: np.random.Generator) -> float:
     low = one.least if one.least > -LARGEST else -1e3
     high = min(one.most, 1e3)
     if low >= 0.0:
-        return float(np.exp(rng.uniform(math.log(max(low, 1e-3)), math.log(high))))
+        sign = rng.choice([-1.0, 1.0]) if one.in_size else 1.0
+        return float(sign * np.exp(rng.uniform(math.log(max(low, 1e-3)), math.log(high))))
     return float(rng.uniform(low, high))
 
 
@@ -74,7 +75,7 @@ def out_of_bounds(key: str, one: Number, data: dict[str, float]) -> list[Any]:
     bad: list[Any] = [None, "much", True, [1.0], math.nan, math.inf, -math.inf, 10**400]
     bad.append(one.most * 1.001 if one.most < LARGEST else 2.0 * LARGEST)
     if one.above is not None:
-        bad += [one.above, one.above - 1.0, -LARGEST]
+        bad += [one.above] if one.in_size else [one.above, one.above - 1.0, -LARGEST]
         bad += [0.5 * SMALLEST] if one.above == 0.0 else []
     if one.at_least is not None:
         bad.append(one.at_least - 1e-3)
@@ -169,7 +170,7 @@ def written_range(one: Number) -> str:
         words.append(f"≥ `{one.follows}`")
     if one.at_most is not None:
         words.append(f"≤ {one.at_most:g}")
-    return ", ".join(words)
+    return ("size " if one.in_size else "") + ", ".join(words)
 
 
 @pytest.mark.parametrize("part", (*PARTS, *SENSORS), ids=lambda part: part.__name__)

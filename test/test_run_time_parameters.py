@@ -144,7 +144,7 @@ def test_every_number_has_a_range_and_words(tmp_path: Path) -> None:
                     assert len(ranges) == 1 and ranges[0].from_value < ranges[0].to_value, name
         about = parameters.describe("servo", ["joints.elbow.gear_ratio", "joints.elbow.resistance"])
         words = {name: one.description for name, one in about.items()}
-        assert words["joints.elbow.gear_ratio"] == "gear ratio: number in (0, inf)"
+        assert words["joints.elbow.gear_ratio"] == "gear ratio: number other than 0"
         assert words["joints.elbow.resistance"] == "resistance: number in (0, inf) [ohm]"
         assert set(SETTABLE) > {f.name for f in dataclasses.fields(JointServo)} & set(GAINS)
         user.wait("the nodes to meet", lambda: user.status and user.status.answered)

@@ -28,7 +28,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"joints.elbow.gear.stiffness": None}, "gear.damping must come with a stiffness"),
     ({"joints.elbow.gear.cubic_stiffness": -1}, "gear.cubic_stiffness must be >= 0 N m/rad3, got -1"),
     ({"joints.elbow.gear": {"ratio": 0.01, "cubic_stiffness": 1}}, "gear.cubic_stiffness must come with a stiffness (a rigid gear has none), got alone"),
-    ({"joints.elbow.gear.ratio": 0}, "gear.ratio must be > 0 link turns per motor turn, got 0"),
+    ({"joints.elbow.gear.ratio": 0}, "gear.ratio must be > 0 link turns per motor turn in size, got 0"),
     ({"joints.elbow.gear.damping": -1}, "gear.damping must be >= 0 N m s/rad, got -1"),
     ({"joints.elbow.motor.resistance": 0}, "motor.resistance must be > 0 ohm, got 0"),
     ({"joints.elbow.motor.resistance": True}, "resistance must be a number [ohm], got True"),

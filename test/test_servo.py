@@ -439,7 +439,11 @@ def test_inductance_and_current_limit_may_be_left_out() -> None:
         ("joint_names", ["joint", "more"], "joints.more must be given"),
         ("joints", 3, "joints must be a mapping"),
         ("joints.joint", 3, "joints.joint must be a mapping"),
-        ("joints.joint.gear_ratio", 0, "joints.joint.gear_ratio must be a number > 0, got 0"),
+        (
+            "joints.joint.gear_ratio",
+            0,
+            "joints.joint.gear_ratio must be a number other than 0, got 0",
+        ),
         ("joints.joint.counts_per_turn", 10.5, "counts_per_turn must be a whole number >= 1"),
         ("joints.joint.counts_per_turn", 0, "counts_per_turn must be a whole number >= 1"),
         ("joints.joint.resistance", -1.0, "resistance must be a number > 0 ohm"),

@@ -17,7 +17,10 @@ class Gear(Part):
     section = "gear"
     told_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
 
-    ratio: Annotated[float, Number("Ng", RATIO_UNIT, above=0.0, at_most=1e3, varied=False)]
+    # Negative: the link turns the other way.
+    ratio: Annotated[
+        float, Number("Ng", RATIO_UNIT, above=0.0, at_most=1e3, in_size=True, varied=False)
+    ]
     stiffness: float | None = None  # at the link, not wound up; None: rigid
     damping: float = 0.0  # at the link
 

@@ -32,6 +32,7 @@ class Number:
         at_least, at_most: the number is within.
         follows: another key of the part. The number is at least that one, equals it if it is not
             given, and keeps its ratio to it where that one is varied.
+        in_size: whether the bounds are those of the number's size, and it may be negative.
         varied: whether a scene may list it as varied, unless it follows another one.
     """
 
@@ -41,6 +42,7 @@ class Number:
     at_least: float | None = None
     at_most: float | None = None
     follows: str | None = None
+    in_size: bool = False
     varied: bool = True
 
     @property
@@ -101,7 +103,12 @@ class Part:
                 values[key] = default
             else:
                 values[key] = section.number(
-                    key, one.unit, above=one.above, at_least=at_least, at_most=one.at_most
+                    key,
+                    one.unit,
+                    above=one.above,
+                    at_least=at_least,
+                    at_most=one.at_most,
+                    in_size=one.in_size,
                 )
         return values
 

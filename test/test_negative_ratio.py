@@ -1,0 +1,158 @@
+"""Gears whose link turns against the motor: the mirror image of those whose link turns with it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+from machines import MOTOR, moving_joints, random_chain_urdf, write_scene
+
+from arm_emulator.gains import check_fit, check_joints, load_gains
+from arm_emulator.servo_loop import ServoLoops, check_loops
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Plant
+from emulator_node.scene import SCHEMES, Scene, load_scene
+from emulator_node.session import Session
+from servo_node.design import GearData, MotorData, design
+from servo_node.drives import Drives, Target
+from servo_node.servo_config import ServoConfig
+from words.config_files import find_config
+from words.refusal import Refusal
+
+# Gears and rotors of the first joint; the others are elastic, and rigid.
+KINDS: dict[str, dict[str, Any]] = {
+    "progressive": {"gear": {"stiffness": 3e3, "damping": 3.0, "cubic_stiffness": 1e6}},
+    "play": {"gear": {"stiffness": 3e3, "damping": 3.0, "backlash": 0.01}},
+    "rotor sticks": {
+        "gear": {"stiffness": 3e3, "damping": 3.0},
+        "motor": {"friction": {"coulomb": 0.01, "breakaway": 0.02, "stribeck": 3.0}},
+    },
+    "load": {
+        "gear": {"stiffness": 3e3, "damping": 3.0},
+        "motor": {"friction": {"coulomb": 0.01, "load": 0.2}},
+    },
+    "rigid, rotor sticks": {"motor": {"friction": {"coulomb": 0.01, "breakaway": 0.02}}},
+    "limit": {"gear": {"stiffness": 3e3}, "motor": {"current_limit": 3.0}},
+}
+
+
+def pair(folder: Path, rng: np.random.Generator, kind: str, scheme: str) -> list[Scene]:
+    """Three random joints, and the same machine with gears the other way round."""
+    urdf = random_chain_urdf(rng, 3)
+    ratios = rng.uniform(0.01, 0.04, 3)
+    own: list[dict[str, Any]] = [KINDS[kind], {"gear": {"stiffness": 2e3, "damping": 5.0}}, {}]
+    scenes = []
+    for sign in (1.0, -1.0):
+        joints = {}
+        for name, ratio, parts in zip(moving_joints(urdf), ratios, own, strict=True):
+            gear = {"ratio": float(sign * ratio), **parts.get("gear", {})}
+            motor = {**MOTOR, **parts.get("motor", {})}
+            joints[name] = {"motor": motor, "gear": gear,
+                            "friction": {"viscous": 0.2, "coulomb": 0.5}}  # fmt: skip
+        place = folder / str(sign)
+        place.mkdir()
+        file = write_scene(
+            place, urdf, joints, gravity=[0.0, 0.0, -9.81],
+            integrator={"scheme": scheme, "dt": 2e-4},
+        )  # fmt: skip
+        scenes.append(load_scene(file))
+    return scenes
+
+
+@pytest.mark.parametrize(
+    ("kind", "scheme"),
+    some(
+        [("load", "rosenbrock"), ("play", "extrapolated"), ("rigid, rotor sticks", "implicit"),
+         *((kind, scheme) for kind in KINDS for scheme in SCHEMES)], 3,
+    ),
+)  # fmt: skip
+def test_turned_round_the_machine_moves_as_in_a_mirror(
+    tmp_path: Path, kind: str, scheme: str
+) -> None:
+    rng = np.random.default_rng([len(kind), SCHEMES.index(scheme)])
+    one, other = map(Plant, pair(tmp_path, rng, kind, scheme))
+    for V in rng.uniform(-20.0, 20.0, (60, 3)):
+        one.advance(V, 7)
+        other.advance(-V, 7)
+    x, y = one.state, other.state
+    # The same operations with other signs.
+    for name, sign in (("q", 1.0), ("v", 1.0), ("gear_torque", 1.0), ("current", -1.0),
+                       ("theta_m", -1.0), ("omega_m", -1.0)):  # fmt: skip
+        got, expected = sign * getattr(y, name), getattr(x, name)
+        np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11, err_msg=name)
+    assert other.energy == pytest.approx(one.energy, rel=1e-12), "energies"
+    assert np.abs(x.q).max() > 0.01, "the arm moves"
+
+
+def test_lanes_move_as_single_arms(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    _, scene = pair(tmp_path, rng, "load", "rosenbrock")
+    voltages = rng.uniform(-20.0, 20.0, (30, 5, 3))
+    moved = Fleet(scene, 5).run(voltages, 7)
+    for arm in range(5):
+        alone = Plant(scene).run(voltages[:, arm], 7)
+        np.testing.assert_allclose(moved[:, arm], alone, rtol=0.0, atol=1e-12, err_msg=f"{arm}")
+
+
+def turned_round() -> tuple[Scene, ServoConfig]:
+    """Return three_axis and its servo, the gear of the shoulder the other way round."""
+    scene = load_scene("three_axis", {"joints.shoulder.gear.ratio": -0.01})
+    servo = load_gains(find_config("three_axis", ".yaml")).servo
+    joints = tuple(
+        dataclasses.replace(joint, gear_ratio=-joint.gear_ratio)
+        if joint.name == "shoulder"
+        else joint
+        for joint in servo.joints
+    )
+    return scene, dataclasses.replace(servo, joints=joints)
+
+
+def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> None:
+    scene, servo = turned_round()
+    motion = load_gains(find_config("three_axis", ".yaml")).motion
+    check_fit(scene, servo, motion)
+    assert check_loops(scene, servo) == [], "its loops have margins"
+    plain = load_scene("three_axis")
+    own = load_gains(find_config("three_axis", ".yaml")).servo
+    for one, other in zip(
+        ServoLoops(scene, servo).margins(), ServoLoops(plain, own).margins(), strict=True
+    ):
+        # Margins are sought over frequencies.
+        assert one.phase == pytest.approx(other.phase, rel=1e-6), "margins either way round"
+    session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+    goal = scene.start + np.array([0.1, -0.1, 0.2])
+    for tick in range(3000):
+        state = session.state
+        drives.measure(session.logical_ns, state.encoder_counts, state.current, session.voltage)
+        drives.aim(Target(goal))
+        session.offer(tick, scene.joint_names, drives.voltage(powered=True).tolist())
+        session.advance()
+    # Within two counts at the link.
+    off = np.abs(session.state.q - goal)
+    assert (off < 2.0 * np.array([joint.count_angle for joint in servo.joints])).all(), off
+
+
+def test_gains_do_not_depend_on_the_way_round() -> None:
+    motor = MotorData(0.5, 5e-4, 0.05, 0.05, 1e-4, 4096)
+    for stiffness, damping in ((None, 0.0), (1e4, 10.0)):
+        one, other = (
+            design(motor, GearData(ratio, stiffness, damping), (0.2, 0.6), 1e-3)
+            for ratio in (0.01, -0.01)
+        )
+        for name, value in dataclasses.asdict(one).items():
+            assert getattr(other, name) == pytest.approx(value, rel=1e-9), name
+
+
+def test_a_servo_of_the_other_sign_is_refused() -> None:
+    """Its loops would be stable, and the arm go the other way."""
+    scene, servo = turned_round()
+    other = load_gains(find_config("three_axis", ".yaml")).servo
+    for one, wrong in ((scene, other), (load_scene("three_axis"), servo)):
+        with pytest.raises(
+            Refusal, match=r"shoulder\.gear_ratio must have the sign of the scene's"
+        ):
+            check_joints(one, wrong)
