@@ -54,6 +54,7 @@ KINDS = {
     MachineEvent.KIND_POWER: "power",
     MachineEvent.KIND_RESET: "reset",
     MachineEvent.KIND_SET_VARIED: "set_varied",
+    MachineEvent.KIND_EXTERNAL_WRENCH: "external_wrench",
 }
 
 
@@ -225,12 +226,18 @@ class _Checker:
             session.reset()
         elif event.kind == MachineEvent.KIND_SET_VARIED and self._told.diverged is None:
             self._set_varied()
+        elif event.kind == MachineEvent.KIND_EXTERNAL_WRENCH and self._told.diverged is None:
+            for link, wrench in self._told.external_wrenches.items():
+                if wrench != session.plant.external_wrenches[link]:
+                    session.set_external_wrench(link, wrench)
         elif event.kind == MachineEvent.KIND_POWER and self._told.diverged is None:
             session.powered = bool(event.powered)
         else:  # a machine that has diverged stands within a servo period
             session.restore(bytes(event.state))
         if self._told.parameters != session.plant.parameters:
             raise Difference(f"{place}: varied numbers differ")
+        if self._told.external_wrenches != session.plant.external_wrenches:
+            raise Difference(f"{place}: external wrenches differ")
         told, now = self._told.state, session.state
         for name in SET:
             self._same_bits(f"{name} after {what} by hand", getattr(told, name), getattr(now, name))

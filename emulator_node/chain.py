@@ -126,6 +126,10 @@ class ChainJoint:
 
     The link's frame has its origin on the joint axis and z along it; the turn from the parent's
     frame is Rx(alpha) Rz(q + theta_0), and `p` (3,) [m] is its origin in the parent's frame.
+
+    The joint's child in the URDF has the same origin; `axes` (3, 3) turns vectors of the child's
+    frame into this one's. `links` has the child, with all that is fixed to it, as frames seen from
+    the child.
     """
 
     name: str
@@ -135,6 +139,13 @@ class ChainJoint:
     theta_0: float
     p: Array
     body: Body
+    axes: Array
+    links: Mapping[str, Frame]
+
+    @property
+    def link(self) -> str:
+        """Name of the joint's child in the URDF."""
+        return next(iter(self.links))
 
 
 @dataclass(frozen=True)
@@ -561,6 +572,8 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
                 theta_0=_exact_atan2(-float(R[0, 1]), float(R[0, 0])),
                 p=p,
                 body=one.body.seen_from(Frame(turned[index].T)),
+                axes=turned[index].T,
+                links=dict(zip(one.links, one.frames, strict=True)),
             )
         )
     carried = {

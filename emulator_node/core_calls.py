@@ -29,6 +29,8 @@ ARM_CALLS: Calls = {
     "arm_describe_parameter": (_int, [_int32, _pointer]),
     "arm_get_parameter": (_int, [_pointer, ctypes.c_char_p, _pointer]),
     "arm_set_parameter": (_int, [_pointer, ctypes.c_char_p, _double]),
+    "arm_set_external_wrench": (_int, [_pointer, _int32, _pointer]),
+    "arm_get_external_wrench": (_int, [_pointer, _int32, _pointer]),
     "arm_saved_size": (_count, []),
     "arm_save": (_int, [_pointer, _pointer, _count]),
     "arm_restore": (_int, [_pointer, _pointer, _count]),
@@ -112,6 +114,16 @@ class Measurement(_Sized):
         ("tick", _count),
         ("answered", _count),
         *((name, _pointer) for name in ("joint", "sensors", "imu")),
+    )
+
+
+class Wrench(_Sized):
+    """``arm_wrench``."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("axes", _int32),
+        *((name, _double * 3) for name in ("point", "force", "moment")),
     )
 
 

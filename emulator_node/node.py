@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
@@ -35,6 +35,7 @@ from arm_emulator_msgs.msg import (
     RecorderReport,
 )
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
+from emulator_node.external_wrench import ExternalWrench
 from emulator_node.measured import MORE_SENSORS, told_by
 from emulator_node.plant import Diverged
 from emulator_node.real_time import RealTimeSession
@@ -74,6 +75,10 @@ MOST_SAVED = 1000  # states that are kept by name
 REPEAT_AFTER = (
     0.2  # s, wall: a state without an answer is published again, for partners that come late
 )
+
+
+# Topics of what acts on links, and whose axes force and moment have.
+EXTERNAL_WRENCHES = {"external_wrench": "link", "external_wrench_in_world": "world"}
 
 
 @dataclass(frozen=True)
@@ -158,6 +163,9 @@ class EmulatorNode(Node):
 
         self.create_subscription(MotorCommand, "motor_commands", self._on_command, COMMAND_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
+        for topic, axes in EXTERNAL_WRENCHES.items():
+            push = partial(self._on_external_wrench, topic, axes)
+            self.create_subscription(WrenchStamped, topic, push, COMMAND_SUB_QOS)
         self._recorders = Recorders(partial(recorders_of, self._motor_states.topic_name))
         self._waited_for = ""  # the recorder that has to catch up before the machine goes on
         self.create_subscription(
@@ -467,6 +475,23 @@ class EmulatorNode(Node):
         """Show the target beside the arm; the machine itself knows nothing of it."""
         p = target.pose.position
         self._stream.offer_target(nanoseconds_of(target.header.stamp), (p.x, p.y, p.z))
+
+    def _on_external_wrench(self, topic: str, axes: str, message: WrenchStamped) -> None:
+        """Let a wrench act from this tick on, at the origin of the link that it names."""
+        f, n = message.wrench.force, message.wrench.torque
+        wrench = ExternalWrench((f.x, f.y, f.z), (n.x, n.y, n.z), axes=axes)
+        with self._lock:
+            session, link = self._session, message.header.frame_id
+            try:
+                if session.acts_already(link, wrench):
+                    return
+                if behind := self._without_room():
+                    rule = f"come when recorder {behind} has caught up"
+                    raise Refusal(topic, "message", rule, f"at tick {session.tick}")
+                push = partial(session.set_external_wrench, link, wrench)
+                self._by_hand(MachineEvent.KIND_EXTERNAL_WRENCH, push)
+            except Refusal as reason:
+                self._diagnostics.refuse(topic, reason)
 
     def _on_status(self) -> None:
         with self._lock:

@@ -24,7 +24,9 @@ from emulator_node.core_calls import (
     Options,
     Refused,
     Truth,
+    Wrench,
 )
+from emulator_node.external_wrench import AXES, ExternalWrench, on_moving_link
 from emulator_node.measured import Measured, MeasuredPlace
 from emulator_node.scene import Scene
 from words.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY, Bound
@@ -92,8 +94,9 @@ class PlantState:
 
 @dataclass(frozen=True)
 class EnergyFlow:
-    """What each joint is given by the supply and what it dissipates, (N,): W now, J over a time.
+    """What each joint is given and what it dissipates, (N,): W now, J over a time.
 
+    It is given by the supply, and by the external wrench as far as that turns this joint.
     A motor whose torque constant differs from its back-EMF constant is given the difference, too.
     """
 
@@ -314,6 +317,38 @@ class Plant:
         value = ctypes.c_double()
         self.core.arm_get_parameter(self.machine, name.encode(), ctypes.byref(value))
         return value.value
+
+    def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
+        """Let a force and a moment act on a link, until set anew or reset.
+
+        On what one joint moves there is one of them, that which was set last.
+
+        Args:
+            link: any link of the URDF that moves; the wrench is about a point of it.
+            wrench: what acts.
+
+        Raises:
+            Refusal: the scene has no `external_wrench`, no such link, or numbers that are not
+                finite or too large; nothing has changed.
+        """
+        where = "Plant.set_external_wrench"
+        joint, wrench = on_moving_link(self.scene, where, link, wrench)
+        one = Wrench(axes=AXES.index(wrench.axes))
+        one.point[:], one.force[:], one.moment[:] = wrench.point, wrench.force, wrench.moment
+        if self.core.arm_set_external_wrench(self.machine, joint, ctypes.byref(one)) == REFUSED:
+            raise self._refusal(where, "another one")
+
+    @property
+    def external_wrenches(self) -> dict[str, ExternalWrench]:
+        """What acts on the link of each joint, by its name; empty in a scene without."""
+        wrenches = {}
+        for index, joint in enumerate(self.scene.chain.joints):
+            if self.scene.external_wrench:
+                one = Wrench()
+                self.core.arm_get_external_wrench(self.machine, index, ctypes.byref(one))
+                force, moment, point = map(tuple, (one.force, one.moment, one.point))
+                wrenches[joint.link] = ExternalWrench(force, moment, point, AXES[one.axes])
+        return wrenches
 
     def save(self) -> bytes:
         """Return all that decides how the machine goes on, as bytes that may be kept."""

@@ -116,6 +116,7 @@ class Scene:
     chain: Chain  # the same joints' geometry and inertia
     integrator: Integrator
     servo_period: float  # s
+    external_wrench: bool  # whether there may be one, see core/external_wrench.hpp
     energy_flow: bool  # whether what is given and dissipated is told, see core/energy_flow.hpp
     threads: int
     cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
@@ -231,7 +232,7 @@ def _build(root: Section, file: Path) -> Scene:
     load = None
     if payload is not None and any(one.name == "payload.mass" for one in varied):
         load = _load(*(read(_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
-    energy_flow = root.flag("energy_flow")
+    external_wrench, energy_flow = root.flag("external_wrench"), root.flag("energy_flow")
     for key in BESIDE:
         if root.has(key):
             root.text(key)
@@ -247,6 +248,7 @@ def _build(root: Section, file: Path) -> Scene:
         chain=chain,
         integrator=integrator,
         servo_period=servo_period,
+        external_wrench=external_wrench,
         energy_flow=energy_flow,
         threads=threads,
         cores=cores,

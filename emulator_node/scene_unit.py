@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from emulator_node.chain import Body, ChainJoint
+from emulator_node.chain import Array, Body, Chain, ChainJoint
 from emulator_node.cxx_literals import fields, number, text, vector
 from emulator_node.parts.part import Part
 from emulator_node.parts.sensors import suite
@@ -37,6 +37,7 @@ def scene_unit(scene: Scene, boundary: str = "boundary.hpp") -> str:
         bare, per_kg = _body(load.bare), _body(load.per_kg)
         bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
     links = ",\n".join(map(_link, scene.chain.joints, bodies))
+    axes = _axes(scene.chain) if scene.external_wrench else ""
     devices = ",\n".join(_device(joint) for joint in scene.joints)
     drives = ",\n".join(_drive(joint, places) for joint in scene.joints)
     headers = sorted({part.header for joint in scene.joints for part in joint.parts})
@@ -59,6 +60,8 @@ struct Scene {{
   using Threads = arm::{threads}<Scene, Stepper>;
   static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
   static constexpr bool energy_flow = {"true" if scene.energy_flow else "false"};
+  static constexpr bool external_wrench = {"true" if scene.external_wrench else "false"};
+{axes}\
   static constexpr arm::Events events = arm::Events::{scene.integrator.events};
   static constexpr double supply_voltage = {number(scene.supply_voltage)};
   static constexpr arm::Vec3<double> gravity = {vector(gravity)};
@@ -79,6 +82,20 @@ struct Scene {{
 
 #include "{boundary}"
 """
+
+
+def _axes(chain: Chain) -> str:
+    """Return what turns vectors of the URDF's links and of the world into the core's."""
+    links = ",\n".join(f"      {{{_matrix(joint.axes)}}}" for joint in chain.joints)
+    return f"""\
+  static constexpr double link_axes[N][3][3] = {{
+{links}}};
+  static constexpr double world_axes[3][3] = {{{_matrix(chain.R_BW)}}};
+"""
+
+
+def _matrix(rows: Array) -> str:
+    return ", ".join(f"{{{', '.join(map(number, row))}}}" for row in rows)
 
 
 def _parameter(one: Varied) -> str:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from emulator_node.chain import Array
+from emulator_node.external_wrench import ExternalWrench, on_moving_link
 from emulator_node.measured import Measured
 from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene
@@ -176,6 +177,25 @@ class Session:
         """
         with self.between_ticks():
             self.plant.set_parameter(name, value)
+            self._take_machine()
+
+    def acts_already(self, link: str, wrench: ExternalWrench) -> bool:
+        """Return whether this is the wrench that acts, so that setting it would change nothing.
+
+        Raises:
+            Refusal: see `Plant.set_external_wrench`.
+        """
+        joint, moved = on_moving_link(self.scene, "external wrench", link, wrench)
+        return self.plant.external_wrenches[self.scene.chain.joints[joint].link] == moved
+
+    def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
+        """Let a force and a moment act from now on, see `Plant.set_external_wrench`.
+
+        Raises:
+            Refusal: see there; nothing has changed.
+        """
+        with self.between_ticks():
+            self.plant.set_external_wrench(link, wrench)
             self._take_machine()
 
     def _take_machine(self) -> None:

@@ -92,6 +92,10 @@ ACCELERATION = Bound("acceleration", "rad/s2", 1e9)
 EFFORT = Bound("effort", "N m", 1e9)
 VOLTAGE = Bound("voltage", "V", 1e9)
 CURRENT = Bound("current", "A", 1e9)
+# What acts on a link from outside, and where on it.
+FORCE = Bound("force", "N", 1e6)
+MOMENT = Bound("moment", "N m", 1e6)
+POINT = Bound("point", "m", 1e3)
 # Where the tool shall be, in the world.
 TOOL_POSITION = Bound("position", "m", 1e6)
 

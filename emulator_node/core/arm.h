@@ -187,6 +187,27 @@ int arm_describe_parameter(int32_t index, arm_parameter* out);
 int arm_get_parameter(const arm_machine* machine, const char* name, double* value);
 int arm_set_parameter(arm_machine* machine, const char* name, double value);
 
+/* -------------------------------------------------------------------------- external wrenches */
+
+enum arm_axes { ARM_LINK_AXES = 0, ARM_WORLD_AXES = 1 };
+#define ARM_LARGEST_WRENCH 1e9 /* of each number */
+
+/* What the surroundings do to the link that a joint moves: a force and a moment at a point that is
+ * fixed to the link. Their axes are those of the link's frame in the URDF, with which they turn, or
+ * those of the world. */
+typedef struct arm_wrench {
+  uint32_t size;
+  int32_t axes;     /* enum arm_axes, of force and moment */
+  double point[3];  /* m, in the link's frame */
+  double force[3];  /* N */
+  double moment[3]; /* N m, about the point */
+} arm_wrench;
+
+/* The wrench that acts on the link of a joint, until it is set anew; a reset takes it away. It is
+ * part of a saved machine. Both calls need a scene with `external_wrench`. */
+int arm_set_external_wrench(arm_machine* machine, int32_t joint, const arm_wrench* wrench);
+int arm_get_external_wrench(const arm_machine* machine, int32_t joint, arm_wrench* out);
+
 /* ------------------------------------------------------------------------------ whole states */
 
 /* Bytes of a saved machine. */
@@ -228,8 +249,8 @@ int arm_advance(arm_machine* machine, const double* voltage, int64_t steps);
 /* The same for `rows` rows of voltages, `steps` steps each; q after each row goes to `q`. */
 int arm_run(arm_machine* machine, const double* voltage, int64_t rows, int64_t steps, double* q);
 
-/* What the supply gives to each joint and what each dissipates, so many of each in `out`: now and
- * under `voltage` [W]. Both calls need a scene with `energy_flow`. */
+/* What the supply and external wrenches give to each joint and what each dissipates, so many of
+ * each in `out`: now and under `voltage` [W]. Both calls need a scene with `energy_flow`. */
 int arm_powers(const arm_machine* machine, const double* voltage, double* out);
 /* As `arm_advance`; what was given and dissipated on the way goes to `out` [J]. */
 int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t steps, double* out);
@@ -241,7 +262,8 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t ste
  * null only K is returned. */
 int arm_linear_drives(const arm_machine* machine, double* out);
 
-/* The links alone, for `count` rows of joints: M(q) a + nle(q, v) = tau. */
+/* The links alone, for `count` rows of joints: M(q) a + nle(q, v) = tau, under the external
+ * wrenches that act now. */
 void arm_forward_dynamics(const arm_machine* machine, int64_t count, const double* q,
                           const double* v, const double* tau, double* a);
 

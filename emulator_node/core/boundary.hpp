@@ -54,6 +54,9 @@ struct arm_machine {
     for (double& volts : one.voltage) number(volts);
     number(one.powered);
     for (double& value : values) number(value);
+    if constexpr (Scene::external_wrench)
+      for (arm::GivenWrench& wrench : one.given)
+        for (double& entry : wrench.numbers) number(entry);
   }
 
   explicit arm_machine(const arm_options& options)
@@ -83,6 +86,21 @@ struct arm_machine {
 
   int check_measurement(const arm_measurement* out) const {
     return check_size(out, offsetof(arm_measurement, sensors));
+  }
+
+  void set_external_wrench(int j, const arm::GivenWrench& wrench) {
+    if constexpr (Scene::external_wrench) {
+      given[j] = wrench;
+      machine.set_external_wrench(j, arm::in_core_axes<Scene>(j, wrench));
+    }
+  }
+  void forget_external_wrenches() {
+    for (int j = 0; j < N; ++j) set_external_wrench(j, {});
+  }
+  int refuse_wrench(int joint) const {
+    if (!Scene::external_wrench) return refuse(-1, "external_wrench", "be true in the scene", 0.0);
+    if (joint < 0 || joint >= N) return refuse(-1, "joint", "be one of the scene", joint);
+    return ARM_OK;
   }
 
   std::int64_t tick() const { return machine.steps() / steps_per_period; }
@@ -187,6 +205,7 @@ struct arm_machine {
   std::int64_t answered = -1;  // tick that the newest command answered
   double voltage[N] = {};      // in the period that has passed
   std::int64_t powered = true;
+  arm::GivenWrench given[Scene::external_wrench ? N : 1] = {};
   mutable arm_refusal why = {sizeof(arm_refusal), -1, "", "", 0.0};
 };
 
@@ -256,6 +275,7 @@ void arm_delete(arm_machine* machine) { delete machine; }
 
 int arm_reset(arm_machine* machine, const double* q, const double* v) {
   if (machine->check_finite(q, "q") || machine->check_finite(v, "v")) return ARM_REFUSED;
+  machine->forget_external_wrenches();
   machine->machine.reset(q, v);
   machine->sensors.begin(machine->machine, 0, true);
   machine->answered = -1;
@@ -332,6 +352,32 @@ int arm_set_parameter(arm_machine* machine, const char* name, double value) {
   if (!within_bounds(k, value))
     return machine->refuse(-1, "parameter", "be within its bounds", value);
   machine->machine.set_parameter(k, value);
+  return ARM_OK;
+}
+
+int arm_set_external_wrench(arm_machine* machine, std::int32_t joint, const arm_wrench* wrench) {
+  if (machine->refuse_wrench(joint) || machine->check_size(wrench)) return ARM_REFUSED;
+  if (wrench->axes != ARM_LINK_AXES && wrench->axes != ARM_WORLD_AXES)
+    return machine->refuse(joint, "axes", "be one of enum arm_axes", wrench->axes);
+  arm::GivenWrench given = {};
+  double* to = given.numbers;
+  for (const auto& vector : {wrench->point, wrench->force, wrench->moment})
+    for (int k = 0; k < 3; ++k) {
+      if (!arm::is_finite(vector[k]) || arm::magnitude(vector[k]) > ARM_LARGEST_WRENCH)
+        return machine->refuse(joint, "external wrench", "be finite and at most 1e9", vector[k]);
+      *to++ = vector[k];
+    }
+  *to = wrench->axes == ARM_WORLD_AXES;
+  machine->set_external_wrench(joint, given);
+  return ARM_OK;
+}
+
+int arm_get_external_wrench(const arm_machine* machine, std::int32_t joint, arm_wrench* out) {
+  if (machine->refuse_wrench(joint) || machine->check_size(out)) return ARM_REFUSED;
+  const double* of = machine->given[Scene::external_wrench ? joint : 0].numbers;
+  for (double* vector : {out->point, out->force, out->moment})
+    for (int k = 0; k < 3; ++k) vector[k] = *of++;
+  out->axes = *of != 0.0 ? ARM_WORLD_AXES : ARM_LINK_AXES;
   return ARM_OK;
 }
 
@@ -423,6 +469,8 @@ ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t s
   arm_machine::for_each_saved_number(*machine, whole, values,
                                      [&](auto& number) { words.read(number); });
   for (int k = 0; k < Scene::parameters; ++k) machine->machine.set_parameter(k, values[k]);
+  if constexpr (Scene::external_wrench)
+    for (int j = 0; j < arm_machine::N; ++j) machine->set_external_wrench(j, machine->given[j]);
   machine->machine.restore(whole);
   return ARM_OK;
 }

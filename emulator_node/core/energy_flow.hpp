@@ -1,5 +1,5 @@
-// What the supply gives to each joint and what each joint dissipates, at an instant and over a
-// motion. With what is stored (energy.hpp) the balance must close:
+// What the supply and external wrenches give to each joint and what each joint dissipates, at an
+// instant and over a motion. With what is stored (energy.hpp) the balance must close:
 //
 //   energy(t1) - energy(t0) = sum over the joints of given - dissipated
 //
@@ -33,6 +33,13 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
     power.given[j] = drive.given(at, modes.of(drive, j).held());
     power.dissipated[j] = drive.dissipated(at, modes.of(drive, j).held());
   });
+  if constexpr (S::external_wrench) {
+    typename Links<S>::Kinematics kinematics;
+    double torque[S::N];
+    Links<S>::kinematics(x.q, kinematics);
+    Links<S>::external_torques(n, kinematics, torque);
+    for (int j = 0; j < S::N; ++j) power.given[j] += torque[j] * x.v[j];
+  }
   return power;
 }
 

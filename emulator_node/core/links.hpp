@@ -11,12 +11,6 @@
 
 namespace arm {
 
-// Force and moment about a frame's origin.
-template <class X>
-struct Wrench {
-  Vec3<X> f, n;
-};
-
 template <class S, class X = double>
 struct Links {
   static constexpr int N = S::N;
@@ -56,6 +50,7 @@ struct Links {
   static ARM_INLINE void inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
                                           const X* a, X* tau) {
     Wrench<X> wrench[N];
+    BaseAxes base;
     Vec3<X> omega, alpha;  // of the parent link, in its frame
     Vec3<X> acc =
         Vec3<X>{} - S::gravity;  // of the parent's origin; accelerating upwards stands for gravity
@@ -75,6 +70,11 @@ struct Links {
       const auto body = n.body(i);
       wrench[i].f = body.m * acc + cross(alpha, body.h) + cross(omega, cross(omega, body.h));
       wrench[i].n = body.I * alpha + cross(omega, body.I * omega) + cross(body.h, acc);
+      if constexpr (S::external_wrench) {
+        base.go_on(link);
+        const Wrench<X> outside = n.external_wrench(i).at_origin(base.x, base.y);
+        wrench[i] = {wrench[i].f - outside.f, wrench[i].n - outside.n};
+      }
     });
     for_each_reverse<N>([&](auto i) __attribute__((always_inline)) {
       tau[i] = revolute(i) ? wrench[i].n.z : wrench[i].f.z;
@@ -121,6 +121,20 @@ struct Links {
     dynamics(n, q, v, links);
   }
 
+  // Torques J^T w that the external wrenches put on the joints.
+  static void external_torques(const Numbers& n, const Kinematics& k, X* tau) {
+    Wrench<X> wrench[N];
+    BaseAxes base;
+    for (int i = 0; i < N; ++i) {
+      base.go_on(k.link[i]);
+      wrench[i] = n.external_wrench(i).at_origin(base.x, base.y);
+    }
+    for (int i = N - 1; i >= 0; --i) {
+      tau[i] = revolute(i) ? wrench[i].n.z : wrench[i].f.z;
+      if (i > 0) wrench[i - 1] = sum(wrench[i - 1], k.link[i], wrench[i]);
+    }
+  }
+
   // Kinetic energy is v^T M v / 2; this is the potential energy in the field S::gravity, zero with
   // every centre of mass at the world's origin.
   static X potential_energy(const Numbers& n, const Kinematics& k) {
@@ -134,6 +148,12 @@ struct Links {
   }
 
  private:
+  // The base's x and y as seen from one link after the other.
+  struct BaseAxes {
+    Vec3<X> x = {X{} + 1.0, X{}, X{}}, y = {X{}, X{} + 1.0, X{}};
+    ARM_INLINE void go_on(const Placement<X>& link) { x = link.to_child(x), y = link.to_child(y); }
+  };
+
   static ARM_INLINE Wrench<X> sum(const Wrench<X>& parent, const Placement<X>& link,
                                   const Wrench<X>& child) {
     const Vec3<X> f = link.to_parent(child.f);

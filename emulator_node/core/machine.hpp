@@ -7,6 +7,7 @@
 #include "course.hpp"
 #include "energy.hpp"
 #include "energy_flow.hpp"
+#include "external_work.hpp"
 #include "finite.hpp"
 #include "linearly_implicit.hpp"
 #include "located.hpp"
@@ -38,6 +39,7 @@ class Machine {
     State<S> x;
     typename Threads::Memory past;
     EnergyBalance<S> balance;
+    ExternalWork<S> work;
     double u[Stepper::row];  // the commands of the step before, within the supply
     double power;            // W, that the motors are given at most
     std::int64_t steps_taken;
@@ -48,6 +50,7 @@ class Machine {
       arm::for_each_number(x, number);
       past.for_each_number(number);
       balance.for_each_number(number);
+      work.for_each_number(number);
       for (int j = 0; j < N; ++j) number(u[j]);
       number(power);
       number(steps_taken);
@@ -67,7 +70,7 @@ class Machine {
   };
 
   Instant instant() const {
-    Instant instant = {x, threads.memory(), balance, {}, power, steps_taken};
+    Instant instant = {x, threads.memory(), balance, work, {}, power, steps_taken};
     for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied[j];
     return instant;
   }
@@ -80,14 +83,19 @@ class Machine {
 
   // Set a varied number, between two steps. The motion goes on from where it is.
   ARM_ONCE void set_parameter(int k, double value) {
-    const typename Threads::Memory past = threads.memory();
-    numbers.set(k, value);
-    ++edition;
-    threads.renew();
-    threads.restore(past);
+    change([&] {
+      numbers.set(k, value);
+      ++edition;
+      threads.renew();
+    });
     balance.reset(numbers, x);
     power = EnergyBalance<S>::largest_power(numbers, x, applied);
     checked = instant();
+  }
+  // Set what acts on link i from outside, between two steps.
+  ARM_ONCE void set_external_wrench(int i, const ExternalWrench<double>& wrench) {
+    account_for_work();
+    change([&] { numbers.set_external_wrench(i, wrench); });
   }
   double parameter(int k) const { return numbers.value(k); }
   const Numbers<S>& numbers_now() const { return numbers; }
@@ -99,6 +107,7 @@ class Machine {
     x = at;
     threads.reset(x);
     balance.reset(numbers, x);
+    work.reset(x);
     fault = -1;
     for (double& u : applied) u = 0.0;
     power = EnergyBalance<S>::largest_power(numbers, x, applied);
@@ -150,6 +159,7 @@ class Machine {
       }
       count -= chunk;
       if (chunk < due) continue;
+      account_for_work();
       if (balance.due_after(kCheckEvery)) fault = balance.broken_by(numbers, x, h);
       if (fault >= 0) {
         go_back(checked);
@@ -257,6 +267,41 @@ class Machine {
   double energy() const { return energy_of<S>(numbers, x).total(); }
 
  private:
+  // What the external wrenches have done comes to the energy that there may be.
+  void account_for_work() {
+    if constexpr (S::external_wrench) balance.allow(balance.most() + work.since(numbers, x));
+  }
+
+  // Change the numbers. Torques that the scheme has kept from the step before become those that the
+  // links would have taken with the new numbers: the jump is no motion of the links.
+  void change(auto&& set) {
+    typename Threads::Memory past = threads.memory();
+    if constexpr (S::scheme == Scheme::extrapolated) {
+      auto& kept = scheme_of(past);
+      double before[N], after[N];
+      torques_for(kept.a, before);
+      set();
+      torques_for(kept.a, after);
+      for (int j = 0; j < N; ++j) kept.torque[j] += after[j] - before[j];
+    } else {
+      set();
+    }
+    threads.restore(past);
+  }
+  static auto& scheme_of(typename Threads::Memory& past) {
+    if constexpr (requires { past.stepper; })
+      return past.stepper;
+    else
+      return past;
+  }
+  // What links and rotors take here for the accelerations `a`.
+  void torques_for(const double* a, double (&torque)[N]) const {
+    typename Links<S>::Kinematics kinematics;
+    Links<S>::kinematics(x.q, kinematics);
+    Links<S>::inverse_dynamics(numbers, kinematics, x.v, a, torque);
+    for (int j = 0; j < N; ++j) torque[j] += numbers.carried(j) * a[j];
+  }
+
   Modes<S> modes_at(State<S> x, const double* u) const {
     typename Links<S>::Dynamics links;
     Links<S>::dynamics_apart(numbers, x.q, x.v, links);
@@ -286,6 +331,7 @@ class Machine {
     threads.restore(to.past);
     x = to.x;
     balance = to.balance;
+    work = to.work;
     for (int j = 0; j < Stepper::row; ++j) applied[j] = to.u[j];
     power = to.power;
     steps_taken = to.steps_taken;
@@ -323,6 +369,7 @@ class Machine {
   Threads threads;
   State<S> x = {};
   EnergyBalance<S> balance;
+  ExternalWork<S> work;
   double applied[Stepper::row] = {};
   double power = 0.0;
   std::int64_t steps_taken = 0;

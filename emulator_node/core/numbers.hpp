@@ -6,6 +6,7 @@
 #pragma once
 
 #include "base_parameters.hpp"
+#include "external_wrench.hpp"
 
 namespace arm {
 
@@ -134,6 +135,11 @@ class Numbers<S, double> {
   }
   constexpr const Body<double>& fixed() const { return now().base.fixed; }
 
+  ARM_INLINE constexpr const ExternalWrench<double>& external_wrench(int i) const {
+    return outside.on[i];
+  }
+  void set_external_wrench(int i, const ExternalWrench<double>& wrench) { outside.on[i] = wrench; }
+
   ARM_INLINE constexpr double carried(int j) const { return now().carried[j]; }
   ARM_INLINE constexpr double Dc(int j) const { return now().Dc[j]; }
   ARM_INLINE constexpr double Ds(int j) const { return now().Ds[j]; }
@@ -148,6 +154,7 @@ class Numbers<S, double> {
 
   double p[S::parameters + 1] = {};
   Sheet<S> sheet;
+  ExternalWrenches<S, double> outside;
 };
 
 // Those of machines side by side, one in each lane. What is not varied is one number for all.
@@ -203,6 +210,20 @@ class Numbers {
       return Constants<S>::sheet.base.body[i];
   }
 
+  // Take what acts on the links of a machine.
+  void set_external_wrenches(int lane, const Numbers<S>& one) {
+    for (int i = 0; i < N; ++i) {
+      ExternalWrench<double> given = one.external_wrench(i);
+      double numbers[sizeof given / sizeof(double)];
+      double *to = numbers, *from = numbers;
+      given.for_each_number([&](double number) { *to++ = number; });
+      outside.on[i].for_each_number([&](X& number) { set_lane(number, lane, *from++); });
+    }
+  }
+  ARM_INLINE constexpr const ExternalWrench<X>& external_wrench(int i) const {
+    return outside.on[i];
+  }
+
   ARM_INLINE constexpr Number carried(int j) const { return number(rotor, j, &Sheet<S>::carried); }
   ARM_INLINE constexpr Number Dc(int j) const { return number(coulomb, j, &Sheet<S>::Dc); }
   ARM_INLINE constexpr Number Ds(int j) const { return number(breakaway, j, &Sheet<S>::Ds); }
@@ -220,6 +241,7 @@ class Numbers {
   const Numbers<S>* of[width] = {};
   Body<Number> bodies[varied ? N : 1] = {};
   Row rotor = {}, coulomb = {}, breakaway = {};
+  ExternalWrenches<S, X> outside;
 };
 
 }  // namespace arm

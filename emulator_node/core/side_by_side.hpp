@@ -67,6 +67,7 @@ class SideBySide {
     alignas(64) X u[Method::row] = {};
     X power = {}, most = {};
     Balance balance[width];
+    ExternalWork<S> work[width];
     std::int64_t steps_taken[width];
   };
 
@@ -80,6 +81,9 @@ class SideBySide {
       renewed = true;
     }
     if (renewed) threads.renew();
+    if constexpr (S::external_wrench)
+      for (int lane = 0; lane < width; ++lane)
+        numbers.set_external_wrenches(lane, numbers_of(lane));
   }
 
   void section(Course& course, int count) {
@@ -111,6 +115,7 @@ class SideBySide {
       for (int lane = 0; lane < width; ++lane) {
         at.steps_taken[lane] += steps;
         if (lost[lane] || !Machine::is_check(at.steps_taken[lane])) continue;
+        if constexpr (S::external_wrench) account_for_work(lane, at);
         if (at.balance[lane].due_after(Machine::kCheckEvery) && !balanced(lane, at))
           lost[lane] = -1;
         else if (left < Machine::kCheckEvery && lane < used)
@@ -145,12 +150,21 @@ class SideBySide {
     at.power = power, at.most = most;
   }
 
+  void account_for_work(int lane, Abreast& at) {
+    typename Machine::Instant now = {};
+    take(lane, at, now);
+    at.most[lane] += at.work[lane].since(numbers_of(lane), now.x);
+  }
+
+  const Numbers<S>& numbers_of(int lane) const {
+    return machine[lane < used ? lane : 0]->numbers_now();
+  }
+
   // Whether the energy of a lane is one that a machine can have.
   bool balanced(int lane, Abreast& at) {
     typename Machine::Instant now = {};
     take(lane, at, now);
-    const int joint =
-        now.balance.broken_by(machine[lane < used ? lane : 0]->numbers_now(), now.x, h);
+    const int joint = now.balance.broken_by(numbers_of(lane), now.x, h);
     at.balance[lane] = now.balance;
     at.most[lane] = now.balance.most();
     return joint < 0;
@@ -172,6 +186,7 @@ class SideBySide {
     at.power[lane] = now.power;
     at.most[lane] = now.balance.most();
     at.balance[lane] = now.balance;
+    at.work[lane] = now.work;
     at.steps_taken[lane] = now.steps_taken;
   }
 
@@ -185,6 +200,7 @@ class SideBySide {
     now.power = at.power[lane];
     now.balance = at.balance[lane];
     now.balance.allow(at.most[lane]);
+    now.work = at.work[lane];
     now.steps_taken = at.steps_taken[lane];
   }
 

@@ -1,0 +1,368 @@
+"""What the surroundings do to the links: forces and moments, and loads that change in flight."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from machines import GRAVITY, MOTOR, moving_joints, one_link_urdf, random_chain_urdf, write_scene
+from scipy.integrate import solve_ivp
+
+from emulator_node.chain import Array
+from emulator_node.external_wrench import AXES, ExternalWrench
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Diverged, Plant
+from emulator_node.reference import ReferenceMachine
+from emulator_node.scene import Scene, load_scene
+from emulator_node.scene_unit import scene_unit
+from words.refusal import Refusal
+
+PERIOD = 1e-2  # s, over which a wrench is held
+MASS = 1.5  # kg
+PAYLOAD = {"mass": MASS, "com": [0.1, 0.0, 0.05]}
+LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # of one_link_urdf about its joint
+
+
+def driven_arm(folder: Path, scheme: str = "extrapolated", **keys: Any) -> Path:
+    """Three joints, elastic, rigid (one that slides) and without a motor, with a payload."""
+    urdf = random_chain_urdf(np.random.default_rng(0), 3)
+    names = moving_joints(urdf)
+    joints = {
+        names[0]: {"motor": MOTOR, "gear": {"ratio": 0.02, "stiffness": 2e3, "damping": 4.0}},
+        names[1]: {"motor": MOTOR, "gear": {"ratio": 0.03}},
+        names[2]: {"friction": {"viscous": 0.1}},
+    }
+    scene = {
+        "tool": f"{names[2]}_link",
+        "gravity": GRAVITY,
+        "payload": PAYLOAD,
+        "servo_period": PERIOD,
+        "integrator": {"scheme": scheme, "dt": PERIOD / 20},
+        "varied": ["payload.mass"],
+        "external_wrench": True,
+        "energy_flow": True,
+    }
+    return write_scene(folder, urdf, joints, **{**scene, **keys})
+
+
+def with_steps(file: Path, steps: int) -> Plant:
+    return Plant(load_scene(file, {"integrator.dt": PERIOD / steps}))
+
+
+def drawn(rng: np.random.Generator, size: float) -> ExternalWrench:
+    """A wrench of about `size` [N, N m] at any point of a link, in any axes."""
+    force, moment = rng.normal(0.0, size, (2, 3)).tolist()
+    return ExternalWrench(force, moment, rng.normal(0.0, 0.3, 3).tolist(), str(rng.choice(AXES)))
+
+
+def drawn_wrenches(
+    rng: np.random.Generator, scene: Scene, size: float
+) -> dict[str, ExternalWrench]:
+    """One for what each joint moves: its link, or a frame that is fixed to it."""
+    links = [str(rng.choice(list(joint.links))) for joint in scene.chain.joints]
+    return {link: drawn(rng, size) for link in links}
+
+
+def push(plant: Plant, wrenches: dict[str, ExternalWrench]) -> None:
+    for link, wrench in wrenches.items():
+        plant.set_external_wrench(link, wrench)
+
+
+class PushedMachine(ReferenceMachine):
+    """The machine in plain NumPy and Pinocchio, under wrenches."""
+
+    def __init__(self, scene: Scene, mass: float = MASS) -> None:
+        super().__init__(scene, {**PAYLOAD, "mass": mass})
+        self.wrenches: dict[str, ExternalWrench] = {}
+
+    def torques(self, q: Array) -> Array:
+        """J^T w."""
+        tau = np.zeros(self.N)
+        pin.computeJointJacobians(self.model, self.data, q)
+        pin.updateFramePlacements(self.model, self.data)
+        for link, wrench in self.wrenches.items():
+            frame = self.model.getFrameId(link)
+            R = self.data.oMf[frame].rotation
+            J = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
+            turn = R if wrench.axes == "link" else np.eye(3)
+            f, n = turn @ wrench.force, turn @ wrench.moment
+            tau += J.T @ np.concatenate([f, n + np.cross(R @ wrench.point, f)])
+        return tau
+
+    def rates(self, t: float, flat: Array, V: Array) -> Array:
+        dx = super().rates(t, flat, V).reshape(5, self.N)
+        q = flat.reshape(5, self.N)[3]
+        tau = self.torques(q)
+        M = pin.crba(self.model, self.data, q)
+        dx[4] += np.linalg.solve(np.triu(M) + np.triu(M, 1).T, tau)
+        return dx.ravel()
+
+    def after(self, x: Array, V: Array) -> Array:
+        """The state a period later."""
+        end = solve_ivp(
+            self.rates, (0.0, PERIOD), x.ravel(), "DOP853", rtol=1e-12, atol=1e-13, args=(V,)
+        )
+        out: Array = end.y[:, -1].reshape(x.shape)
+        return out
+
+
+def test_links_accelerate_as_in_pinocchio(tmp_path: Path) -> None:
+    """M a + nle = tau + J^T w, on links and frames that are fixed to them, in either axes."""
+    rng = np.random.default_rng(1)
+    scene = load_scene(driven_arm(tmp_path))
+    assert any(len(joint.links) > 1 for joint in scene.chain.joints), "frames fixed to links"
+    plant, machine = Plant(scene), PushedMachine(scene)
+    machine.model.armature = np.zeros(3)
+    for _ in range(100):
+        machine.wrenches = drawn_wrenches(rng, scene, 20.0)
+        push(plant, machine.wrenches)
+        q, v, tau = rng.normal(0.0, 1.0, (3, 3))
+        a = plant.link_accelerations(q, v, tau)
+        expected = pin.aba(machine.model, machine.data, q, v, tau + machine.torques(q))
+        np.testing.assert_allclose(a, expected, rtol=1e-9, atol=1e-8, err_msg="accelerations")
+    plant.reset()
+    assert set(plant.external_wrenches.values()) == {ExternalWrench()}, "after a reset"
+    a = plant.link_accelerations(q, v, tau)
+    expected = pin.aba(machine.model, machine.data, q, v, tau)
+    np.testing.assert_allclose(a, expected, rtol=1e-9, atol=1e-8, err_msg="after a reset")
+
+
+@pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated"])
+def test_pushes_and_loads_that_change_keep_the_order(tmp_path: Path, scheme: str) -> None:
+    """Each period others: a jump of the load is no motion of the links."""
+    rng = np.random.default_rng(2)
+    file, rows = driven_arm(tmp_path, scheme), 6
+    scene = load_scene(file)
+    voltages = rng.uniform(-20.0, 20.0, (rows, 3))
+    pushes = [drawn_wrenches(rng, scene, 20.0) for _ in range(rows)]
+    masses = rng.uniform(0.5, 3.0, rows).tolist()
+    x, truth = PushedMachine(scene).at_rest(scene.start, None), []
+    for row, wrenches, mass in zip(voltages, pushes, masses, strict=True):
+        machine = PushedMachine(load_scene(file, {"payload.mass": mass}), mass)
+        machine.wrenches = wrenches
+        x = machine.after(x, row)
+        truth.append(x)
+    errors = []
+    for steps in (20, 40, 80, 160):
+        plant, off = with_steps(file, steps), 0.0
+        for row, wrenches, mass, there in zip(voltages, pushes, masses, truth, strict=True):
+            push(plant, wrenches)
+            plant.set_parameter("payload.mass", mass)
+            plant.advance(row, steps)
+            off = max(
+                off, float(np.abs(np.array([plant.state.q, plant.state.v]) - there[3:]).max())
+            )
+        errors.append(off)
+    assert np.log2(np.array(errors[:-1]) / errors[1:])[-2:] == pytest.approx(2.0, abs=0.15), errors
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_work_of_wrenches_closes_the_energy_balance(tmp_path: Path, seed: int) -> None:
+    """Energy that comes is what is given less what is dissipated, but for a part of order h^2."""
+    rng = np.random.default_rng([seed, 3])
+    file = driven_arm(tmp_path)
+    voltages = rng.uniform(-5.0, 5.0, (6, 3))
+    pushes = [drawn_wrenches(rng, load_scene(file), 20.0) for _ in voltages]
+    left, given = [], 0.0
+    for steps in (20, 40, 80, 160):
+        plant, flow, exchanged = with_steps(file, steps), 0.0, 0.0
+        before = plant.energy
+        for row, wrenches in zip(voltages, pushes, strict=True):
+            push(plant, wrenches)
+            one = plant.advance_metered(row, steps)
+            flow += float(one.given.sum() - one.dissipated.sum())
+            exchanged += float(np.abs(one.given).sum() + one.dissipated.sum())
+            given += abs(one.given[2])  # of the joint without a motor
+        left.append(abs(plant.energy - before - flow) / exchanged)
+    assert given > 0.01, "the wrenches do work"
+    # The order is at least 2; by chance a coefficient may be small.
+    assert left[-1] < left[0] / 4.0**3 * 1.6, left
+    assert left[-1] < 1e-5, left
+
+
+# Scheme and threads, and what two threads exchange.
+WAYS = [("rosenbrock", 1, "predict"), ("extrapolated", 2, "predict"), ("paper", 2, "lag")]
+
+
+@pytest.mark.parametrize(("scheme", "threads", "exchange"), WAYS)
+def test_weights_of_all_bodies_are_gravity(
+    tmp_path: Path, scheme: str, threads: int, exchange: str
+) -> None:
+    """A force m g at each centre of mass, with the world's axes, moves the arm as gravity does."""
+    file = driven_arm(tmp_path, energy_flow=False, threads=threads)
+    integrator = {"scheme": scheme, "dt": PERIOD / 50, "exchange": exchange}
+    falls = load_scene(file, {"integrator": integrator, "external_wrench": None})
+    pushed = load_scene(file, {"integrator": integrator, "gravity": None})
+    one, other = Plant(falls), Plant(pushed)
+    for joint in pushed.chain.joints:
+        body = joint.body
+        if joint is pushed.chain.joints[-1]:  # the payload's mass is varied
+            assert pushed.load is not None
+            body = pushed.load.bare + pushed.load.per_kg.scaled(MASS)
+        com = joint.axes.T @ body.moment / body.mass
+        weight = ExternalWrench(body.mass * np.array(GRAVITY), point=com, axes="world")
+        other.set_external_wrench(joint.link, weight)
+    voltages = np.random.default_rng(5).uniform(-20.0, 20.0, (20, 3))
+    moved = one.run(voltages, 50), other.run(voltages, 50)
+    # Only rounding differs.
+    np.testing.assert_allclose(*moved, rtol=1e-9, atol=1e-9, err_msg="q")
+    np.testing.assert_allclose(one.state.v, other.state.v, rtol=1e-8, atol=1e-8, err_msg="v")
+    assert np.ptp(moved[0], axis=0).min() > 0.01, "the arm has moved"
+
+
+def test_a_steady_turn_is_that_of_the_closed_form(tmp_path: Path) -> None:
+    """A force that turns with the link, and a moment: q = (n + x f) t^2 / (2 I), to rounding."""
+    rng = np.random.default_rng(6)
+    file = write_scene(
+        tmp_path, one_link_urdf(), {"joint": {}}, external_wrench=True,
+        integrator={"scheme": "rosenbrock", "dt": 1e-3},
+    )  # fmt: skip
+    plant = Plant(load_scene(file))
+    for _ in range(10):
+        plant.reset()
+        f, n, x = rng.normal(0.0, 3.0, 3)
+        wrench = ExternalWrench([0.0, 0.0, -f], [0.0, n, 0.0], [x, 0.0, 0.0])
+        plant.set_external_wrench("joint_link", wrench)
+        plant.advance([0.0], 500)
+        a = (n + x * f) / LINK_INERTIA
+        assert plant.state.v[0] == pytest.approx(a * 0.5, rel=1e-12), "speed after 0.5 s"
+        assert plant.state.q[0] == pytest.approx(a * 0.125, rel=1e-12), "way in 0.5 s"
+
+
+def test_hard_pushes_of_an_elastic_arm_are_no_divergence(tmp_path: Path) -> None:
+    """What a push gives is energy that may be there, whatever the step and the swing."""
+    rng = np.random.default_rng(7)
+    file = driven_arm(tmp_path)
+    for case in range(30):
+        plant = with_steps(file, int(rng.choice([5, 10, 20])))
+        steps = plant.scene.steps_per_period
+        try:
+            for _ in range(40):
+                if rng.random() < 0.3:
+                    push(plant, drawn_wrenches(rng, plant.scene, float(10 ** rng.uniform(-1, 2))))
+                # The elastic joint swings, the others are held back.
+                plant.advance([0.0, 0.0, 0.0], steps)
+        except Diverged as fault:
+            pytest.fail(f"case {case}: {fault}")
+
+
+def test_a_pushed_machine_is_saved_and_goes_on(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    scene = load_scene(driven_arm(tmp_path))
+    one, other = Plant(scene), Plant(scene)
+    push(other, drawn_wrenches(rng, scene, 5.0))
+    for _ in range(5):
+        push(one, drawn_wrenches(rng, scene, 20.0))
+        one.advance(rng.uniform(-20.0, 20.0, 3), int(rng.integers(1, 40)))
+        other.restore(one.save())
+        assert other.external_wrenches == one.external_wrenches, "wrenches after restoring"
+        row = rng.uniform(-20.0, 20.0, 3)
+        for plant in (one, other):
+            plant.advance(row, 33)
+        assert one.save() == other.save(), "all that the machines are, some steps later"
+        # Set to what it is, nothing changes.
+        for link, wrench in one.external_wrenches.items():
+            other.set_external_wrench(link, wrench)
+        row = rng.uniform(-20.0, 20.0, 3)
+        for plant in (one, other):
+            plant.advance(row, 40)
+        np.testing.assert_array_equal(one.state.q, other.state.q, err_msg="q, set once more")
+
+
+def test_pushed_arms_in_lanes_move_as_single_ones(tmp_path: Path) -> None:
+    rng = np.random.default_rng(9)
+    scene, count = load_scene(driven_arm(tmp_path)), 11  # more than a group
+    fleet = Fleet(scene, count)
+    alone = [Plant(scene) for _ in range(count)]
+    for _ in range(4):
+        for arm, plant in enumerate(alone):
+            if rng.random() < 0.7:
+                wrenches = drawn_wrenches(rng, scene, 20.0)
+                push(plant, wrenches)
+                push(fleet[arm], wrenches)
+        voltages = rng.uniform(-20.0, 20.0, (3, count, 3))
+        moved = fleet.run(voltages, 20)
+        for arm, plant in enumerate(alone):
+            q = plant.run(voltages[:, arm], 20)
+            np.testing.assert_allclose(
+                moved[:, arm], q, rtol=0.0, atol=1e-11, err_msg=f"q of arm {arm}"
+            )
+    assert not fleet.diverged
+
+
+def test_a_load_that_is_taken_up_comes_with_the_speed_of_the_tool(tmp_path: Path) -> None:
+    """Angles and speeds do not jump: energy and momentum do, by those of the load that comes.
+
+    A load that is put down takes its own with it.
+    """
+    rng = np.random.default_rng(10)
+    file = driven_arm(tmp_path)
+    plant = Plant(load_scene(file))
+    for row in rng.uniform(-20.0, 20.0, (10, 3)):
+        plant.advance(row, 40)
+        before, energy, old = plant.state, plant.energy, plant.parameters["payload.mass"]
+        new = float(rng.uniform(0.2, 4.0))
+        plant.set_parameter("payload.mass", new)
+        after = plant.state
+        for name in ("q", "v", "theta_m", "omega_m", "current"):
+            np.testing.assert_array_equal(getattr(after, name), getattr(before, name), name)
+        assert after.gear_torque[0] == before.gear_torque[0], "torque of the elastic gear"
+        models = [
+            PushedMachine(load_scene(file, {"payload.mass": mass}), mass).model
+            for mass in (old, new)
+        ]
+        E = [
+            pin.computeKineticEnergy(model, model.createData(), before.q, before.v)
+            + pin.computePotentialEnergy(model, model.createData(), before.q)
+            for model in models
+        ]
+        # Potential energy is counted from the base link, in both.
+        assert plant.energy - energy == pytest.approx(E[1] - E[0], abs=1e-9), "energy"
+
+
+def test_a_scene_without_wrenches_has_nothing_of_them(tmp_path: Path) -> None:
+    scene = load_scene("three_axis")
+    unit = scene_unit(scene)
+    assert "external_wrench = false" in unit and "link_axes" not in unit
+    plant = Plant(scene)
+    kept = plant.save()
+    link = scene.chain.joints[-1].link
+    with pytest.raises(Refusal, match=r"three_axis\.yaml: external_wrench must be true"):
+        plant.set_external_wrench(link, ExternalWrench([1.0, 0.0, 0.0]))
+    assert plant.external_wrenches == {} and plant.save() == kept
+    for bad in ("yes please", 1, None, [True]):
+        file = driven_arm(tmp_path)
+        file.write_text(
+            yaml.safe_dump({**yaml.safe_load(file.read_text()), "external_wrench": bad})
+        )
+        with pytest.raises(Refusal, match="external_wrench must be true or false"):
+            load_scene(file)
+
+
+def test_bad_wrenches_are_refused_and_change_nothing(tmp_path: Path) -> None:
+    rng = np.random.default_rng(11)
+    scene = load_scene(driven_arm(tmp_path))
+    plant = Plant(scene)
+    push(plant, drawn_wrenches(rng, scene, 5.0))
+    kept, link = plant.save(), scene.chain.joints[1].link
+    bad = [np.nan, np.inf, -np.inf, 1e300, -1e9, "one", None]
+    cases = [
+        ExternalWrench(**{name: rng.permutation(np.array([1.0, 2.0, value], object)).tolist()})
+        for name, value in itertools.product(("force", "moment", "point"), bad)
+    ]
+    cases += [ExternalWrench([1.0, 2.0]), ExternalWrench(3.0)]  # type: ignore[arg-type]
+    cases += [ExternalWrench(axes=axes) for axes in ("tool", "", "World")]
+    for wrench in cases:
+        with pytest.raises(Refusal) as refusal:
+            plant.set_external_wrench(link, wrench)
+        assert "\n" not in str(refusal.value) and "must" in str(refusal.value)
+        assert plant.save() == kept, f"{wrench} was refused and has changed something"
+    for name in ("base", "", "no such link", scene.joint_names[0]):
+        with pytest.raises(Refusal, match="link must be one that moves"):
+            plant.set_external_wrench(name, ExternalWrench([1.0, 0.0, 0.0]))
+        assert plant.save() == kept, name
