@@ -1,0 +1,125 @@
+"""Wrenches that come as messages: they act from a tick on, and `check` repeats them."""
+
+from __future__ import annotations
+
+import math
+import random
+import shutil
+from pathlib import Path
+
+import pytest
+from geometry_msgs.msg import Vector3, WrenchStamped
+from in_process import InProcess, in_process
+from machines import CONFIG
+from test_by_hand import CLOCKS, events_of, go_on, session_of
+
+from arm_emulator.check import check
+from arm_emulator_msgs.msg import MachineEvent
+
+TOPICS = {"external_wrench": "link", "external_wrench_in_world": "world"}
+LINKS = ("upper_arm", "forearm", "tool")
+
+
+@pytest.fixture(scope="module")
+def pushed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The three-axis arm, on which wrenches may act."""
+    folder = tmp_path_factory.mktemp("pushed")
+    shutil.copytree(CONFIG / "urdf", folder / "urdf")
+    text = (CONFIG / "three_axis.yaml").read_text()
+    (folder / "three_axis.yaml").write_text(f"{text}\nexternal_wrench: true\n")
+    return folder / "three_axis.yaml"
+
+
+def message(link: str, *numbers: float) -> WrenchStamped:
+    said = WrenchStamped()
+    said.header.frame_id = link
+    said.wrench.force, said.wrench.torque = (
+        Vector3(x=x, y=y, z=z) for x, y, z in (numbers[:3], numbers[3:])
+    )
+    return said
+
+
+def sound(draw: random.Random) -> tuple[str, WrenchStamped]:
+    return draw.choice(list(TOPICS)), message(
+        draw.choice(LINKS), *(draw.gauss(0.0, 20.0) for _ in range(6))
+    )
+
+
+def changes(one: InProcess) -> int:
+    return int(one.nodes["emulator"]._changes)
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
+    clock: str, pushed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    draw, said = random.Random(1), 0
+    with in_process(clock, file=pushed) as one:
+        one.begin_record()
+        assert one.call("emulator/reset").success
+
+        def between() -> None:
+            nonlocal said
+            if draw.random() < 0.02:
+                one.nodes["emulator"]._say_status()  # by which `check` knows the clock
+                one.say(*sound(draw))
+                said += 1
+
+        go_on(one, 300, between)
+        assert said > 5 and one.refused("emulator") == 0, f"{said} said"
+        one.write(tmp_path / "bag")
+    code, words = check(tmp_path / "bag", str(pushed)), capfd.readouterr().out
+    assert code == 0 and "equal to the last bit" in words, words
+    kinds = [event.kind for event in events_of(tmp_path / "bag")]
+    assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == said, "each is told"
+
+
+def test_a_wrench_acts_at_its_link_until_the_next_one(pushed: Path) -> None:
+    draw = random.Random(2)
+    with in_process(file=pushed) as one:
+        go_on(one, 5)
+        for _ in range(20):
+            topic, said = sound(draw)
+            one.say(topic, said)
+            joint = next(
+                j for j in session_of(one).scene.chain.joints if said.header.frame_id in j.links
+            )
+            acts = session_of(one).plant.external_wrenches[joint.link]
+            assert acts.axes == TOPICS[topic], said
+            given = said.wrench.force
+            size = math.hypot(said.wrench.force.x, said.wrench.force.y, said.wrench.force.z)
+            assert math.hypot(*acts.force) == pytest.approx(size, rel=1e-12), said
+            if acts.axes == "world":
+                assert acts.force == (given.x, given.y, given.z), said
+            told = changes(one)
+            one.say(topic, said)
+            assert changes(one) == told, "what acts already is no change"
+            go_on(one, 2)
+        assert one.call("emulator/reset").success
+        for wrench in session_of(one).plant.external_wrenches.values():
+            assert not any((*wrench.force, *wrench.moment)), "after a reset"
+
+
+def test_bad_messages_are_refused_counted_and_change_nothing(pushed: Path) -> None:
+    draw = random.Random(3)
+    with in_process(file=pushed) as one:
+        go_on(one, 5)
+        one.say(*sound(draw))
+        kept = session_of(one).plant.save()
+        for count in range(1, 40):
+            topic, said = sound(draw)
+            if draw.random() < 0.5:
+                said.header.frame_id = draw.choice(
+                    ["", "base", "world", "elbow", "TOOL", "no", "é"]
+                )
+            else:
+                vector = draw.choice([said.wrench.force, said.wrench.torque])
+                bad = draw.choice([math.nan, math.inf, -math.inf, 1e300, -1e9])
+                setattr(vector, draw.choice("xyz"), bad)
+            one.say(topic, said)
+            assert one.refused("emulator") == count, said
+            assert session_of(one).plant.save() == kept, said
+    with in_process() as one:  # a scene without
+        one.say(*sound(draw))
+        assert one.refused("emulator") == 1, "a scene without external_wrench"
+        assert "external_wrench must be true" in one.nodes["emulator"]._diagnostics._newest_refusal
