@@ -249,8 +249,10 @@ struct Drive {
   static constexpr bool bounded_by_supply = Motor::takes == Command::voltage;
   template <class X>
   ARM_INLINE constexpr X command(const Input<X>& x, double supply) const {
-    if constexpr (bounded_by_supply) return clamp(x.u, supply);
-    return clamp(x.u, motor.largest_command(x.z, supply));
+    if constexpr (bounded_by_supply)
+      return clamp(x.u, supply);
+    else
+      return clamp(x.u, motor.largest_command(x.z, supply));
   }
 
   // The modes that x calls for.
