@@ -125,12 +125,12 @@ struct Drive {
       const X T = gear_on_link(x, held);
       r.f[tm] = x.z[wm];
       if constexpr (Rotor::modes > 0)
-        r.f[wm] =
-            is_held(held, of_rotor)
-                ? -x.z[wm]
-                : shaft - gear.Ng * T - rotor.against(x.z[wm], gear.Ng * T, x.offset[of_rotor]);
+        r.f[wm] = is_held(held, of_rotor)
+                      ? -x.z[wm]
+                      : shaft - on_rotor(x, T) -
+                            rotor.against(x.z[wm], on_rotor(x, T), x.offset[of_rotor]);
       else
-        r.f[wm] = shaft - gear.Ng * T;
+        r.f[wm] = shaft - on_rotor(x, T);
       r.g += T;
     } else if constexpr (driven) {
       if constexpr (Rotor::modes > 0) shaft -= rotor.law.Dv * motor_speed(x);
@@ -183,6 +183,8 @@ struct Drive {
     Input<double> x = {};
     x.q = q, x.v = v;
     put_motor(x, 0.0, q / gear.Ng, v / gear.Ng);
+    if constexpr (elastic && requires { gear.unload(q, v, x.z[0], x.z[0]); })
+      gear.unload(q, v, x.z[tm], x.z[wm]);
     return x;
   }
 
@@ -225,7 +227,7 @@ struct Drive {
     if constexpr (elastic)
       P += gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, Gear::modes > 0 && is_held(held, of_gear));
     if constexpr (elastic && Rotor::modes > 0)
-      P += rotor.dissipated(x.z[wm], gear.Ng * load_on_link(x));
+      P += rotor.dissipated(x.z[wm], on_rotor(x, load_on_link(x)));
     if constexpr (carries_rotor && Rotor::modes > 0)
       P += rotor.law.Dv * motor_speed(x) * motor_speed(x);
     for_each_extra([&](const auto& extra, auto state, auto mode) {
@@ -334,7 +336,7 @@ struct Drive {
   constexpr Shaft shaft(const Input<double>& at, const Modes& now) const {
     const Input<double> x = with(at, now);
     const unsigned held = now.held();
-    Shaft on = {motor.torque(x.z, motor_angle(x)), gear.Ng * gear_on_link(x, held)};
+    Shaft on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held))};
     for_each_extra([&](const auto& extra, auto state, auto mode) {
       if constexpr (extra.place == Place::rotor)
         on.torque += torque_of<state, mode>(extra, x, held);
@@ -347,6 +349,14 @@ struct Drive {
   ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned held) const {
     return gear.torque(x.z[tm], x.z[wm], x.q, x.v, x.offset[Gear::modes > 0 ? of_gear : 0],
                        is_held(held, of_gear) && Gear::modes > 0);
+  }
+  // What the rotor feels of the torque T of an elastic gear on its link.
+  template <class X>
+  ARM_INLINE constexpr X on_rotor(const Input<X>& x, X T) const {
+    if constexpr (requires { gear.on_rotor(x.z[0], x.q, T); })
+      return gear.on_rotor(x.z[tm], x.q, T);
+    else
+      return gear.Ng * T;
   }
   // Torque of the gear on its link, in the modes that x calls for; of a rigid one that which the
   // motor gives it.

@@ -9,6 +9,7 @@ from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.end_stops import EndStops
 from emulator_node.parts.friction import Friction, LinkFriction, RotorFriction
 from emulator_node.parts.gear import Gear, RigidGear
+from emulator_node.parts.kinematic_error_gear import KinematicErrorGear
 from emulator_node.parts.load_friction import LinkLoadFriction, RotorLoadFriction
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
@@ -28,6 +29,7 @@ MOTORS: tuple[type[Motor], ...] = (
 GEARS: tuple[type[Gear], ...] = (
     ProgressiveGear,
     BacklashGear,
+    KinematicErrorGear,
     ElasticGear,
     RigidGear,
 )
