@@ -48,7 +48,7 @@ class FleetState:
     q: Array  # rad or m, link side
     v: Array  # rad/s or m/s, link side
     gear_torque: Array  # N m or N, on the link
-    encoder_counts: NDArray[np.int64]  # (count, N), at the motor, floor
+    encoder_counts: NDArray[np.int64]  # (count, N), at the motor, as the encoders tell them
 
 
 class Fleet:

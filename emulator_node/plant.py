@@ -275,7 +275,7 @@ class Plant:
     def measured(self) -> Measured:
         """What the sensors told at the newest tick, as a copy.
 
-        Without sensors of their own, see docs/sensors.md, joints tell what is there now.
+        Without sensors of their own, see docs/parts/sensors.md, joints tell what is there now.
         """
         self.core.arm_measure(self.machine, self._structs[1])
         return self._place.read()

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 import traceback
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,54 @@ def random_joint(rng: np.random.Generator) -> dict[str, Any]:
     return joint
 
 
+def random_encoder(rng: np.random.Generator) -> dict[str, Any]:
+    """Return a random section of an encoder."""
+    counts = int(min(size(rng, 1e4) + 1.0, 1e9))
+    encoder: dict[str, Any] = {"counts_per_turn": counts, "delay": int(rng.integers(0, 4))}
+    if rng.random() < 0.4:
+        encoder |= {
+            "kind": "absolute",
+            "bits": int(rng.integers((counts - 1).bit_length() + 1, 49)),
+        }
+    else:
+        encoder["index"] = str(rng.choice(["none", "latch", "correct"]))
+    errors = {
+        "offset": float(rng.normal()),
+        "eccentricity": min(size(rng, 1e-3), 1.0),
+        "ripple": min(size(rng, 1e-3), 1.0),
+        "noise": min(size(rng, 1e-3), 1.0),
+        "missed": min(size(rng, 1e-3), 0.5),
+    }
+    return encoder | {key: value for key, value in errors.items() if rng.random() < 0.5}
+
+
+def random_converter(rng: np.random.Generator) -> dict[str, Any]:
+    """Return a random section of a sensor of currents, torques, accelerations or rates."""
+    numbers = {
+        "gain_error": float(rng.uniform(-1.0, 1.0)),
+        "noise": min(size(rng, 0.1), 1e6),
+        "range": size(rng, 10.0),
+        "resolution": size(rng, 0.01),
+    }
+    return {key: value for key, value in numbers.items() if rng.random() < 0.5}
+
+
+def random_sensors(rng: np.random.Generator, joints: dict[str, Any], link: str) -> dict[str, Any]:
+    """Give some joints sensors; return further keys of the scene, with a unit on that link."""
+    for joint in joints.values():
+        of_motor = ("encoder", "current_sensor", "torque_sensor") if "motor" in joint else ()
+        for key in (*of_motor, "link_encoder"):
+            if rng.random() < 0.4:
+                kind = random_encoder if key.endswith("encoder") else random_converter
+                joint[key] = kind(rng)
+    if rng.random() < 0.5:
+        return {}
+    axes = {key: random_converter(rng) for key in ("accelerometer", "gyroscope")}
+    pose = {"xyz": rng.normal(size=3).tolist(), "rpy": rng.normal(size=3).tolist()}
+    unit = {"link": link, "delay": int(rng.integers(0, 3)), **pose, **axes}
+    return {"imus": {"unit": unit}, "seed": int(rng.integers(0, 2**53))}
+
+
 def random_machine(rng: np.random.Generator, folder: Path, joints: int) -> Path:
     """Write a random scene of so many joints and return its path."""
     urdf = random_chain_urdf(rng, joints)
@@ -106,7 +155,11 @@ def random_machine(rng: np.random.Generator, folder: Path, joints: int) -> Path:
     if rng.random() < 0.3:
         keys["payload"] = {"mass": size(rng, 1.0)}
     folder.mkdir(parents=True)
-    return write_scene(folder, urdf, {name: random_joint(rng) for name in names}, **keys)
+    sections = {name: random_joint(rng) for name in names}
+    of_sensors = np.random.default_rng(zlib.crc32(urdf.encode()))
+    if of_sensors.random() < 0.6:
+        keys |= random_sensors(of_sensors, sections, f"{names[-1]}_link")
+    return write_scene(folder, urdf, sections, **keys)
 
 
 def numbers(rng: np.random.Generator, count: int, ordinary: float) -> Any:
@@ -148,24 +201,17 @@ def ask(rng: np.random.Generator, plant: Plant) -> None:
         plant.link_accelerations(*rng.normal(size=(3, int(rng.integers(1, 5)), N)))
 
 
-def bits(plant: Plant) -> bytes:
-    """Return the whole state."""
-    state = plant.state
-    arrays = (state.current, state.theta_m, state.omega_m, state.q, state.v, state.gear_torque)
-    return b"".join(array.tobytes() for array in (np.float64(state.t), *arrays))
-
-
 def drive(rng: np.random.Generator, scene: Scene) -> dict[str, int]:
     """Ask a machine many things; return how often it answered and refused."""
     plant = Plant(scene)
     count = {TAKEN: 0, REFUSED: 0}
     for _ in range(CALLS):
-        before = bits(plant)
+        before = plant.save()
         try:
             ask(rng, plant)
         except Refusal as refusal:
             count[REFUSED] += 1
-            assert bits(plant) == before, f"refused, and yet the state changed: {refusal}"
+            assert plant.save() == before, f"refused, and yet the state changed: {refusal}"
             assert "\n" not in str(refusal), f"more than one line: {refusal}"
         except Diverged:
             count[REFUSED] += 1
@@ -174,6 +220,9 @@ def drive(rng: np.random.Generator, scene: Scene) -> dict[str, int]:
         state = plant.state
         values = np.concatenate((state.current, state.omega_m, state.q, state.v))
         assert np.isfinite(values).all(), f"a state that is not finite: {state}"
+        told = plant.measured
+        for quantity in (told.current, told.torque, told.specific_force, told.angular_rate):
+            assert np.isfinite(quantity).all(), f"a reading that is not finite: {quantity}"
         assert not math.isnan(plant.energy), f"energy {plant.energy} in state {state}"
     return count
 
