@@ -11,6 +11,7 @@ from emulator_node.parts.friction import Friction, LinkFriction, RotorFriction
 from emulator_node.parts.gear import Gear, RigidGear
 from emulator_node.parts.kinematic_error_gear import KinematicErrorGear
 from emulator_node.parts.load_friction import LinkLoadFriction, RotorLoadFriction
+from emulator_node.parts.lugre import LinkLuGre, RotorLuGre
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.parts.progressive_gear import ProgressiveGear
@@ -39,7 +40,7 @@ LINK_FRICTIONS: tuple[type[LinkFriction], ...] = (LinkLoadFriction, LinkStribeck
 ROTOR_FRICTIONS: tuple[type[Friction], ...] = (RotorLoadFriction, RotorStribeck, RotorFriction)
 
 # Parts that stand in a section of their own, if there is one.
-EXTRAS: tuple[type[Part], ...] = (EndStops,)
+EXTRAS: tuple[type[Part], ...] = (EndStops, LinkLuGre, RotorLuGre)
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
