@@ -32,7 +32,11 @@ setup(
     maintainer="arm_emulator developers",
     maintainer_email="arm_emulator@example.org",
     packages=find_packages(include=[name + tail for name in PACKAGES for tail in ("", ".*")]),
-    package_data={"emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h"], "": ["py.typed"]},
+    package_data={
+        "emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h"],
+        "arm_emulator": ["validation/*.hpp"],
+        "": ["py.typed"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

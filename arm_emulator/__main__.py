@@ -51,6 +51,11 @@ def _parser() -> argparse.ArgumentParser:
     new.add_argument("--force", action="store_true", help="write over files that are there")
     new.set_defaults(run=_new)
 
+    validate = commands.add_parser("validate", help="compare a real machine with what others found")
+    validate.add_argument("machine", help="manutec_r3")
+    validate.add_argument("--out", type=Path, default=Path("out"), help="folder of the pictures")
+    validate.set_defaults(run=_validate)
+
     up = commands.add_parser("up", help="start the three nodes, end all when one ends")
     _scene(up)
     _clock(up)
@@ -189,6 +194,12 @@ def _clock(parser: argparse.ArgumentParser) -> None:
 
 
 # Each command imports what it needs when it runs, so that the others start at once.
+
+
+def _validate(arguments: argparse.Namespace) -> int:
+    from arm_emulator.validate import validate
+
+    return validate(arguments.machine, arguments.out)
 
 
 def _new(arguments: argparse.Namespace) -> int:

@@ -63,6 +63,22 @@ def library_of(scene: Scene) -> ctypes.CDLL:
     return _library(_unit_of(scene))
 
 
+def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.CDLL:
+    """Return the scene's compiled machine with more C++ in the same unit, see `library_of`.
+
+    Args:
+        scene: the scene.
+        name: what is added, for the name of the library.
+        source: C++ that may use core/arm.h.
+        calls: the functions that it adds.
+    """
+    unit = _unit_of(scene)
+    about = f"{unit.about} with {name}"
+    whole = Unit(f"{scene.name}-{name}", unit.source + source, {**unit.calls, **calls}, scene.where,
+                 about)  # fmt: skip
+    return _library(whole)
+
+
 def fleet_library_of(scene: Scene) -> ctypes.CDLL:
     """Return the scene's compiled fleet, see `library_of`."""
     return _library(_fleet_unit_of(scene))

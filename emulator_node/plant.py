@@ -142,14 +142,17 @@ class Plant:
     Args:
         scene: from `emulator_node.scene.load_scene`.
         of: a machine of this scene that belongs to a fleet; None: a new one.
+        core: its compiled core with something beside it, see `compiler.library_with`.
 
     Raises:
         Refusal: the scene's core cannot be compiled.
     """
 
-    def __init__(self, scene: Scene, *, of: Borrowed | None = None) -> None:
+    def __init__(
+        self, scene: Scene, *, of: Borrowed | None = None, core: ctypes.CDLL | None = None
+    ) -> None:
         self.scene = scene
-        self.core = of.core if of else library_of(scene)
+        self.core = of.core if of else core or library_of(scene)
         self._N = N = len(scene.joints)
         self._shape = (N,)
         self._owner = of.owner if of else None  # it must not go before

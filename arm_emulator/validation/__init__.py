@@ -1,0 +1,1 @@
+"""Real machines, held against what others measured or computed of them."""
