@@ -54,9 +54,18 @@ def _log(rng: Rng, low: float, high: float) -> float:
     return float(10 ** rng.uniform(np.log10(low), np.log10(high)))
 
 
+def _friction(rng: Rng, dry: float, times: float, viscous: float, speed: float) -> Numbers:
+    """Return friction of one of its laws; `speed` is that of Stribeck's fall."""
+    friction = {"coulomb": dry, "breakaway": times * dry, "viscous": viscous}
+    if rng.random() < 0.4:
+        friction["stribeck"] = speed
+    if rng.random() < 0.3:
+        friction["load"] = float(rng.uniform(0.05, 0.3))
+    return friction
+
+
 def _rotor(rng: Rng) -> Numbers:
-    dry = _log(rng, 0.003, 0.03)
-    friction = {"coulomb": dry, "breakaway": dry * 1.3, "viscous": 1e-5}
+    friction = _friction(rng, _log(rng, 0.003, 0.03), 1.3, 1e-5, _log(rng, 2.0, 20.0))
     return {
         "rotor_inertia": _log(rng, 5e-5, 3e-4),
         **({"friction": friction} if rng.random() < 0.5 else {}),
@@ -87,7 +96,7 @@ def _current(rng: Rng) -> Numbers:
 
 
 def _gear(rng: Rng) -> Numbers:
-    return {"ratio": _log(rng, 0.01, 0.04)}
+    return {"ratio": _log(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}
 
 
 def _elastic(rng: Rng) -> Numbers:
@@ -101,6 +110,28 @@ def _progressive(rng: Rng) -> Numbers:
 
 def _backlash(rng: Rng) -> Numbers:
     return _elastic(rng) | {"backlash": _log(rng, 1e-3, 2e-2)}
+
+
+def _kinematic_error(rng: Rng) -> Numbers:
+    gear = _elastic(rng)
+    of_motor = [2.0, 0.1 * gear["ratio"], float(rng.uniform(0.0, 6.0))]
+    return gear | {"kinematic_error": {"motor": [of_motor], "link": [[3.0, _log(rng, 1e-4, 1e-2)]]}}
+
+
+def _lugre(rng: Rng) -> Numbers:
+    dry = _log(rng, 0.2, 2.0)
+    return {
+        "coulomb": dry, "breakaway": dry * float(rng.uniform(1.0, 1.5)),
+        "bristle_stiffness": dry / _log(rng, 2e-3, 2e-2), "bristle_damping": _log(rng, 0.3, 3.0),
+    }  # fmt: skip
+
+
+def _rotor_lugre(rng: Rng) -> Numbers:
+    dry = _log(rng, 0.003, 0.03)
+    return {
+        "coulomb": dry, "breakaway": dry * float(rng.uniform(1.0, 1.5)), "stribeck": 5.0,
+        "bristle_stiffness": dry / _log(rng, 0.2, 1.0), "bristle_damping": _log(rng, 3e-4, 3e-3),
+    }  # fmt: skip
 
 
 def _stops(rng: Rng) -> Numbers:
@@ -117,7 +148,10 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "ElasticGear": _elastic,
     "ProgressiveGear": _progressive,
     "BacklashGear": _backlash,
+    "KinematicErrorGear": _kinematic_error,
     "EndStops": _stops,
+    "LinkLuGre": _lugre,
+    "RotorLuGre": _rotor_lugre,
 }
 
 
@@ -125,8 +159,8 @@ def drawn_joint(rng: Rng) -> Numbers:
     """Return the scene's section of a joint with random parts."""
     joint: Numbers = {}
     if rng.random() < 0.6:
-        dry = _log(rng, 0.2, 2.0)
-        joint["friction"] = {"coulomb": dry, "breakaway": 1.5 * dry, "viscous": 0.1}
+        speed = _log(rng, 0.05, 0.5)
+        joint["friction"] = _friction(rng, _log(rng, 0.2, 2.0), 1.5, 0.1, speed)
     if rng.random() < 0.9:
         motor = MOTORS[rng.integers(len(MOTORS))]
         gear = GEARS[rng.integers(len(GEARS))]
