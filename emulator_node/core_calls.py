@@ -8,7 +8,7 @@ from typing import Any
 
 VERSION = 2  # of arm.h
 OK, REFUSED, DIVERGED = range(3)  # enum arm_result
-MODES = {"V": 1, "N m": 2, "A": 4}  # enum arm_mode, by the unit of the command
+MODES = {"V": 1, "N m": 2, "A": 4, "V dq": 8}  # enum arm_mode, by the unit of the command
 
 _pointer, _int, _count, _double = ctypes.c_void_p, ctypes.c_int, ctypes.c_int64, ctypes.c_double
 _int32, _uint32, _uint64 = ctypes.c_int32, ctypes.c_uint32, ctypes.c_uint64
@@ -102,7 +102,13 @@ class Options(_Sized):
 class Command(_Sized):
     """``arm_command``; `joint` points to an array of JOINT_COMMAND."""
 
-    _fields_ = (("size", _uint32), ("reserved", _uint32), ("tick", _count), ("joint", _pointer))
+    _fields_ = (
+        ("size", _uint32),
+        ("reserved", _uint32),
+        ("tick", _count),
+        ("joint", _pointer),
+        ("value_d", _pointer),
+    )
 
 
 class Measurement(_Sized):
@@ -114,6 +120,7 @@ class Measurement(_Sized):
         ("tick", _count),
         ("answered", _count),
         *((name, _pointer) for name in ("joint", "sensors", "imu")),
+        ("current_d", _pointer),
     )
 
 

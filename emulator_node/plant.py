@@ -168,10 +168,14 @@ class Plant:
         self._commands = np.zeros(N, JOINT_COMMAND)
         self._commands["mode"] = [MODES[joint.command] for joint in scene.joints]
         self._commands["enable"] = 1
-        self._command = Command(tick=-1, joint=_address(self._commands))
+        self._commands_d, self._current_d = np.zeros(N), np.zeros(N)
+        places = {"joint": _address(self._commands), "value_d": _address(self._commands_d)}
+        self._command = Command(tick=-1, **places)
         self._place = MeasuredPlace(scene)
         self._measured = self._place.joints
-        self._measurement = Measurement(**self._place.addresses)
+        self._measurement = Measurement(
+            **self._place.addresses, current_d=_address(self._current_d)
+        )
         self._structs = tuple(map(ctypes.byref, (self._command, self._measurement)))
         self.link_angle_per_count = link_angle_per_count(scene)
         at_most = largest_position(scene)
@@ -251,16 +255,19 @@ class Plant:
         if result == DIVERGED:
             raise self._diverged(self._voltage)
 
-    def exchange(self, voltage: Array, tick: int = -1) -> None:
-        """Go through one servo period under voltages (N,) [V] that answer a tick, -1: none.
+    def exchange(self, voltage: Array, tick: int = -1, voltage_d: ArrayLike | None = None) -> None:
+        """Go through one servo period under commands (N,) that answer a tick, -1: none.
 
-        Without power every motor gets 0 V.
+        A command is a voltage, torque or current [V, N m, A], as the joint's motor takes it; of a
+        motor in its rotor's frame it is the voltage across the flux, and `voltage_d` (N,) [V] that
+        along it, 0 if None. Without power every command is 0.
 
         Raises:
             Refusal: not finite; nothing has changed.
             Diverged: as `advance`.
         """
         self._commands["value"] = voltage
+        self._commands_d[:] = 0.0 if voltage_d is None else voltage_d
         self._command.tick = tick
         command, measurement = self._structs
         result = self.core.arm_exchange(self.machine, command, measurement)
@@ -282,6 +289,12 @@ class Plant:
         """
         self.core.arm_measure(self.machine, self._structs[1])
         return self._place.read()
+
+    @property
+    def current_d(self) -> Array:
+        """Currents along the rotors' flux (N,) [A], 0 of motors that have one current only."""
+        self.core.arm_measure(self.machine, self._structs[1])
+        return self._current_d.copy()
 
     @property
     def powered(self) -> bool:

@@ -32,6 +32,8 @@ def defaults(part: type[Part]) -> dict[str, Any]:
 
 def drawn_number(one: Number, rng: np.random.Generator) -> float:
     """A number within its bounds; small and large ones are as likely."""
+    if one.whole:
+        return int(rng.integers(int(one.least), int(one.most) + 1))
     low = one.least if one.least > -LARGEST else -1e3
     high = min(one.most, 1e3)
     if low >= 0.0:
@@ -118,7 +120,9 @@ def test_a_missing_number_and_an_unknown_one_are_refused(part: type[Part]) -> No
     for key in part.numbers():
         if defaults(part)[key] is dataclasses.MISSING:
             rest = {other: value for other, value in data.items() if other != key}
-            with pytest.raises(Refusal, match=rf"{part.section}.{key} must be a number .*nothing"):
+            with pytest.raises(
+                Refusal, match=rf"{part.section}.{key} must be a (whole )?number.*nothing"
+            ):
                 read(part, rest)
     with pytest.raises(Refusal, match=f"key joints.elbow.{part.section}.colour") as refusal:
         read(part, data | {"colour": 1.0})
@@ -140,7 +144,9 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
         members = dict(re.findall(r"\.(\w+) = ([^,{}]+)", text))
         for key, one in part.numbers().items():
             value, at = getattr(found, key), f"joints.elbow.{part.section}.{key}"
-            assert (at in could) == (one.varied and one.follows is None and value is not None), at
+            assert (at in could) == (
+                one.varied and not one.whole and one.follows is None and value is not None
+            ), at
             assert (one.symbol in members) == (value is not None), text
             if value is None:
                 continue
@@ -161,6 +167,8 @@ def rows_of(page: Path) -> dict[str, list[str]]:
 
 
 def written_range(one: Number) -> str:
+    if one.whole:
+        return f"whole, {one.least:g} to {one.most:g}"
     words = []
     if one.above is not None:
         words.append(f"> {one.above:g}")

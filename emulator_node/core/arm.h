@@ -58,7 +58,12 @@ typedef struct arm_description {
 enum arm_kind { ARM_REVOLUTE = 0, ARM_PRISMATIC = 1 };
 
 /* What a command sets; bits of arm_joint_description.modes. */
-enum arm_mode { ARM_VOLTAGE = 1, ARM_TORQUE = 2, ARM_CURRENT = 4 };
+enum arm_mode {
+  ARM_VOLTAGE = 1,
+  ARM_TORQUE = 2,
+  ARM_CURRENT = 4,
+  ARM_VOLTAGE_DQ = 8 /* along and across the rotor's flux: uq in `value`, ud in `value_d` */
+};
 
 typedef struct arm_joint_description {
   uint32_t size;
@@ -121,6 +126,7 @@ typedef struct arm_command {
   uint32_t reserved;
   int64_t tick; /* that it answers, told again in the measurement; -1: none */
   const arm_joint_command* joint;
+  const double* value_d; /* V, an entry per joint, see ARM_VOLTAGE_DQ; null: 0; since version 2 */
 } arm_command;
 
 enum arm_fault { ARM_FAULT_DIVERGED = 1 };
@@ -158,6 +164,7 @@ typedef struct arm_measurement {
   /* Since version 2; each may be null. */
   arm_joint_sensors* sensors; /* an entry per joint */
   arm_imu_measurement* imu;   /* an entry per unit */
+  double* current_d;          /* A, along the rotor's flux, an entry per joint; null: not told */
 } arm_measurement;
 
 /* Go through one servo period; `out` is as of its end, or of the last sound state. */

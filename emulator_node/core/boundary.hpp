@@ -157,6 +157,7 @@ struct arm_machine {
     out->tick = tick();
     out->answered = answered;
     const bool more = out->size >= sizeof *out;
+    if (more && out->current_d) machine.second_currents(out->current_d);
     measure_by(sensors, out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr);
   }
   // What sensors tell in place of what is there.
@@ -286,8 +287,11 @@ int arm_reset(arm_machine* machine, const double* q, const double* v) {
 int arm_join_schedule(arm_machine* machine) { return machine->machine.join_schedule(); }
 
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out) {
-  if (machine->check_size(command) || machine->check_measurement(out)) return ARM_REFUSED;
-  double voltage[arm_machine::N];
+  if (machine->check_size(command, offsetof(arm_command, value_d)) ||
+      machine->check_measurement(out))
+    return ARM_REFUSED;
+  double voltage[arm_machine::N], voltage_d[arm_machine::N] = {};
+  const double* second = command->size >= sizeof *command ? command->value_d : nullptr;
   for (int j = 0; j < arm_machine::N; ++j) {
     const arm_joint_command& joint = command->joint[j];
     if (joint.enable && joint.mode != arm::kModes.at[j])
@@ -296,7 +300,12 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
       return machine->refuse(j, "value", "be finite", joint.value);
     const bool on = machine->powered && joint.enable;
     voltage[j] = on ? joint.value : 0.0;
+    if (!second) continue;
+    if (joint.enable && !arm::is_finite(second[j]))
+      return machine->refuse(j, "value_d", "be finite", second[j]);
+    voltage_d[j] = on ? second[j] : 0.0;
   }
+  if constexpr (arm_machine::Machine::has_second) machine->machine.put_second(voltage_d);
   machine->machine.bound(voltage);
   machine->answered = command->tick;
   for (int j = 0; j < arm_machine::N; ++j) machine->voltage[j] = voltage[j];

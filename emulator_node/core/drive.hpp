@@ -257,6 +257,16 @@ struct Drive {
       return clamp(x.u, motor.largest_command(x.z, supply));
   }
 
+  // Put the second number of a command into x, and tell the second current.
+  static constexpr bool has_second = arm::has_second(Motor::takes);
+  constexpr void put_second(Input<double>& x, double value, double supply) const {
+    if constexpr (has_second) motor.put_second(x.z, value, supply);
+  }
+  constexpr double second_current(const Input<double>& x) const {
+    if constexpr (has_second) return motor.second_current(x.z);
+    return 0.0;
+  }
+
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<double>& x) const {
     Modes at;

@@ -190,6 +190,23 @@ class Machine {
     return joint;
   }
 
+  // Give the motors the second numbers of their commands, and tell their second currents.
+  static constexpr bool has_second =
+      any_drive<S>([](const auto& drive) { return drive.has_second; });
+  void put_second(const double* value) {
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      auto at = input_of(drive, j, x, 0.0);
+      drive.put_second(at, value[j], S::supply_voltage);
+      put_states(drive, j, 0, at, x);
+    });
+    power = EnergyBalance<S>::largest_power(numbers, x, applied);
+  }
+  void second_currents(double* current) const {
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      current[j] = drive.second_current(input_of(drive, j, x, 0.0));
+    });
+  }
+
   // Put commands within the bounds of their motors.
   void bound(double* u) const { bound_commands(numbers, x, u); }
 

@@ -90,6 +90,14 @@ ARM_INLINE X clamp(const X& x, const X& limit) {
   return select(x > limit, limit, select(x < -limit, -limit, x));
 }
 
+ARM_INLINE constexpr double square_root(double x) { return __builtin_sqrt(x); }
+template <class X>
+  requires(kWidth<X> > 1)
+ARM_INLINE X square_root(X x) {
+  for (int lane = 0; lane < kWidth<X>; ++lane) x[lane] = __builtin_sqrt(x[lane]);
+  return x;
+}
+
 // The value of one lane.
 ARM_INLINE constexpr double lane_of(double x, int) { return x; }
 template <class X>

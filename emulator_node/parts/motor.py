@@ -14,7 +14,7 @@ class Motor(Part):
 
     section = "motor"
     kind: ClassVar[str]  # `motor.kind` in the scene
-    command: ClassVar[str] = "V"  # unit of what it is commanded: V, N m or A
+    command: ClassVar[str] = "V"  # unit of what it is commanded: V, N m, A or V dq
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:
         """Return sizes of what the link feels of it through a gear, by what it is."""

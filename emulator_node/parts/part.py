@@ -34,6 +34,7 @@ class Number:
             given, and keeps its ratio to it where that one is varied.
         in_size: whether the bounds are those of the number's size, and it may be negative.
         varied: whether a scene may list it as varied, unless it follows another one.
+        whole: whether it is a whole number, from `at_least` to `at_most`; such a one is not varied.
     """
 
     symbol: str
@@ -44,6 +45,7 @@ class Number:
     follows: str | None = None
     in_size: bool = False
     varied: bool = True
+    whole: bool = False
 
     @property
     def least(self) -> float:
@@ -101,6 +103,8 @@ class Part:
                 default = at_least = values[one.follows]
             if default is not dataclasses.MISSING and not section.has(key):
                 values[key] = default
+            elif one.whole:
+                values[key] = section.integer(key, at_least=int(one.least), at_most=int(one.most))
             else:
                 values[key] = section.number(
                     key,
@@ -120,7 +124,10 @@ class Part:
         return [
             Varied(f"{self.owners}.{joint}.{self.section}.{key}", value, one.least, one.most)
             for key, one in self.numbers().items()
-            if one.varied and one.follows is None and (value := getattr(self, key)) is not None
+            if one.varied
+            and not one.whole
+            and one.follows is None
+            and (value := getattr(self, key)) is not None
         ]
 
     @property
