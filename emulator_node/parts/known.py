@@ -14,6 +14,7 @@ from emulator_node.parts.load_friction import LinkLoadFriction, RotorLoadFrictio
 from emulator_node.parts.lugre import LinkLuGre, RotorLuGre
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
+from emulator_node.parts.pmsm import Pmsm
 from emulator_node.parts.progressive_gear import ProgressiveGear
 from emulator_node.parts.stribeck import LinkStribeck, RotorStribeck
 from emulator_node.parts.torque_motor import TorqueMotor
@@ -24,6 +25,7 @@ MOTORS: tuple[type[Motor], ...] = (
     DcMotor,
     TorqueMotor,
     CurrentMotor,
+    Pmsm,
 )
 
 # A gear is the first of these whose keys it has all.

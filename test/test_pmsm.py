@@ -1,0 +1,238 @@
+"""Permanent-magnet synchronous motors against an independent solution and closed forms."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from machines import GANTRY, gantry_urdf, moving_joints, random_chain_urdf, write_scene
+from scipy.integrate import solve_ivp
+
+from arm_emulator.gains import check_joints
+from emulator_node.fleet import Fleet
+from emulator_node.parts.pmsm import Pmsm
+from emulator_node.plant import Plant
+from emulator_node.reference import links_model
+from emulator_node.scene import Scene, load_scene
+from servo_node.servo_config import load_servo_config
+from words.config_files import find_beside, find_scene
+from words.refusal import Refusal
+
+PERIOD = 1e-3  # s, over which a command is held
+SUPPLY = 48.0
+AMPLITUDE = SUPPLY / math.sqrt(3.0)  # V, largest of a phase
+
+
+def drawn_motor(rng: np.random.Generator) -> dict[str, Any]:
+    """A motor of any saliency, with electrical time constants of 1 to 10 ms."""
+    resistance = float(rng.uniform(0.2, 1.0))
+    Ld, Lq = (resistance * 10 ** rng.uniform(-3.0, -2.0, 2)).tolist()
+    return {
+        "kind": "pmsm", "resistance": resistance, "inductance_d": Ld, "inductance_q": Lq,
+        "flux": float(rng.uniform(0.005, 0.02)), "pole_pairs": int(rng.integers(2, 8)),
+        "rotor_inertia": float(10 ** rng.uniform(-4.5, -3.5)),
+    }  # fmt: skip
+
+
+def drawn_arm(folder: Path, seed: int) -> Path:
+    """Three random joints: elastic, rigid and elastic gears; gravity aslant."""
+    rng = np.random.default_rng([seed, 31])
+    urdf = random_chain_urdf(rng, 3)
+    joints = {}
+    for k, name in enumerate(moving_joints(urdf)):
+        gear = {"ratio": float(rng.uniform(0.02, 0.05))}
+        if k != 1:
+            gear |= {"stiffness": float(rng.uniform(1e3, 3e3)), "damping": float(rng.uniform(1, 5))}
+        joints[name] = {"motor": drawn_motor(rng), "gear": gear, "friction": {"viscous": 0.2}}
+    return write_scene(
+        folder, urdf, joints, gravity=[1.0, -2.0, -9.0], energy_flow=True, servo_period=PERIOD,
+        supply_voltage=SUPPLY, integrator={"scheme": "rosenbrock", "dt": 1e-4},
+    )  # fmt: skip
+
+
+def drawn_commands(rng: np.random.Generator, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Voltages ud and uq (K, 3) within the circle."""
+    size = AMPLITUDE * np.sqrt(rng.uniform(0.0, 1.0, (rows, 3)))
+    angle = rng.uniform(-np.pi, np.pi, (rows, 3))
+    return size * np.cos(angle), size * np.sin(angle)
+
+
+def state_of(plant: Plant) -> np.ndarray:
+    x = plant.state
+    return np.array([plant.current_d, x.current, x.theta_m, x.omega_m, x.q, x.v])
+
+
+def solved(scene: Scene, ud: np.ndarray, uq: np.ndarray) -> np.ndarray:
+    """States (K, 6, 3) as `state_of` after each command, by DOP853 from the motor's equations."""
+    motors = [joint.motor for joint in scene.joints]
+    assert all(isinstance(motor, Pmsm) for motor in motors)
+    names = "resistance", "inductance_d", "inductance_q", "flux", "pole_pairs", "rotor_inertia"
+    R, Ld, Lq, psi, p, Mm = (np.array([getattr(motor, name) for motor in motors]) for name in names)
+    gears = [joint.gear for joint in scene.joints]
+    rigid = np.array([gear.stiffness is None for gear in gears])
+    Ng, Kg, Dg = (
+        np.array([getattr(gear, name) or 0.0 for gear in gears])
+        for name in ("ratio", "stiffness", "damping")
+    )
+    Dl = np.array([joint.friction.viscous for joint in scene.joints])
+    model = links_model(scene, None)
+    model.armature = np.where(rigid, Mm / Ng**2, 0.0)
+    data = model.createData()
+
+    def rates(t: float, flat: np.ndarray, d: np.ndarray, across: np.ndarray) -> np.ndarray:
+        i_d, i_q, tm, wm, q, v = flat.reshape(6, 3)
+        wm = np.where(rigid, v / Ng, wm)
+        shaft = 1.5 * p * (psi * i_q + (Ld - Lq) * i_d * i_q)
+        T = np.where(rigid, shaft / Ng, Kg * (Ng * tm - q) + Dg * (Ng * wm - v))
+        a = pin.aba(model, data, q, v, T - Dl * v)
+        return np.concatenate([
+            (d - R * i_d + p * wm * Lq * i_q) / Ld,
+            (across - R * i_q - p * wm * (Ld * i_d + psi)) / Lq,
+            np.where(rigid, 0.0, wm), np.where(rigid, 0.0, (shaft - Ng * T) / Mm), v, a,
+        ])  # fmt: skip
+
+    x, out = np.zeros((6, 3)), []
+    x[4] = scene.start
+    x[2] = scene.start / Ng
+    for row in zip(ud, uq, strict=True):
+        end = solve_ivp(rates, (0.0, PERIOD), x.ravel(), "DOP853", rtol=1e-13, atol=1e-15, args=row)
+        x = end.y[:, -1].reshape(6, 3)
+        told = x.copy()
+        told[2:4] = np.where(rigid, x[4:6] / Ng, x[2:4])
+        out.append(told)
+    return np.array(out)
+
+
+def motion(file: Path, steps: int, ud: np.ndarray, uq: np.ndarray) -> np.ndarray:
+    """The same by the machine, in so many steps per command."""
+    plant, rows = Plant(load_scene(file, {"integrator.dt": PERIOD / steps})), []
+    for d, across in zip(ud, uq, strict=True):
+        plant.exchange(across, voltage_d=d)
+        rows.append(state_of(plant))
+    return np.array(rows)
+
+
+@pytest.fixture(scope="module", params=range(2))
+def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return drawn_arm(tmp_path_factory.mktemp("arm"), request.param)
+
+
+def test_the_motion_is_that_of_an_independent_solution_to_1e_11(arm: Path) -> None:
+    """In the limit of small steps: extrapolated from steps of 25 to 0.8 us."""
+    ud, uq = drawn_commands(np.random.default_rng(5), 10)
+    truth = solved(load_scene(arm), ud, uq)
+    size = np.abs(truth).max(axis=0)
+    levels = [motion(arm, 40 * 2**k, ud, uq) for k in range(6)]
+    errors = [float((np.abs(level - truth) / size).max()) for level in levels]
+    assert 3.5 < errors[2] / errors[3] < 4.5, f"order 2 by halves: {errors}"
+    for power in range(2, 7):
+        factor = 2.0**power
+        levels = [(factor * b - a) / (factor - 1.0) for a, b in itertools.pairwise(levels)]
+    error = float((np.abs(levels[0] - truth) / size).max())
+    # Rounding of some 10 000 steps and of the reference leaves a few 1e-12 of each quantity's size.
+    assert error < 1e-11, f"relative to each quantity's largest: {error:.2e}"
+
+
+def test_energy_is_what_the_inverter_gives_less_what_is_dissipated(arm: Path) -> None:
+    """Over a motion with ud held; what is left is the scheme's error, of order 2."""
+    ud, uq = drawn_commands(np.random.default_rng(6), 4)
+    left = []
+    for steps in (20, 40):
+        plant = Plant(load_scene(arm, {"integrator.dt": PERIOD / steps}))
+        plant.exchange(uq[0], voltage_d=ud[0])
+        before, given, dissipated = plant.energy, 0.0, 0.0
+        for across in uq:
+            flow = plant.advance_metered(across, 5 * steps)
+            given += float(flow.given.sum())
+            dissipated += float(flow.dissipated.sum())
+        left.append(abs(plant.energy - before - given + dissipated) / (abs(given) + dissipated))
+    assert left[1] < 1e-4 and left[1] < 0.3 * left[0], f"{left}"
+
+
+def test_a_rotor_that_is_held_takes_the_currents_of_a_winding_at_rest(tmp_path: Path) -> None:
+    """id = ud/R (1 - exp(-t R/Ld)), iq alike: a rotor of 1e9 kg m2 hardly turns."""
+    rng = np.random.default_rng(9)
+    motors = [drawn_motor(rng) | {"rotor_inertia": 1e9} for _ in GANTRY]
+    joints = {
+        name: {"motor": motor, "gear": {"ratio": 1.0}}
+        for name, motor in zip(GANTRY, motors, strict=True)
+    }
+    integrator = {"scheme": "rosenbrock", "dt": 1e-5}
+    plant = Plant(load_scene(write_scene(tmp_path, gantry_urdf(), joints, integrator=integrator)))
+    ud, uq = np.array([5.0, -3.0, 12.0]), np.array([2.0, 9.0, -20.0])
+    R, Ld, Lq = (
+        np.array([motor[name] for motor in motors])
+        for name in ("resistance", "inductance_d", "inductance_q")
+    )
+    for k in range(5):
+        plant.exchange(uq, voltage_d=ud)
+        t = PERIOD * (k + 1)
+        # Second order: (h R/L)^2 is at most 1e-4 of the current.
+        assert plant.current_d == pytest.approx(ud / R * -np.expm1(-t * R / Ld), rel=1e-4), "id"
+        current = plant.state.current
+        assert current == pytest.approx(uq / R * -np.expm1(-t * R / Lq), rel=1e-4), "iq"
+
+
+def test_commands_stay_within_the_inverters_circle_and_go_without_power(arm: Path) -> None:
+    plant = Plant(load_scene(arm))
+    rng = np.random.default_rng(12)
+    for _ in range(20):
+        ud, uq = rng.uniform(-2.0, 2.0, (2, 3)) * AMPLITUDE
+        plant.exchange(uq, voltage_d=ud)
+        d = np.clip(ud, -AMPLITUDE, AMPLITUDE)
+        rest = np.sqrt(np.maximum(0.0, AMPLITUDE**2 - d**2))
+        # The inverter's amplitude is rounded.
+        expected = np.clip(uq, -rest, rest)
+        assert plant.voltage == pytest.approx(expected, abs=1e-6 * AMPLITUDE), "uq that is left"
+    saved, row = plant.save(), np.full(3, 3.0)
+    other = Plant(plant.scene)
+    other.restore(saved)
+    for one in (plant, other):
+        one.advance(row, 20)
+    assert plant.save() == other.save(), "the held ud is part of what is saved"
+    plant.powered = False
+    for _ in range(200):
+        plant.exchange(row, voltage_d=row)
+    assert plant.voltage.tolist() == [0.0, 0.0, 0.0], "uq without power"
+    with pytest.raises(Refusal, match=r"value_d of .* must be finite"):
+        plant.exchange(row, voltage_d=[0.0, math.nan, 0.0])
+
+
+def test_lanes_go_as_one(arm: Path) -> None:
+    scene = load_scene(arm)
+    rows = np.random.default_rng(13).uniform(-20.0, 20.0, (20, 9, 3))
+    q = Fleet(scene, 9).run(rows, 10)
+    for k in range(9):
+        # Lanes differ from one machine by rounding.
+        assert q[:, k] == pytest.approx(Plant(scene).run(rows[:, k], 10), rel=1e-9, abs=1e-12), k
+
+
+def test_our_servo_refuses_them_by_name() -> None:
+    motor = drawn_motor(np.random.default_rng(1))
+    scene = load_scene("three_axis", {"joints.shoulder.motor": motor})
+    servo = load_servo_config(find_beside(find_scene("three_axis"), "servo"))
+    with pytest.raises(Refusal, match=r"shoulder\.motor\.kind must be dc for our servo, got pmsm"):
+        check_joints(scene, servo)
+
+
+def test_a_weakened_field_lets_a_motor_without_load_turn_faster(tmp_path: Path) -> None:
+    """Without load iq = 0 and id = ud / R, so that wm = uq / (p (psi + Ld ud / R))."""
+    motor = drawn_motor(np.random.default_rng(3)) | {"flux": 0.01, "pole_pairs": 4}
+    # Without saliency: else there are speeds at which reluctance and magnets cancel.
+    motor |= {"rotor_inertia": 2e-5, "inductance_q": motor["inductance_d"]}
+    joints = {name: {"motor": motor, "gear": {"ratio": 1e-3}} for name in GANTRY}
+    integrator = {"scheme": "rosenbrock", "dt": 1e-4}
+    plant = Plant(load_scene(write_scene(tmp_path, gantry_urdf(), joints, integrator=integrator)))
+    R, Ld, psi, p = (motor[k] for k in ("resistance", "inductance_d", "flux", "pole_pairs"))
+    weak = psi * np.array([0.0, -0.3, -0.6]) * R / Ld  # V, for so much of the magnets' flux
+    for _ in range(3000):
+        plant.exchange(np.full(3, 20.0), voltage_d=weak)
+    speed = 20.0 / (p * (psi + Ld * weak / R))
+    # exp(-3 s / 0.4 s) of it is left to come at the weakest field.
+    assert plant.state.omega_m == pytest.approx(speed, rel=1e-3), "speeds without load"
+    assert plant.current_d == pytest.approx(weak / R, rel=1e-3, abs=1e-3), "currents along the flux"
