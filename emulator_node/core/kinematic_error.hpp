@@ -11,22 +11,16 @@
 #include <array>
 
 #include "gear.hpp"
-#include "sincos.hpp"
+#include "harmonic.hpp"
 
 namespace arm {
 
-struct Harmonic {
-  double k;          // waves per rad
-  double amplitude;  // rad at the link
-  double phase;      // rad
-};
-
 template <int of_motor, int of_link>
 struct KinematicErrorGear {
-  double Ng;  // link turns per motor turn
-  double Kg;  // N m/rad at the link
-  double Dg;  // N m s/rad at the link
-  std::array<Harmonic, of_motor> motor;
+  double Ng;                             // link turns per motor turn
+  double Kg;                             // N m/rad at the link
+  double Dg;                             // N m s/rad at the link
+  std::array<Harmonic, of_motor> motor;  // rad at the link
   std::array<Harmonic, of_link> link;
 
   static constexpr bool rigid = false;
@@ -77,12 +71,10 @@ struct KinematicErrorGear {
   template <class X, std::size_t n>
   ARM_INLINE static constexpr Turn<X> error(const std::array<Harmonic, n>& all, X angle) {
     Turn<X> sum;
-    // What is worked out while a scene is compiled is the machine at rest, where no wave matters.
-    if (__builtin_is_constant_evaluated()) return sum;
     for (const Harmonic& one : all) {
-      const auto wave = sincos(X(one.k * angle + one.phase));
-      sum.at += one.amplitude * wave.sin;
-      sum.slope += one.amplitude * one.k * wave.cos;
+      const SinCos<X> wave = one.at(angle);
+      sum.at += wave.sin;
+      sum.slope += one.k * wave.cos;
     }
     return sum;
   }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from emulator_node.parts.backlash_gear import BacklashGear
+from emulator_node.parts.cogging import Cogging
 from emulator_node.parts.current_motor import CurrentMotor
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
@@ -42,7 +43,12 @@ LINK_FRICTIONS: tuple[type[LinkFriction], ...] = (LinkLoadFriction, LinkStribeck
 ROTOR_FRICTIONS: tuple[type[Friction], ...] = (RotorLoadFriction, RotorStribeck, RotorFriction)
 
 # Parts that stand in a section of their own, if there is one.
-EXTRAS: tuple[type[Part], ...] = (EndStops, LinkLuGre, RotorLuGre)
+EXTRAS: tuple[type[Part], ...] = (
+    EndStops,
+    LinkLuGre,
+    RotorLuGre,
+    Cogging,
+)
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,

@@ -1,0 +1,33 @@
+"""Cogging of motors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from emulator_node.parts.part import Part
+from emulator_node.parts.waves import Wave, cxx_waves, read_waves
+from emulator_node.section import Section
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cogging(Part):
+    """Magnets that are drawn to the teeth of the stator, with or without current."""
+
+    section = "motor.cogging"
+    header = "cogging.hpp"
+    cxx = "Cogging"
+
+    waves: tuple[Wave, ...] = ()  # N m
+
+    @classmethod
+    def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
+        return {"waves": read_waves(section, "waves", "N m")}
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::{self.cxx}<{len(self.waves)}>"
+
+    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        return [("waves", cxx_waves(self.waves))] if self.waves else []
