@@ -7,8 +7,12 @@
 //
 // C. Canudas de Wit, H. Olsson, K. J. Astrom and P. Lischinsky, IEEE Trans. Automatic Control 40,
 // 1995; viscous friction has a section of its own.
+//
+// |w| has a corner where the shaft reverses. The mode's number is the way it turns, so that steps
+// are cut there where events are located; nothing else depends on it.
 #pragma once
 
+#include "mode.hpp"
 #include "place.hpp"
 #include "stribeck.hpp"
 
@@ -22,14 +26,14 @@ struct LuGre {
   double s1;      // N m s/rad
 
   static constexpr Place place = where;
-  static constexpr int states = 1, modes = 0;
+  static constexpr int states = 1, modes = 1;
 
   // Bristles that only bend: the shaft at rest on its spring and damper.
   struct Spring {
     double s0, s1;
 
     static constexpr Place place = where;
-    static constexpr int states = 1, modes = 0;
+    static constexpr int states = 1, modes = 1;
     constexpr const Spring& linear() const { return *this; }
     template <class X>
     ARM_INLINE constexpr void rates(X, X w, const X*, X* f) const {
@@ -61,6 +65,14 @@ struct LuGre {
   constexpr double dissipated(double, double w, const double* z, bool) const {
     const double rate = w - slip(w, z[0]);
     return (s0 * z[0] + s1 * rate) * w - s0 * z[0] * rate;
+  }
+
+  constexpr Mode mode_at(double, double w, const double*) const {
+    return {false, w < 0.0 ? -1.0 : 1.0};
+  }
+  // A shaft that hardly moves may do so either way.
+  constexpr double margin(double, double w, const double*, const Mode& mode) const {
+    return mode.offset * w + 1e-6 * vs;
   }
 
  private:
