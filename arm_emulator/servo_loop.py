@@ -68,6 +68,13 @@ def sampled_plant(motions: SmallMotions, servo: ServoConfig, period: float) -> S
     )
 
 
+def late(scene: Scene) -> int:
+    """Return by how many servo periods the latest sensor comes of those that our servos use."""
+    sensors = [joint.sensors for joint in scene.joints]
+    used = [part for one in sensors for part in (one.encoder, one.current) if part is not None]
+    return max((part.delay for part in used), default=0)
+
+
 class ServoLoops:
     """The loop of a scene with its servos, in some poses.
 
@@ -75,7 +82,7 @@ class ServoLoops:
         scene: the machine; every joint has a motor.
         servo: names the scene's joints, in any order.
         at: poses (N,) [rad or m]; None: those of `poses`.
-        delay: servo periods of dead time.
+        delay: servo periods of dead time, beside that of the scene's sensors.
 
     Raises:
         Refusal: as `Servo`, or a joint without a motor.
@@ -93,7 +100,7 @@ class ServoLoops:
         known = {joint.name: joint for joint in servo.joints}
         self.joints = [known[name] for name in scene.joint_names]
         self.servo = servo
-        self.delay = delay
+        self.delay = delay = delay + late(scene)
         self.poses = poses(scene) if at is None else at
         plant = plant or Plant(scene)
         self._motions = [SmallMotions(plant, q) for q in self.poses]

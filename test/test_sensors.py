@@ -16,6 +16,7 @@ from machines import CONFIG, GRAVITY, LINK, MOTOR, Oracle, write_scene
 from scipy import stats
 
 from arm_emulator.gains import check_joints
+from arm_emulator.servo_loop import ServoLoops
 from arm_emulator.tuned import run
 from emulator_node.core_calls import Measurement
 from emulator_node.fleet import Fleet
@@ -677,6 +678,21 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
         assert (noisy.swing < 6.0 * at_link).all(), f"at rest: {noisy.swing} of {at_link}"
         worse = np.abs(noisy.off).max(axis=0) - np.abs(one.off).max(axis=0)
         assert (worse < 6.0 * at_link).all(), f"on the way: {worse} of {at_link}"
+
+
+def test_a_delay_is_dead_time_of_the_loop() -> None:
+    """What is predicted of small motions is what the arm does: 7 periods are too many."""
+    scene = load_scene(
+        "three_axis", {"joints.*.encoder.delay": 7, "joints.*.current_sensor.delay": 7}
+    )
+    servo = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
+    plain = load_scene("three_axis")
+    spare = min(one.delay for one in ServoLoops(plain, servo).margins())
+    assert 5.0 < spare < 7.0, "servo periods that the loop may come late"
+    assert ServoLoops(plain, servo).unstable() is None, "without delay"
+    assert ServoLoops(scene, servo).unstable() is not None, "with more than that"
+    swing = [run(one, servo).swing for one in (plain, scene)]
+    assert swing[1].max() > 20.0 * swing[0].max(), f"it swings by itself: {swing}"
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
