@@ -190,7 +190,7 @@ JOINT_MEASUREMENT = [
     ("current", "f8"),
     ("voltage", "f8"),
     ("faults", "u4"),
-    ("reserved", "u4"),
+    ("brake", "u4"),
 ]
 JOINT_SENSORS = [
     *((name, "i8") for name in ("index", "index_pulses", "link_encoder")),

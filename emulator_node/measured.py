@@ -15,6 +15,7 @@ Counts = NDArray[np.int64]
 
 # What further sensors tell, as MotorState has it, with the kind of its array.
 MORE_SENSORS = {
+    "brake_closed": "q",
     "index_counts": "q",
     "index_pulses": "q",
     "link_encoder_counts": "q",
@@ -31,6 +32,7 @@ def told_by(scene: Scene) -> list[str]:
     joints = [joint.sensors for joint in scene.joints]
     link = [one.link_encoder for one in joints if one.link_encoder is not None]
     there = {
+        "brake": any(joint.brake for joint in scene.joints),
         "index": any(one.encoder is not None and one.encoder.index != "none" for one in joints),
         "link_encoder": bool(link),
         "link_index": any(one.index != "none" for one in link),
@@ -39,7 +41,9 @@ def told_by(scene: Scene) -> list[str]:
         "angular_rate": bool(scene.imus),
     }
     return [
-        name for name in MORE_SENSORS if there[name.removesuffix("_counts").removesuffix("_pulses")]
+        name
+        for name in MORE_SENSORS
+        if there[name.removesuffix("_counts").removesuffix("_pulses").removesuffix("_closed")]
     ]
 
 
@@ -71,6 +75,11 @@ class Measured:
     def voltage(self) -> Array:
         """Applied in the servo period that ends here [V]."""
         return self.joints["voltage"]
+
+    @property
+    def brake_closed(self) -> Counts:
+        """1 where a brake is closed."""
+        return self.joints["brake"].astype(np.int64)
 
     @property
     def index_counts(self) -> Counts:

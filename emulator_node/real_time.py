@@ -191,6 +191,7 @@ class RealTimeSession(Session):
             self.plant, self.period_ns, scene.steps_per_period, scene.cores[0]
         )
         self._look()
+        self._loop.command(-1, self._zero)
         self._follow_phase()
 
     def reset(self) -> None:

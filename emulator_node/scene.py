@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
+from emulator_node.parts.brake import Brake
 from emulator_node.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
+from emulator_node.parts.end_stops import put_limits
 from emulator_node.parts.friction import Friction, LinkFriction
 from emulator_node.parts.gear import Gear, RigidGear
 from emulator_node.parts.imu import Imu
@@ -38,7 +40,7 @@ from emulator_node.varied import Varied, choose_varied
 from words.config_files import BESIDE, find_config
 from words.refusal import Refusal
 from words.text_file import why_no_file
-from words.urdf_text import parse_urdf, read_urdf
+from words.urdf_text import limits_of, parse_urdf, read_urdf
 from words.yaml_file import read_yaml
 
 SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
@@ -67,6 +69,7 @@ class Joint:
     sensors: JointSensors
     friction: Friction
     rotor_friction: Friction | None = None
+    brake: Brake | None = None
     extras: tuple[Part, ...] = ()  # that stand in sections of their own
 
     @property
@@ -74,7 +77,8 @@ class Joint:
         """All parts of its drive."""
         motor = () if self.motor is None else (self.motor,)
         rotor = () if self.rotor_friction is None else (self.rotor_friction,)
-        return (*motor, self.gear, self.friction, *rotor, *self.extras)
+        brake = () if self.brake is None else (self.brake,)
+        return (*motor, self.gear, self.friction, *rotor, *brake, *self.extras)
 
     @property
     def command(self) -> str:
@@ -195,7 +199,7 @@ def _build(root: Section, file: Path) -> Scene:
     if lock_joints(robot, locked, urdf_file.name):
         urdf = ET.tostring(robot, encoding="unicode")
     supply_voltage = root.number("supply_voltage", "V", above=0.0, at_most=1e5)
-    joints = _joints(root, chain, urdf_file.name)
+    joints = _joints(root, chain, urdf_file.name, limits_of(robot))
     integrator_section = root.required_section("integrator")
     integrator = Integrator(
         scheme=integrator_section.choice("scheme", SCHEMES, default=SCHEMES[0]),
@@ -270,7 +274,9 @@ def _cores(root: Section) -> tuple[int, int]:
     return int(cores[0]), int(cores[1])
 
 
-def _joints(root: Section, chain: Chain, urdf_name: str) -> tuple[Joint, ...]:
+def _joints(
+    root: Section, chain: Chain, urdf_name: str, limits: Mapping[str, tuple[float, float]]
+) -> tuple[Joint, ...]:
     section = root.required_section("joints")
     names = {joint.name: joint.kind for joint in chain.joints}
     for key in section.keys():
@@ -293,15 +299,19 @@ def _joints(root: Section, chain: Chain, urdf_name: str) -> tuple[Joint, ...]:
                 "nothing",
                 "a section, or its position under `locked`",
             )
-        joints.append(_joint(name, kind, one))
+        joints.append(_joint(name, kind, one, limits.get(name)))
     return tuple(joints)
 
 
-def _joint(name: str, kind: str, one: Section) -> Joint:
+def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
     motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
     of_rotor = None if motor is None else motor.section("friction")
-    if motor is None and gear is not None:
-        raise one.refusal("gear", "belong to a joint with a motor", "no motor section")
+    brake, stops = one.section("brake"), one.section("end_stops")
+    for key, part in (("gear", gear), ("brake", brake)):
+        if motor is None and part is not None:
+            raise one.refusal(key, "belong to a joint with a motor", "no motor section")
+    if stops is not None:
+        put_limits(stops, limits)
     joint = Joint(
         name=name,
         start=one.number("start", "rad or m", default=0.0, at_least=-1e4, at_most=1e4),
@@ -310,6 +320,7 @@ def _joint(name: str, kind: str, one: Section) -> Joint:
         sensors=JointSensors.read(one, kind),
         friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
+        brake=None if brake is None else Brake.read(brake),
         extras=read_extras(one),
     )
     one.finish()

@@ -39,7 +39,9 @@ def scene_unit(scene: Scene, boundary: str = "boundary.hpp") -> str:
     links = ",\n".join(map(_link, scene.chain.joints, bodies))
     axes = _axes(scene.chain) if scene.external_wrench else ""
     devices = ",\n".join(_device(joint) for joint in scene.joints)
-    drives = ",\n".join(_drive(joint, places) for joint in scene.joints)
+    braked = [joint for joint in scene.joints if joint.brake]
+    closed = {one.name: f"p[{len(places) + k}]" for k, one in enumerate(braked)}
+    drives = ",\n".join(_drive(joint, places, closed.get(joint.name)) for joint in scene.joints)
     headers = sorted({part.header for joint in scene.joints for part in joint.parts})
     sensors = ""
     if scene.sensed:
@@ -65,6 +67,8 @@ struct Scene {{
   static constexpr arm::Events events = arm::Events::{scene.integrator.events};
   static constexpr double supply_voltage = {number(scene.supply_voltage)};
   static constexpr arm::Vec3<double> gravity = {vector(gravity)};
+  static constexpr int brakes = {len(braked)};
+{_brakes(scene)}\
   static constexpr int parameters = {len(scene.varied)};
   static constexpr arm::Parameter parameter[parameters + 1] = {{
 {parameters}  }};
@@ -127,16 +131,29 @@ def _link(geometry: ChainJoint, body: str) -> str:
        .body = {body}}}"""
 
 
-def _drive(joint: Joint, places: Mapping[str, str]) -> str:
+def _brakes(scene: Scene) -> str:
+    """Return the joints of the brakes, and the delays after which they close and open."""
+    brakes = {j: joint.brake for j, joint in enumerate(scene.joints) if joint.brake}
+    delays = (f"{{{number(b.close_delay)}, {number(b.release_delay)}}}" for b in brakes.values())
+    return f"""\
+  static constexpr int braked[brakes + 1] = {{{", ".join(map(str, brakes))}}};
+  static constexpr double brake_delays[brakes + 1][2] = {{{", ".join(delays)}}};
+"""
+
+
+def _drive(joint: Joint, places: Mapping[str, str], closed: str | None) -> str:
     def part(one: Part) -> str:
         return one.initialiser(joint.name, places)
 
     motor, rotor = joint.motor, joint.rotor_friction
+    kind, values = (rotor.cxx_type, part(rotor)) if rotor else ("arm::FreeRotor", "{}")
+    if joint.brake and closed:
+        kind, values = joint.brake.rotor(rotor, joint.name, places, closed)
     kinds = [
         motor.cxx_type if motor else "arm::NoMotor",
         joint.gear.cxx_type,
         joint.friction.cxx_type,
-        rotor.cxx_type if rotor else "arm::FreeRotor",
+        kind,
         *(extra.cxx_type for extra in joint.extras),
     ]
     extras = ", ".join(map(part, joint.extras))
@@ -145,7 +162,7 @@ def _drive(joint: Joint, places: Mapping[str, str]) -> str:
           .motor = {part(motor) if motor else "arm::NoMotor{}"},
           .gear = {part(joint.gear)},
           .friction = {part(joint.friction)},
-          .rotor = {part(rotor) if rotor else "{}"},
+          .rotor = {values},
           .extras = {{{extras}}}}}"""
 
 

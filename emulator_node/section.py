@@ -41,6 +41,10 @@ class Section:
         self._known.add(key)
         return key in self._data
 
+    def put(self, key: str, value: object) -> None:
+        """Take a value for a key as if the file had it there."""
+        self._data = {**self._data, key: value}
+
     def refusal(self, key: str, rule: str, got: object, valid: str | None = None) -> Refusal:
         """Return the refusal of a key's value."""
         return Refusal(self.where, self._name(key), rule, got, valid)

@@ -159,3 +159,19 @@ def _bound(joint: ET.Element, key: str, text: str | None, where: str) -> float:
         what = f"joint {joint.get('name')}: limit {key}"
         raise Refusal(where, what, "be a number", repr(text))
     return value
+
+
+def limits_of(robot: ET.Element) -> dict[str, tuple[float, float]]:
+    """Return lower and upper limits of the moving joints that have both, by name [rad or m].
+
+    The URDF's limits are numbers, see `complete_limits`.
+    """
+    limits = {}
+    for joint in robot.findall("joint"):
+        limit = joint.find("limit")
+        if limit is None or joint.get("type") not in ("revolute", "prismatic"):
+            continue
+        lower, upper = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
+        if max(-lower, upper) < UNLIMITED:
+            limits[joint.get("name") or ""] = lower, upper
+    return limits

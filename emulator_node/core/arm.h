@@ -115,9 +115,11 @@ int arm_join_schedule(arm_machine* machine);
 
 /* ------------------------------------------------------------------------------- the exchange */
 
+enum arm_enable { ARM_ENABLED = 1, ARM_CLOSE_BRAKE = 2 };
+
 typedef struct arm_joint_command {
   int32_t mode;    /* enum arm_mode */
-  uint32_t enable; /* 0: the command is 0 */
+  uint32_t enable; /* bits of enum arm_enable; 0: the command is 0, and a brake closes */
   double value;    /* V, clamped to the supply; N m or A, clamped to the motor's limit */
 } arm_joint_command;
 
@@ -136,7 +138,7 @@ typedef struct arm_joint_measurement {
   double current;  /* A, as its sensor tells it */
   double voltage;  /* V (N m, A), the command in the period that has passed */
   uint32_t faults; /* bits of enum arm_fault */
-  uint32_t reserved;
+  uint32_t brake;  /* 1: it is closed */
 } arm_joint_measurement;
 
 /* What further sensors of a joint tell; 0 of those that it does not have. */
@@ -171,7 +173,8 @@ typedef struct arm_measurement {
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out);
 /* The measurement of this tick once more. */
 int arm_measure(const arm_machine* machine, arm_measurement* out);
-/* Switch the power of all drives: without it every command is 0. A machine begins with it. */
+/* Switch the power of all drives: without it every command is 0, and brakes close after their delay.
+ * A machine begins with it. A reset leaves it as it is, with brakes to fit. */
 void arm_power(arm_machine* machine, int on);
 
 /* What refused the newest call on this machine. */

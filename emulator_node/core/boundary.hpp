@@ -39,8 +39,8 @@ struct arm_machine {
   using Machine = arm::Machine<Scene>;
   static constexpr int N = Scene::N;
 
-  // Of the varied numbers, and one that is 0.
-  using Values = double[Scene::parameters + 1];
+  // Of the varied numbers and the brakes, and one that is 0.
+  using Values = double[arm::kOwnNumbers<Scene> + 1];
 
   // What is saved, in eight bytes each and in a fixed order: what it is of, and the machine.
   template <class Number>
@@ -151,8 +151,10 @@ struct arm_machine {
       joint.current = current[j];
       joint.voltage = voltage[j];
       joint.faults = machine.faulty_joint() == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
-      joint.reserved = 0;
+      joint.brake = 0;
     }
+    for (int k = 0; k < Scene::brakes; ++k)
+      out->joint[Scene::braked[k]].brake = machine.brake_closed(k);
     out->powered = powered != 0;
     out->tick = tick();
     out->answered = answered;
@@ -277,6 +279,7 @@ void arm_delete(arm_machine* machine) { delete machine; }
 int arm_reset(arm_machine* machine, const double* q, const double* v) {
   if (machine->check_finite(q, "q") || machine->check_finite(v, "v")) return ARM_REFUSED;
   machine->forget_external_wrenches();
+  machine->machine.put_brakes(!machine->powered);
   machine->machine.reset(q, v);
   machine->sensors.begin(machine->machine, 0, true);
   machine->answered = -1;
@@ -305,6 +308,10 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
       return machine->refuse(j, "value_d", "be finite", second[j]);
     voltage_d[j] = on ? second[j] : 0.0;
   }
+  for (int k = 0; k < Scene::brakes; ++k) {
+    const std::uint32_t enable = command->joint[Scene::braked[k]].enable;
+    machine->machine.want_brake(k, !machine->powered || !enable || enable & ARM_CLOSE_BRAKE);
+  }
   if constexpr (arm_machine::Machine::has_second) machine->machine.put_second(voltage_d);
   machine->machine.bound(voltage);
   machine->answered = command->tick;
@@ -321,7 +328,11 @@ int arm_measure(const arm_machine* machine, arm_measurement* out) {
   return machine->result();
 }
 
-void arm_power(arm_machine* machine, int on) { machine->powered = on != 0; }
+void arm_power(arm_machine* machine, int on) {
+  if (machine->powered == (on != 0)) return;
+  machine->powered = on != 0;
+  for (int k = 0; k < Scene::brakes; ++k) machine->machine.want_brake(k, !machine->powered);
+}
 
 int arm_why(const arm_machine* machine, arm_refusal* out) {
   if (!out || out->size < sizeof *out) return ARM_REFUSED;
@@ -443,7 +454,7 @@ ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) 
   words.write(std::uint64_t{ARM_FINGERPRINT});
   auto whole = machine->machine.whole();
   arm_machine::Values values = {};
-  for (int k = 0; k < Scene::parameters; ++k) values[k] = machine->machine.parameter(k);
+  for (int k = 0; k < arm::kOwnNumbers<Scene>; ++k) values[k] = machine->machine.parameter(k);
   arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), whole, values,
                                      [&](const auto& number) { words.write(number); });
   words.write(std::uint64_t{words.sum});
@@ -477,7 +488,7 @@ ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t s
   arm_machine::Values values = {};
   arm_machine::for_each_saved_number(*machine, whole, values,
                                      [&](auto& number) { words.read(number); });
-  for (int k = 0; k < Scene::parameters; ++k) machine->machine.set_parameter(k, values[k]);
+  for (int k = 0; k < arm::kOwnNumbers<Scene>; ++k) machine->machine.set_parameter(k, values[k]);
   if constexpr (Scene::external_wrench)
     for (int j = 0; j < arm_machine::N; ++j) machine->set_external_wrench(j, machine->given[j]);
   machine->machine.restore(whole);

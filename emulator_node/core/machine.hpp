@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "brakes.hpp"
 #include "course.hpp"
 #include "energy.hpp"
 #include "energy_flow.hpp"
@@ -29,7 +30,11 @@ class Machine {
   // `core`: of the second thread, if there is one; -1: any.
   // `parameters`: values of the varied numbers.
   Machine(double dt, int core, const double* parameters)
-      : h(dt), numbers(parameters), threads(dt, core, numbers) {}
+      : h(dt), numbers(parameters), threads(dt, core, numbers) {
+    for (int k = 0; k < S::brakes; ++k)
+      for (int way = 0; way < 2; ++way)
+        delay[k][way] = static_cast<std::int64_t>(S::brake_delays[k][way] / dt + 0.5);
+  }
 
   // Schedule all threads as the calling one; false if the system does not permit it.
   bool join_schedule() { return threads.join_schedule(); }
@@ -60,12 +65,14 @@ class Machine {
   struct Whole {
     Instant now, checked;
     std::int64_t fault;
+    Brakes<S> brakes;
 
     template <class Number>
     void for_each_number(Number&& number) {
       now.for_each_number(number);
       checked.for_each_number(number);
       number(fault);
+      brakes.for_each_number(number);
     }
   };
 
@@ -74,11 +81,12 @@ class Machine {
     for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied[j];
     return instant;
   }
-  Whole whole() const { return {instant(), checked, fault}; }
+  Whole whole() const { return {instant(), checked, fault, brakes}; }
   ARM_ONCE void restore(const Whole& whole) {
     go_back(whole.now);
     checked = whole.checked;
     fault = static_cast<int>(whole.fault);
+    brakes = whole.brakes;
   }
 
   // Set a varied number, between two steps. The motion goes on from where it is.
@@ -97,6 +105,27 @@ class Machine {
     account_for_work();
     change([&] { numbers.set_external_wrench(i, wrench); });
   }
+
+  // Want brake k closed, or open. It follows after its delay, in whole steps.
+  void want_brake(int k, bool closed) {
+    brakes.want(k, closed, brake_closed(k), steps_taken, delay[k][closed ? 0 : 1]);
+    follow_brakes();
+  }
+  bool brake_closed(int k) const { return numbers.value(S::parameters + k) != 0.0; }
+  // Have all brakes closed, or open, without delay.
+  void put_brakes(bool closed) {
+    brakes.put(closed);
+    for (int k = 0; k < S::brakes; ++k) set_brake(k, closed);
+  }
+  // Let those brakes change whose time has come.
+  void follow_brakes() {
+    if (fault < 0) brakes.at_step(steps_taken, [this](int k, bool closed) { set_brake(k, closed); });
+  }
+  // Steps until the next brake changes.
+  std::int64_t steps_to_brakes() const {
+    return fault < 0 ? brakes.next() - steps_taken : Brakes<S>::never;
+  }
+
   double parameter(int k) const { return numbers.value(k); }
   const Numbers<S>& numbers_now() const { return numbers; }
   // It changes whenever the numbers do.
@@ -149,7 +178,9 @@ class Machine {
     threads.begin(count, x);
     while (count > 0) {
       const int due = steps_to_check(steps_taken);
-      const int chunk = count < due ? static_cast<int>(count) : due;
+      int chunk = count < due ? static_cast<int>(count) : due;
+      if constexpr (S::brakes > 0)
+        if (steps_to_brakes() < chunk) chunk = static_cast<int>(steps_to_brakes());
       const Instant before = instant();
       const Course course_before = course;
       run(course, chunk);
@@ -158,14 +189,21 @@ class Machine {
         return fault = creep_to_the_fault(course_before, chunk);
       }
       count -= chunk;
-      if (chunk < due) continue;
-      account_for_work();
-      if (balance.due_after(kCheckEvery)) fault = balance.broken_by(numbers, x, h);
-      if (fault >= 0) {
-        go_back(checked);
-        return fault;
+      if (chunk == due) {
+        account_for_work();
+        if (balance.due_after(kCheckEvery)) fault = balance.broken_by(numbers, x, h);
+        if (fault >= 0) {
+          go_back(checked);
+          return fault;
+        }
+        checked = instant();
       }
-      checked = instant();
+      if constexpr (S::brakes > 0) {
+        if (steps_to_brakes() > 0) continue;
+        threads.end();
+        follow_brakes();
+        threads.begin(count, x);
+      }
     }
     threads.end();
     return -1;
@@ -284,6 +322,10 @@ class Machine {
   double energy() const { return energy_of<S>(numbers, x).total(); }
 
  private:
+  void set_brake(int k, bool closed) {
+    if (brake_closed(k) != closed) set_parameter(S::parameters + k, closed ? 1.0 : 0.0);
+  }
+
   // What the external wrenches have done comes to the energy that there may be.
   void account_for_work() {
     if constexpr (S::external_wrench) balance.allow(balance.most() + work.since(numbers, x));
@@ -387,6 +429,8 @@ class Machine {
   State<S> x = {};
   EnergyBalance<S> balance;
   ExternalWork<S> work;
+  Brakes<S> brakes;
+  std::int64_t delay[S::brakes + 1][2] = {};  // of brakes, in steps: to close, to open
   double applied[Stepper::row] = {};
   double power = 0.0;
   std::int64_t steps_taken = 0;

@@ -97,19 +97,17 @@ template <class S>
 class Numbers<S, double> {
  public:
   static constexpr int N = S::N;
-  static constexpr bool varied = S::parameters > 0;
+  static constexpr bool varied = kOwnNumbers<S> > 0;
   using Number = double;
 
-  // Of the values of the varied numbers.
-  constexpr explicit Numbers(const double* values) : sheet(values) {
-    for (int k = 0; k < S::parameters; ++k) p[k] = values[k];
-  }
+  // Of the values of the varied numbers, the brakes open.
+  constexpr explicit Numbers(const double* values) : p(values), sheet(p.p) {}
 
-  double value(int k) const { return p[k]; }
+  double value(int k) const { return p.p[k]; }
   // Set a varied number: the caller has seen to its bounds.
   void set(int k, double value) {
-    p[k] = value;
-    sheet = Sheet<S>(p);
+    p.p[k] = value;
+    sheet = Sheet<S>(p.p);
   }
 
   // body(drive, j) for the drive of every joint.
@@ -152,7 +150,14 @@ class Numbers<S, double> {
       return Constants<S>::sheet;
   }
 
-  double p[S::parameters + 1] = {};
+  struct Values {
+    double p[kOwnNumbers<S> + 1] = {};
+    constexpr explicit Values(const double* varied) {
+      for (int k = 0; k < S::parameters; ++k) p[k] = varied[k];
+    }
+  };
+
+  Values p;
   Sheet<S> sheet;
   ExternalWrenches<S, double> outside;
 };
@@ -162,7 +167,7 @@ template <class S, class X>
 class Numbers {
  public:
   static constexpr int N = S::N, width = kWidth<X>;
-  static constexpr bool varied = S::parameters > 0;
+  static constexpr bool varied = kOwnNumbers<S> > 0;
   using Number = std::conditional_t<varied, X, double>;
 
   // All lanes as `first`.

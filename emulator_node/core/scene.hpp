@@ -57,13 +57,17 @@ struct Parameter {
   double least, most;
 };
 
-// Values of the varied numbers with which the structure of a scene is decided: none of them
-// is zero.
+// Numbers that every machine has for itself: those that the scene lists as varied, and after them
+// whether its brakes are closed (brakes.hpp).
+template <class S>
+inline constexpr int kOwnNumbers = S::parameters + S::brakes;
+
+// Values of them with which the structure of a scene is decided: none of them is zero.
 template <class S>
 struct SomeValues {
-  double p[S::parameters + 1] = {};
+  double p[kOwnNumbers<S> + 1] = {};
   constexpr SomeValues() {
-    for (int k = 0; k < S::parameters; ++k) p[k] = 1.0;
+    for (int k = 0; k < kOwnNumbers<S>; ++k) p[k] = 1.0;
   }
 };
 template <class S>

@@ -40,9 +40,17 @@ class SideBySide {
     }
     Course course(commands, positions, stride, steps);
     for (std::int64_t left = rows * steps; left > 0;) {
-      const int count = left < kSection ? static_cast<int>(left) : kSection;
+      int count = left < kSection ? static_cast<int>(left) : kSection;
+      if constexpr (S::brakes > 0)
+        for (int lane = 0; lane < used; ++lane)
+          if (machine[lane]->steps_to_brakes() < count)
+            count = static_cast<int>(machine[lane]->steps_to_brakes());
       section(course, count);
       left -= count;
+      if constexpr (S::brakes > 0) {
+        for (int lane = 0; lane < used; ++lane) machine[lane]->follow_brakes();
+        take_numbers();
+      }
     }
     for (int lane = 0; lane < used; ++lane) {
       std::int64_t row = steps > 0 ? (machine[lane]->steps() - began[lane]) / steps : 0;

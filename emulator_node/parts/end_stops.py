@@ -26,3 +26,20 @@ class EndStops(Part):
         if self.lower >= self.upper:
             rule = f"be > {self.lower:g} rad, the lower one"
             raise section.refusal("upper", rule, self.upper)
+
+
+def put_limits(section: Section, limits: tuple[float, float] | None) -> None:
+    """Put the URDF's limits of the joint into a section that asks for them by `at: limits`.
+
+    Raises:
+        Refusal: there are none, or other ends are given, too.
+    """
+    if not section.has("at"):
+        return
+    section.choice("at", ("limits",), default="limits")
+    for key, value in zip(("lower", "upper"), limits or (0.0, 0.0), strict=True):
+        if section.has(key):
+            raise section.refusal(key, "be absent beside `at: limits`", "both")
+        section.put(key, value)
+    if limits is None:
+        raise section.refusal("at", "be absent: the URDF has no limits of this joint", "limits")

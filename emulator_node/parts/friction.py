@@ -45,8 +45,13 @@ class OfRotor(Friction):
         return f"arm::RotorFriction<{super().cxx_type}>"
 
     def initialiser(self, joint: str, places: Mapping[str, str]) -> str:  # noqa: D102
+        return f"{self.cxx_type}{{{self.law(joint, places)[1]}}}"
+
+    def law(self, joint: str, places: Mapping[str, str]) -> tuple[str, str]:
+        """Return type and initialiser of the law alone."""
+        kind = super().cxx_type
         members = ", ".join(f".{name} = {value}" for name, value in self.members(joint, places))
-        return f"{self.cxx_type}{{{super().cxx_type}{{{members}}}}}"
+        return kind, f"{kind}{{{members}}}"
 
 
 @dataclass(frozen=True, kw_only=True)

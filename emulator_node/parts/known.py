@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from emulator_node.parts.backlash_gear import BacklashGear
+from emulator_node.parts.brake import Brake
 from emulator_node.parts.cogging import Cogging
 from emulator_node.parts.current_motor import CurrentMotor
 from emulator_node.parts.dc_motor import DcMotor
@@ -55,6 +56,7 @@ PARTS: tuple[type[Part], ...] = (
     *GEARS,
     *LINK_FRICTIONS,
     *ROTOR_FRICTIONS,
+    Brake,
     *EXTRAS,
 )
 

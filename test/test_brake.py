@@ -1,0 +1,242 @@
+"""Brakes: when they close and open, what they take, and that they hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from in_process import in_process
+from machines import CONFIG, LINK_INERTIA, one_link_urdf, write_scene
+from test_by_hand import CLOCKS, go_on, session_of
+
+from arm_emulator.check import check
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+from words.refusal import Refusal
+
+CLOSE, RELEASE = 0.0205, 0.0335  # s, no whole servo periods
+BRAKE = {"torque": 0.6, "close_delay": CLOSE, "release_delay": RELEASE}
+
+
+def braked_scene(folder: Path) -> Path:
+    """The three-axis arm under gravity, with a brake on each motor."""
+    shutil.copytree(CONFIG / "urdf", folder / "urdf", dirs_exist_ok=True)
+    data = yaml.safe_load((CONFIG / "three_axis.yaml").read_text())
+    data["gravity"], data["energy_flow"] = [0.0, 0.0, -9.81], True
+    for joint in data["joints"].values():
+        joint["brake"] = BRAKE
+    (folder / "three_axis.yaml").write_text(yaml.safe_dump(data))
+    return folder / "three_axis.yaml"
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return braked_scene(tmp_path_factory.mktemp("braked"))
+
+
+@pytest.fixture(scope="module")
+def scene(file: Path) -> Scene:
+    return load_scene(file)
+
+
+@pytest.mark.parametrize("gear", ["rigid", "elastic"])
+def test_a_turning_joint_stops_within_the_way_of_the_closed_form(tmp_path: Path, gear: str) -> None:
+    """It turns on until the brake closes, then slows down steadily: v^2 / (2 a) more."""
+    rng = np.random.default_rng([len(gear), 1])
+    Ng, Mm, dt = 0.02, 1e-4, 1e-4
+    motor = {"resistance": 1e6, "torque_constant": 0.05, "back_emf_constant": 0.0}
+    spring = {"stiffness": 1e9, "damping": 1e5} if gear == "elastic" else {}
+    joint = {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng} | spring,
+             "brake": BRAKE}  # fmt: skip
+    varied = ["joints.joint.brake.torque"]
+    integrator = {"scheme": "rosenbrock", "dt": dt, "events": "located"}
+    scene = load_scene(
+        write_scene(tmp_path, one_link_urdf(), {"joint": joint}, varied=varied,
+                    integrator=integrator)
+    )  # fmt: skip
+    plant = Plant(scene)
+    for _ in range(5):
+        v, torque = float(rng.uniform(0.5, 3.0)), float(rng.uniform(0.05, 0.3))
+        plant.powered = True
+        plant.set_parameter("joints.joint.brake.torque", torque)
+        plant.reset(v=[v])
+        plant.powered = False
+        plant.advance([0.0], round(CLOSE / dt))
+        # A stiff gear is no rigid one: its wind-up, 1e-8 rad, is what differs.
+        near = 1e-9 if gear == "rigid" else 1e-7
+        assert plant.state.q[0] == pytest.approx(v * CLOSE, abs=near), "until it closes"
+        a = torque / Ng / (LINK_INERTIA + Mm / Ng**2)
+        plant.advance([0.0], round(0.5 * v / a / dt))
+        t = round(0.5 * v / a / dt) * dt
+        assert plant.state.v[0] == pytest.approx(v - a * t, abs=10.0 * near), "while it slows"
+        plant.advance([0.0], round(v / a / dt))
+        assert plant.state.q[0] == pytest.approx(v * CLOSE + v**2 / (2.0 * a), abs=near), "way"
+        if gear == "rigid":
+            assert plant.state.v[0] == 0.0, "it is at rest exactly"
+        assert plant.state.omega_m[0] == 0.0, "the rotor is at rest exactly"
+
+
+def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
+    """Whatever the calls that the time is made of; what is taken back in time has no effect."""
+    draw = random.Random(2)
+    dt = scene.integrator.dt
+    steps = {False: round(CLOSE / dt), True: round(RELEASE / dt)}
+    for _ in range(10):
+        plant, now, wanted, due, closed = Plant(scene), 0, False, 0, False
+        for _ in range(30):
+            if draw.random() < 0.5:
+                on = draw.random() < 0.5
+                if wanted != (not on):
+                    wanted, due = not on, now + steps[on]
+                plant.powered = on
+            count = draw.choice([1, 2, 7, 20, 41])
+            plant.advance(np.zeros(3), count)
+            now += count
+            if now >= due:
+                closed = wanted
+            assert (plant.measured.brake_closed == closed).all(), f"after {now} steps"
+
+
+def test_the_bits_do_not_depend_on_the_pieces_of_time(scene: Scene) -> None:
+    draw = random.Random(3)
+    one, other = Plant(scene), Plant(scene)
+    for _ in range(6):
+        on = draw.random() < 0.5
+        for plant in (one, other):
+            plant.powered = on
+        total = draw.randrange(30, 100)
+        one.advance([1.0, -2.0, 0.5], total)
+        while total > 0:
+            piece = min(total, draw.randrange(1, 12))
+            other.advance([1.0, -2.0, 0.5], piece)
+            total -= piece
+        np.testing.assert_array_equal(one.state.q, other.state.q, err_msg="q")
+        np.testing.assert_array_equal(one.state.omega_m, other.state.omega_m, err_msg="rotors")
+
+
+def test_power_off_holds_the_arm_by_its_brakes(scene: Scene) -> None:
+    """It falls until they close, then hangs in its gears: rotors stand still to the last bit."""
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        plant = Plant(scene)
+        plant.reset(scene.start + rng.uniform(-0.3, 0.3, 3))
+        plant.powered = False
+        plant.advance(np.zeros(3), round(0.5 / scene.integrator.dt))
+        theta, q = plant.state.theta_m, plant.state.q
+        assert (plant.state.omega_m == 0.0).all(), "rotors stand"
+        highest = np.zeros(3)
+        wind_up = scene.wind_up(plant.state.gear_torque)
+        for _ in range(100):
+            plant.advance(np.zeros(3), round(0.01 / scene.integrator.dt))
+            highest = np.maximum(highest, np.abs(plant.state.q - q))
+        np.testing.assert_array_equal(plant.state.theta_m, theta, err_msg="rotors, 1 s later")
+        # What swings, swings about the wind-up under the weight.
+        assert (highest <= 2.5 * np.abs(wind_up) + 1e-3).all(), f"{highest}, wind-up {wind_up}"
+
+
+def test_the_energy_balance_closes_over_braking(scene: Scene) -> None:
+    left = []
+    for steps in (2, 4, 8, 16):
+        finer = with_steps(scene, steps)
+        plant, flow = Plant(finer), 0.0
+        plant.reset(v=[2.0, 1.0, -1.5])
+        before = plant.energy
+        plant.powered = False
+        one = plant.advance_metered(np.zeros(3), round(0.1 / finer.integrator.dt))
+        flow = float(one.given.sum() - one.dissipated.sum())
+        left.append(abs(plant.energy - before - flow) / abs(plant.energy - before))
+    # Where a rotor comes to rest within a step the order is 1.
+    assert left[-1] < left[0] / 4.0 and left[-1] < 5e-3, left
+
+
+def with_steps(scene: Scene, steps: int) -> Scene:
+    integrator = dataclasses.replace(scene.integrator, dt=scene.servo_period / steps)
+    return dataclasses.replace(scene, integrator=integrator)
+
+
+def test_a_machine_is_saved_while_a_brake_is_on_its_way(scene: Scene) -> None:
+    draw = random.Random(5)
+    one, other = Plant(scene), Plant(scene)
+    for _ in range(12):
+        one.powered = draw.random() < 0.5
+        one.advance([1.0, 2.0, 3.0], draw.randrange(1, 30))
+        other.powered = draw.random() < 0.5
+        other.restore(one.save())
+        assert other.powered == one.powered, "power"
+        for plant in (one, other):
+            plant.advance([1.0, 2.0, 3.0], 45)
+        assert one.save() == other.save(), "all that the machines are, later"
+    one.reset()
+    assert (one.measured.brake_closed == (not one.powered)).all(), "after a reset, as power is"
+
+
+def test_braked_arms_in_lanes_move_as_single_ones(scene: Scene) -> None:
+    rng = np.random.default_rng(6)
+    count = 9
+    fleet, alone = Fleet(scene, count), [Plant(scene) for _ in range(count)]
+    for _ in range(5):
+        for arm, plant in enumerate(alone):
+            plant.powered = fleet[arm].powered = bool(rng.random() < 0.5)
+        voltages = rng.uniform(-10.0, 10.0, (9, count, 3))
+        moved = fleet.run(voltages, 5)
+        for arm, plant in enumerate(alone):
+            q = plant.run(voltages[:, arm], 5)
+            np.testing.assert_allclose(moved[:, arm], q, rtol=0, atol=1e-12, err_msg=f"arm {arm}")
+            told = fleet[arm].measured.brake_closed
+            assert (told == plant.measured.brake_closed).all(), f"brakes of arm {arm}"
+
+
+def test_commands_close_brakes_by_their_bits(scene: Scene) -> None:
+    """Not enabled, or asked to close: bits of arm_joint_command.enable."""
+    rng = np.random.default_rng(7)
+    plant = Plant(scene)
+    for enable, closed in ((1, 0), (0, 1), (1, 0), (3, 1), (2, 1), (1, 0)):
+        one = int(rng.integers(3))
+        plant._commands["enable"] = 1
+        plant._commands["enable"][one] = enable
+        for _ in range(40):
+            plant.exchange(np.zeros(3))
+        expected = np.zeros(3)
+        expected[one] = closed
+        np.testing.assert_array_equal(plant.measured.brake_closed, expected, f"enable {enable}")
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_run_with_brakes_is_repeated_to_the_last_bit(
+    clock: str, file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    draw = random.Random(8)
+    with in_process(clock, file=file) as one:
+        one.begin_record()
+        assert one.call("emulator/reset").success
+        seen = set()
+
+        def between() -> None:
+            seen.update(one.newest("motor_states").brake_closed)
+            if draw.random() < 0.02:
+                one.nodes["emulator"]._say_status()  # by which `check` knows the clock
+                assert one.call("emulator/power", draw.random() < 0.5).success
+
+        go_on(one, 200, between)
+        for on in (False, True):  # for longer than the delays
+            assert one.call("emulator/power", on).success
+            go_on(one, 50, lambda: seen.update(one.newest("motor_states").brake_closed))
+        assert seen == {0, 1}, "brakes close and open"
+        assert session_of(one).scene.joints[0].brake is not None
+        one.write(tmp_path / "bag")
+    code, words = check(tmp_path / "bag", str(file)), capfd.readouterr().out
+    assert code == 0 and "equal to the last bit" in words, words
+    assert re.search(r"\d+ changes by hand", words), words
+
+
+def test_a_brake_belongs_to_a_motor(tmp_path: Path) -> None:
+    file = write_scene(tmp_path, one_link_urdf(), {"joint": {"brake": BRAKE}})
+    with pytest.raises(Refusal, match=r"joint\.brake must belong to a joint with a motor"):
+        load_scene(file)
