@@ -173,8 +173,8 @@ typedef struct arm_measurement {
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out);
 /* The measurement of this tick once more. */
 int arm_measure(const arm_machine* machine, arm_measurement* out);
-/* Switch the power of all drives: without it every command is 0, and brakes close after their delay.
- * A machine begins with it. A reset leaves it as it is, with brakes to fit. */
+/* Switch the power of all drives: without it every command is 0, and brakes close after their
+ * delay. A machine begins with it. A reset leaves it as it is, with brakes to fit. */
 void arm_power(arm_machine* machine, int on);
 
 /* What refused the newest call on this machine. */

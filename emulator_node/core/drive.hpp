@@ -55,6 +55,7 @@ struct Drive {
   static constexpr bool driven = Motor::present;
   static constexpr bool elastic = driven && !Gear::rigid;
   static constexpr bool carries_rotor = driven && Gear::rigid;
+  static constexpr bool has_extras = sizeof...(Extras) > 0;
   // Where the states stand: those of the motor, then tm and wm, then those of the extras.
   static constexpr int i = 0;
   static constexpr int tm = Motor::states, wm = Motor::states + 1;

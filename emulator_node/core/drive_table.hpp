@@ -415,7 +415,7 @@ class DriveTables {
   static constexpr bool matters(int input) {
     switch (input) {
       case In::q:
-        return any_drive<S>([](const auto& d) { return d.elastic; });
+        return any_drive<S>([](const auto& d) { return d.elastic || d.has_extras; });
       case In::u:
         return any_drive<S>([](const auto& d) { return d.driven; });
       default:
