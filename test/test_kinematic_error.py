@@ -124,7 +124,7 @@ def test_the_balance_of_energy_closes_with_order_two(tmp_path: Path) -> None:
 
 def test_a_slow_link_is_off_by_the_error(tmp_path: Path) -> None:
     """Without load the link is where ratio and error say, at any angle of the motor."""
-    rng = np.random.default_rng(53)
+    rng = np.random.default_rng([0, 51])  # the machine of the first test, whose library is there
     joint = machine(rng)
     file = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, servo_period=PERIOD)
     plant = Plant(load_scene(file))

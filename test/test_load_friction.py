@@ -74,7 +74,7 @@ def lift(folder: Path, mu: float, scheme: str, dt: float, stiffness: float | Non
 
 
 @pytest.mark.parametrize("elastic", [True, False])
-@pytest.mark.parametrize("scheme", some(SCHEMES, 2))
+@pytest.mark.parametrize("scheme", some(SCHEMES, 1))
 def test_motors_need_what_the_efficiency_says_to_lift_and_to_lower(
     tmp_path: Path, scheme: str, elastic: bool
 ) -> None:

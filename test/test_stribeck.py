@@ -58,7 +58,7 @@ def test_sticking_and_slipping_is_of_order_two_where_located(
     assert orders[1:] == pytest.approx(2.0, abs=0.2), errors
 
 
-@pytest.mark.parametrize("scheme", some(SCHEMES, 2))
+@pytest.mark.parametrize("scheme", some(["extrapolated", "implicit", "rosenbrock", "paper"], 1))
 def test_a_thrown_link_comes_to_rest_where_the_equation_says(tmp_path: Path, scheme: str) -> None:
     """I dv/dt = -Dv v - sliding(v), to the end of the step in which it stops."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 32])
@@ -123,7 +123,7 @@ def test_the_balance_of_energy_closes_with_order_two(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("side", ["link", "rotor"])
+@pytest.mark.parametrize("side", some(["rotor", "link"], 1))
 def test_lanes_move_as_single_arms(tmp_path: Path, side: str) -> None:
     rng = np.random.default_rng([34, side == "link"])
     friction, towed = drawn(rng)
