@@ -603,8 +603,8 @@ def test_a_machine_that_diverged_is_measured_where_it_stays(tmp_path: Path) -> N
     np.testing.assert_array_equal(measured.current, x.current, "at the last sound state")
 
 
-def test_a_plain_encoder_is_no_sensor(tmp_path: Path) -> None:
-    """Without sensors the unit is the one without sensors, so that they cost nothing."""
+def test_without_sensors_there_are_none_in_the_core(scene: Scene, tmp_path: Path) -> None:
+    """A plain encoder is none; and sensors change nothing of the motion."""
     file = write(tmp_path)
     bare = {f"joints.*.{key}": None for key in ("link_encoder", "current_sensor", "torque_sensor")}
     bare |= {"imus": None, "seed": None, "varied": None}
@@ -617,22 +617,15 @@ def test_a_plain_encoder_is_no_sensor(tmp_path: Path) -> None:
     told = scene_unit(load_scene(file, bare | {"joints.*.encoder": kinds}))
     assert told == units[0], "what is as it is anyway"
     plant = Plant(scenes[0])
-    motion(plant, np.random.default_rng(1), 50)
+    told, untold = (
+        motion(one, np.random.default_rng(3), 100) for one in (noisy(scene, 1.0), plant)
+    )
+    # Numbers that can be varied make another library, whose sums may be rounded otherwise.
+    np.testing.assert_allclose(truth(told, "q"), truth(untold, "q"), rtol=0, atol=1e-11)
     measured = plant.measured
     np.testing.assert_array_equal(measured.current, plant.state.current)
     for field in MORE_SENSORS:
         assert not getattr(measured, field).any(), f"{field} of no sensor"
-
-
-def test_sensors_change_nothing_of_the_motion(scene: Scene, tmp_path: Path) -> None:
-    without = {f"joints.*.{key}": None for key in ("encoder", "link_encoder", "current_sensor")}
-    without |= {"joints.*.torque_sensor": None, "imus": None, "seed": None, "varied": None}
-    plain = Plant(load_scene(write(tmp_path), without))
-    told, untold = (
-        motion(plant, np.random.default_rng(3), 100) for plant in (noisy(scene, 1.0), plain)
-    )
-    # Numbers that can be varied make another library, whose sums may be rounded otherwise.
-    np.testing.assert_allclose(truth(told, "q"), truth(untold, "q"), rtol=0, atol=1e-11)
 
 
 def test_a_client_of_version_1_is_served(scene: Scene) -> None:
@@ -668,16 +661,16 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
     # The counts are the same, but for angles at the very edge of one.
     np.testing.assert_allclose(other.off, one.off, rtol=0, atol=1e-9, err_msg="the motion")
     count = TURN / 1024
-    for sigma in (1.0 * count, 3.0 * count):  # of the motor's angle; and 0.05 A
-        varied = tuple(
-            dataclasses.replace(number, value=sigma if "encoder" in number.name else 0.05)
-            for number in scene.varied
-        )
-        noisy = run(dataclasses.replace(scene, varied=varied), words)
-        at_link = np.array([joint.gear.ratio for joint in scene.joints]) * (sigma + count)
-        assert (noisy.swing < 6.0 * at_link).all(), f"at rest: {noisy.swing} of {at_link}"
-        worse = np.abs(noisy.off).max(axis=0) - np.abs(one.off).max(axis=0)
-        assert (worse < 6.0 * at_link).all(), f"on the way: {worse} of {at_link}"
+    sigma = 3.0 * count  # of the motor's angle; and 0.05 A
+    varied = tuple(
+        dataclasses.replace(number, value=sigma if "encoder" in number.name else 0.05)
+        for number in scene.varied
+    )
+    noisy = run(dataclasses.replace(scene, varied=varied), words)
+    at_link = np.array([joint.gear.ratio for joint in scene.joints]) * (sigma + count)
+    assert (noisy.swing < 6.0 * at_link).all(), f"at rest: {noisy.swing} of {at_link}"
+    worse = np.abs(noisy.off).max(axis=0) - np.abs(one.off).max(axis=0)
+    assert (worse < 6.0 * at_link).all(), f"on the way: {worse} of {at_link}"
 
 
 def test_a_delay_is_dead_time_of_the_loop() -> None:
