@@ -139,6 +139,13 @@ def _stops(rng: Rng) -> Numbers:
     return {"lower": -way, "upper": way, "stiffness": _log(rng, 1e3, 2e4), "damping": 10.0}
 
 
+def _counterbalance(rng: Rng) -> Numbers:
+    return {
+        "base_distance": 0.4, "link_distance": _log(rng, 0.05, 0.2), "force": _log(rng, 20.0, 200.0),
+        "angle": float(rng.uniform(-3.0, 3.0)), "length": 0.5, "stiffness": _log(rng, 20.0, 200.0),
+    }  # fmt: skip
+
+
 # By the name of the Python class. A part that is not here stops the run.
 DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "DcMotor": _dc,
@@ -149,6 +156,7 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "ProgressiveGear": _progressive,
     "BacklashGear": _backlash,
     "KinematicErrorGear": _kinematic_error,
+    "Counterbalance": _counterbalance,
     "EndStops": _stops,
     "LinkLuGre": _lugre,
     "RotorLuGre": _rotor_lugre,

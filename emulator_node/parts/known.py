@@ -5,6 +5,7 @@ from __future__ import annotations
 from emulator_node.parts.backlash_gear import BacklashGear
 from emulator_node.parts.brake import Brake
 from emulator_node.parts.cogging import Cogging
+from emulator_node.parts.counterbalance import Counterbalance
 from emulator_node.parts.current_motor import CurrentMotor
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
@@ -45,6 +46,7 @@ ROTOR_FRICTIONS: tuple[type[Friction], ...] = (RotorLoadFriction, RotorStribeck,
 
 # Parts that stand in a section of their own, if there is one.
 EXTRAS: tuple[type[Part], ...] = (
+    Counterbalance,
     EndStops,
     LinkLuGre,
     RotorLuGre,

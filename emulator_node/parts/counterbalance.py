@@ -1,0 +1,31 @@
+"""Springs that take the weight of an arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from emulator_node.parts.part import Number, Part
+from emulator_node.section import Section
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counterbalance(Part):
+    """A gas spring between the link and what carries it, by its geometry."""
+
+    section = "counterbalance"
+    header = "counterbalance.hpp"
+    cxx = "Counterbalance"
+
+    base_distance: Annotated[float, Number("a", "m", above=0.0, at_most=100.0, varied=False)]
+    link_distance: Annotated[float, Number("b", "m", above=0.0, at_most=100.0, varied=False)]
+    angle: Annotated[float, Number("phi", "rad", at_least=-1e4, at_most=1e4)] = 0.0
+    force: Annotated[float, Number("F0", "N", at_least=0.0)]
+    length: Annotated[float, Number("l0", "m", above=0.0, at_most=200.0)]
+    stiffness: Annotated[float, Number("k", "N/m", at_least=0.0)] = 0.0
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        least = 0.01 * self.base_distance
+        if abs(self.link_distance - self.base_distance) < least:
+            rule = f"differ by {least:g} m from base_distance, so that the spring keeps a length"
+            raise section.refusal("link_distance", rule, self.link_distance)
