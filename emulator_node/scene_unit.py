@@ -145,12 +145,18 @@ def _drive(joint: Joint, places: Mapping[str, str], closed: str | None) -> str:
     def part(one: Part) -> str:
         return one.initialiser(joint.name, places)
 
-    motor, rotor = joint.motor, joint.rotor_friction
+    rotor = joint.rotor_friction
     kind, values = (rotor.cxx_type, part(rotor)) if rotor else ("arm::FreeRotor", "{}")
     if joint.brake and closed:
         kind, values = joint.brake.rotor(rotor, joint.name, places, closed)
+    motor = "arm::NoMotor"
+    own = f"{motor}{{}}"
+    if joint.motor is not None:
+        motor, own = joint.motor.cxx_type, part(joint.motor)
+        if joint.ripple is not None:
+            motor, own = joint.ripple.around_type(motor), joint.ripple.around(motor, own)
     kinds = [
-        motor.cxx_type if motor else "arm::NoMotor",
+        motor,
         joint.gear.cxx_type,
         joint.friction.cxx_type,
         kind,
@@ -159,7 +165,7 @@ def _drive(joint: Joint, places: Mapping[str, str], closed: str | None) -> str:
     extras = ", ".join(map(part, joint.extras))
     return f"""\
       arm::Drive<{", ".join(kinds)}>{{
-          .motor = {part(motor) if motor else "arm::NoMotor{}"},
+          .motor = {own},
           .gear = {part(joint.gear)},
           .friction = {part(joint.friction)},
           .rotor = {values},

@@ -110,7 +110,7 @@ struct Drive {
     r.g = -friction.Dv * x.v;
     X shaft{};  // torque on the rotor, beside its friction and the gear
     if constexpr (driven) {
-      motor.rates(x.z, x.u, motor_angle(x), motor_speed(x), x.offset[0], motor_held(held), r.f);
+      motor.rates(x.z, x.u, motor_angle(x), felt_speed(x), x.offset[0], motor_held(held), r.f);
       shaft = motor.torque(x.z, motor_angle(x));
     }
     for_each_extra([&](const auto& extra, auto state, auto mode) __attribute__((always_inline)) {
@@ -238,12 +238,12 @@ struct Drive {
     return P;
   }
   constexpr double given(const Input<double>& x, unsigned held) const {
-    if constexpr (driven) return motor.given(x.z, x.u, motor_speed(x), motor_held(held));
+    if constexpr (driven) return motor.given(x.z, x.u, felt_speed(x), motor_held(held));
     return 0.0;
   }
   template <class X>
   ARM_INLINE constexpr X given_at_most(const Input<X>& x) const {
-    if constexpr (driven) return motor.given_at_most(x.z, x.u, motor_speed(x));
+    if constexpr (driven) return motor.given_at_most(x.z, x.u, felt_speed(x));
     return X{};
   }
 
@@ -271,7 +271,7 @@ struct Drive {
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<double>& x) const {
     Modes at;
-    if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, motor_speed(x));
+    if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, felt_speed(x));
     if constexpr (elastic && Gear::modes > 0)
       at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
     for_each_extra([&](const auto& extra, auto state, auto mode) {
@@ -289,7 +289,7 @@ struct Drive {
                          const Modes& now) const {
     Modes at = now;
     if constexpr (driven && Motor::modes > 0)
-      at.at[0] = motor.wanted(x.z, x.u, motor_speed(x), now.at[0]);
+      at.at[0] = motor.wanted(x.z, x.u, felt_speed(x), now.at[0]);
     if constexpr (elastic && Gear::modes > 0)
       at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
     for_each_extra([&](const auto& extra, auto state, auto mode) {
@@ -308,7 +308,7 @@ struct Drive {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
     if constexpr (driven && Motor::modes > 0)
-      at_most(motor.margin(x.z, x.u, motor_speed(x), now.at[0]));
+      at_most(motor.margin(x.z, x.u, felt_speed(x), now.at[0]));
     if constexpr (elastic && Gear::modes > 0)
       at_most(gear.margin(x.z[tm], x.z[wm], x.q, x.v, now.at[of_gear]));
     for_each_extra([&](const auto& extra, auto state, auto mode) {
@@ -328,7 +328,7 @@ struct Drive {
   }
   // What follows at once takes its value.
   constexpr void follow(Input<double>& x) const {
-    if constexpr (driven) motor.follow(x.z, x.u, motor_speed(x));
+    if constexpr (driven) motor.follow(x.z, x.u, felt_speed(x));
   }
 
   // x with the numbers of these modes.
@@ -338,6 +338,15 @@ struct Drive {
   }
 
  private:
+  // The speed by which the windings are induced, which is the rotor's but for torque ripple.
+  template <class X>
+  ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {
+    if constexpr (requires { motor.ripple(x.q); })
+      return motor.ripple(motor_angle(x)) * motor_speed(x);
+    else
+      return motor_speed(x);
+  }
+
   static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }
 
   // Torques on the rotor: all but that of friction, and that of the gear.

@@ -29,6 +29,10 @@ class DcMotor(Motor):
     def cxx_type(self) -> str:  # noqa: D102
         return "arm::DcMotor" if self.current_limit is None else "arm::LimitedDcMotor"
 
+    @property
+    def follows_speed_at_once(self) -> bool:  # noqa: D102
+        return self.inductance == 0.0
+
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,

@@ -21,6 +21,7 @@ from emulator_node.parts.pmsm import Pmsm
 from emulator_node.parts.progressive_gear import ProgressiveGear
 from emulator_node.parts.stribeck import LinkStribeck, RotorStribeck
 from emulator_node.parts.torque_motor import TorqueMotor
+from emulator_node.parts.torque_ripple import TorqueRipple
 from emulator_node.section import Section
 
 # The first is meant where a scene gives no `motor.kind`.
@@ -55,6 +56,7 @@ EXTRAS: tuple[type[Part], ...] = (
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
+    TorqueRipple,
     *GEARS,
     *LINK_FRICTIONS,
     *ROTOR_FRICTIONS,

@@ -16,6 +16,11 @@ class Motor(Part):
     kind: ClassVar[str]  # `motor.kind` in the scene
     command: ClassVar[str] = "V"  # unit of what it is commanded: V, N m, A or V dq
 
+    @property
+    def follows_speed_at_once(self) -> bool:
+        """Whether its current follows the speed at once, for want of an inductance."""
+        return False
+
     def felt_at_link(self, ratio: float) -> dict[str, float]:
         """Return sizes of what the link feels of it through a gear, by what it is."""
         raise NotImplementedError
