@@ -141,8 +141,9 @@ def _stops(rng: Rng) -> Numbers:
 
 def _counterbalance(rng: Rng) -> Numbers:
     return {
-        "base_distance": 0.4, "link_distance": _log(rng, 0.05, 0.2), "force": _log(rng, 20.0, 200.0),
-        "angle": float(rng.uniform(-3.0, 3.0)), "length": 0.5, "stiffness": _log(rng, 20.0, 200.0),
+        "base_distance": 0.4, "link_distance": _log(rng, 0.05, 0.2), "length": 0.5,
+        "angle": float(rng.uniform(-3.0, 3.0)), "force": _log(rng, 20.0, 200.0),
+        "stiffness": _log(rng, 20.0, 200.0),
     }  # fmt: skip
 
 
