@@ -82,6 +82,17 @@ def _dc(rng: Rng) -> Numbers:
     }
 
 
+def _pmsm(rng: Rng) -> Numbers:
+    return {
+        "resistance": _log(rng, 0.3, 1.0), "inductance_d": _log(rng, 1e-3, 3e-3),
+        "inductance_q": _log(rng, 1e-3, 3e-3), "flux": _log(rng, 0.005, 0.02), "pole_pairs": 4,
+    }  # fmt: skip
+
+
+def _cogging(rng: Rng) -> Numbers:
+    return {"waves": [[4.0, _log(rng, 1e-3, 1e-2), float(rng.uniform(0.0, 6.0))]]}
+
+
 def _torque(rng: Rng) -> Numbers:
     return {"torque_limit": 0.5, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}
 
@@ -150,6 +161,7 @@ def _counterbalance(rng: Rng) -> Numbers:
 # By the name of the Python class. A part that is not here stops the run.
 DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "DcMotor": _dc,
+    "Pmsm": _pmsm,
     "TorqueMotor": _torque,
     "CurrentMotor": _current,
     "RigidGear": _gear,
@@ -159,6 +171,7 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "KinematicErrorGear": _kinematic_error,
     "Counterbalance": _counterbalance,
     "EndStops": _stops,
+    "Cogging": _cogging,
     "LinkLuGre": _lugre,
     "RotorLuGre": _rotor_lugre,
 }
