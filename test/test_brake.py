@@ -236,6 +236,15 @@ def test_a_run_with_brakes_is_repeated_to_the_last_bit(
     assert re.search(r"\d+ changes by hand", words), words
 
 
+def test_an_open_brake_does_nothing(scene: Scene, file: Path) -> None:
+    """Also where rotors reverse: only rounding differs."""
+    rng = np.random.default_rng(9)
+    rows = rng.uniform(-10.0, 10.0, (60, 3))
+    free = Plant(load_scene(file, {"joints.*.brake": None}))
+    moved = Plant(scene).run(rows, 10), free.run(rows, 10)
+    np.testing.assert_allclose(*moved, rtol=0.0, atol=1e-10, err_msg="q")
+
+
 def test_a_brake_belongs_to_a_motor(tmp_path: Path) -> None:
     file = write_scene(tmp_path, one_link_urdf(), {"joint": {"brake": BRAKE}})
     with pytest.raises(Refusal, match=r"joint\.brake must belong to a joint with a motor"):

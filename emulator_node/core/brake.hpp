@@ -1,9 +1,9 @@
 // A brake on a motor's shaft: friction that comes and goes.
 //
 // While it is closed, its torque is added to what the rotor's friction has while it slides, and to
-// what holds it at rest (rotor_friction.hpp). So a rotor that is caught by it comes to rest within a
-// finite time and then stays where it is exactly; what moves behind it is the wind-up of the gear.
-// When it closes and opens is told in brakes.hpp.
+// what holds it at rest (rotor_friction.hpp). So a rotor that is caught by it comes to rest within
+// a finite time and then stays where it is exactly; what moves behind it is the wind-up of the
+// gear. When it closes and opens is told in brakes.hpp.
 #pragma once
 
 #include <type_traits>
@@ -26,7 +26,9 @@ struct Braked : Law {
     using Linear = std::remove_cvref_t<decltype(Law::linear())>;
     return Braked<Linear>{Law::linear(), brake, closed};
   }
-  constexpr bool is_dry() const { return true; }
+  constexpr bool is_dry() const { return Law::is_dry() || closed != 0.0; }
+  // Open, and nothing else that could hold it: it turns through its reversals.
+  constexpr bool is_free() const { return !is_dry(); }
   template <class X>
   ARM_INLINE constexpr X sliding(X w, X T) const {
     return Law::sliding(w, T) + closed * brake.torque;

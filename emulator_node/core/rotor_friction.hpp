@@ -37,24 +37,31 @@ struct RotorFriction {
 
   // `torque`: what the rotor feels beside friction; T: that of the gear on the rotor.
   constexpr Mode mode_at(double wm, double torque, double T) const {
-    if (wm == 0.0 && magnitude(torque) <= law.holding(T) * (1.0 + kRounding)) return {true, 0.0};
+    if (!is_free() && wm == 0.0 && magnitude(torque) <= law.holding(T) * (1.0 + kRounding))
+      return {true, 0.0};
     return slide(wm == 0.0 ? torque : wm, wm, T);
   }
   constexpr Mode wanted(double began, double wm, double torque, double T, const Mode& mode) const {
     if (mode.held)
       return magnitude(torque) <= law.holding(T) * (1.0 + kRounding) ? mode : slide(torque, 0.0, T);
+    if (is_free()) return mode;
     // A rotor that reverses comes to rest at the step's end; one that was at rest has not left it.
     return began == 0.0 && wm * mode.offset < 0.0 ? Mode{true, 0.0} : mode;
   }
   constexpr double margin(double wm, double torque, double T, const Mode& mode) const {
     if (mode.held) return law.holding(T) * (1.0 + kRounding) - magnitude(torque);
+    if (is_free()) return 1.0;
     return mode.offset < 0.0 ? -wm : wm;
   }
   constexpr void settle(double& wm, const Mode& mode) const {
-    if (mode.held || wm * mode.offset < 0.0) wm = 0.0;
+    if (mode.held || (!is_free() && wm * mode.offset < 0.0)) wm = 0.0;
   }
 
  private:
+  constexpr bool is_free() const {
+    if constexpr (requires { law.is_free(); }) return law.is_free();
+    return false;
+  }
   constexpr Mode slide(double way, double wm, double T) const {
     // The way is kept in the sign, also of a torque of 0.
     const double dry = law.sliding(wm, T);
