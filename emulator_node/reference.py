@@ -16,8 +16,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
+from emulator_node.parts.brake import Brake
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
+from emulator_node.parts.end_stops import EndStops
 from emulator_node.parts.friction import LinkFriction
 from emulator_node.parts.gear import RigidGear
 from emulator_node.parts.progressive_gear import ProgressiveGear
@@ -113,8 +115,8 @@ def reference_states(
     return out
 
 
-# The parts whose equations stand here.
-KNOWN = (DcMotor, RigidGear, ElasticGear, ProgressiveGear, LinkFriction)
+# The parts whose equations stand here. Brakes are open: there is power.
+KNOWN = (DcMotor, RigidGear, ElasticGear, ProgressiveGear, LinkFriction, Brake, EndStops)
 
 
 def _motor_of(joint: Joint) -> DcMotor | None:
@@ -177,6 +179,16 @@ class ReferenceMachine:
         )
         self.Dg = np.array([gear.damping for gear in gears])
         self.Dl = np.array([joint.friction.viscous for joint in scene.joints])
+        stops = [
+            next((part for part in joint.extras if isinstance(part, EndStops)), None)
+            for joint in scene.joints
+        ]
+        self.stops = np.array(
+            [
+                (s.lower, s.upper, s.stiffness, s.damping) if s else (-np.inf, np.inf, 0.0, 0.0)
+                for s in stops
+            ]
+        ).T
         self.rigid = np.array([gear.stiffness is None for gear in gears])
         self.elastic = self.motor & ~self.rigid
         self.inductive = self.L > 0.0
@@ -209,6 +221,16 @@ class ReferenceMachine:
         w = self.Ng * tm - q
         return self.Kg * w + self.Kg3 * w**3 + self.Dg * (self.Ng * wm - v)
 
+    def stop_torques(self, q: Array, v: Array) -> Array:
+        """Return what end stops put on the links (N,) [N m]."""
+        lower, upper, K, D = self.stops
+        torque = np.zeros(self.N)
+        for side, u in ((1.0, q - upper), (-1.0, lower - q)):
+            inside = u > 0.0
+            push = K[inside] * u[inside] + side * D[inside] * v[inside]
+            torque[inside] -= side * np.maximum(push, 0.0)
+        return torque
+
     def rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt, flat."""
         i, tm, wm, q, v = flat.reshape(5, self.N)
@@ -225,7 +247,7 @@ class ReferenceMachine:
         dx[1] = np.where(self.elastic, wm, 0.0)
         dx[2] = np.where(self.elastic, (self.Kt * i - self.Ng * T) / self.Mm, 0.0)
         dx[3] = v
-        dx[4] = pin.aba(self.model, self.data, q, v, T - self.Dl * v)
+        dx[4] = pin.aba(self.model, self.data, q, v, T - self.Dl * v + self.stop_torques(q, v))
         return dx.ravel()
 
 
