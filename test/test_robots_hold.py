@@ -1,0 +1,42 @@
+"""The robots that come along: brakes hold them without power, end stops take a hit at full speed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from emulator_node.plant import Plant
+from emulator_node.scene import load_scene
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda"])
+def test_without_power_links_drop_by_less_than_their_wind_up(name: str) -> None:
+    scene = load_scene(name, {"energy_flow": True})
+    plant, zero, dt = Plant(scene), np.zeros(len(scene.joints)), scene.integrator.dt
+    plant.powered = False
+    plant.advance(zero, round(0.02 / dt))
+    assert plant.measured.brake_closed.all(), "closed after their delay"
+    caught = plant.state.q
+    plant.advance(zero, round(2.0 / dt))
+    x = plant.state
+    assert (x.omega_m == 0.0).all(), "rotors stand exactly"
+    wind_up = np.abs(scene.wind_up(x.gear_torque)).max()
+    assert np.abs(x.q - caught).max() < wind_up, f"wind-up {wind_up:g} rad"
+    assert np.abs(x.q - scene.start).max() < 3e-3, "from where power went"
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda"])
+def test_a_stop_takes_a_hit_at_full_speed(name: str) -> None:
+    scene = load_scene(name, {"energy_flow": True})
+    plant, V = Plant(scene), np.zeros(len(scene.joints))
+    V[0] = scene.supply_voltage
+    before, flow, given, fastest, deepest = plant.energy, 0.0, 0.0, 0.0, 0.0
+    for _ in range(4000):
+        one = plant.advance_metered(V, 2)
+        flow += float((one.given - one.dissipated).sum())
+        given += float(np.abs(one.given).sum())
+        fastest = max(fastest, float(plant.state.v[0]))
+        upper = scene.joints[0].extras[0].upper  # type: ignore[attr-defined]
+        deepest = max(deepest, float(plant.state.q[0]) - upper)
+    assert fastest > 3.0 and 0.05 < deepest < 0.25, f"{fastest} rad/s, {deepest} rad deep"
+    assert abs(plant.energy - before - flow) < 1e-4 * given, "energy"
