@@ -26,6 +26,7 @@ from std_srvs.srv import SetBool
 
 from arm_emulator.bringup import Bringup
 from arm_emulator.demo_plan import DemoPlan
+from arm_emulator.demo_safety import tell_safety
 from arm_emulator.fig4 import draw_fig4
 from arm_emulator.gains import Gains, check_fit, load_gains
 from arm_emulator.servo_loop import warn_of_loops
@@ -58,6 +59,7 @@ class DemoResult:
     rotations: Array  # rad (K + 1,): angle between tool and target
     predicted: PredictedResidual
     real_time_factor: float
+    arrived: Array  # rad (N,), the joints at the end
 
 
 def demo(scene_name: str, clock: str, out: Path) -> int:
@@ -140,6 +142,7 @@ def _run(
         rotations=np.array([observer.rotation(k) for k in range(len(observer.q))]),
         predicted=predicted,
         real_time_factor=logical / wall,
+        arrived=observer.q[-1],
     )
 
 
@@ -284,4 +287,6 @@ def _tell(scene: Scene, clock: str, result: DemoResult, out: Path, console: Cons
     if len(below):
         console.print(f"below 1 % of {start * 1e3:.1f} mm    after {below[0]} instructions")
     console.print(f"real-time factor          {result.real_time_factor:.2f}")
+    for line in tell_safety(scene, result.arrived):
+        console.print(line)
     console.print(f"look at  {out / 'fig4.png'}  and  rerun {out / 'demo.rrd'}")
