@@ -14,6 +14,7 @@ import numpy as np
 from mujoco import rollout
 from numpy.typing import NDArray
 
+from bench.bare import BARE
 from bench.measure import Task, Timing, interleaved, progress
 from bench.motion import SERVO_PERIOD, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
@@ -58,7 +59,12 @@ def run(quick: bool) -> dict[str, Any]:
 def _scene(name: str, scheme: str, dt: float) -> Scene:
     return load_scene(
         name,
-        {"servo_period": SERVO_PERIOD, "integrator.scheme": scheme, "integrator.dt": dt},
+        {
+            **BARE,
+            "servo_period": SERVO_PERIOD,
+            "integrator.scheme": scheme,
+            "integrator.dt": dt,
+        },
     )
 
 

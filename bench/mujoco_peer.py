@@ -16,14 +16,22 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from emulator_node.parts.dc_motor import DcMotor
+from emulator_node.parts.elastic_gear import ElasticGear
+from emulator_node.parts.friction import LinkFriction
+from emulator_node.parts.gear import RigidGear
 from emulator_node.reference import links_model
 from emulator_node.scene import Joint, Scene
+from words.refusal import Refusal
 
 Array = NDArray[np.float64]
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "discrete", "RK4")
 # Else MuJoCo writes a file into the working directory; `MujocoArm.diverged` tells the same.
 mujoco.set_mju_user_warning(lambda message: None)
+
+# The parts that are written as MJCF here.
+MODELLED = (DcMotor, ElasticGear, RigidGear, LinkFriction)
 
 UNUSED = ("contact", "constraint", "equality", "limit", "frictionloss", "warmstart")
 
@@ -105,6 +113,10 @@ def mjcf(scene: Scene, integrator: str, dt: float) -> str:
     flags = " ".join(f'{name}="disable"' for name in UNUSED)
     links, rotors, gears, motors = "", "", "", ""
     for index, joint in enumerate(scene.joints, start=1):
+        for part in joint.parts:
+            if type(part) not in MODELLED:
+                where = f"joints.{joint.name}.{part.section}"
+                raise Refusal("MuJoCo", where, "be a part that the peer has", type(part).__name__)
         links += _link(model, index, joint)
         if joint.motor is None:
             continue

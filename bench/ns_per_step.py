@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from bench.bare import BARE
 from bench.chains import chain
 from bench.measure import Task, Timing, compile_all, interleaved, progress, stepping, timing
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, joint_axis
@@ -77,7 +78,7 @@ def run(quick: bool) -> dict[str, Any]:
 
 def _schemes(name: str) -> dict[str, Scene]:
     return {
-        scheme: load_scene(name, {"integrator.scheme": scheme, "integrator.dt": DT})
+        scheme: load_scene(name, {**BARE, "integrator.scheme": scheme, "integrator.dt": DT})
         for scheme in SCHEMES
     }
 

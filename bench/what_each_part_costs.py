@@ -33,6 +33,8 @@ OUT: dict[str, dict[str, Any]] = {
         "joints.*.encoder": None,
         "gravity": None,
     },
+    "brakes": {"joints.*.brake": None},
+    "end stops": {"joints.*.end_stops": None},
 }
 IN: dict[str, dict[str, Any]] = {
     "current limit": {"joints.*.motor.current_limit": 20.0},
@@ -55,10 +57,15 @@ def run(quick: bool) -> dict[str, Any]:
 
 
 def _variants(name: str) -> dict[str, dict[str, Any]]:
-    """Return what can be taken out of a scene; without gravity it cannot be taken out."""
-    weightless = load_scene(name).gravity is None
+    """Return what can be taken out of a scene: what it has."""
+    scene = load_scene(name)
+    absent = {
+        "gravity": scene.gravity is None,
+        "brakes": not any(joint.brake for joint in scene.joints),
+        "end stops": not any(joint.extras for joint in scene.joints),
+    }
     return {FULL: {}} | {
-        part: overrides for part, overrides in OUT.items() if not (part == "gravity" and weightless)
+        part: overrides for part, overrides in OUT.items() if not absent.get(part, False)
     }
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.bare import BARE
 from bench.measure import Task, Timing, compile_all, interleaved, progress, without_collector
 from bench.measure import wall as wall_time
 from bench.motion import SERVO_PERIOD, sines
@@ -86,7 +87,7 @@ def run(quick: bool) -> dict[str, Any]:
 
 def _scene(case: Case, scheme: str, dt: float) -> Scene:
     own = {"servo_period": case.period, "integrator.scheme": scheme, "integrator.dt": dt}
-    return load_scene(case.scene, {**case.overrides, **own})
+    return load_scene(case.scene, {**BARE, **case.overrides, **own})
 
 
 def steps_of(largest: float, smallest: float) -> list[float]:
