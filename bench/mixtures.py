@@ -158,6 +158,15 @@ def _counterbalance(rng: Rng) -> Numbers:
     }  # fmt: skip
 
 
+def _torque_table(rng: Rng) -> Numbers:
+    angles = np.cumsum(rng.uniform(0.05, 0.4, int(rng.integers(4, 12)))) - 1.5
+    torques = rng.uniform(-5.0, 5.0, len(angles))
+    periodic = bool(rng.random() < 0.5)
+    if periodic:
+        torques[-1] = torques[0]
+    return {"angles": angles.tolist(), "torques": torques.tolist(), "periodic": periodic}
+
+
 # By the name of the Python class. A part that is not here stops the run.
 DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "DcMotor": _dc,
@@ -174,6 +183,7 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "Cogging": _cogging,
     "LinkLuGre": _lugre,
     "RotorLuGre": _rotor_lugre,
+    "TorqueTable": _torque_table,
 }
 
 

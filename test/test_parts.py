@@ -17,12 +17,13 @@ from emulator_node.parts.known import PARTS
 from emulator_node.parts.part import Number, Part
 from emulator_node.parts.sensors import SENSORS
 from emulator_node.parts.torque_sensor import TorqueSensor
+from emulator_node.parts.torque_table import TorqueTable
 from emulator_node.section import LARGEST, SMALLEST, Section
 from words.refusal import Refusal
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-# Other sensors have more than numbers, see test_sensors.py.
-OF_NUMBERS = (*PARTS, CurrentSensor, TorqueSensor)
+# Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
+OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), CurrentSensor, TorqueSensor)
 parts = pytest.mark.parametrize("part", OF_NUMBERS, ids=lambda part: part.__name__)
 
 

@@ -222,6 +222,16 @@ struct Drive {
     });
     return E;
   }
+  // Energy of extras whose torque goes with the angle as that of a weight: it may be negative.
+  static constexpr bool has_potential = (false || ... || HasPotential<Extras>);
+  constexpr double potential(const Input<double>& x) const {
+    double U = 0.0;
+    for_each_extra([&](const auto& extra, auto, auto) {
+      if constexpr (HasPotential<std::remove_cvref_t<decltype(extra)>>)
+        U += extra.potential(angle_of(extra, x));
+    });
+    return U;
+  }
   constexpr double dissipated(const Input<double>& x, unsigned held) const {
     double P = friction.Dv * x.v * x.v + sliding(x) * magnitude(x.v);
     if constexpr (driven) P += motor.dissipated(x.z);

@@ -10,7 +10,7 @@ namespace arm {
 
 struct Energy {
   double stored;     // J, kinetic, elastic and magnetic, of links, gears and motors: never negative
-  double potential;  // J, of the links in the field S::gravity
+  double potential;  // J, of the links in the field S::gravity, and of extras
   double jolt;       // N2 m2/(kg m2), sum of Dc^2 / M_jj: how hard dry friction can pull
 
   double total() const { return stored + potential; }
@@ -30,6 +30,7 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
     const double own =
         0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
     E.stored += own;
+    if constexpr (drive.has_potential) E.potential += drive.potential(input_of(drive, j, x, 0.0));
     E.jolt += n.Dc(j) * n.Dc(j) / (M.at[j][j] + n.carried(j));
     for (int m = j + 1; m < S::N; ++m) E.stored += x.v[j] * M.at[j][m] * x.v[m];
     if (greediest && own > most) {

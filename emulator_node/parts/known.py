@@ -22,6 +22,7 @@ from emulator_node.parts.progressive_gear import ProgressiveGear
 from emulator_node.parts.stribeck import LinkStribeck, RotorStribeck
 from emulator_node.parts.torque_motor import TorqueMotor
 from emulator_node.parts.torque_ripple import TorqueRipple
+from emulator_node.parts.torque_table import TorqueTable
 from emulator_node.section import Section
 
 # The first is meant where a scene gives no `motor.kind`.
@@ -52,6 +53,7 @@ EXTRAS: tuple[type[Part], ...] = (
     LinkLuGre,
     RotorLuGre,
     Cogging,
+    TorqueTable,
 )
 
 PARTS: tuple[type[Part], ...] = (
