@@ -1,7 +1,8 @@
 // The controllers of the Manutec r3 and their loop around the machine, in one unit with its library
 // (arm.h): Modelica Standard Library, RobotR3.Components.AxisControlBus and ServoMotor.
 //
-// Per axis, with the path's angle and speed q_ref, v_ref, the gear's ratio n, motor angle and speed:
+// Per axis, with the path's angle and speed q_ref, v_ref, the gear's ratio n, motor angle and
+// speed:
 //
 //   position and speed  u = n v_ref + kp (n q_ref - theta_m) - omega_m
 //                       dx/dt = u / Ts                i_ref = ks (x + u)

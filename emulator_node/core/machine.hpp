@@ -119,7 +119,8 @@ class Machine {
   }
   // Let those brakes change whose time has come.
   void follow_brakes() {
-    if (fault < 0) brakes.at_step(steps_taken, [this](int k, bool closed) { set_brake(k, closed); });
+    if (fault < 0)
+      brakes.at_step(steps_taken, [this](int k, bool closed) { set_brake(k, closed); });
   }
   // Steps until the next brake changes.
   std::int64_t steps_to_brakes() const {

@@ -36,9 +36,9 @@ class Cell {
     tick.store(command.tick, std::memory_order_relaxed);
     for (std::size_t j = 0; j < values.size(); ++j) {
       const arm_joint_command& joint = command.joint[j];
-      modes[j].store(static_cast<std::uint64_t>(joint.enable) << 32 |
-                         static_cast<std::uint32_t>(joint.mode),
-                     std::memory_order_relaxed);
+      modes[j].store(
+          static_cast<std::uint64_t>(joint.enable) << 32 | static_cast<std::uint32_t>(joint.mode),
+          std::memory_order_relaxed);
       values[j].store(joint.value, std::memory_order_relaxed);
     }
     sequence.store(s + 2, std::memory_order_release);
