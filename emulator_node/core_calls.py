@@ -8,6 +8,7 @@ from typing import Any
 
 VERSION = 2  # of arm.h
 OK, REFUSED, DIVERGED = range(3)  # enum arm_result
+FAULT_THERMAL = 2  # of enum arm_fault
 MODES = {"V": 1, "N m": 2, "A": 4, "V dq": 8}  # enum arm_mode, by the unit of the command
 
 _pointer, _int, _count, _double = ctypes.c_void_p, ctypes.c_int, ctypes.c_int64, ctypes.c_double
@@ -35,6 +36,7 @@ ARM_CALLS: Calls = {
     "arm_save": (_int, [_pointer, _pointer, _count]),
     "arm_restore": (_int, [_pointer, _pointer, _count]),
     "arm_get_truth": (_int, [_pointer] * 2),
+    "arm_get_winding_temperatures": (None, [_pointer] * 2),
     "arm_set_truth": (_int, [_pointer] * 2),
     "arm_advance": (_int, [_pointer, _pointer, _count]),
     "arm_run": (_int, [_pointer, _pointer, _count, _count, _pointer]),

@@ -15,6 +15,7 @@ from emulator_node.chain import Array
 from emulator_node.compiler import library_of
 from emulator_node.core_calls import (
     DIVERGED,
+    FAULT_THERMAL,
     JOINT_COMMAND,
     MODES,
     OK,
@@ -541,6 +542,23 @@ class Plant:
         truth = Truth(**{name: _address(row) for name, row in rows.items()})
         if self.core.arm_set_truth(self.machine, ctypes.byref(truth)) == REFUSED:
             raise self._refusal(where, "another one")
+
+    @property
+    def winding_temperatures(self) -> Array:
+        """Of the motors' windings (N,) [degC]; NaN where the scene tells of none."""
+        temperatures = np.empty(self._N)
+        self.core.arm_get_winding_temperatures(self.machine, _pointer(temperatures))
+        return temperatures
+
+    @property
+    def overheated(self) -> NDArray[np.bool_]:
+        """Whether each drive reports that its winding is beyond its limit (N,).
+
+        `exchange` then takes the command as 0 and closes the brake.
+        """
+        self.core.arm_measure(self.machine, self._structs[1])
+        hot: NDArray[np.bool_] = (self._measured["faults"] & FAULT_THERMAL) != 0
+        return hot
 
     def _look(self, truth: Truth) -> Truth:
         """Have what has a place in `truth` written there."""

@@ -36,6 +36,7 @@ from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.parts.sensors import JointSensors
 from emulator_node.parts.torque_ripple import TorqueRipple
+from emulator_node.parts.winding import Winding
 from emulator_node.section import LARGEST, LARGEST_COUNT, SMALLEST, Section
 from emulator_node.varied import Varied, choose_varied
 from words.config_files import BESIDE, find_config
@@ -70,6 +71,7 @@ class Joint:
     sensors: JointSensors
     friction: Friction
     rotor_friction: Friction | None = None
+    winding: Winding | None = None
     ripple: TorqueRipple | None = None
     brake: Brake | None = None
     extras: tuple[Part, ...] = ()  # that stand in sections of their own
@@ -80,8 +82,9 @@ class Joint:
         motor = () if self.motor is None else (self.motor,)
         rotor = () if self.rotor_friction is None else (self.rotor_friction,)
         brake = () if self.brake is None else (self.brake,)
+        winding = () if self.winding is None else (self.winding,)
         ripple = () if self.ripple is None else (self.ripple,)
-        return (*motor, *ripple, self.gear, self.friction, *rotor, *brake, *self.extras)
+        return (*motor, *winding, *ripple, self.gear, self.friction, *rotor, *brake, *self.extras)
 
     @property
     def command(self) -> str:
@@ -309,6 +312,7 @@ def _joints(
 def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
     motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
     of_rotor = None if motor is None else motor.section("friction")
+    winding = None if motor is None else motor.section("winding")
     ripple = None if motor is None else motor.section("ripple")
     brake, stops = one.section("brake"), one.section("end_stops")
     for key, part in (("gear", gear), ("brake", brake)):
@@ -324,6 +328,7 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         sensors=JointSensors.read(one, kind),
         friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
+        winding=None if winding is None else Winding.read(winding),
         ripple=None if ripple is None else TorqueRipple.read(ripple),
         brake=None if brake is None else Brake.read(brake),
         extras=read_extras(one),
@@ -333,6 +338,13 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         if joint.ripple is not None and joint.motor.follows_speed_at_once:
             rule = "come with an inductance: the current would follow each wave at once"
             raise one.refusal("motor.ripple", rule, "none")
+        if joint.winding is not None:
+            if not joint.motor.has_winding:
+                rule = "belong to a motor that has a resistance"
+                raise one.refusal("motor.winding", rule, joint.motor.kind, "dc, pmsm")
+            if joint.motor.follows_speed_at_once:
+                rule = "come with an inductance: the current would follow the temperature at once"
+                raise one.refusal("motor.winding", rule, "none")
         _check_reflected(joint.motor, joint.gear.ratio, one)
     return joint
 

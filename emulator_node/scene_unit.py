@@ -153,6 +153,9 @@ def _drive(joint: Joint, places: Mapping[str, str], closed: str | None) -> str:
     own = f"{motor}{{}}"
     if joint.motor is not None:
         motor, own = joint.motor.cxx_type, part(joint.motor)
+        if joint.winding is not None:
+            own = joint.winding.around(motor, own, part(joint.winding))
+            motor = joint.winding.around_type(motor)
         if joint.ripple is not None:
             motor, own = joint.ripple.around_type(motor), joint.ripple.around(motor, own)
     kinds = [

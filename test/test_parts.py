@@ -76,7 +76,7 @@ def read(part: type[Part], data: dict[str, Any]) -> Part:
 
 def out_of_bounds(key: str, one: Number, data: dict[str, float]) -> list[Any]:
     bad: list[Any] = [None, "much", True, [1.0], math.nan, math.inf, -math.inf, 10**400]
-    bad.append(one.most * 1.001 if one.most < LARGEST else 2.0 * LARGEST)
+    bad.append(one.most + 1e-3 * (abs(one.most) or 1.0) if one.most < LARGEST else 2.0 * LARGEST)
     if one.above is not None:
         bad += [one.above] if one.in_size else [one.above, one.above - 1.0, -LARGEST]
         bad += [0.5 * SMALLEST] if one.above == 0.0 else []

@@ -131,7 +131,11 @@ typedef struct arm_command {
   const double* value_d; /* V, an entry per joint, see ARM_VOLTAGE_DQ; null: 0; since version 2 */
 } arm_command;
 
-enum arm_fault { ARM_FAULT_DIVERGED = 1 };
+enum arm_fault {
+  ARM_FAULT_DIVERGED = 1,
+  /* The winding is beyond its limit: in a period that begins so its drive is not enabled. */
+  ARM_FAULT_THERMAL = 2
+};
 
 typedef struct arm_joint_measurement {
   int64_t encoder; /* counts at the motor, as its encoder tells them */
@@ -247,6 +251,8 @@ typedef struct arm_truth {
 } arm_truth;
 
 int arm_get_truth(const arm_machine* machine, arm_truth* out);
+/* Temperatures of the windings, an entry per joint [degC]; NaN where the scene tells of none. */
+void arm_get_winding_temperatures(const arm_machine* machine, double* out);
 /* Set currents, motors and links; a null array stays as it is. Time, energy, torque and fault of
  * the struct are not read. A motor behind a rigid gear turns with its link, and a joint without a
  * motor has none: what contradicts that is refused. The scheme begins with no past. */

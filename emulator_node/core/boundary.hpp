@@ -144,6 +144,8 @@ struct arm_machine {
   void measure(arm_measurement* out) const {
     double current[N], angle[N], speed[N];
     machine.report(current, angle, speed);
+    [[maybe_unused]] bool hot[N] = {};
+    if constexpr (Machine::heats) machine.too_hot(hot);
     for (int j = 0; j < N; ++j) {
       arm_joint_measurement& joint = out->joint[j];
       const double counts = __builtin_floor(angle[j] * Scene::device[j].counts_per_rad);
@@ -151,6 +153,8 @@ struct arm_machine {
       joint.current = current[j];
       joint.voltage = voltage[j];
       joint.faults = machine.faulty_joint() == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
+      if constexpr (Machine::heats)
+        if (hot[j]) joint.faults |= ARM_FAULT_THERMAL;
       joint.brake = 0;
     }
     for (int k = 0; k < Scene::brakes; ++k)
@@ -295,13 +299,15 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
     return ARM_REFUSED;
   double voltage[arm_machine::N], voltage_d[arm_machine::N] = {};
   const double* second = command->size >= sizeof *command ? command->value_d : nullptr;
+  bool hot[arm_machine::N] = {};  // a motor that is too hot is not enabled
+  if constexpr (arm_machine::Machine::heats) machine->machine.too_hot(hot);
   for (int j = 0; j < arm_machine::N; ++j) {
     const arm_joint_command& joint = command->joint[j];
     if (joint.enable && joint.mode != arm::kModes.at[j])
       return machine->refuse(j, "mode", "be one that the drive has", joint.mode);
     if (joint.enable && !arm::is_finite(joint.value))
       return machine->refuse(j, "value", "be finite", joint.value);
-    const bool on = machine->powered && joint.enable;
+    const bool on = machine->powered && joint.enable && !hot[j];
     voltage[j] = on ? joint.value : 0.0;
     if (!second) continue;
     if (joint.enable && !arm::is_finite(second[j]))
@@ -309,7 +315,8 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
     voltage_d[j] = on ? second[j] : 0.0;
   }
   for (int k = 0; k < Scene::brakes; ++k) {
-    const std::uint32_t enable = command->joint[Scene::braked[k]].enable;
+    const int j = Scene::braked[k];
+    const std::uint32_t enable = hot[j] ? 0 : command->joint[j].enable;
     machine->machine.want_brake(k, !machine->powered || !enable || enable & ARM_CLOSE_BRAKE);
   }
   if constexpr (arm_machine::Machine::has_second) machine->machine.put_second(voltage_d);
@@ -511,6 +518,10 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
   out->time = machine->machine.time();
   if (out->energy) *out->energy = machine->machine.energy();
   return machine->result();
+}
+
+void arm_get_winding_temperatures(const arm_machine* machine, double* out) {
+  machine->machine.winding_temperatures(out);
 }
 
 ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {

@@ -278,6 +278,17 @@ struct Drive {
     return 0.0;
   }
 
+  // The temperature of the winding [degC], and whether it is beyond its limit (winding.hpp).
+  static constexpr bool heats = requires(Motor motor, const double* z) { motor.temperature(z); };
+  constexpr double winding_temperature(const Input<double>& x) const {
+    if constexpr (heats) return motor.temperature(x.z);
+    return __builtin_nan("");
+  }
+  constexpr bool too_hot(const Input<double>& x) const {
+    if constexpr (heats) return motor.too_hot(x.z);
+    return false;
+  }
+
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<double>& x) const {
     Modes at;

@@ -246,6 +246,18 @@ class Machine {
     });
   }
 
+  // The temperatures of the windings [degC], NaN where none is known, and which are too hot.
+  static constexpr bool heats = any_drive<S>([](const auto& drive) { return drive.heats; });
+  void winding_temperatures(double* temperature) const {
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      temperature[j] = drive.winding_temperature(input_of(drive, j, x, 0.0));
+    });
+  }
+  void too_hot(bool* hot) const {
+    numbers.for_each_drive(
+        [&](const auto& drive, int j) { hot[j] = drive.too_hot(input_of(drive, j, x, 0.0)); });
+  }
+
   // Put commands within the bounds of their motors.
   void bound(double* u) const { bound_commands(numbers, x, u); }
 

@@ -23,6 +23,7 @@ from emulator_node.parts.stribeck import LinkStribeck, RotorStribeck
 from emulator_node.parts.torque_motor import TorqueMotor
 from emulator_node.parts.torque_ripple import TorqueRipple
 from emulator_node.parts.torque_table import TorqueTable
+from emulator_node.parts.winding import Winding
 from emulator_node.section import Section
 
 # The first is meant where a scene gives no `motor.kind`.
@@ -58,6 +59,7 @@ EXTRAS: tuple[type[Part], ...] = (
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
+    Winding,
     TorqueRipple,
     *GEARS,
     *LINK_FRICTIONS,

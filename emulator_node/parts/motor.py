@@ -14,6 +14,7 @@ class Motor(Part):
 
     section = "motor"
     kind: ClassVar[str]  # `motor.kind` in the scene
+    has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
     command: ClassVar[str] = "V"  # unit of what it is commanded: V, N m, A or V dq
 
     @property

@@ -14,6 +14,7 @@ class Pmsm(Motor):
     """A permanent-magnet synchronous motor in the frame of its rotor, amplitudes of its phases."""
 
     kind = "pmsm"
+    has_winding = True
     header = "pmsm.hpp"
     cxx = "Pmsm"
     command = "V dq"
