@@ -35,7 +35,7 @@ int main() {
                                               .join_schedule = arm_join_schedule,
                                               .period = 200'000,
                                               .core = -1,
-                                              .reserved = 0};
+                                              .imus = 0};
   arm_real_time* loop = arm_real_time_new(&loop_options);
   if (!loop) return 2;
   double energy, torques[N];
