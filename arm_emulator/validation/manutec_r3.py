@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,13 @@ class Motion:
         return np.sign(np.hstack([self.omega_m[:, ELASTIC], self.v[:, 3:]]))
 
 
+@cache
+def turns_of_motors() -> Array:
+    """Return by how much the motors turn as their links turn by 1."""
+    return 1.0 / np.array([joint.gear.ratio for joint in load_scene("manutec_r3").joints])
+
+
+@cache
 def solution() -> tuple[Motion, Array, Array, Array]:
     """Return the independent solution, its friction modes, and the controllers' initial states.
 
@@ -57,8 +65,8 @@ def solution() -> tuple[Motion, Array, Array, Array]:
     with Dymola's published one to 4.7e-9 rad.
     """
     data = np.load(config_folder() / "validation" / "manutec_r3" / "solution.npz")
-    ratio = 1.0 / np.array([joint.gear.ratio for joint in load_scene("manutec_r3").joints])
-    theta_m, omega_m = data["q"] * ratio, data["v"] * ratio
+    turns = turns_of_motors()
+    theta_m, omega_m = data["q"] * turns, data["v"] * turns
     theta_m[:, ELASTIC], omega_m[:, ELASTIC] = data["motor_angle"], data["motor_speed"]
     motion = Motion(data["t"], data["current"], theta_m, omega_m, data["q"], data["v"])
     modes = data["friction_mode"].astype(float)
@@ -90,9 +98,8 @@ def simulate(period: float = 5e-5, steps: int = 1, scheme: str = "rosenbrock",
         "q": truth.q[0], "v": truth.v[0],
     })  # fmt: skip
     way = Q_END - Q_BEGIN
-    ratio = 1.0 / np.array([joint.gear.ratio for joint in scene.joints])
     axes = np.ascontiguousarray(
-        np.column_stack([ratio, REGULATOR_W, REGULATOR_D, Q_BEGIN, way, x, C])
+        np.column_stack([turns_of_motors(), REGULATOR_W, REGULATOR_D, Q_BEGIN, way, x, C])
     )
     # All axes begin and end together (Modelica's KinematicPTP2).
     path = 1.0 / np.array(
@@ -139,9 +146,9 @@ def compare(motion: Motion) -> Comparison:
         most: Array = np.abs(differences).max(axis=0)
         return most
 
-    ratio = 1.0 / np.array([joint.gear.ratio for joint in load_scene("manutec_r3").joints])
-    wind_up = (ratio * q - others["theta_m"])[:, ELASTIC]
-    wound = (ratio * truth.q - truth.theta_m)[inside][:, ELASTIC]
+    turns = turns_of_motors()
+    wind_up = (turns * q - others["theta_m"])[:, ELASTIC]
+    wound = (turns * truth.q - truth.theta_m)[inside][:, ELASTIC]
     now = np.searchsorted(motion.t, t + 1e-9, side="right") - 1
     same = motion.friction_mode[now] == modes[inside]
     return Comparison(
