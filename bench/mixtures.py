@@ -32,7 +32,7 @@ import yaml
 from rich.console import Console
 
 from bench.measure import progress
-from bench.random_chain import random_chain_urdf
+from bench.random_chain import moving_joints, random_chain_urdf
 from emulator_node.fleet import Fleet
 from emulator_node.parts.known import EXTRAS, GEARS, MOTORS
 from emulator_node.plant import Diverged, Plant
@@ -214,8 +214,6 @@ def write_mixture(folder: Path, seed: int) -> Path:
     """Write the scene of a mixture and return its path."""
     rng = np.random.default_rng([seed, 4242])
     urdf = random_chain_urdf(rng, 2)
-    names = [line.split('"')[1] for line in urdf.splitlines()
-             if "<joint" in line and 'type="fixed"' not in line]  # fmt: skip
     (folder / "mixture.urdf").write_text(urdf)
     scene = {
         "name": "mixture",
@@ -223,7 +221,7 @@ def write_mixture(folder: Path, seed: int) -> Path:
         "tool": "base",
         "gravity": [0.0, 0.0, -9.81],
         "supply_voltage": 24.0,
-        "joints": {name: drawn_joint(rng) for name in names},
+        "joints": {name: drawn_joint(rng) for name in moving_joints(urdf)},
         "integrator": {"scheme": "rosenbrock", "dt": PERIOD / STEPS[0], "events": "located"},
         "servo_period": PERIOD,
         "energy_flow": True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,12 @@ def random_chain_urdf(rng: np.random.Generator, joints: int) -> str:
             )  # fmt: skip
             parent = f"{name}_link"
     return text + "</robot>"
+
+
+def moving_joints(urdf: str) -> list[str]:
+    """Return the names of a chain's joints that are not fixed, base to tool."""
+    joints = ET.fromstring(urdf).findall("joint")
+    return [joint.get("name", "") for joint in joints if joint.get("type") != "fixed"]
 
 
 def _words(values: Any) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from bench.random_chain import LINK, random_chain_urdf
+from bench.random_chain import LINK, moving_joints, random_chain_urdf
 from emulator_node.scene import Scene, load_scene
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
@@ -73,10 +73,6 @@ def write_scene(folder: Path, urdf: str, joints: dict[str, Any], **keys: Any) ->
     file = folder / "scene.yaml"
     file.write_text(yaml.safe_dump(data))
     return file
-
-
-def moving_joints(urdf: str) -> list[str]:
-    return [name for name in pin.buildModelFromXML(urdf).names if name != "universe"]
 
 
 def random_chain(folder: Path, seed: int, joints: int, **keys: Any) -> Scene:

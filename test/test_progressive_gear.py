@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import one_link_urdf, random_chain_urdf, write_scene
+from machines import moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.special import ellipj, ellipk
 
 from emulator_node.advice import ORDERS
@@ -55,16 +55,11 @@ def drawn_arm(folder: Path, seed: int) -> Path:
     """Three random joints, at least one with such a gear; others linear, rigid or without motor."""
     rng = np.random.default_rng([seed, 77])
     urdf = random_chain_urdf(rng, 3)
-    names = [
-        line.split('"')[1]
-        for line in urdf.splitlines()
-        if "<joint" in line and 'type="fixed"' not in line
-    ]
     joints: dict[str, dict[str, Any]] = {}
     kinds = rng.permutation(
         ["progressive", *rng.choice(["progressive", "linear", "rigid", "no"], 2)]
     )
-    for place, (name, kind) in enumerate(zip(names, kinds, strict=True)):
+    for place, (name, kind) in enumerate(zip(moving_joints(urdf), kinds, strict=True)):
         joints[name] = {"friction": {"viscous": float(rng.uniform(0.0, 1.0))}}
         if kind == "no":
             continue

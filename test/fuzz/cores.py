@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from machines import random_chain_urdf, write_scene
+from machines import moving_joints, random_chain_urdf, write_scene
 
 from emulator_node.plant import Diverged, Plant
 from emulator_node.real_time import RealTimeSession
@@ -139,11 +139,7 @@ def random_sensors(rng: np.random.Generator, joints: dict[str, Any], link: str) 
 def random_machine(rng: np.random.Generator, folder: Path, joints: int) -> Path:
     """Write a random scene of so many joints and return its path."""
     urdf = random_chain_urdf(rng, joints)
-    names = [
-        line.split('"')[1]
-        for line in urdf.splitlines()
-        if "<joint" in line and 'type="fixed"' not in line
-    ]
+    names = moving_joints(urdf)
     scheme = str(rng.choice(SCHEMES))
     dt = float(rng.choice([1e-3, 5e-4, 1e-4, 2e-5]))
     keys: dict[str, Any] = {"integrator": {"scheme": scheme, "dt": dt}}
