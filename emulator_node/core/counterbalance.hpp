@@ -1,11 +1,15 @@
 // A spring between the link and what carries it, as a gas spring that takes the weight of an arm.
 //
 // One end is at the distance a from the joint's axis, the other, on the link, at b; at q = phi they
-// are on the same side of it. The spring is l long and pushes with F, more the shorter it is:
+// are on the same side of it. The spring is l long and pushes with F, or pulls with -F:
 //
-//   l^2 = a^2 + b^2 - 2 a b cos(q - phi)      F = F0 - k (l - l0)      T = F dl/dq
+//   l^2 = a^2 + b^2 - 2 a b cos(q - phi)      T = F dl/dq
+//   F = F0 - k (l - l0)                       of a straight characteristic
+//   F = F0 h / (h + sign(F0) (l - l0))        of a gas column that is h long at l0, at one
+//                                             temperature (Boyle)
 //
-// It takes nothing, and stores the integral of F from l to the greatest length a + b.
+// It takes nothing, and stores what brings it from the length at which it is least strained, the
+// greatest or the smallest one, to l.
 #pragma once
 
 #include "number.hpp"
@@ -36,6 +40,7 @@ struct Counterbalance {
   double F0;    // N, at the length l0
   double l0;    // m
   double k;     // N/m
+  double h;     // m; 0: a straight characteristic
 
   static constexpr Place place = Place::link;
   static constexpr int states = 0, modes = 0;
@@ -45,15 +50,22 @@ struct Counterbalance {
   ARM_INLINE constexpr X torque(X q, X, const X*, X, bool) const {
     const auto [sin, cos] = sincos(q - phi);
     const X l = length(cos);
-    return (F0 - k * (l - l0)) * (a * b) * sin / l;
+    return force(l) * (a * b) * sin / l;
   }
   template <class X>
   ARM_INLINE constexpr X stored(X q, const X*) const {
-    return work(length(sincos(q - phi).cos)) - work(a + b);
+    return work(length(sincos(q - phi).cos)) - work(relaxed());
   }
   constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
 
  private:
+  constexpr double compressing() const { return F0 < 0.0 ? -1.0 : 1.0; }
+  constexpr double relaxed() const { return F0 < 0.0 ? magnitude(a - b) : a + b; }
+  template <class X>
+  ARM_INLINE constexpr X force(X l) const {
+    if (h == 0.0) return F0 - k * (l - l0);
+    return F0 * h / (h + compressing() * (l - l0));
+  }
   template <class X>
   ARM_INLINE constexpr X length(X cos) const {
     const X square = (a * a + b * b) - 2.0 * a * b * cos;
@@ -69,7 +81,15 @@ struct Counterbalance {
   // dwork/dl = -F.
   template <class X>
   ARM_INLINE constexpr X work(X l) const {
-    return (l - l0) * (0.5 * k * (l - l0) - F0);
+    if (h == 0.0) return (l - l0) * (0.5 * k * (l - l0) - F0);
+    X beside = 1.0 + compressing() * (l - l0) / h;
+    if constexpr (kWidth<X> == 1) {
+      beside = __builtin_log(beside);
+    } else {
+      for (int lane = 0; lane < kWidth<X>; ++lane)
+        set_lane(beside, lane, __builtin_log(lane_of(beside, lane)));
+    }
+    return -compressing() * F0 * h * beside;
   }
 };
 
