@@ -7,6 +7,8 @@ from setuptools import find_packages, setup
 NAME = "arm_emulator"
 PACKAGES = (
     "words",
+    "firmware",
+    "compiled",
     "ros_shell",
     "emulator_node",
     "servo_node",
@@ -33,7 +35,8 @@ setup(
     maintainer_email="arm_emulator@example.org",
     packages=find_packages(include=[name + tail for name in PACKAGES for tail in ("", ".*")]),
     package_data={
-        "emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h"],
+        "firmware": ["*.c", "*.h", "template/*"],
+        "emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h", "core/*.c"],
         "arm_emulator": ["validation/*.hpp"],
         "": ["py.typed"],
     },

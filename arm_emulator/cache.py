@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from emulator_node.library_cache import (
+from compiled.library_cache import (
     SIZE_VARIABLE,
     entries,
     largest_size,

@@ -37,9 +37,9 @@ from bench.event_reference import reference_with_events
 from bench.measure import progress
 from bench.pictures import COLOURS, new_figure, save
 from bench.random_chain import random_chain_urdf
+from compiled.library_cache import CACHE_VARIABLE
 from emulator_node.advice import ORDERS
 from emulator_node.chain import Array
-from emulator_node.library_cache import CACHE_VARIABLE
 from emulator_node.plant import Diverged, Plant
 from emulator_node.reference import ReferenceMachine
 from emulator_node.scene import SCHEMES, Scene, load_scene

@@ -1,26 +1,15 @@
-"""From C++ to shared libraries, cached by content: of scenes, of fleets, and of real time."""
+"""From scenes to shared libraries, cached by content: of machines, of fleets, and of real time."""
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
-import hashlib
-import platform
-import sys
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
 
-from emulator_node import library_cache
-from emulator_node.core_calls import ARM_CALLS, FLEET_CALLS, REAL_TIME_CALLS, Calls, declare
-from emulator_node.cxx import find_compiler, run_compiler
-from emulator_node.elf import why_no_library
+from compiled.unit import Calls, Unit, compile_units, library
+from emulator_node.core_calls import ARM_CALLS, FLEET_CALLS, REAL_TIME_CALLS
 from emulator_node.scene import Scene
 from emulator_node.scene_unit import scene_unit
-from emulator_node.trusted import Untrusted, check_folder, read_file
-from words.refusal import Refusal
 
 CORE = Path(__file__).resolve().parent / "core"
 
@@ -31,28 +20,6 @@ FLAGS = (
     "-pthread -fno-signed-zeros -fassociative-math -ffinite-math-only -freciprocal-math"
 ).split()
 
-# Targets that `arm_emulator compile` can build for, best first; "native" is this machine's.
-PORTABLE_TARGETS = ("x86-64-v4", "x86-64-v3", "x86-64-v2", "x86-64")
-
-
-@dataclass(frozen=True)
-class Unit:
-    """C++ that becomes one library.
-
-    Attributes:
-        name: how its file is called.
-        source: the text.
-        calls: what the library must have.
-        where: what a refusal names.
-        about: what the user is told while it is compiled.
-    """
-
-    name: str
-    source: str
-    calls: Calls
-    where: str
-    about: str
-
 
 def library_of(scene: Scene) -> ctypes.CDLL:
     """Return the scene's compiled machine, compiling it if no cached library fits.
@@ -60,7 +27,7 @@ def library_of(scene: Scene) -> ctypes.CDLL:
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    return _library(_unit_of(scene))
+    return library(_unit_of(scene))
 
 
 def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.CDLL:
@@ -73,209 +40,60 @@ def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.C
         calls: the functions that it adds.
     """
     unit = _unit_of(scene)
-    about = f"{unit.about} with {name}"
-    whole = Unit(f"{scene.name}-{name}", unit.source + source, {**unit.calls, **calls}, scene.where,
-                 about)  # fmt: skip
-    return _library(whole)
+    return library(
+        replace(
+            unit,
+            name=f"{scene.name}-{name}",
+            source=unit.source + source,
+            calls={**unit.calls, **calls},
+            about=f"{unit.about} with {name}",
+        )
+    )
 
 
 def fleet_library_of(scene: Scene) -> ctypes.CDLL:
     """Return the scene's compiled fleet, see `library_of`."""
-    return _library(_fleet_unit_of(scene))
+    return library(_fleet_unit_of(scene))
 
 
 def real_time_library() -> ctypes.CDLL:
     """Return the compiled loop of core/real_time.h, see `library_of`."""
-    return _library(_real_time_unit())
-
-
-def _unit_of(scene: Scene) -> Unit:
-    about = f"scene {scene.name} ({len(scene.joints)} joints)"
-    return Unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
-
-
-def _fleet_unit_of(scene: Scene) -> Unit:
-    about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
-    source = scene_unit(scene, "fleet_boundary.hpp")
-    return Unit(f"{scene.name}-fleet", source, FLEET_CALLS, scene.where, about)
-
-
-def _real_time_unit() -> Unit:
-    source = '#include "real_time.cpp"\n'
-    return Unit("real_time", source, REAL_TIME_CALLS, "real time", "the real-time loop")
-
-
-def _library(unit: Unit) -> ctypes.CDLL:
-    for folder in library_cache.cache_folders():
-        for target in ("native", *PORTABLE_TARGETS):
-            if target == "native" or _runs_here(target):
-                file = folder / _library_name(unit, target)
-                try:
-                    return declare(library_cache.load(file), unit.calls)
-                except FileNotFoundError:
-                    continue
-                except library_cache.Damaged as error:
-                    _say_damaged(file, error)
-    for folder in library_cache.writable_caches():
-        with _compiled(unit, "native", folder) as file:
-            try:
-                return declare(library_cache.load(file), unit.calls)
-            except (library_cache.Damaged, FileNotFoundError) as error:
-                _say_damaged(file, error)
-    raise AssertionError("writable_caches ends with a refusal")
+    return library(_real_time_unit())
 
 
 def compile_ahead(
     scene: Scene, target: str, folder: Path | None, fleet: bool = False
 ) -> list[Path]:
-    """Compile machine and real-time loop for `target`, for machines without a compiler.
+    """Compile machine and real-time loop, see `compiled.unit.compile_units`.
 
     Args:
         scene: the scene.
-        target: "native" or one of `PORTABLE_TARGETS`.
-        folder: gets copies of the libraries in the cache; None: the cache is enough.
+        target: see there.
+        folder: see there.
         fleet: also for many arms side by side.
 
-    Returns:
-        Where the libraries are.
-
     Raises:
-        Refusal: an unknown target, no compiler, it fails, or no place to write to.
+        Refusal: see there.
     """
-    targets = ("native", *PORTABLE_TARGETS)
-    if target not in targets:
-        raise Refusal("compile", "target", "be known", target, ", ".join(targets))
-    cache = next(library_cache.writable_caches())
     units = [_unit_of(scene), _real_time_unit(), *([_fleet_unit_of(scene)] if fleet else [])]
-    return [_ahead(unit, target, cache, folder) for unit in units]
+    return compile_units(units, target, folder)
 
 
-def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
-    with _compiled(unit, target, cache) as library:
-        if folder is None:
-            return library
-        try:
-            try:
-                check_folder(folder, make=0o755)
-            except Untrusted as reason:  # it may be on its way to another place
-                library_cache.say_once(
-                    f"arm_emulator: no library is loaded from {folder} as it is: {reason}"
-                )
-                folder.mkdir(parents=True, exist_ok=True)
-            if folder.resolve() == library.parent.resolve():
-                return library
-            return library_cache.copy_into(library, folder)
-        except OSError as error:
-            raise Refusal(
-                "compile", f"the folder {folder}", "be writable", error.strerror
-            ) from None
+def _unit_of(scene: Scene) -> Unit:
+    about = f"scene {scene.name} ({len(scene.joints)} joints)"
+    return _unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
 
 
-@contextlib.contextmanager
-def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
-    """Give the path of a unit's library in a folder of ours, compiled if it is not there.
-
-    Several processes may do this at once: one compiles, the others wait for it. As long as it is
-    held, nobody removes it.
-
-    Raises:
-        Refusal: no compiler, or it fails; or the folder does not take what it makes.
-    """
-    library = folder / _library_name(unit, target)
-    with contextlib.ExitStack() as held:
-        try:
-            held.enter_context(library_cache.locked(library))
-            try:
-                library_cache.check(library)
-            except (library_cache.Damaged, FileNotFoundError):
-                _compile(unit, target, library)
-        except OSError as error:
-            raise Refusal(unit.where, f"cache folder {folder}", "take the compiled library",
-                          f"{error.strerror} ({error.filename})") from None  # fmt: skip
-        yield library
+def _fleet_unit_of(scene: Scene) -> Unit:
+    about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
+    source = scene_unit(scene, "fleet_boundary.hpp")
+    return _unit(f"{scene.name}-fleet", source, FLEET_CALLS, scene.where, about)
 
 
-def _compile(unit: Unit, target: str, library: Path) -> None:
-    compiler = find_compiler()
-    largest = library_cache.largest_size()
-    print(f"compiling {unit.about} ... ", end="", file=sys.stderr, flush=True)
-    started = time.perf_counter()
-    end = "failed"
-    try:
-        with library_cache.scratch_of(library) as scratch:
-            source, built = scratch / "unit.cpp", scratch / "unit.so"
-            source.write_text(unit.source, encoding="utf-8")
-            command = [*compiler, *FLAGS, f"-march={target}", f"-I{CORE}"]
-            command.append(f"-DARM_FINGERPRINT=0x{_digest(unit, target)[:16]}u")
-            run_compiler([*command, str(source), "-o", str(built)], scratch, unit.where)
-            library_cache.store(library, _built(built, compiler[0], unit), scratch)
-            library_cache.make_room(library, largest)
-        end = f"{time.perf_counter() - started:.1f} s"
-    finally:
-        print(end, file=sys.stderr)
+def _real_time_unit() -> Unit:
+    source = '#include "real_time.cpp"\n'
+    return _unit("real_time", source, REAL_TIME_CALLS, "real time", "the real-time loop")
 
 
-def _built(file: Path, compiler: str, unit: Unit) -> bytes:
-    """Return the library that a compiler says it has made."""
-    body = b""
-    try:
-        # It lies in a folder that is closed to others, whatever the umask has made of its mode.
-        body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
-        reason = why_no_library(body, unit.calls)
-    except FileNotFoundError:
-        reason = "there is none"
-    except (OSError, Untrusted) as error:
-        reason = str(error)
-    if reason:
-        raise Refusal(unit.where, f"compiler {compiler}",
-                      "make a library, though it says nothing is wrong", reason)  # fmt: skip
-    return body
-
-
-def _say_damaged(file: Path, error: Exception) -> None:
-    library_cache.say_once(f"arm_emulator: cached library {file} is not used: {error}")
-
-
-def _library_name(unit: Unit, target: str) -> str:
-    # A name that every file system takes, also with what stands beside a library.
-    name = "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in unit.name)[:60]
-    return f"{name}-{_digest(unit, target)[:20]}.so"
-
-
-def _digest(unit: Unit, target: str) -> str:
-    digest = hashlib.sha256(library_cache.SEAL + _core_digest())
-    processor = _processor() if target == "native" else ""
-    for part in (unit.source, " ".join(FLAGS), target, processor):
-        digest.update(part.encode())
-        digest.update(b"\0")
-    return digest.hexdigest()
-
-
-@cache
-def _core_digest() -> bytes:
-    digest = hashlib.sha256()
-    for file in sorted(file for file in CORE.iterdir() if file.suffix in (".h", ".hpp", ".cpp")):
-        digest.update(file.name.encode())
-        digest.update(file.read_bytes())
-    return digest.digest()
-
-
-@cache
-def _processor() -> str:
-    """Return what decides whether code compiled for one machine runs on another."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith(("flags", "Features")):
-                return f"{platform.machine()} {line}"
-    return f"{platform.machine()} {platform.processor()}"
-
-
-def _runs_here(target: str) -> bool:
-    """Whether this processor has what the x86-64 level `target` names."""
-    needed = {
-        "x86-64": {"sse2"},
-        "x86-64-v2": {"sse4_2", "popcnt", "ssse3"},
-        "x86-64-v3": {"avx2", "fma", "bmi2"},
-        "x86-64-v4": {"avx512f", "avx512dq", "avx512vl", "avx512bw"},
-    }[target]
-    return platform.machine() in ("x86_64", "AMD64") and needed <= set(_processor().split())
+def _unit(name: str, source: str, calls: Calls, where: str, about: str) -> Unit:
+    return Unit(name, source, tuple(FLAGS), (CORE,), calls, where, about, "the scene's core")

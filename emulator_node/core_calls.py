@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
 from typing import Any
+
+from compiled.unit import Calls
 
 VERSION = 2  # of arm.h
 OK, REFUSED, DIVERGED = range(3)  # enum arm_result
@@ -13,8 +14,6 @@ MODES = {"V": 1, "N m": 2, "A": 4, "V dq": 8}  # enum arm_mode, by the unit of t
 
 _pointer, _int, _count, _double = ctypes.c_void_p, ctypes.c_int, ctypes.c_int64, ctypes.c_double
 _int32, _uint32, _uint64 = ctypes.c_int32, ctypes.c_uint32, ctypes.c_uint64
-
-Calls = Mapping[str, tuple[Any, list[Any]]]  # result and arguments of each, by its name
 
 ARM_CALLS: Calls = {
     "arm_describe": (_int, [_pointer]),
@@ -200,16 +199,3 @@ JOINT_SENSORS = [
     ("torque", "f8"),
 ]
 IMU_MEASUREMENT = [("specific_force", "f8", 3), ("angular_rate", "f8", 3)]
-
-
-def declare(library: ctypes.CDLL, calls: Calls) -> ctypes.CDLL:
-    """Tell ctypes the signatures."""
-    for name, (result, arguments) in calls.items():
-        function = getattr(library, name)
-        function.restype, function.argtypes = result, arguments
-    return library
-
-
-def address(library: ctypes.CDLL, function: str) -> int | None:
-    """Return where a function of a library is."""
-    return ctypes.cast(getattr(library, function), ctypes.c_void_p).value

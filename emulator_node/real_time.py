@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from compiled.unit import address
 from emulator_node.chain import Array
 from emulator_node.compiler import real_time_library
 from emulator_node.core_calls import (
@@ -21,7 +22,6 @@ from emulator_node.core_calls import (
     RealTimeOptions,
     Snapshot,
     Truth,
-    address,
 )
 from emulator_node.measured import Measured, MeasuredPlace
 from emulator_node.plant import LARGEST_STEPS, ROWS, Plant, PlantState

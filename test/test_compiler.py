@@ -17,15 +17,15 @@ from draws import some
 from fake_compiler import fake_compiler
 from machines import random_chain
 
-from emulator_node import cxx
+from compiled import cxx
+from compiled.cxx import find_compiler
+from compiled.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from emulator_node.compiler import (
     CORE,
     FLAGS,
     compile_ahead,
     library_of,
 )
-from emulator_node.cxx import find_compiler
-from emulator_node.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from emulator_node.scene import load_scene
 from emulator_node.scene_unit import scene_unit
 from words.refusal import Refusal

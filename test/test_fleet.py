@@ -12,9 +12,9 @@ import pytest
 from draws import some
 
 from bench.random_machines import machine
+from compiled.library_cache import CACHE_VARIABLE
 from emulator_node.compiler import compile_ahead
 from emulator_node.fleet import Fleet
-from emulator_node.library_cache import CACHE_VARIABLE
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal

@@ -19,11 +19,11 @@ import pytest
 from fake_compiler import fake_compiler
 from machines import one_link_urdf, write_scene
 
-from emulator_node import library_cache
+from compiled import library_cache
+from compiled.cxx import find_compiler
+from compiled.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 from emulator_node.compiler import compile_ahead, library_of, real_time_library
 from emulator_node.core_calls import ARM_CALLS, REAL_TIME_CALLS
-from emulator_node.cxx import find_compiler
-from emulator_node.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal
 

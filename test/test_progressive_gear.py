@@ -13,10 +13,10 @@ from draws import some
 from machines import moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.special import ellipj, ellipk
 
+from compiled.cxx import find_compiler
 from emulator_node.advice import ORDERS
 from emulator_node.chain import Array
 from emulator_node.compiler import CORE, FLAGS
-from emulator_node.cxx import find_compiler
 from emulator_node.fleet import Fleet
 from emulator_node.parts.gear import RigidGear
 from emulator_node.parts.progressive_gear import ProgressiveGear

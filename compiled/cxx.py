@@ -43,13 +43,14 @@ def find_compiler() -> list[str]:
     )
 
 
-def run_compiler(command: list[str], folder: Path, where: str) -> None:
+def run_compiler(command: list[str], folder: Path, where: str, part: str) -> None:
     """Run a compiler to its end.
 
     Args:
         command: its words.
         folder: where its files are; left out of its words.
-        where: what is compiled, for refusals.
+        where: what a refusal names.
+        part: what is compiled.
 
     Raises:
         Refusal: it cannot be run, fails, is killed, or does not come to an end.
@@ -64,11 +65,11 @@ def run_compiler(command: list[str], folder: Path, where: str) -> None:
             start_new_session=True,
         )
     except OSError as error:
-        raise _failure(where, command, error.strerror or str(error)) from None
+        raise _failure(where, part, command, error.strerror or str(error)) from None
     try:
         words = _listen(process)
     except TimeoutError:
-        raise _failure(where, command, f"no end within {LONGEST_RUN:g} s") from None
+        raise _failure(where, part, command, f"no end within {LONGEST_RUN:g} s") from None
     finally:
         if process.returncode is None:
             os.killpg(process.pid, signal.SIGKILL)
@@ -86,7 +87,7 @@ def run_compiler(command: list[str], folder: Path, where: str) -> None:
     text = words.decode(errors="replace").replace(f"{folder}/", "")
     lines = [line for line in text.splitlines() if line.strip()]
     reasons = [line for line in lines if "error" in line.lower()] or lines
-    raise _failure(where, command, ": ".join([end, *reasons[:1]]))
+    raise _failure(where, part, command, ": ".join([end, *reasons[:1]]))
 
 
 def _listen(process: subprocess.Popen[bytes]) -> bytes:
@@ -116,5 +117,5 @@ def _listen(process: subprocess.Popen[bytes]) -> bytes:
     return words
 
 
-def _failure(where: str, command: list[str], got: str) -> Refusal:
-    return Refusal(where, f"compiler {command[0]}", "compile the scene's core", got)
+def _failure(where: str, part: str, command: list[str], got: str) -> Refusal:
+    return Refusal(where, f"compiler {command[0]}", f"compile {part}", got)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from emulator_node.trusted import Untrusted, check_folder, read_file
+from compiled.trusted import Untrusted, check_folder, read_file
 from words.refusal import Refusal
 
 CACHE_VARIABLE = "ARM_EMULATOR_CACHE"

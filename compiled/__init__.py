@@ -1,0 +1,1 @@
+"""From C and C++ to shared libraries that are cached by content."""
