@@ -23,6 +23,24 @@ MOTOR = {
     "rotor_inertia": 1e-4,
 }
 
+# Of gantries, see gantry_urdf().
+ROTOR = 1e-4  # kg m2
+DC = {
+    "resistance": 1.0,
+    "inductance": 1e-3,
+    "torque_constant": 0.05,
+    "back_emf_constant": 0.05,
+    "rotor_inertia": ROTOR,
+}
+PMSM = {
+    "kind": "pmsm",
+    "resistance": 0.5,
+    "inductance_d": 1e-3,
+    "inductance_q": 2e-3,
+    "flux": 0.01,
+    "pole_pairs": 4,
+    "rotor_inertia": ROTOR,
+}
 
 GRAVITY = [1.0, -2.0, -9.0]  # m/s2, aslant
 LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2, of one_link_urdf() about its joint
@@ -40,6 +58,7 @@ def one_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) ->
 
 
 GANTRY = "x", "y", "z"  # joints of gantry_urdf(), base to tool
+MOVED = np.array([6.0, 4.0, 2.0])  # kg, by each of them
 
 
 def gantry_urdf(mass: float = 2.0) -> str:

@@ -16,7 +16,6 @@ from machines import CONFIG, LINK_INERTIA, one_link_urdf, write_scene
 from test_by_hand import CLOCKS, go_on, session_of
 
 from arm_emulator.check import check
-from emulator_node.fleet import Fleet
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal
@@ -175,22 +174,6 @@ def test_a_machine_is_saved_while_a_brake_is_on_its_way(scene: Scene) -> None:
         assert one.save() == other.save(), "all that the machines are, later"
     one.reset()
     assert (one.measured.brake_closed == (not one.powered)).all(), "after a reset, as power is"
-
-
-def test_braked_arms_in_lanes_move_as_single_ones(scene: Scene) -> None:
-    rng = np.random.default_rng(6)
-    count = 9
-    fleet, alone = Fleet(scene, count), [Plant(scene) for _ in range(count)]
-    for _ in range(5):
-        for arm, plant in enumerate(alone):
-            plant.powered = fleet[arm].powered = bool(rng.random() < 0.5)
-        voltages = rng.uniform(-10.0, 10.0, (9, count, 3))
-        moved = fleet.run(voltages, 5)
-        for arm, plant in enumerate(alone):
-            q = plant.run(voltages[:, arm], 5)
-            np.testing.assert_allclose(moved[:, arm], q, rtol=0, atol=1e-12, err_msg=f"arm {arm}")
-            told = fleet[arm].measured.brake_closed
-            assert (told == plant.measured.brake_closed).all(), f"brakes of arm {arm}"
 
 
 def test_commands_close_brakes_by_their_bits(scene: Scene) -> None:

@@ -13,7 +13,6 @@ import pytest
 import yaml
 from machines import CONFIG, LINK_INERTIA, MOTOR, one_link_urdf, write_scene
 
-from emulator_node.fleet import Fleet
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal
@@ -141,20 +140,6 @@ def test_a_hit_at_full_speed_is_accounted_for(tmp_path: Path) -> None:
     weight = 2.0 * 0.3 * 9.81 * math.cos(x.q[0])  # turns it up, see one_link_urdf
     assert abs(x.v[0]) < 1e-6 and u > 0.0, "at rest in the stop"
     assert STOPS["stiffness"] * u == pytest.approx(x.gear_torque[0] + weight, rel=1e-6), "torques"
-
-
-def test_stopped_arms_in_lanes_move_as_single_ones(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    scene, count = load_scene(stopped_arm(tmp_path)), 9
-    q = rng.uniform(STOPS["lower"] - 0.02, STOPS["upper"] + 0.02, (count, 1))
-    voltages = rng.uniform(-48.0, 48.0, (40, count, 1)).repeat(10, axis=0)
-    moved = Fleet(scene, count, q=q).run(voltages, 5)
-    for arm in range(count):
-        plant = Plant(scene)
-        plant.reset(q[arm])
-        alone = plant.run(voltages[:, arm], 5)
-        np.testing.assert_allclose(moved[:, arm], alone, rtol=0, atol=1e-10, err_msg=f"arm {arm}")
-    assert moved.max() > STOPS["upper"] and moved.min() < STOPS["lower"], "stops are hit"
 
 
 def test_stops_stand_at_the_limits_of_the_urdf_on_request() -> None:

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import GANTRY, gantry_urdf, write_scene
+from balance import balance_of
+from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from scipy.linalg import expm
 
 from arm_emulator.gains import check_joints
-from emulator_node.fleet import Fleet
 from emulator_node.plant import Plant
 from emulator_node.reference import reference
 from emulator_node.scene import Scene, load_scene
@@ -24,10 +24,8 @@ from words.config_files import find_beside, find_scene
 from words.refusal import Refusal
 
 PERIOD = 1e-2  # s, over which a command is held
-MOVED = 6.0, 4.0, 2.0  # kg, by each joint
-ROTOR = {"rotor_inertia": 1e-4}
-TORQUE = {"kind": "torque", **ROTOR}
-CURRENT = {"kind": "current", "torque_constant": 0.1, **ROTOR}
+TORQUE = {"kind": "torque", "rotor_inertia": ROTOR}
+CURRENT = {"kind": "current", "torque_constant": 0.1, "rotor_inertia": ROTOR}
 ELASTIC, RIGID = {"ratio": 0.01, "stiffness": 2e4, "damping": 20.0}, {"ratio": 0.01}
 VISCOUS = {"viscous": 3.0}
 # Two libraries with all combinations of motor, gear and bandwidth that matter.
@@ -45,14 +43,17 @@ STRUCTURES: dict[str, list[dict[str, Any]]] = {
 }
 
 
+def write(folder: Path, structure: str) -> Path:
+    return write_scene(
+        folder, gantry_urdf(), dict(zip(GANTRY, STRUCTURES[structure], strict=True)),
+        varied=["joints.*.motor.*", "joints.*.gear.*", "joints.*.friction.viscous"],
+        energy_flow=True, integrator={"scheme": "rosenbrock", "dt": 1e-4},
+    )  # fmt: skip
+
+
 @pytest.fixture(scope="module", params=STRUCTURES)
 def gantry(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    joints = dict(zip(GANTRY, STRUCTURES[request.param], strict=True))
-    return write_scene(
-        tmp_path_factory.mktemp("gantry"), gantry_urdf(), joints, energy_flow=True,
-        varied=["joints.*.motor.*", "joints.*.gear.*", "joints.*.friction.viscous"],
-        integrator={"scheme": "rosenbrock", "dt": 1e-4},
-    )  # fmt: skip
+    return write(tmp_path_factory.mktemp("gantry"), request.param)
 
 
 def drawn(file: Path, seed: int, dt: float = 1e-4) -> tuple[Scene, Plant, np.ndarray]:
@@ -133,24 +134,15 @@ def test_energy_is_what_the_supply_gives_less_what_is_dissipated(gantry: Path) -
         left = []
         for dt in (1e-4, 5e-5):
             _, plant, commands = drawn(gantry, seed, dt)
-            before, given, dissipated = plant.energy, 0.0, 0.0
-            for row in commands:
-                flow = plant.advance_metered(row, round(PERIOD / dt))
-                given += float(flow.given.sum())
-                dissipated += float(flow.dissipated.sum())
-            turned = abs(given) + dissipated
-            left.append(abs(plant.energy - before - given + dissipated) / turned)
+            found = balance_of(plant, commands, round(PERIOD / dt))
+            left.append(found.left / (abs(found.given) + found.dissipated.sum()))
         # What is left is the scheme's error, of order 2.
         assert left[1] < 1e-4 and left[1] < 0.35 * left[0] + 1e-9, f"seed {seed}: {left}"
 
 
 def test_commands_are_clamped_to_the_motors_own_limits(tmp_path: Path) -> None:
     """Not to the supply, which is 48 V here; without power they are 0."""
-    joints = dict(zip(GANTRY, STRUCTURES["at_once"], strict=True))
-    file = write_scene(
-        tmp_path, gantry_urdf(), joints, integrator={"scheme": "rosenbrock", "dt": 1e-4}
-    )
-    plant = Plant(load_scene(file))
+    plant = Plant(load_scene(write(tmp_path, "at_once")))
     for _ in range(3):
         plant.exchange(np.array([-7.0, 100.0, 60.0]))
         assert plant.voltage.tolist() == [-4.0, 0.3, 60.0], "limit, limit, none"
@@ -171,21 +163,6 @@ def test_a_motor_that_speeds_up_has_its_energy_from_the_supply(gantry: Path) -> 
         plant.reset()
         plant.advance([0.5, 0.5, 0.5], 20_000)  # 2 s; would raise Diverged
         assert (plant.state.v > 0.3).all(), "speeds that were reached"
-
-
-def test_lanes_go_as_one(gantry: Path) -> None:
-    scene = load_scene(gantry)
-    rng = np.random.default_rng(7)
-    rows = rng.uniform(-6.0, 6.0, (20, 9, 3))
-    values = {one.name: one.value * rng.uniform(0.5, 2.0, 9) for one in scene.varied}
-    q = Fleet(scene, 9, varied=values).run(rows, 50)
-    for k in range(9):
-        one = Plant(scene)
-        for name, column in values.items():
-            one.set_parameter(name, float(column[k]))
-        one.reset()
-        # Lanes differ from one machine by rounding.
-        assert q[:, k] == pytest.approx(one.run(rows[:, k], 50), rel=1e-9, abs=1e-12), f"arm {k}"
 
 
 @pytest.mark.parametrize("motor", [TORQUE, CURRENT], ids=lambda motor: motor["kind"])

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from balance import balance_of
 from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
 from emulator_node.advice import ORDERS
 from emulator_node.chain import Array
-from emulator_node.fleet import Fleet
 from emulator_node.plant import Plant
 from emulator_node.scene import SCHEMES, load_scene
 from words.refusal import Refusal
@@ -78,16 +78,30 @@ def truth(joint: dict[str, Any], voltages: Array) -> Array:
     return np.array(out)
 
 
+@pytest.fixture(scope="module")
+def drawn_machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    joint = machine(np.random.default_rng(51))
+    file = write_scene(
+        tmp_path_factory.mktemp("gear"), one_link_urdf(), {"joint": joint}, servo_period=PERIOD,
+        energy_flow=True,
+    )  # fmt: skip
+    return file, joint
+
+
+def with_steps(file: Path, steps: int, scheme: str = "rosenbrock") -> Plant:
+    return Plant(load_scene(file, {"integrator": {"scheme": scheme, "dt": PERIOD / steps}}))
+
+
 @pytest.mark.parametrize("scheme", some(SCHEMES, 2))
-def test_every_scheme_keeps_its_order(tmp_path: Path, scheme: str) -> None:
-    rng = np.random.default_rng([SCHEMES.index(scheme), 51])
-    joint = machine(rng)
-    voltages = rng.uniform(-15.0, 15.0, (12, 1))
+def test_every_scheme_keeps_its_order(
+    drawn_machine: tuple[Path, dict[str, Any]], scheme: str
+) -> None:
+    file, joint = drawn_machine
+    voltages = np.random.default_rng(SCHEMES.index(scheme)).uniform(-15.0, 15.0, (12, 1))
     expected = truth(joint, voltages)
-    file = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, servo_period=PERIOD)
     errors = []
     for steps in (80, 160, 320, 640):
-        plant = Plant(load_scene(file, {"integrator": {"scheme": scheme, "dt": PERIOD / steps}}))
+        plant = with_steps(file, steps, scheme)
         assert plant.state.gear_torque[0] == pytest.approx(0.0, abs=1e-9), "it begins unloaded"
         q = plant.run(voltages, steps)
         errors.append(float(np.abs(q[:, 0] - expected[:, 2]).max()))
@@ -102,58 +116,28 @@ def test_every_scheme_keeps_its_order(tmp_path: Path, scheme: str) -> None:
     assert end == pytest.approx(expected[-1], rel=0.02, abs=1e-3), "motor and link at the end"
 
 
-def test_the_balance_of_energy_closes_with_order_two(tmp_path: Path) -> None:
-    rng = np.random.default_rng(52)
-    file = write_scene(
-        tmp_path, one_link_urdf(), {"joint": machine(rng)}, servo_period=PERIOD,
-        gravity=[0.0, 0.0, -9.81], energy_flow=True,
-    )  # fmt: skip
-    voltages, left = rng.uniform(-15.0, 15.0, (10, 1)), []
+def test_the_balance_of_energy_closes_with_order_two(
+    drawn_machine: tuple[Path, dict[str, Any]],
+) -> None:
+    voltages, left = np.random.default_rng(52).uniform(-15.0, 15.0, (10, 1)), []
     for steps in (80, 160, 320, 640):
-        integrator = {"scheme": "rosenbrock", "dt": PERIOD / steps}
-        plant = Plant(load_scene(file, {"integrator": integrator}))
-        before, flow, exchanged = plant.energy, 0.0, 0.0
-        for V in voltages:
-            one = plant.advance_metered(V, steps)
-            flow += float(one.given.sum() - one.dissipated.sum())
-            exchanged += float(np.abs(one.given).sum() + one.dissipated.sum())
-        left.append(abs(plant.energy - before - flow) / exchanged)
+        found = balance_of(with_steps(drawn_machine[0], steps), voltages, steps)
+        left.append(found.left / found.exchanged)
     # By chance a coefficient may be small.
     assert left[-1] < max(left[0] / 4.0**3 * 1.6, 1e-12) and left[-1] < 1e-4, left
 
 
-def test_a_slow_link_is_off_by_the_error(tmp_path: Path) -> None:
+def test_a_slow_link_is_off_by_the_error(drawn_machine: tuple[Path, dict[str, Any]]) -> None:
     """Without load the link is where ratio and error say, at any angle of the motor."""
-    rng = np.random.default_rng([0, 51])  # the machine of the first test, whose library is there
-    joint = machine(rng)
-    file = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, servo_period=PERIOD)
-    plant = Plant(load_scene(file))
+    file, joint = drawn_machine
+    plant = with_steps(file, 80)
     waves, Ng = joint["gear"]["kinematic_error"], joint["gear"]["ratio"]
-    for q in rng.uniform(-3.0, 3.0, 20):
+    for q in np.random.default_rng(53).uniform(-3.0, 3.0, 20):
         plant.reset(q=[q])
         tm = float(plant.state.theta_m[0])
         e = error_of(waves["motor"], tm)[0] + error_of(waves["link"], q)[0]
         assert Ng * tm + e == pytest.approx(q, abs=1e-12), "the motor behind a link at rest"
         assert plant.energy == pytest.approx(0.0, abs=1e-15), "nothing is wound up"
-
-
-def test_lanes_move_as_single_arms(tmp_path: Path) -> None:
-    rng = np.random.default_rng(54)
-    file = write_scene(
-        tmp_path, one_link_urdf(), {"joint": machine(rng)}, varied=["joints.*.gear.*"],
-        integrator={"scheme": "rosenbrock", "dt": 2e-4},
-    )  # fmt: skip
-    scene, count = load_scene(file), 9  # more than a group
-    values = {one.name: one.value * rng.uniform(0.5, 2.0, count) for one in scene.varied}
-    q, voltages = rng.normal(0.0, 1.0, (count, 1)), rng.uniform(-15.0, 15.0, (20, count, 1))
-    moved = Fleet(scene, count, varied=values, q=q).run(voltages, 10)
-    for arm in range(count):
-        plant = Plant(scene)
-        for name, of_arms in values.items():
-            plant.set_parameter(name, float(of_arms[arm]))
-        plant.reset(q[arm])
-        alone = plant.run(voltages[:, arm], 10)
-        np.testing.assert_allclose(moved[:, arm], alone, rtol=0, atol=1e-11, err_msg=f"arm {arm}")
 
 
 @pytest.mark.parametrize(

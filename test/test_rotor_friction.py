@@ -7,23 +7,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import some
 from machines import one_link_urdf, write_scene
 
 from emulator_node.chain import Array
-from emulator_node.fleet import Fleet
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
 
 PERIOD = 1e-2  # s
+RATIO = 0.05
 
 
 def swinging(rng: np.random.Generator) -> tuple[dict[str, Any], float]:
     """A rotor on its gear's spring, the link locked by friction of its own; where it is let go."""
-    ratio, stiffness = float(rng.uniform(0.02, 0.1)), float(10 ** rng.uniform(2.0, 3.0))
-    rotor = float(10 ** rng.uniform(-4.0, -3.0))
-    spring = ratio**2 * stiffness  # N m/rad at the rotor
-    dry = float(spring * rng.uniform(0.05, 0.2))
-    breakaway = dry * float(rng.choice([1.0, 1.3]))
+    stiffness, rotor = (10 ** rng.uniform((2.0, -4.0), (3.0, -3.0))).tolist()
+    spring = RATIO**2 * stiffness  # N m/rad at the rotor
+    dry = float(np.float32(spring * rng.uniform(0.05, 0.2)))
+    breakaway = dry * float(rng.choice([1.0, 1.25]))  # exactly: a library is of the multiple
     joint = {
         "motor": {
             "resistance": 1.0,
@@ -32,7 +32,7 @@ def swinging(rng: np.random.Generator) -> tuple[dict[str, Any], float]:
             "rotor_inertia": rotor,
             "friction": {"coulomb": dry, "breakaway": breakaway},
         },
-        "gear": {"ratio": ratio, "stiffness": stiffness},
+        "gear": {"ratio": RATIO, "stiffness": stiffness},
         "friction": {"coulomb": 1e6},
     }
     return joint, float(rng.uniform(0.8, 1.2))
@@ -64,12 +64,22 @@ def scene_of(folder: Path, joint: dict[str, Any], steps: int, **integrator: Any)
         one_link_urdf(),
         {"joint": joint},
         servo_period=PERIOD,
-        integrator={"dt": PERIOD / steps, **integrator},
+        integrator={"scheme": "rosenbrock", "dt": PERIOD / steps, **integrator},
         energy_flow=True,
         # one library for all that are drawn
         varied=["joints.*.motor.rotor_inertia", "joints.*.motor.friction.*", "joints.*.gear.*"],
     )
     return load_scene(file)
+
+
+def angles(plant: Plant, begin: float, rows: int, steps: int) -> Array:
+    """Of a rotor that is let go, after each of the rows."""
+    let_go(plant, begin)
+    found = []
+    for _ in range(rows):
+        plant.advance(np.zeros(1), steps)
+        found.append(float(plant.state.theta_m[0]))
+    return np.array(found)
 
 
 def let_go(plant: Plant, angle: float) -> None:
@@ -87,12 +97,7 @@ def test_a_rotor_swings_and_sticks_as_the_closed_form_says_with_order_two(
     errors = []
     for steps in (10, 20, 40):
         plant = Plant(scene_of(tmp_path, joint, steps, scheme=scheme, events="located"))
-        let_go(plant, begin)
-        angles = []
-        for _ in range(rows):
-            plant.advance(np.zeros(1), steps)
-            angles.append(float(plant.state.theta_m[0]))
-        errors.append(float(np.abs(angles - truth).max()))
+        errors.append(float(np.abs(angles(plant, begin, rows, steps) - truth).max()))
         if abs(truth[-1] - rest) < 1e-12:
             assert plant.state.omega_m[0] == 0.0, "the rotor sticks exactly"
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
@@ -101,7 +106,7 @@ def test_a_rotor_swings_and_sticks_as_the_closed_form_says_with_order_two(
     assert orders[-1] == pytest.approx(2.0, abs=0.2), errors
 
 
-@pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated", "implicit", "paper"])
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated", "paper"], 2))
 @pytest.mark.parametrize("seed", range(2))
 def test_where_steps_are_not_cut_the_error_is_of_first_order(
     tmp_path: Path, seed: int, scheme: str
@@ -113,16 +118,12 @@ def test_where_steps_are_not_cut_the_error_is_of_first_order(
     rate = gear["ratio"] * np.sqrt(gear["stiffness"] / rotor)
     for steps in (97, 1601):
         plant = Plant(scene_of(tmp_path, joint, steps, scheme=scheme))
-        let_go(plant, begin)
-        angles = []
-        for _ in range(rows):
-            plant.advance(np.zeros(1), steps)
-            angles.append(float(plant.state.theta_m[0]))
+        off = np.abs(angles(plant, begin, rows, steps) - truth).max()
         # Each turn takes up to a step too long, at a speed of at most rate * begin. Schemes of
         # first order are a step beside the truth in each radian of the swing, too.
         turned = rate * rows * PERIOD * (1.0 / np.pi + (scheme in ("implicit", "paper")))
         most = (1.0 + turned) * rate * begin * PERIOD / steps
-        assert np.abs(np.array(angles) - truth).max() < most, f"{steps} steps"
+        assert off < most, f"{steps} steps"
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -158,22 +159,6 @@ def test_friction_of_a_rotor_that_turns_with_its_link_is_that_of_the_link(tmp_pa
         runs.append(Plant(load_scene(file, {"integrator.dt": 1e-3})).run(rows, 100))
     assert np.ptp(runs[0]) > 0.01, "the link shall move"
     assert runs[1] == pytest.approx(runs[0], rel=1e-9), "friction of rotor and of link differ"
-
-
-def test_lanes_stick_as_machines_alone(tmp_path: Path) -> None:
-    joint, begin = swinging(np.random.default_rng(5))
-    scene = scene_of(tmp_path, joint, 20)
-    count, rows = 7, 30
-    fleet = Fleet(scene, count)
-    for k in range(count):
-        let_go(fleet[k], begin * (0.3 + 0.2 * k))
-    fleet.run(np.zeros((rows, count, 1)), 20)
-    for k in range(count):
-        plant = Plant(scene)
-        let_go(plant, begin * (0.3 + 0.2 * k))
-        plant.run(np.zeros((rows, 1)), 20)
-        assert fleet[k].state.theta_m == pytest.approx(plant.state.theta_m, abs=1e-9), k
-        assert (fleet[k].state.omega_m == 0.0) == (plant.state.omega_m == 0.0), k
 
 
 def test_energy_of_sliding_goes_into_friction(tmp_path: Path) -> None:

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+from machines import GANTRY, LINK_INERTIA, MOVED, gantry_urdf, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
-from emulator_node.fleet import Fleet
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal
@@ -34,7 +33,6 @@ def drawn(seed: int, points: int, periodic: bool) -> dict[str, Any]:
 
 
 TABLES = [drawn(1, 4, False), drawn(2, 23, False), drawn(3, 9, True)]
-IDS = ["4 points", "23 points", "periodic"]
 
 
 class Interpolant:
@@ -56,10 +54,13 @@ class Interpolant:
         return -float(self.torque.integrate(self.begin, q))
 
 
-def scene_with(folder: Path, table: dict[str, Any], gravity: float = 0.0) -> Scene:
+@pytest.fixture(scope="module")
+def gantry(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Links that do not feel each other, each moved by one of the tables."""
+    joints = {name: {"torque_table": one} for name, one in zip(GANTRY, TABLES, strict=True)}
     file = write_scene(
-        folder, one_link_urdf(), {"joint": {"torque_table": table}}, gravity=[0.0, 0.0, -gravity],
-        energy_flow=True, servo_period=1e-2, integrator={"scheme": "rosenbrock", "dt": 1e-3},
+        tmp_path_factory.mktemp("gantry"), gantry_urdf(), joints, energy_flow=True,
+        servo_period=1e-2, integrator={"scheme": "rosenbrock", "dt": 1e-3},
     )  # fmt: skip
     return load_scene(file)
 
@@ -75,45 +76,47 @@ def around(table: dict[str, Any], rng: np.random.Generator, count: int) -> np.nd
     return np.concatenate([rng.uniform(q[0] - 8.0, q[-1] + 8.0, count), points])
 
 
-@pytest.mark.parametrize("table", TABLES, ids=IDS)
-def test_torque_and_energy_are_those_of_scipys_interpolant(
-    tmp_path: Path, table: dict[str, Any]
-) -> None:
+def test_torque_and_energy_are_those_of_scipys_interpolant(gantry: Scene) -> None:
     """The torque by the speed after 1 us from rest, in which it changes by some 1e-10."""
-    truth, dt = Interpolant(table), 1e-6
-    plant = Plant(with_dt(scene_with(tmp_path, table), dt))
-    for q in around(table, np.random.default_rng(5), 200):
-        plant.reset([q])
-        assert plant.energy == pytest.approx(truth.potential(q), abs=1e-11), f"energy at {q!r}"
-        plant.advance([0.0], 1)
-        T = LINK_INERTIA * plant.state.v[0] / dt
-        assert pytest.approx(float(truth.torque(q)), abs=1e-8) == T, f"torque at {q!r}"
+    truths, dt = [Interpolant(table) for table in TABLES], 1e-6
+    rng = np.random.default_rng(5)
+    drawn_ones = [around(table, rng, 200) for table in TABLES]
+    count = max(map(len, drawn_ones))
+    angles = np.column_stack([np.resize(one, count) for one in drawn_ones])
+    plant = Plant(with_dt(gantry, dt))
+    for q in angles:
+        plant.reset(q)
+        stored = sum(truth.potential(one) for truth, one in zip(truths, q, strict=True))
+        assert plant.energy == pytest.approx(stored, abs=1e-11), f"energy at {q!r}"
+        plant.advance(np.zeros(3), 1)
+        T = [float(truth.torque(one)) for truth, one in zip(truths, q, strict=True)]
+        assert MOVED * plant.state.v / dt == pytest.approx(T, abs=1e-8), f"torques at {q!r}"
 
 
-@pytest.mark.parametrize("table", TABLES, ids=IDS)
-def test_a_link_that_a_table_moves_keeps_order_2_and_its_energy(
-    tmp_path: Path, table: dict[str, Any]
-) -> None:
-    truth, scene = Interpolant(table), scene_with(tmp_path, table)
-    rng = np.random.default_rng(6)
-    errors, gained = np.zeros((6, 3)), np.zeros((6, 3))
-    for draw in range(6):
-        q0, v0 = float(rng.uniform(-2.0, 2.0)), float(rng.uniform(-2.0, 2.0))
-        end = solve_ivp(
-            lambda t, x: [x[1], float(truth.torque(x[0])) / LINK_INERTIA],
-            (0.0, 0.5), [q0, v0], "DOP853", rtol=1e-11, atol=1e-11, max_step=2e-2,
-        ).y[:, -1]  # fmt: skip
-        for k, steps in enumerate((20, 40, 80)):
-            plant = Plant(with_dt(scene, 1e-2 / steps))
-            plant.reset([q0], [v0])
+def test_a_link_that_a_table_moves_keeps_order_2_and_its_energy(gantry: Scene) -> None:
+    rng, draws = np.random.default_rng(6), 6
+    errors, gained = np.zeros((draws, 3, 3)), np.zeros((draws, 3))
+    for draw in range(draws):
+        q0, v0 = rng.uniform(-2.0, 2.0, (2, 3))
+        end = [
+            solve_ivp(
+                lambda t, x, table=table, M=M: [x[1], float(table.torque(x[0])) / M],
+                (0.0, 1.0), [q, v], "DOP853", rtol=1e-11, atol=1e-11, max_step=2e-2,
+            ).y[0, -1]
+            for table, M, q, v in zip(map(Interpolant, TABLES), MOVED, q0, v0, strict=True)
+        ]  # fmt: skip
+        for k, steps in enumerate((5, 10, 20)):
+            plant = Plant(with_dt(gantry, 1e-2 / steps))
+            plant.reset(q0, v0)
             before = plant.energy
-            plant.advance([0.0], 50 * steps)
-            errors[draw, k] = abs(plant.state.q[0] - end[0])
+            plant.advance(np.zeros(3), 100 * steps)
+            errors[draw, k] = np.abs(plant.state.q - end)
             gained[draw, k] = abs(plant.energy - before)
     # Over all draws: one by itself may change its sign between two steps.
     of_errors, of_energy = errors.max(axis=0), gained.max(axis=0)
-    assert math.log2(of_errors[1] / of_errors[2]) == pytest.approx(2.0, abs=0.25), f"{errors}"
-    assert of_errors[-1] < 1e-4, f"{errors}"
+    orders = np.log2(of_errors[1] / of_errors[2])
+    assert orders == pytest.approx(2.0, abs=0.25), f"tables {of_errors}"
+    assert of_errors[-1].max() < 1e-4, f"tables {of_errors}"
     assert of_energy[-1] < of_energy[0] / 10.0, f"{gained}"
 
 
@@ -123,7 +126,11 @@ def test_a_table_of_the_weight_balances_it_to_the_error_of_the_cubics(tmp_path: 
     torques = -WEIGHT * np.cos(angles)
     torques[-1] = torques[0]
     table = {"angles": angles.tolist(), "torques": torques.tolist(), "periodic": True}
-    plant, h = Plant(with_dt(scene_with(tmp_path, table, 9.81), dt)), angles[1] - angles[0]
+    file = write_scene(
+        tmp_path, one_link_urdf(), {"joint": {"torque_table": table}}, gravity=[0.0, 0.0, -9.81],
+        servo_period=dt, integrator={"scheme": "rosenbrock", "dt": dt},
+    )  # fmt: skip
+    plant, h = Plant(load_scene(file)), angles[1] - angles[0]
     rng, worst = np.random.default_rng(7), 0.0
     for q in rng.uniform(-10.0, 10.0, 100):
         plant.reset([q])
@@ -135,26 +142,14 @@ def test_a_table_of_the_weight_balances_it_to_the_error_of_the_cubics(tmp_path: 
 
 
 def test_a_torque_that_holds_beyond_the_end_drives_the_link_on_as_a_weight_would(
-    tmp_path: Path,
+    gantry: Scene,
 ) -> None:
     """From rest, with the energy it stores at 0: its potential falls as far as one likes."""
-    table = TABLES[1]
-    plant, q0 = Plant(scene_with(tmp_path, table)), 20.0
-    plant.reset([q0])
-    plant.advance([0.0], 10_000)
-    a = table["torques"][-1] / LINK_INERTIA
-    assert plant.state.q[0] == pytest.approx(q0 + 0.5 * a * 10.0**2, rel=1e-9)
-
-
-@pytest.mark.parametrize("table", TABLES[1:], ids=IDS[1:])
-def test_links_in_lanes_move_as_single_ones(tmp_path: Path, table: dict[str, Any]) -> None:
-    scene, q = scene_with(tmp_path, table), np.linspace(-9.0, 9.0, 9)[:, None]
-    moved = Fleet(scene, 9, q=q).run(np.zeros((10, 9, 1)), 20)
-    for arm in range(9):
-        plant = Plant(scene)
-        plant.reset(q[arm])
-        alone = plant.run(np.zeros((10, 1)), 20)
-        np.testing.assert_allclose(moved[:, arm], alone, rtol=0, atol=1e-11, err_msg=f"arm {arm}")
+    plant, q0 = Plant(gantry), 20.0
+    plant.reset([0.0, q0, 0.0])
+    plant.advance(np.zeros(3), 10_000)
+    a = TABLES[1]["torques"][-1] / MOVED[1]
+    assert plant.state.q[1] == pytest.approx(q0 + 0.5 * a * 10.0**2, rel=1e-9)
 
 
 GOOD: dict[str, Any] = {"angles": [0.0, 1.0, 2.0, 3.0], "torques": [1.0, 2.0, 3.0, 4.0]}

@@ -1,0 +1,32 @@
+"""The balance of energy of a machine over a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emulator_node.chain import Array
+from emulator_node.plant import Plant
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Of the machine, and of each joint (N,) what it dissipated."""
+
+    left: float  # J, gained and neither given nor dissipated: 0 but for the scheme's error
+    given: float  # J, by the supply; what came back is taken off
+    dissipated: Array  # J
+    exchanged: float  # J, that went either way: given, taken back and dissipated
+
+
+def balance_of(plant: Plant, rows: Array, steps: int) -> Balance:
+    """Advance a machine by rows of commands (K, N), so many steps each."""
+    before, given, dissipated, exchanged = plant.energy, 0.0, np.zeros(rows.shape[1]), 0.0
+    for row in rows:
+        flow = plant.advance_metered(row, steps)
+        given += float(flow.given.sum())
+        dissipated += flow.dissipated
+        exchanged += float(np.abs(flow.given).sum() + flow.dissipated.sum())
+    left = plant.energy - before - given + float(dissipated.sum())
+    return Balance(abs(left), given, dissipated, exchanged)

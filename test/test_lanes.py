@@ -1,0 +1,122 @@
+"""Arms in lanes of a fleet move as single arms do, whatever parts they have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import DC, GANTRY, PMSM, gantry_urdf, write_scene
+
+from emulator_node.fleet import Fleet
+from emulator_node.parts.known import PARTS
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+
+PERIOD, STEPS, ROWS, ROUNDS = 2e-3, 10, 8, 6
+COUNT = 9  # more than a group
+ELASTIC = {"ratio": 0.02, "stiffness": 2e4, "damping": 20.0}
+DRY = {"coulomb": 0.5, "breakaway": 0.7, "viscous": 0.2}
+ROTOR_DRY = {"coulomb": 5e-3, "breakaway": 8e-3, "viscous": 1e-5}
+WINDING = {"heat_capacity": 0.05, "thermal_resistance": 4.0, "magnet_coefficient": -0.002}
+RIPPLE = {"waves": [[5.0, 0.2, 0.3], [12.0, -0.1, 1.0]]}
+# Joints of two gantries, with every part at least once and gears of either sign; and what each
+# motor is commanded at most.
+JOINTS: dict[str, list[tuple[dict[str, Any], float]]] = {
+    "gears that are not linear": [
+        ({"motor": {**DC, "current_limit": 4.0, "winding": WINDING, "ripple": RIPPLE,
+                    "friction": {**ROTOR_DRY, "stribeck": 3.0}},
+          "gear": {**ELASTIC, "cubic_stiffness": 1e8},
+          "friction": {**DRY, "stribeck": 0.1}}, 20.0),
+        ({"motor": {**PMSM, "winding": WINDING, "friction": {**ROTOR_DRY, "load": 0.2}},
+          "gear": {**ELASTIC, "ratio": -0.02, "backlash": 0.01},
+          "lugre": {"coulomb": 0.5, "breakaway": 0.7, "stribeck": 0.1, "bristle_stiffness": 500.0,
+                    "bristle_damping": 5.0}}, 10.0),
+        ({"motor": {"kind": "torque", "rotor_inertia": 1e-4, "torque_limit": 0.3,
+                    "bandwidth": 100.0,
+                    "lugre": {"coulomb": 5e-3, "breakaway": 8e-3, "stribeck": 3.0,
+                              "bristle_stiffness": 0.1, "bristle_damping": 1e-3}},
+          "gear": {**ELASTIC, "kinematic_error": {"motor": [[2.0, 1e-3, 0.5]],
+                                                  "link": [[3.0, 1e-2, 1.0]]}},
+          "friction": {**DRY, "load": 0.2}}, 0.4),
+    ],
+    "brakes, stops and springs": [
+        ({"motor": {"kind": "current", "torque_constant": 0.05, "current_limit": 5.0,
+                    "rotor_inertia": 1e-4, "friction": ROTOR_DRY},
+          "gear": {"ratio": -0.03}, "friction": DRY,
+          "brake": {"torque": 0.5, "close_delay": 5e-3, "release_delay": 5e-3}}, 6.0),
+        ({"motor": {**DC, "cogging": {"waves": [[8.0, 5e-3, 0.2], [12.0, 3e-3]]}},
+          "gear": ELASTIC,
+          "counterbalance": {"base_distance": 0.4, "link_distance": 0.15, "angle": 0.6,
+                             "force": -50.0, "length": 0.4, "gas_column": 0.3},
+          "end_stops": {"lower": -0.005, "upper": 0.005, "stiffness": 3e3, "damping": 5.0}}, 20.0),
+        ({"friction": {"viscous": 0.5},
+          "counterbalance": {"base_distance": 0.4, "link_distance": 0.15, "angle": -0.8,
+                             "force": 300.0, "length": 0.5, "stiffness": 400.0},
+          "torque_table": {"angles": [-1.0, -0.01, 0.01, 1.0], "torques": [2.0, -1.0, 3.0, 0.5]}},
+         0.0),
+    ],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=JOINTS)
+def machine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """All numbers that may be are each arm's own."""
+    joints = dict(zip(GANTRY, (joint for joint, _ in JOINTS[request.param]), strict=True))
+    file = write_scene(
+        tmp_path_factory.mktemp("gantry"), gantry_urdf(), joints, varied=["joints.*"],
+        gravity=[0.5, -0.5, 1.0], servo_period=PERIOD, name=request.param,
+        integrator={"scheme": "rosenbrock", "dt": PERIOD / STEPS},
+    )  # fmt: skip
+    return load_scene(file)
+
+
+def test_lanes_move_as_single_arms(machine: Scene) -> None:
+    """With numbers, commands, power and starts of their own."""
+    rng = np.random.default_rng(4)
+    values = {
+        one.name: np.clip(one.value * rng.uniform(0.8, 1.2, COUNT), one.least, one.most)
+        for one in machine.varied
+    }
+    most = np.array([most for _, most in JOINTS[machine.name]])
+    q, v = 0.005 * rng.normal(size=(2, COUNT, 3))
+    fleet, alone = Fleet(machine, COUNT, varied=values, q=q, v=v), []
+    for arm in range(COUNT):
+        plant = Plant(machine)
+        for name, of_arms in values.items():
+            plant.set_parameter(name, float(of_arms[arm]))
+        plant.reset(q[arm], v[arm])
+        alone.append(plant)
+    stuck = np.zeros((COUNT, 3), int)
+    for _ in range(ROUNDS):
+        rows = rng.uniform(-1.0, 1.0, (ROWS, COUNT, 3)) * most
+        for arm, plant in enumerate(alone):
+            plant.powered = fleet[arm].powered = bool(rng.random() < 0.8)
+        moved = fleet.run(rows, STEPS)
+        for arm, plant in enumerate(alone):
+            q_alone = plant.run(rows[:, arm], STEPS)
+            # Of some 1e-16 in each of 480 steps, of which forces that change steeply make more.
+            assert moved[:, arm] == pytest.approx(q_alone, rel=1e-9, abs=1e-12), f"q of arm {arm}"
+            one, lane = plant.state, fleet[arm].state
+            for name in ("v", "current", "theta_m", "omega_m"):
+                got, expected = getattr(lane, name), getattr(one, name)
+                assert got == pytest.approx(expected, rel=1e-9, abs=1e-10), f"{name} of arm {arm}"
+            assert ((lane.omega_m == 0.0) == (one.omega_m == 0.0)).all(), f"arm {arm} sticks"
+            stuck[arm] += one.omega_m == 0.0
+            hot = plant.winding_temperatures
+            told = fleet[arm].winding_temperatures
+            assert told == pytest.approx(hot, rel=1e-9, nan_ok=True), f"heat of arm {arm}"
+            closed = plant.measured.brake_closed
+            assert (fleet[arm].measured.brake_closed == closed).all(), f"brakes of arm {arm}"
+    assert stuck[:, 0].any() and not stuck[:, 0].all(), "some rotors stick, others do not"
+    assert np.ptp(moved, axis=1).min() > 1e-4, "the arms move apart"
+
+
+def test_these_machines_have_every_part_that_there_is(tmp_path: Path) -> None:
+    there = set()
+    for joints in JOINTS.values():
+        sections = dict(zip(GANTRY, (joint for joint, _ in joints), strict=True))
+        scene = load_scene(write_scene(tmp_path, gantry_urdf(), sections))
+        there |= {type(part) for joint in scene.joints for part in joint.parts}
+    assert set(PARTS) <= there, "parts of which no arms in lanes are compared"
