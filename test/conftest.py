@@ -10,5 +10,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # So that their bare assertions say what was compared, too.
 pytest.register_assert_rewrite(
-    "doors", "fuzz", "in_process", "machines", "network", "random_messages", "random_scenes"
+    "doors",
+    "fuzz",
+    "in_process",
+    "machines",
+    "network",
+    "random_messages",
+    "random_scenes",
+    "stick_slip",
 )

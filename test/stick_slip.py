@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+import pytest
+from machines import LINK_INERTIA, write_scene
 from scipy.integrate import solve_ivp
 
+from bench.random_chain import LINK
 from emulator_node.chain import Array
+from emulator_node.plant import Plant
+from emulator_node.scene import load_scene
 
 RATIO = 0.05
 STEPS = (40, 80, 160, 320)  # of a row
@@ -80,35 +84,56 @@ class Towed:
         return out, stops
 
 
-def scene_of(
-    folder: Path, towed: Towed, friction: dict[str, float], side: str, **integrator: Any
-) -> Path:
-    """Write the machine: the link rubs behind a rotor that nothing slows down, or the other way.
+def scene_of(folder: Path, towed: Towed, friction: dict[str, float], **integrator: Any) -> Path:
+    """Write two such masses, which do not feel each other; `friction` is the section of the link.
 
-    Args:
-        folder: for the files.
-        towed: the motion.
-        friction: the scene's section, of the link.
-        side: "link" or "rotor".
-        integrator: its keys.
+    The joint "rotor" has a rotor of the mass's inertia that rubs, before a link that nothing slows
+    down, and the joint "link" a link that rubs behind such a rotor.
     """
     gear = {"ratio": RATIO, "stiffness": towed.stiffness, "damping": towed.damping}
-    motor: dict[str, Any] = {"resistance": 1.0, "torque_constant": 0.1, "back_emf_constant": 0.0}
-    joint: dict[str, Any] = {"motor": motor, "gear": gear}
-    urdf, period = one_link_urdf(), row(towed)
-    if side == "link":
-        motor["rotor_inertia"], joint["friction"] = 1e14 * RATIO**2, friction
-    else:  # of the rotor's own size at the motor's shaft
-        times = {"viscous": RATIO**2, "coulomb": RATIO, "breakaway": RATIO, "stribeck": 1.0 / RATIO}
-        motor["rotor_inertia"] = LINK_INERTIA * RATIO**2
-        motor["friction"] = {key: value * times.get(key, 1.0) for key, value in friction.items()}
-        urdf = one_link_urdf(inertia=1e12)
+    times = {"viscous": RATIO**2, "coulomb": RATIO, "breakaway": RATIO, "stribeck": 1.0 / RATIO}
+    at_motor = {key: value * times.get(key, 1.0) for key, value in friction.items()}
+    motor = {"resistance": 1.0, "torque_constant": 0.1, "back_emf_constant": 0.0}
+    light = {**motor, "rotor_inertia": LINK_INERTIA * RATIO**2, "friction": at_motor}
+    heavy = {**motor, "rotor_inertia": 1e14 * RATIO**2}
+    text, parent = '<robot name="two"><link name="base"/>', "base"
+    for name, axis, mass in (("rotor", "1 0 0", 1e9), ("link", "0 1 0", LINK_INERTIA)):
+        text += LINK.format(
+            name=name, kind="prismatic", xyz="0 0 0", rpy="0 0 0", parent=parent, axis=axis,
+            com="0 0 0", com_rpy="0 0 0", mass=mass, ixx=1, iyy=1, izz=1, ixy=0, ixz=0, iyz=0,
+        )  # fmt: skip
+        parent = f"{name}_link"
+    joints = {
+        "rotor": {"motor": light, "gear": gear},
+        "link": {"motor": heavy, "gear": gear, "friction": friction},
+    }
     return write_scene(
-        folder, urdf, {"joint": joint}, servo_period=period, varied=["joints.*"],
-        integrator={"dt": period / STEPS[0], **integrator},
+        folder, text + "</robot>", joints, servo_period=row(towed),
+        integrator={"dt": row(towed) / STEPS[0], **integrator},
     )  # fmt: skip
 
 
 def row(towed: Towed) -> float:
     """Return the time after which positions are compared [s]."""
     return float(round(towed.swing / 7.3, 9))
+
+
+def assert_order_two(
+    folder: Path, towed: Towed, friction: dict[str, float], scheme: str, stops: int
+) -> None:
+    """Compare both masses with the truth, which stops at least so often, at falling step sizes."""
+    t = row(towed) * np.arange(1, ROWS + 1)
+    truth, stopped = towed.positions(t)
+    assert stopped >= stops, "the mass shall stick and slip"
+    file, errors = scene_of(folder, towed, friction, scheme=scheme, events="located"), []
+    for steps in STEPS:
+        plant = Plant(load_scene(file, {"integrator.dt": row(towed) / steps}))
+        plant.reset(v=[towed.speed, towed.speed])
+        places = []
+        for _ in t:
+            plant.advance([0.0, 0.0], steps)
+            places.append([plant.state.theta_m[0] * RATIO, plant.state.q[1]])
+        errors.append(np.abs(np.array(places) - truth[:, None]).max(axis=0))
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    # What comes next in the error's expansion is some per cent of it.
+    assert orders[1:] == pytest.approx(2.0, abs=0.2), f"rotor, link: {errors}"
