@@ -156,7 +156,8 @@ fuzz: setup .venv/.robots
 bench: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench $(ARGS)
 
-CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h) test/*.c test/*.cpp bench/*.cpp)
+CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h *.c) arm_emulator/*.c firmware/*.[ch] \
+  firmware/template/*.c test/*.c test/*.cpp bench/*.cpp)
 
 lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache

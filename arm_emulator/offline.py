@@ -15,6 +15,8 @@ import numpy.typing as npt
 
 from arm_emulator.gains import check_fit, load_gains
 from arm_emulator.servo_loop import warn_of_loops
+from arm_emulator.servo_step import ServoStep
+from emulator_node.firmware_loop import FirmwareLoop
 from emulator_node.plant import Diverged
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
@@ -61,12 +63,17 @@ class OfflineRun:
         self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
         self.instructor = Instructor(motion)
         self.motion_ticks = round(motion.period / servo.period)
-        self._servo_names = list(servo.joint_names)
         # Indices of one side's joints in the other's arrays; a slice where the order is the same.
-        self._to_servo = _places("servo", scene.joint_names, servo.joint_names)
+        places = _places("servo", scene.joint_names, servo.joint_names)
+        self._to_servo = _index(places)
         names = self.controller.kinematics.joint_names
-        self._to_motion = _places("joint_states", servo.joint_names, names)
-        self._from_motion = _places("joint_targets", names, servo.joint_names)
+        self._to_motion = _index(_places("joint_states", servo.joint_names, names))
+        self._from_motion = _index(_places("joint_targets", names, servo.joint_names))
+        self._step = ServoStep(self.drives, places)
+        session = self.session
+        self._loop = FirmwareLoop(
+            session.plant, session.period_ns, self._step.step, self._step.with_
+        )
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods.
@@ -76,26 +83,29 @@ class OfflineRun:
             Diverged: the machine did; it stays at the last state before.
         """
         check_count("OfflineRun.advance", "ticks", ticks)
-        session, drives, names = self.session, self.drives, self._servo_names
-        to_servo, motion_ticks = self._to_servo, self.motion_ticks
-        for _ in range(ticks):
-            tick, measured = session.tick, session.measured
-            now = session.logical_ns
-            drives.measure(
-                now,
-                measured.encoder_counts[to_servo],
-                measured.current[to_servo],
-                session.voltage[to_servo],
-            )
-            if tick % motion_ticks == 0:
-                q = drives.servo.q_measured[self._to_motion]
-                v = drives.servo.v_measured[self._to_motion]
-                instruction = self.instructor.instruct(self.controller, now, q, v)
-                drives.aim(self._target(instruction))
-            session.offer(tick, names, drives.voltage(session.powered).tolist())
-            session.advance()
+        session, end = self.session, self.session.tick + ticks
+        while session.tick < end:
+            begun = session.tick % self.motion_ticks
+            if begun == 0:
+                self._instruct()
+            session.advance_in(self._loop, min(self.motion_ticks - begun, end - session.tick))
             if session.fault is not None:
                 raise session.fault
+
+    def _instruct(self) -> None:
+        """Let the motion controller answer what the servo has measured."""
+        session, drives, to_servo = self.session, self.drives, self._to_servo
+        measured, now = session.measured, session.logical_ns
+        drives.measure(
+            now,
+            measured.encoder_counts[to_servo],
+            measured.current[to_servo],
+            measured.voltage[to_servo],
+        )
+        self._step.has_measured()
+        q = drives.servo.q_measured[self._to_motion]
+        v = drives.servo.v_measured[self._to_motion]
+        drives.aim(self._target(self.instructor.instruct(self.controller, now, q, v)))
 
     def _target(self, instruction: Instruction) -> Target:
         """Return joint targets in the servo's order of joints."""
@@ -107,12 +117,15 @@ class OfflineRun:
         )
 
 
-def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> slice | list[int]:
+def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> list[int]:
     """Return what to index an array in the order `given` with, to get it in the order `wanted`."""
     place = Bound("place", "", math.inf)
     places = JointOrder(topic, wanted).arrange(given, range(len(given)), place)
-    order = [int(place) for place in places]
-    return slice(None) if order == list(range(len(order))) else order
+    return [int(place) for place in places]
+
+
+def _index(places: list[int]) -> slice | list[int]:
+    return slice(None) if places == list(range(len(places))) else places
 
 
 def load_offline_run(scene_name: str) -> OfflineRun:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -276,6 +276,27 @@ class Plant:
             raise self._refusal("Plant.exchange", "a number")
         if result == DIVERGED:
             raise self._diverged(self._measured["voltage"])
+
+    def exchange_in(self, loop: Callable[[Command, Measurement], int]) -> None:
+        """Go through servo periods in a loop in C, which gets where commands and measurements lie.
+
+        Args:
+            loop: returns what ``arm_exchange`` returned last.
+
+        Raises:
+            Refusal: a command was refused; the machine is where it was then.
+            Diverged: as `advance`.
+        """
+        result = loop(self._command, self._measurement)
+        if result == REFUSED:
+            raise self._refusal("Plant.exchange_in", "a number")
+        if result == DIVERGED:
+            raise self._diverged(self._measured["voltage"])
+
+    @property
+    def commanded(self) -> Array:
+        """The newest commands of `exchange` or `exchange_in`, (N,) [V, N m, A]."""
+        return self._commands["value"].copy()
 
     @property
     def voltage(self) -> Array:

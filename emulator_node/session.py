@@ -15,6 +15,7 @@ import numpy as np
 
 from emulator_node.chain import Array
 from emulator_node.external_wrench import ExternalWrench, on_moving_link
+from emulator_node.firmware_loop import FirmwareLoop
 from emulator_node.measured import Measured
 from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene
@@ -319,6 +320,31 @@ class Session:
             return
         self.step_wall_ns += time.perf_counter_ns() - started
         self.tick += 1
+
+    def advance_in(self, loop: FirmwareLoop, ticks: int) -> None:
+        """Advance by so many servo periods, the commands of which control code in C gives.
+
+        After a `fault`, and only then, or a refusal it has come less far.
+
+        Raises:
+            Refusal: a command is none; tick and state are those in which it was given.
+        """
+        left = (END_OF_TIME - 1 - self.logical_ns) // self.period_ns
+        started = time.perf_counter_ns()
+        try:
+            loop.run(self.tick, min(ticks, left))
+            if ticks > left:
+                self.fault = EndOfTime()
+        except Diverged as fault:
+            fault.hint = what_holds(fault)
+            self.fault = fault
+        finally:
+            self.voltage = self.plant.voltage
+            self._state = self._measured = None
+            self._before = (-1, None)
+            self._commanded, self._answered_tick = self.plant.commanded, loop.tick - 1
+            self.tick = loop.tick
+        self.step_wall_ns += time.perf_counter_ns() - started
 
     def close(self) -> None:
         """Let go of whatever drives the session."""

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from servo_node.sampled_loop import SampledPlant
-from servo_node.servo import Servo
-from servo_node.servo_config import JointServo, ServoConfig
+from servo_node.servo_config import JointServo
+from servo_node.servo_law import STATE, address, servo_law
+from servo_node.servo_numbers import servo_numbers
 
 _PLACES = (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)  # of the target within its count
 _TIMES = 60.0  # of 1 / position_gain, then half of it is watched
@@ -29,19 +30,21 @@ def swing_at_rest(joint: JointServo, plant: SampledPlant, supply_voltage: float)
         supply_voltage: largest voltage [V].
     """
     period = plant.period
-    config = ServoConfig(period, 0.0, 1.0, 2.0, supply_voltage, (joint,))
+    law, numbers = servo_law(), servo_numbers((joint,), period, supply_voltage)
     ticks = round(_TIMES / joint.position_gain / period)
     ticks = min(max(ticks, _FEWEST), _MOST)
     count = 2.0 * math.pi / joint.counts_per_turn
     worst = 0.0
     for place in _PLACES:
-        servo = Servo(config)
+        state = np.zeros(1, STATE)
+        servo = address(numbers), address(state)
         x, V, q = np.zeros(len(plant.F)), 0.0, np.empty(ticks)
-        target = [(5.0 + place) * joint.count_angle]
+        target = (5.0 + place) * joint.count_angle
         for k in range(ticks):
             current = plant.current[0] @ x + plant.current_by_voltage[0] * V
             counts = math.floor(plant.theta[0] @ x / count)
-            V = float(servo.update([counts], [current], target)[0])
+            law.servo_joint_observe(*servo, counts, current, V)
+            V = law.servo_joint_control(*servo, target, 0.0, 0.0)
             x = plant.F @ x + plant.G[:, 0] * V
             q[k] = plant.q[0] @ x
         worst = max(worst, float(np.ptp(q[ticks // 2 :])))

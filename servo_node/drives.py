@@ -1,17 +1,14 @@
-"""The servo under its watchdog: voltages with and without joint targets."""
+"""The servo under its watchdog, with and without joint targets: firmware/servo.c does it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import numpy.typing as npt
 
 from servo_node.servo import FloatArray, Servo, ServoConfig
-from servo_node.watchdog import Watchdog, WatchdogState
-from words.bound import POSITION
-
-_NANOSECONDS = 1e9
+from servo_node.servo_law import servo_law
+from servo_node.watchdog import DOES, Watchdog, WatchdogState
 
 
 @dataclass(frozen=True)
@@ -34,28 +31,21 @@ class Drives:
     A target that has a speed goes on with it until the next one comes, for one motion period at
     most: q + v (t - t_target). So the angles asked for are a line from target to target and no
     stairs. Without a motion period nobody knows when the next one comes, and the angles stand.
-
-    Attributes:
-        state: what the last `voltage` did.
-        reason: the same in words.
     """
 
     def __init__(self, config: ServoConfig) -> None:
         self.servo = Servo(config)
-        self._watchdog = Watchdog(config.hold_after, config.cut_after)
-        self._off = np.zeros(len(config.joints))
-        self._motion_period = config.motion_period
+        self._law = servo_law()
+        arm = self.servo.arm
+        arm.motion_period = round(config.motion_period * 1e9)
+        self._watchdog = Watchdog(config.hold_after, config.cut_after, arm.watchdog)
+        self._powered = True
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; power that was cut comes back."""
         self.servo.reset()
-        self._watchdog.reset()
-        self.state, self.reason = WatchdogState.HOLD, "starting"
-        self._now: float | None = None  # logical time of the newest measurement [s]
-        self._target: Target | None = None
-        self._target_time = 0.0  # s
-        self._hold: FloatArray | None = None
+        self._asked = False
 
     def retune(self, config: ServoConfig) -> None:
         """Change gains, limits and timeouts, between two ticks.
@@ -64,8 +54,7 @@ class Drives:
             Refusal: see `Servo.retune`. Nothing has changed then.
         """
         self.servo.retune(config)
-        self._watchdog.hold_after = config.hold_after
-        self._watchdog.cut_after = config.cut_after
+        self._watchdog.retune(config.hold_after, config.cut_after)
 
     def measure(
         self,
@@ -85,16 +74,19 @@ class Drives:
         Raises:
             Refusal: see `Servo.observe`. Nothing has changed then.
         """
-        self.servo.observe(counts, current, voltage)
-        self._now = time_ns / _NANOSECONDS
-        self._watchdog.state_came(self._now)
+        servo = self.servo
+        places = servo.measurement(counts, current, voltage)
+        self._law.servo_measure(servo.pointer, time_ns, *places)
 
     def aim(self, target: Target) -> None:
-        """Take new joint targets, from this period on."""
-        self._target = target
-        if self._now is not None:
-            self._target_time = self._now
-            self._watchdog.target_came(self._now)
+        """Take new joint targets, from this period on.
+
+        Raises:
+            Refusal: see `Servo.control`. Nothing has changed then.
+        """
+        servo = self.servo
+        places = servo.targets(target.q, target.v, target.tau)
+        self._law.servo_aim(servo.pointer, *places)
 
     def voltage(self, powered: bool) -> FloatArray:
         """Return the voltages for the period that began with the last measurement, (N,) [V].
@@ -102,29 +94,22 @@ class Drives:
         Args:
             powered: whether the drives have power; without it the motors turn no matter what.
         """
-        assert self._now is not None, "measure first"
-        state = self._watchdog.check(self._now)
-        reason = self._watchdog.reason
-        if state is not WatchdogState.CUT and not powered:
-            state, reason = WatchdogState.CUT, "the drives' power is off"
-        self.state, self.reason = state, reason
-        target = self._target
-        if state is WatchdogState.CUT:
-            self._hold = None
-            self.servo.release()
-            return self._off
-        if state is WatchdogState.HOLD or target is None:
-            if self._hold is None:
-                self._hold = self.servo.q_measured
-            return self.servo.control(self._hold)
-        self._hold = None
-        return self.servo.control(self._q_now(target), target.v, target.tau)
+        servo = self.servo
+        assert servo.arm.measured, "measure first"
+        self._law.servo_voltage(servo.pointer, powered, servo.places[6])
+        self._asked, self._powered = True, powered
+        return servo.voltage
 
-    def _q_now(self, target: Target) -> FloatArray:
-        if target.v is None:
-            return target.q
-        assert self._now is not None
-        ahead = min(max(self._now - self._target_time, 0.0), self._motion_period)
-        limit = POSITION.largest
-        q: FloatArray = np.clip(target.q + ahead * target.v, -limit, limit)
-        return q
+    @property
+    def state(self) -> WatchdogState:
+        """What the last `voltage` did."""
+        return DOES[self.servo.arm.does]
+
+    @property
+    def reason(self) -> str:
+        """The same in words."""
+        if not self._asked:
+            return "starting"
+        if not self._powered and self._watchdog.state is not WatchdogState.CUT:
+            return "the drives' power is off"
+        return self._watchdog.reason

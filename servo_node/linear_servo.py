@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from servo_node.servo import axis_of
 from servo_node.servo_config import JointServo
+from servo_node.servo_law import STATE, Rows, address, servo_law
+from servo_node.servo_numbers import servo_numbers
 
 STATES = ("theta", "omega", "load", "current", "integral")
 INPUTS = ("theta", "current", "voltage", "q_target", "v_target", "tau_feedforward")
@@ -40,23 +41,28 @@ class LinearServo:
     """
 
     def __init__(self, joint: JointServo, period: float) -> None:
-        self._axis = axis = axis_of(joint, period, math.inf)
-        axis.omega_limit = axis.current_limit = math.inf
-        axis.count_angle = -1.0  # no target is within a count
-        self.current_per_angle = axis.velocity_gain * (
-            axis.position_gain * axis.theta_gain + abs(axis.omega_gain)
+        numbers = servo_numbers((joint,), period, math.inf)
+        numbers["omega_limit"] = numbers["current_limit"] = math.inf
+        numbers["count_angle"] = -1.0  # no target is within a count
+        gains = numbers[0]
+        self.current_per_angle = float(
+            gains["velocity_gain"]
+            * (gains["position_gain"] * gains["theta_gain"] + abs(gains["omega_gain"]))
         )
         n = len(STATES)
         rows = np.eye(n + len(INPUTS)).tolist()
-        whole = np.array([self._tick(row[:n], row[n:]) for row in rows]).T
+        whole = np.array([_tick(numbers, row[:n], row[n:]) for row in rows]).T
         self.A, self.B = whole[:n, :n], whole[:n, n:]
         self.C, self.D = whole[n, :n], whole[n, n:]
 
-    def _tick(self, states: list[float], inputs: list[float]) -> list[float]:
-        axis = self._axis
-        for name, value in zip(STATES, states, strict=True):
-            setattr(axis, name, value)
-        theta, current, voltage, *targets = inputs
-        axis.take(theta, current, voltage)
-        voltage = axis.control(*targets)
-        return [*(getattr(axis, name) for name in STATES), voltage]
+
+def _tick(numbers: Rows, states: list[float], inputs: list[float]) -> list[float]:
+    law, state = servo_law(), np.zeros(1, STATE)
+    state["known"] = 1
+    for name, value in zip(STATES, states, strict=True):
+        state[name] = value
+    places = address(numbers), address(state)
+    theta, current, voltage, *targets = inputs
+    law.servo_joint_take(*places, theta, current, voltage)
+    voltage = law.servo_joint_control(*places, *targets)
+    return [*(float(state[name][0]) for name in STATES), voltage]

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+import ctypes
 import enum
 import math
 
+from servo_node.servo_law import (
+    CUT,
+    FOLLOWS,
+    HEARS,
+    HOLDS,
+    LATE_TARGET,
+    NO_TARGET,
+    WatchdogStruct,
+    servo_law,
+)
 from words.refusal import Refusal
+
+_NANOSECONDS = 1e9
+_LONGEST = 2**62  # ns, which no run lasts
 
 
 class WatchdogState(enum.Enum):
@@ -16,15 +30,11 @@ class WatchdogState(enum.Enum):
     CUT = "cut"  # no voltage
 
 
-class Watchdog:
-    """Targets or states silent: hold first, then cut the power.
+DOES = {FOLLOWS: WatchdogState.OK, HOLDS: WatchdogState.HOLD, CUT: WatchdogState.CUT}
 
-    - No target has come yet: HOLD. A drive that was switched on waits where it stands, for ever.
-    - Silence longer than ``hold_after``: HOLD, until both come again.
-    - Silence longer than ``cut_after``: CUT, until `reset`. Power that was cut does not come back
-      by itself: whoever restarts a silent controller may have a hand in the machine, and the arm
-      has meanwhile sunk to where the last target no longer fits.
-    - A clock that jumps back (an emulator that was reset) starts the silence anew.
+
+class Watchdog:
+    """The watchdog of firmware/servo.h, in words.
 
     Time is that of any clock that all calls share, logical or wall. States stop logical time, so
     only a wall clock notices their silence.
@@ -32,57 +42,73 @@ class Watchdog:
     Args:
         hold_after: silence that leads to HOLD [s].
         cut_after: silence that leads to CUT, longer than `hold_after` [s].
+        of: a servo's; None: one of its own.
 
     Raises:
         Refusal: times that are not positive or not in this order.
     """
 
-    def __init__(self, hold_after: float, cut_after: float) -> None:
+    def __init__(
+        self, hold_after: float, cut_after: float, of: WatchdogStruct | None = None
+    ) -> None:
+        self._law = servo_law()
+        self._dog = WatchdogStruct() if of is None else of
+        self._pointer = ctypes.byref(self._dog)
+        self.retune(hold_after, cut_after)
+        self.reset()
+
+    def retune(self, hold_after: float, cut_after: float) -> None:
+        """Go on with other times.
+
+        Raises:
+            Refusal: as the constructor. Nothing has changed then.
+        """
         if not (math.isfinite(hold_after) and hold_after > 0.0):
             raise Refusal("watchdog", "hold_after", "be a number > 0 s", hold_after)
         if not (math.isfinite(cut_after) and cut_after > hold_after):
             raise Refusal("watchdog", "cut_after", f"be > hold_after = {hold_after} s", cut_after)
-        self.hold_after = hold_after
-        self.cut_after = cut_after
-        self.reset()
+        self._hold_after, self._cut_after = hold_after, cut_after
+        self._dog.hold_after, self._dog.cut_after = (
+            _nanoseconds(hold_after),
+            _nanoseconds(cut_after),
+        )
 
     def reset(self) -> None:
         """Forget everything, a cut too."""
-        self.state = WatchdogState.HOLD
-        self.reason = "no joint target has come yet"
-        self._last: dict[str, float | None] = {"joint target": None, "motor state": None}
+        self._law.servo_watchdog_reset(self._pointer)
 
     def target_came(self, now: float) -> None:
         """Take note of a joint target at time `now` [s]."""
-        self._last["joint target"] = now
+        self._law.servo_watchdog_target(self._pointer, _nanoseconds(now))
 
     def state_came(self, now: float) -> None:
         """Take note of a motor state at time `now` [s]."""
-        self._last["motor state"] = now
+        self._law.servo_watchdog_state(self._pointer, _nanoseconds(now))
 
     def check(self, now: float) -> WatchdogState:
         """Return what to do at time `now` [s]; `reason` is the reason in words."""
-        if self.state is WatchdogState.CUT:
-            return self.state
-        self.state, self.reason = WatchdogState.OK, "targets and states come"
-        if self._last["joint target"] is None:
-            self.state, self.reason = WatchdogState.HOLD, "no joint target has come yet"
-        for what, last in self._last.items():
-            if last is None:
-                continue
-            if last > now:
-                self._last[what] = last = now
-            silence = now - last
-            if silence > self.cut_after:
-                self.state = WatchdogState.CUT
-                self.reason = (
-                    f"no {what} for {silence:.3g} s, more than cut_after = {self.cut_after:g} s; "
-                    "the power stays off until a reset"
-                )
-                break
-            if silence > self.hold_after:
-                self.state = WatchdogState.HOLD
-                self.reason = (
-                    f"no {what} for {silence:.3g} s, more than hold_after = {self.hold_after:g} s"
-                )
+        self._law.servo_watchdog_check(self._pointer, _nanoseconds(now))
         return self.state
+
+    @property
+    def state(self) -> WatchdogState:
+        """What it told to do last."""
+        return DOES[self._dog.does]
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+        cause = self._dog.cause
+        if cause == HEARS:
+            return "targets and states come"
+        if cause == NO_TARGET:
+            return "no joint target has come yet"
+        what = "joint target" if cause == LATE_TARGET else "motor state"
+        silence = f"no {what} for {self._dog.silence / _NANOSECONDS:.3g} s, more than"
+        if self._dog.does == CUT:
+            return f"{silence} cut_after = {self._cut_after:g} s; the power stays off until a reset"
+        return f"{silence} hold_after = {self._hold_after:g} s"
+
+
+def _nanoseconds(seconds: float) -> int:
+    return min(round(seconds * _NANOSECONDS), _LONGEST)

@@ -133,7 +133,7 @@ def test_a_controller_that_is_not_finite_says_so_and_begins_anew(
     with in_process() as nodes:
         nodes.run_to(20)
         if name == "servo":
-            nodes.nodes["servo"]._drives.servo._axes[0].integral = math.nan
+            nodes.nodes["servo"]._drives.servo.state["integral"][0] = math.nan
         else:
             nodes.nodes[name]._instructor._hold = np.full(3, math.nan)
         said = ""

@@ -14,7 +14,7 @@ import yaml
 
 from motion_controller_node.motion_config import load_motion_config
 from servo_node.drives import Drives, Target
-from servo_node.servo import JointServo, Servo, ServoConfig, _Axis, load_servo_config
+from servo_node.servo import JointServo, Servo, ServoConfig, load_servo_config
 from servo_node.watchdog import Watchdog, WatchdogState
 from words.bound import POSITION, VELOCITY
 from words.refusal import Refusal
@@ -185,26 +185,20 @@ def test_targets_go_on_with_their_speed_for_a_motion_period_at_most(seed: int) -
     rng = np.random.default_rng(seed)
     motion_period = float(rng.choice([0.0, 0.01, 0.05]))
     config = ServoConfig(PERIOD, motion_period, 0.3, 2.0, 48.0, (JOINT,))
-    drives = Drives(config)
-    asked: list[tuple[float, float]] = []
-    control = drives.servo.control
-
-    def spy(q: Any, v: Any = None, tau: Any = None) -> np.ndarray:
-        asked.append((float(q[0]), 0.0 if v is None else float(v[0])))
-        return control(q, v, tau)
-
-    drives.servo.control = spy  # type: ignore[method-assign]
+    drives, twin = Drives(config), Servo(config)
     q, v, at = 0.0, 0.0, 0
     for tick in range(200):
-        drives.measure(tick * 1_000_000, [0], [0.0])
+        count, current = int(rng.integers(-3, 4)), float(rng.normal())
+        drives.measure(tick * 1_000_000, [count], [current])
+        twin.observe([count], [current])
         if tick == 0 or rng.random() < 0.03:
-            q, v, at = float(rng.normal()), float(rng.normal()), tick
+            q, v, at = float(rng.normal(0.0, 0.01)), float(rng.normal(0.0, 0.1)), tick
             moving = rng.random() < 0.8
             v = v if moving else 0.0
             drives.aim(Target(np.array([q]), np.array([v]) if moving else None))
-        drives.voltage(powered=True)
-        ahead = min((tick - at) * PERIOD, motion_period)
-        assert asked[-1] == (pytest.approx(q + v * ahead, abs=1e-12), v), f"tick {tick}"
+        ahead = min((tick - at) / 1000, motion_period)
+        expected = twin.control([q + v * ahead], [v])
+        assert drives.voltage(powered=True) == expected, f"voltage of tick {tick}"
 
 
 def test_targets_that_go_on_stay_within_what_a_joint_may_be_asked_for() -> None:
@@ -278,16 +272,23 @@ def test_voltage_current_and_speed_stay_within_their_limits() -> None:
     assert rows[1000:2500, 4].mean() == pytest.approx(0.5, rel=0.01)
 
 
-class WindingUp(_Axis):
+class WindingUp(Servo):
     """The same control with a plain integral, as a servo without anti-windup has it."""
 
-    def control(self, q_target: float, v_target: float, tau: float) -> float:
-        before = self.integral
-        error = q_target / self.ratio - self.theta
-        omega_ref = max(-self.omega_limit, min(self.omega_limit, self.position_gain * error))
-        voltage = super().control(q_target, v_target, tau)
-        self.integral = before + self.reset_rate * self.velocity_gain * (omega_ref - self.omega)
+    def control(self, q_target: Any, *others: Any) -> np.ndarray:
+        (state,), (joint,) = self.state, self._joint
+        before = state["integral"]
+        error = q_target[0] / joint["ratio"] - state["theta"]
+        limit = joint["omega_limit"]
+        omega_ref = max(-limit, min(limit, joint["position_gain"] * error))
+        voltage = super().control(q_target, *others)
+        gain = joint["reset_rate"] * joint["velocity_gain"]
+        state["integral"] = before + gain * (omega_ref - state["omega"])
         return voltage
+
+    def update(self, counts: Any, current: Any, q_target: Any, **given: Any) -> np.ndarray:
+        self.observe(counts, current, given["voltage"])
+        return self.control(q_target)
 
 
 def test_anti_windup_recovers_from_saturation() -> None:
@@ -298,13 +299,12 @@ def test_anti_windup_recovers_from_saturation() -> None:
     """
     weak = dataclasses.replace(JOINT, current_limit=2.0, position_gain=10.0)
     step, overshoot = 0.2, {}
-    for kind in (_Axis, WindingUp):
-        servo = servo_of(weak)
-        servo._axes = [kind(weak, PERIOD, 48.0)]
+    for kind in (Servo, WindingUp):
+        servo = kind(servo_of(weak).config)
         rows = run(servo, Drivetrain(weak), step, 3000)
         overshoot[kind] = rows[:, 0].max() / step - 1.0
         assert rows[:, 3].max() > 2.0  # it was saturated
-    assert overshoot[_Axis] < JOINT.count_angle / step  # a count
+    assert overshoot[Servo] < JOINT.count_angle / step  # a count
     assert overshoot[WindingUp] > 0.2
 
 
@@ -358,9 +358,9 @@ def test_same_inputs_give_the_same_bits_and_reset_forgets() -> None:
 def test_after_a_cut_control_starts_without_the_old_integral() -> None:
     servo = servo_of()
     run(servo, Drivetrain(JOINT, load=-20.0), 0.0, 1000)
-    assert servo._axes[0].integral == pytest.approx(20.0 * 0.01 / 0.05, rel=0.05)
+    assert servo.state["integral"][0] == pytest.approx(20.0 * 0.01 / 0.05, rel=0.05)
     servo.release()
-    assert servo._axes[0].integral == 0.0
+    assert servo.state["integral"][0] == 0.0
 
 
 # Refusals

@@ -1,0 +1,35 @@
+/* Our servo in the loop with a machine. */
+#include <stddef.h>
+
+#include "firmware.h"
+#include "servo.h"
+
+typedef struct servo_step {
+  servo* arm;
+  const int32_t* place; /* of each of its joints among the machine's */
+  int64_t* counts;      /* what is handed to it, an entry per joint */
+  double *current, *applied, *q, *voltage;
+  int32_t measured; /* 1: it has taken the measurement of this period already */
+  int32_t reserved;
+} servo_step;
+
+void servo_step_step(void* with, const firmware_input* in, firmware_output* out) {
+  servo_step* one = with;
+  const int32_t joints = one->arm->joints;
+  if (!one->measured) {
+    for (int32_t j = 0; j < joints; ++j) {
+      const arm_joint_measurement* joint = &in->measured->joint[one->place[j]];
+      one->counts[j] = joint->encoder;
+      one->current[j] = joint->current;
+      one->applied[j] = joint->voltage;
+    }
+    servo_measure(one->arm, in->time, one->counts, one->current, one->applied);
+  }
+  one->measured = 0;
+  if (in->new_targets) {
+    for (int32_t j = 0; j < joints; ++j) one->q[j] = in->q_target[one->place[j]];
+    servo_aim(one->arm, one->q, NULL, NULL);
+  }
+  servo_voltage(one->arm, (int32_t)in->measured->powered, one->voltage);
+  for (int32_t j = 0; j < joints; ++j) out->joint[one->place[j]].value = one->voltage[j];
+}

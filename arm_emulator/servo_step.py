@@ -1,0 +1,77 @@
+"""Our servo as control code in a loop with a machine: servo_step.c."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from compiled.c_flags import C_FLAGS
+from compiled.unit import Calls, Unit, address, library
+from emulator_node.compiler import CORE
+from firmware import FOLDER
+from servo_node.drives import Drives
+
+_pointer, _int32 = ctypes.c_void_p, ctypes.c_int32
+_CALLS: Calls = {"servo_step_step": (None, [_pointer] * 3)}
+
+
+class _StepStruct(ctypes.Structure):
+    """``servo_step``."""
+
+    _fields_ = (
+        ("arm", _pointer),
+        ("place", _pointer),
+        *((name, _pointer) for name in ("counts", "current", "applied", "q", "voltage")),
+        ("measured", _int32),
+        ("reserved", _int32),
+    )
+
+
+@cache
+def _servo_step() -> ctypes.CDLL:
+    return library(servo_step_unit())
+
+
+def servo_step_unit() -> Unit:
+    """Return servo and step as what is compiled."""
+    source = '#include "servo.c"\n#include "servo_step.c"\n'
+    folders = (FOLDER, CORE, Path(__file__).resolve().parent)
+    about = "the servo for runs without a network"
+    return Unit("servo_step", source, C_FLAGS, folders, _CALLS, "servo", about, "servo.c")
+
+
+class ServoStep:
+    """A servo as a step of `emulator_node.firmware_loop`.
+
+    Attributes:
+        step: address of the step.
+        with_: address that it gets.
+
+    Args:
+        drives: the servo.
+        place: of each of its joints among the machine's.
+    """
+
+    def __init__(self, drives: Drives, place: list[int]) -> None:
+        self._drives = drives  # must outlive the step
+        self._place = np.array(place, np.int32)
+        servo = drives.servo
+        counts, current, applied, q, *_, voltage = servo.places
+        self._struct = _StepStruct(
+            ctypes.addressof(servo.arm),
+            self._place.ctypes.data,
+            counts,
+            current,
+            applied,
+            q,
+            voltage,
+        )
+        self.step = address(_servo_step(), "servo_step_step")
+        self.with_ = ctypes.addressof(self._struct)
+
+    def has_measured(self) -> None:
+        """Tell that the servo has taken the measurement of the coming period already."""
+        self._struct.measured = 1

@@ -1,0 +1,65 @@
+/* Control code of yours in the loop with a machine behind arm.h: what your shared library has.
+ *
+ *   python -m arm_emulator run SCENE --servo ./libmine.so --targets table.csv
+ *
+ * A library has one function of a name that is known outside, `arm_firmware`, which returns what it
+ * does: `start` once before the first servo period, then `step` in every one. No other thread calls
+ * it, and logical time stands still meanwhile: it may take as long as it likes, in a debugger too.
+ * C99.
+ */
+#ifndef FIRMWARE_H
+#define FIRMWARE_H
+
+#include "arm.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define FIRMWARE_VERSION 1
+
+/* What the machine is, told once. */
+typedef struct firmware_machine {
+  uint32_t size;
+  int32_t joints;
+  int64_t period; /* ns, from step to step */
+  double supply_voltage;
+  const arm_joint_description* joint; /* an entry per joint, base to tool, as in all arrays */
+} firmware_machine;
+
+/* What is known at the start of a servo period. */
+typedef struct firmware_input {
+  uint32_t size;
+  int32_t new_targets; /* 1: joint targets have come */
+  int64_t time;        /* ns, tick times period */
+  const arm_measurement* measured;
+  const double* q_target; /* rad or m, of the links; null: none has come yet */
+  const double* v_target; /* rad/s or m/s, with which they go on; null: 0 */
+  const double* tau;      /* N m or N, of the links, known beforehand; null: 0 */
+} firmware_input;
+
+/* What the drives shall do in it. The arrays hold what was written there last: at first every joint
+ * is enabled, its value 0, in the first mode that its drive takes. */
+typedef struct firmware_output {
+  uint32_t size;
+  uint32_t reserved;
+  arm_joint_command* joint; /* an entry per joint */
+  double* value_d;          /* V, an entry per joint, see ARM_VOLTAGE_DQ */
+} firmware_output;
+
+typedef struct firmware {
+  uint32_t version; /* FIRMWARE_VERSION */
+  uint32_t reserved;
+  /* Begin anew. Return null, or in one line why this machine is none for you. May be null. */
+  const char* (*start)(const firmware_machine* machine);
+  void (*step)(const firmware_input* in, firmware_output* out);
+} firmware;
+
+/* The entry point; your library defines it. */
+const firmware* arm_firmware(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,249 @@
+#include "servo.h"
+
+/* The largest angle that a joint may be asked for [rad]. */
+static const servo_real FARTHEST = (servo_real)1e6;
+static const servo_real HALF = (servo_real)0.5;
+static const servo_real NANOSECONDS = (servo_real)1e9;
+
+static servo_real clip(servo_real value, servo_real limit) {
+  return value < -limit ? -limit : value > limit ? limit : value;
+}
+
+static int finite(servo_real value) { return value - value == 0; }
+
+static servo_real sum_of(const servo_sum* sum, servo_real current, servo_real speed,
+                         servo_real voltage, servo_real load) {
+  return sum->current * current + sum->speed * speed + sum->voltage * voltage + sum->load * load;
+}
+
+/* ---------------------------------------------------------------------------------- one joint */
+
+void servo_joint_reset(servo_state* state) {
+  state->counts = 0;
+  state->known = 0;
+  state->theta_measured = state->theta = state->omega = state->load = 0;
+  state->current = state->integral = 0;
+  state->voltage = state->unknown_voltage = 0;
+  state->q_target = state->v_target = state->tau = 0;
+  state->q_hold = 0;
+}
+
+/* Take the motor as standing in the middle of its count, its load held by its current. */
+static void start(const servo_joint* joint, servo_state* state, servo_real current) {
+  state->known = 1;
+  state->theta = state->theta_measured;
+  state->omega = 0;
+  state->load = joint->torque_constant * current;
+  state->current = current;
+  state->integral = current;
+  state->unknown_voltage = 0;
+}
+
+/* Return the counts of an absolute encoder that are next to those before; next to 0 first. So a
+ * motor may turn by less than half a word in a servo period. */
+static int64_t unwrapped(const servo_joint* joint, servo_state* state, int64_t word) {
+  const int64_t half = joint->wrap / 2;
+  int64_t turned = (word - state->counts + half) % joint->wrap;
+  if (turned < 0) turned += joint->wrap;
+  return state->counts += turned - half;
+}
+
+void servo_joint_observe(const servo_joint* joint, servo_state* state, int64_t counts,
+                         servo_real current, servo_real voltage) {
+  if (joint->wrap) counts = unwrapped(joint, state, counts);
+  servo_joint_take(joint, state, ((servo_real)counts + HALF) * joint->count_angle, current,
+                   voltage);
+}
+
+/* Predict over the past period, take what the measured current adds to that, then correct by the
+ * encoder. A plain difference of counts would step by a whole count per period (6 rad/s at 1024
+ * counts and 1 ms). */
+void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,
+                      servo_real current, servo_real voltage) {
+  state->theta_measured = theta;
+  if (!state->known) {
+    start(joint, state, current);
+    return;
+  }
+  const servo_real i = state->current, omega = state->omega, load = state->load;
+  const servo_real surplus = current - sum_of(&joint->end_current, i, omega, voltage, load);
+  state->unknown_voltage = joint->voltage_per_surplus * surplus;
+  state->theta += sum_of(&joint->turn, i, omega, voltage, load) + joint->turn_per_surplus * surplus;
+  state->omega =
+      sum_of(&joint->end_speed, i, omega, voltage, load) + joint->speed_per_surplus * surplus;
+  const servo_real innovation = theta - state->theta;
+  state->theta += joint->theta_gain * innovation;
+  state->omega += joint->omega_gain * innovation;
+  state->load += joint->load_gain * innovation;
+  state->current = current;
+}
+
+servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
+                               servo_real v_target, servo_real tau) {
+  const servo_real theta_target = q_target / joint->ratio;
+  const servo_real off = theta_target - state->theta_measured;
+  const int within_count = (off < 0 ? -off : off) <= HALF * joint->count_angle;
+  const servo_real error = within_count ? 0 : theta_target - state->theta;
+  const servo_real omega_ref =
+      clip(v_target / joint->ratio + joint->position_gain * error, joint->omega_limit);
+
+  const servo_real feedforward = tau * joint->ratio / joint->torque_constant;
+  servo_real i_ref =
+      joint->velocity_gain * (omega_ref - state->omega) + state->integral + feedforward;
+  i_ref = clip(i_ref, joint->current_limit);
+
+  const servo_real current = state->current, memory = joint->current_memory;
+  const servo_sum* mean = &joint->mean_current;
+  const servo_real at_no_voltage = sum_of(mean, current, state->omega, 0, state->load);
+  const servo_real wanted = (i_ref - memory * (i_ref - current) - at_no_voltage) / mean->voltage;
+  /* No voltage that lets the current beyond its limit within the period. What the model did not
+   * know in the last period, an observed speed that lags for one, counts here: the winding turns a
+   * few volts into many amperes. */
+  const servo_real middle =
+      joint->emf * state->omega - state->unknown_voltage - joint->winding * current;
+  const servo_real span = joint->current_voltage * joint->current_limit;
+  const servo_real least = middle - span, most = middle + span;
+  servo_real voltage = least > wanted ? least : wanted;
+  voltage = clip(most < voltage ? most : voltage, joint->voltage_limit);
+  if (voltage != wanted) /* what current the limits leave of the reference */
+    i_ref = (mean->voltage * voltage + at_no_voltage - memory * current) / (1 - memory);
+  /* Automatic reset: with no limit active this is the integral of Kv error / integral time. */
+  state->integral += joint->reset_rate * (i_ref - feedforward - state->integral);
+  state->voltage = voltage;
+  return voltage;
+}
+
+/* ------------------------------------------------------------------------------- the watchdog */
+
+void servo_watchdog_reset(servo_watchdog* dog) {
+  dog->does = SERVO_HOLDS;
+  dog->cause = SERVO_NO_TARGET;
+  dog->silence = 0;
+  dog->target_came = dog->state_came = 0;
+}
+
+void servo_watchdog_target(servo_watchdog* dog, int64_t now) {
+  dog->target_came = 1;
+  dog->last_target = now;
+}
+
+void servo_watchdog_state(servo_watchdog* dog, int64_t now) {
+  dog->state_came = 1;
+  dog->last_state = now;
+}
+
+static void listen(servo_watchdog* dog, int64_t* last, int64_t now, int32_t cause) {
+  if (*last > now) *last = now;
+  const int64_t silence = now - *last;
+  if (silence <= dog->hold_after) return;
+  dog->does = silence > dog->cut_after ? SERVO_CUT : SERVO_HOLDS;
+  dog->cause = cause;
+  dog->silence = silence;
+}
+
+int32_t servo_watchdog_check(servo_watchdog* dog, int64_t now) {
+  if (dog->does == SERVO_CUT) return dog->does;
+  dog->does = dog->target_came ? SERVO_FOLLOWS : SERVO_HOLDS;
+  dog->cause = dog->target_came ? SERVO_HEARS : SERVO_NO_TARGET;
+  if (dog->target_came) listen(dog, &dog->last_target, now, SERVO_LATE_TARGET);
+  if (dog->state_came && dog->does != SERVO_CUT)
+    listen(dog, &dog->last_state, now, SERVO_LATE_STATE);
+  return dog->does;
+}
+
+/* ------------------------------------------------------------------------------------ an arm */
+
+void servo_reset(servo* arm) {
+  for (int32_t j = 0; j < arm->joints; ++j) servo_joint_reset(&arm->state[j]);
+  servo_watchdog_reset(&arm->watchdog);
+  arm->measured = arm->aimed = arm->holding = 0;
+  arm->now = arm->target_time = 0;
+  arm->does = SERVO_HOLDS;
+}
+
+static void begin_anew(servo* arm, int32_t j) {
+  servo_state* state = &arm->state[j];
+  start(&arm->joint[j], state, finite(state->current) ? state->current : 0);
+  ++arm->restarts;
+}
+
+void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
+                   const servo_real* voltage) {
+  for (int32_t j = 0; j < arm->joints; ++j) {
+    servo_state* state = &arm->state[j];
+    servo_joint_observe(&arm->joint[j], state, counts[j], current[j],
+                        voltage ? voltage[j] : state->voltage);
+    if (!finite(state->theta + state->omega + state->load + state->unknown_voltage))
+      begin_anew(arm, j);
+  }
+}
+
+static servo_real control(servo* arm, int32_t j, servo_real q, servo_real v, servo_real tau) {
+  servo_state* state = &arm->state[j];
+  const servo_real voltage = servo_joint_control(&arm->joint[j], state, q, v, tau);
+  if (finite(voltage + state->integral)) return voltage;
+  begin_anew(arm, j);
+  return state->voltage = 0;
+}
+
+void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
+                   servo_real* voltage) {
+  for (int32_t j = 0; j < arm->joints; ++j)
+    voltage[j] = control(arm, j, q[j], v ? v[j] : 0, tau ? tau[j] : 0);
+}
+
+void servo_release(servo* arm) {
+  for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].integral = arm->state[j].voltage = 0;
+}
+
+void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
+                   const servo_real* voltage) {
+  servo_observe(arm, counts, current, voltage);
+  arm->now = now;
+  arm->measured = 1;
+  servo_watchdog_state(&arm->watchdog, now);
+}
+
+void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau) {
+  for (int32_t j = 0; j < arm->joints; ++j) {
+    arm->state[j].q_target = q[j];
+    arm->state[j].v_target = v ? v[j] : 0;
+    arm->state[j].tau = tau ? tau[j] : 0;
+  }
+  arm->aimed = 1;
+  if (!arm->measured) return;
+  arm->target_time = arm->now;
+  servo_watchdog_target(&arm->watchdog, arm->now);
+}
+
+/* Seconds that the newest target has gone on. */
+static servo_real ahead_of(const servo* arm) {
+  int64_t ahead = arm->now - arm->target_time;
+  if (ahead < 0) ahead = 0;
+  if (ahead > arm->motion_period) ahead = arm->motion_period;
+  return (servo_real)ahead / NANOSECONDS;
+}
+
+void servo_voltage(servo* arm, int32_t powered, servo_real* voltage) {
+  arm->does = servo_watchdog_check(&arm->watchdog, arm->now);
+  if (!powered) arm->does = SERVO_CUT;
+  if (arm->does == SERVO_CUT) {
+    arm->holding = 0;
+    servo_release(arm);
+    for (int32_t j = 0; j < arm->joints; ++j) voltage[j] = 0;
+    return;
+  }
+  const int follows = arm->does == SERVO_FOLLOWS && arm->aimed;
+  const servo_real ahead = ahead_of(arm);
+  for (int32_t j = 0; j < arm->joints; ++j) {
+    servo_state* state = &arm->state[j];
+    if (follows) {
+      const servo_real q = clip(state->q_target + ahead * state->v_target, FARTHEST);
+      voltage[j] = control(arm, j, q, state->v_target, state->tau);
+    } else {
+      if (!arm->holding) state->q_hold = state->theta_measured * arm->joint[j].ratio;
+      voltage[j] = control(arm, j, state->q_hold, 0, 0);
+    }
+  }
+  arm->holding = !follows;
+}
