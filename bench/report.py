@@ -28,6 +28,7 @@ SECTIONS = (
     "stability_map",
     "energy_drift",
     "tool_line",
+    "assumed",
     "hard_places",
     "convergence",
     "hard_cases",

@@ -1,0 +1,94 @@
+"""Where the figures of a scene come from: published, or assumed within a range.
+
+In a scene file the comment beside a figure says so: ``[1]``, a source that the head of the file
+names, or ``assumed 0.09 to 0.14``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import yaml
+
+from words.refusal import Refusal
+
+SECTIONS = ("motor", "gear", "friction")  # of a joint, that must say where they are from
+_NUMBER = r"([\d.e+-]+(?:/\d+)?)"
+_ASSUMED = re.compile(rf"\bassumed {_NUMBER} to {_NUMBER}")
+_SOURCE = re.compile(r"\[(\d+)\]")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Of one figure of a scene, which several joints may share."""
+
+    section: str  # such as motor, or motor.friction
+    key: str
+    value: float
+    joints: tuple[str, ...]
+    line: int  # of the file
+    assumed: tuple[float, float] | None  # the range; None: published
+    source: str = ""  # where, or for what is assumed, empty
+
+    def names(self) -> list[str]:
+        """Return the names of the figure as `varied` of a scene has them."""
+        return [f"joints.{joint}.{self.section}.{self.key}" for joint in self.joints]
+
+
+def origins(file: Path) -> list[Origin]:
+    """Return the origin of each number of motors, gears and friction, in the order of the file.
+
+    Raises:
+        Refusal: a figure has no mark, a source is not named in the head of the file, or a value
+            is not within its range.
+    """
+    text = file.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    named = dict(re.findall(r"^# \[(\d+)\] (.*)", text, re.M))
+    found: dict[tuple[int, int], tuple[str, str, float, list[str]]] = {}
+    joints = _entries(yaml.compose(text)).get("joints")
+    for joint, node in _entries(joints).items():
+        for section in SECTIONS:
+            for path, number in _numbers(_entries(node).get(section), section):
+                mark, (at, _, key) = number.start_mark, path.rpartition(".")
+                figure = at, key, float(number.value), []
+                found.setdefault((mark.line, mark.column), figure)[3].append(joint)
+    return [
+        _origin(file, lines[line], line + 1, named, at, key, value, tuple(joints))
+        for (line, _), (at, key, value, joints) in sorted(found.items())
+    ]
+
+
+def _origin(
+    file: Path, text: str, line: int, named: dict[str, str], section: str, key: str, value: float,
+    joints: tuple[str, ...],
+) -> Origin:  # fmt: skip
+    where, comment = f"{file.name}, line {line}", text.partition("#")[2]
+    assumed, source = _ASSUMED.search(comment), _SOURCE.search(comment)
+    at = f"{section}.{key}"
+    if assumed:
+        low, high = (float(Fraction(one)) for one in assumed.groups())
+        if not low <= value <= high:
+            raise Refusal(where, at, f"be within what is assumed, {low:g} to {high:g}", value)
+        return Origin(section, key, value, joints, line, (low, high))
+    if source is None or source[1] not in named:
+        rule = "have a source, such as [1], that the head of the file names, or be assumed"
+        raise Refusal(where, at, rule, comment.strip() or "nothing", "assumed LOW to HIGH")
+    return Origin(section, key, value, joints, line, None, named[source[1]])
+
+
+def _entries(node: yaml.Node | None) -> dict[str, yaml.Node]:
+    if not isinstance(node, yaml.MappingNode):
+        return {}
+    return {key.value: value for key, value in node.value}
+
+
+def _numbers(node: yaml.Node | None, path: str) -> Iterator[tuple[str, yaml.ScalarNode]]:
+    for key, value in _entries(node).items():
+        if isinstance(value, yaml.ScalarNode) and value.tag.endswith((":float", ":int")):
+            yield f"{path}.{key}", value
+        yield from _numbers(value, f"{path}.{key}")

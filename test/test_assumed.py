@@ -1,0 +1,119 @@
+"""Every figure of a motor, a gear or friction says where it is from, and what it does is told."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import CONFIG
+
+from arm_emulator.demo_plan import DemoPlan
+from arm_emulator.offline import load_offline_run
+from bench.assumed import ARMS, assumed_of, demos
+from bench.origins import SECTIONS, origins
+from emulator_node.scene import load_scene
+from motion_controller_node.pose import Pose
+from words.config_files import find_scene
+from words.refusal import Refusal
+
+PAGE = (CONFIG.parent / "docs" / "assumed.md").read_text()
+# Scenes that mark anything mark everything.
+MARKED = sorted(
+    file for file in CONFIG.glob("*.yaml") if re.search(r"#.*\bassumed [\d.]", file.read_text())
+)
+
+
+@pytest.mark.parametrize("file", MARKED, ids=lambda file: file.stem)
+def test_every_figure_has_a_source_or_a_range(file: Path) -> None:
+    found = origins(file)
+    names = [name for one in found for name in one.names()]
+    assert len(names) == len(set(names)), "a figure is told twice"
+    there = {
+        f"joints.{joint.name}.{section}"
+        for joint in load_scene(str(file)).joints
+        for section in SECTIONS
+        if joint.motor is not None or section == "friction"
+    }
+    told = {name.rpartition(".")[0] for name in names}
+    assert there <= told, "sections of the scene without figures that tell their origin"
+
+
+def test_the_real_arms_are_among_them() -> None:
+    assert {CONFIG / f"{name}.yaml" for name in ARMS} <= set(MARKED), f"marked: {MARKED}"
+
+
+@pytest.mark.parametrize("file", MARKED, ids=lambda file: file.stem)
+def test_a_figure_that_does_not_say_where_it_is_from_is_refused(file: Path, tmp_path: Path) -> None:
+    """Each of them in turn: without a mark, off its range, with a source that nobody names."""
+    text, other = file.read_text(), tmp_path / file.name
+    lines, rng = text.splitlines(), np.random.default_rng(1)
+    of_figures = {one.line - 1: f"{one.section}.{one.key}" for one in origins(file) if one.assumed}
+    assert of_figures, "figures that are assumed"
+    for k, figure in of_figures.items():
+        bare = lines[k].partition("#")[0]
+        wrong = {
+            "have a source": [bare, f"{bare}# about so", f"{bare}# see [99]"],
+            "be within what is assumed": [re.sub(r"assumed \S+ to [^\s;:,]+", far, lines[k])
+                                          for far in ("assumed 1e7 to 1e8", "assumed -2 to -1")],
+        }  # fmt: skip
+        rule = str(rng.choice(list(wrong)))
+        line = str(rng.choice(wrong[rule]))
+        other.write_text("\n".join([*lines[:k], line, *lines[k + 1 :]]))
+        with pytest.raises(Refusal) as refusal:
+            origins(other)
+        said = str(refusal.value)
+        expected = f"{file.name}, line {k + 1}: {figure} must {rule}"
+        assert said.startswith(expected) and "\n" not in said, said
+
+
+def test_a_figure_may_have_a_source_that_the_head_names(tmp_path: Path) -> None:
+    lines = (CONFIG / "ur5.yaml").read_text().splitlines()
+    (k,) = [k for k, line in enumerate(lines) if "resistance: 0.3 " in line]
+    lines[k] = "      resistance: 0.3  # ohm [1]"
+    (tmp_path / "ur5.yaml").write_text("\n".join(lines))
+    (one,) = [one for one in origins(tmp_path / "ur5.yaml") if one.line == k + 1]
+    assert one.assumed is None and one.source.startswith("Universal Robots, Max. joint torques")
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_page_has_a_row_of_every_figure_that_is_assumed(name: str) -> None:
+    for one in assumed_of(CONFIG / f"{name}.yaml"):
+        joints = f"{one.joints[0]} to {one.joints[-1]}"
+        row = f"| `{one.label}` | {joints} | {one.value:.3g} | {one.low:.3g} to {one.high:.3g} | "
+        assert row in PAGE, f"{row}: make the tables anew by python -m bench.assumed"
+
+
+def test_a_gear_of_another_ratio_is_as_motors_of_other_constants() -> None:
+    """A rotor turns 1/r times as fast, so that constants grow by r0/r and inertia by its square."""
+    for one in assumed_of(CONFIG / "ur5.yaml"):
+        if one.label == "gear.ratio":
+            values = one.at(0.5 * one.value)
+            for name, value in values.items():
+                power = 2.0 if name.endswith("rotor_inertia") else 1.0
+                assert value == pytest.approx(one.nominal[name] * 2.0**power), name
+            assert len(values) == 3 * len(one.joints), "constants, back EMF and inertia of each"
+
+
+def test_arms_of_the_fleet_make_the_motion_of_the_demo() -> None:
+    """An arm as its scene has it, beside one that is not, as in a run without a network."""
+    name, instructions = "three_axis", 6
+    stiff = {f"joints.{joint}.gear.stiffness": 2e4 for joint in ("waist", "shoulder", "elbow")}
+    found = demos(name, [{}, stiff], instructions)
+    one = load_offline_run(name)
+    kinematics, scene = one.controller.kinematics, one.session.scene
+    period_ns = one.motion_ticks * one.session.period_ns
+    plan = DemoPlan.load(find_scene(name), period_ns)
+    R_WT, p_WT = kinematics.forward(scene.start)
+    goal = p_WT + plan.displacement
+    target = Pose.from_quaternion(goal, Pose(p_WT, R_WT).quaternion(), "goal")
+    one.instructor.add(plan.settle_ns, target)
+    one.advance(plan.settle_ns // one.session.period_ns)
+    for k in range(instructions + 1):
+        expected = goal - kinematics.forward(one.session.state.q)[1]
+        # Lanes differ from one machine by rounding, which no encoder has seen here.
+        assert found[0, k] == pytest.approx(expected, abs=1e-9), f"instruction {k}"
+        one.advance(one.motion_ticks)
+    assert np.abs(found[0, -1]).max() < 0.5 * np.abs(found[0, 0]).max(), "the tool is on its way"
+    assert np.abs(found[1] - found[0]).max() > 1e-6, "the other arm moves otherwise"
