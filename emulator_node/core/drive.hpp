@@ -206,7 +206,6 @@ struct Drive {
   }
   // Torque of the gear on its link, which accelerates at `a` [N m].
   constexpr double gear_torque(const Input<double>& x, double a) const {
-    if constexpr (elastic) return gear_on_link(with(x, modes_at(x)), modes_at(x).held());
     return load_on_link(x) - carried() * a;
   }
 

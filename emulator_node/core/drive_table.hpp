@@ -351,20 +351,26 @@ class DriveTables {
     return rest;
   }
 
-  // What a joint is after a step by the states at its start alone, of the paper's scheme.
-  template <class TheDrive>
-  auto end_of(const TheDrive& drive, int j, int lane, const State<S, X>& x, const X& u,
-              [[maybe_unused]] const Rest& rest) const {
-    auto end = input_in_lane(drive, j, x, u, lane);
-    const auto start = end;
+  // What joint j, at `start`, is after a step of the paper's scheme in the modes in use.
+  template <class TheDrive, class Input>
+  Input end_of(const TheDrive& drive, int j, int lane, const Input& start) const {
+    const Modes& modes = now[lane][j];
+    Input end = start;
     for (int k = 0; k < TheDrive::states; ++k) {
       const auto number = [&](int input) { return lane_of(dz[k][input][j], lane); };
       for (int m = 0; m < TheDrive::states; ++m) end.z[k] += number(m) * start.z[m];
       end.z[k] += number(In::q) * start.q + number(In::v) * start.v + number(In::u) * start.u;
       for (int m = 0; m < TheDrive::modes; ++m)
-        end.z[k] += number(In::offset + m) * now[lane][j].at[m].offset;
-      if constexpr (R > 0)
-        for (int r = 0; r < R; ++r) end.z[k] += number(In::rest + r) * lane_of(rest.at[r][j], lane);
+        end.z[k] += number(In::offset + m) * modes.at[m].offset;
+    }
+    if constexpr (!TheDrive::is_linear) {
+      const auto rest =
+          drive.rest(drive.with(start, resized<TheDrive::modes>(modes)), modes.held());
+      for (int k = 0; k < TheDrive::states; ++k) {
+        for (int r = 0; r < TheDrive::states; ++r)
+          end.z[k] += lane_of(dz[k][In::rest + r][j], lane) * rest.f[r];
+        end.z[k] += lane_of(dz[k][In::rest + K][j], lane) * rest.g;
+      }
     }
     return end;
   }
@@ -375,25 +381,11 @@ class DriveTables {
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
         if constexpr (drive.modes > 0) {
           auto at = input_in_lane(drive, j, x, u[j], lane);
-          drive.settle(at, of<drive.modes>(now[lane][j]));
+          drive.settle(at, resized<drive.modes>(now[lane][j]));
           put_states(drive, j, lane, at, x);
         }
       });
     }
-  }
-
-  // A drive has as many modes as its parts, those of a scene as many as any drive.
-  template <int m>
-  static constexpr DriveModes<m> of(const Modes& modes) {
-    DriveModes<m> some;
-    for (int k = 0; k < m; ++k) some.at[k] = modes.at[k];
-    return some;
-  }
-  template <int m>
-  static constexpr Modes all_of(const DriveModes<m>& some) {
-    Modes modes;
-    for (int k = 0; k < m; ++k) modes.at[k] = some.at[k];
-    return modes;
   }
 
   // A row's numbers times the inputs, for all joints.
@@ -440,7 +432,7 @@ class DriveTables {
   void put_rest(const auto& drive, int j, int lane, const State<S, X>& x, const X (&u)[row],
                 Rest& rest) const {
     const auto& modes = now[lane][j];
-    const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), of<drive.modes>(modes));
+    const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), resized<drive.modes>(modes));
     const auto is = drive.rest(at, modes.held());
     for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
     set_lane(rest.at[K][j], lane, is.g);

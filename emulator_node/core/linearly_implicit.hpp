@@ -303,7 +303,7 @@ class LinearlyImplicit {
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
         if constexpr (drive.modes > 0)
           tables.serve(j, lane,
-                       Tables::all_of(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
+                       resized<Tables::M>(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
       });
     }
     State<S, X> y;
@@ -373,9 +373,9 @@ class LinearlyImplicit {
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
         if constexpr (drive.modes > 0) {
           const auto& now = tables.served(j, lane);
-          const auto wanted = Tables::all_of(drive.wanted(input_in_lane(drive, j, x, u[j], lane),
-                                                          input_in_lane(drive, j, y, u[j], lane),
-                                                          Tables::template of<drive.modes>(now)));
+          const auto wanted = resized<Tables::M>(
+              drive.wanted(input_in_lane(drive, j, x, u[j], lane),
+                           input_in_lane(drive, j, y, u[j], lane), resized<drive.modes>(now)));
           if (wanted == now) return;
           set_lane(changed, lane, 1.0);
           tables.serve(j, lane, wanted);

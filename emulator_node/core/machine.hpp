@@ -305,19 +305,12 @@ class Machine {
   }
 
   // Accelerations of the joints under what acts on them now [rad/s2].
-  void accelerations(double* a) const {
+  void accelerations(double (&a)[N]) const {
     typename Links<S>::Dynamics links;
     Links<S>::dynamics_apart(numbers, x.q, x.v, links);
-    numbers.for_each_drive([&](const auto& drive, int j) {
-      links.M.at[j][j] += drive.carried();
-      const auto at = input_of(drive, j, x, 0.0);
-      const auto modes = drive.modes_at(at);
-      a[j] = drive.rates(drive.with(at, modes), modes.held()).g - links.nle[j];
-    });
     Coulomb<S, double> coulomb(numbers);
     const double none[N] = {};
-    coulomb.take(x, none);
-    coulomb.solve(links.M.at, x.v, a);
+    Modes<S>(numbers, x, none, links).accelerations(x, none, links, a, coulomb);
   }
 
   // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when

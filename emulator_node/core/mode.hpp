@@ -34,6 +34,15 @@ struct DriveModes {
   }
 };
 
+// The first m of them, or all of them and more that are in their usual modes: a drive has as many
+// as its parts, and a scene as many as any of its drives.
+template <int m, int M>
+constexpr DriveModes<m> resized(const DriveModes<M>& modes) {
+  DriveModes<m> some;
+  for (int k = 0; k < m && k < M; ++k) some.at[k] = modes.at[k];
+  return some;
+}
+
 constexpr bool is_held(unsigned held, int m) { return held >> m & 1u; }
 
 // Beyond by rounding is not beyond.

@@ -27,7 +27,7 @@ class Modes {
       : n(&numbers) {
     n->for_each_drive([&](const auto& drive, int j) {
       if constexpr (drive.modes > 0)
-        take(this->drive[j], drive.modes_at(input_of(drive, j, x, u[j])));
+        this->drive[j] = resized<M>(drive.modes_at(input_of(drive, j, x, u[j])));
     });
     if constexpr (Friction::present) {
       Friction coulomb(*n);
@@ -43,9 +43,7 @@ class Modes {
   // Those of the drive of joint j alone.
   template <class Drive>
   DriveModes<Drive::modes> of(const Drive&, int j) const {
-    DriveModes<Drive::modes> some;
-    for (int m = 0; m < Drive::modes; ++m) some.at[m] = drive[j].at[m];
-    return some;
+    return resized<Drive::modes>(drive[j]);
   }
 
   // The links' accelerations at x.
@@ -101,11 +99,6 @@ class Modes {
 
  private:
   const Numbers<S>* n;
-
-  template <int m>
-  static void take(DriveModes<M>& to, const DriveModes<m>& from) {
-    for (int k = 0; k < m; ++k) to.at[k] = from.at[k];
-  }
 
   bool any_locked() const {
     bool found = false;

@@ -73,11 +73,8 @@ class PaperScheme {
           const auto start = input_in_lane(drive, j, x, u[j], lane);
           auto modes = drive.modes_at(start);
           for (int round = 0; round <= 2 * drive.modes; ++round) {
-            tables.serve(j, lane, Tables::all_of(modes));
-            typename Tables::Rest rest;
-            if constexpr (!Tables::linear) rest = tables.rest_at(x, u);
-            const auto wanted =
-                drive.wanted(start, tables.end_of(drive, j, lane, x, u[j], rest), modes);
+            tables.serve(j, lane, resized<Tables::M>(modes));
+            const auto wanted = drive.wanted(start, tables.end_of(drive, j, lane, start), modes);
             if (wanted == modes) return;
             modes = wanted;
           }
