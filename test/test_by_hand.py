@@ -63,6 +63,7 @@ class ByHand:
     def __init__(self, draw: random.Random, call: Call, varied: tuple[Varied, ...] = ()) -> None:
         self._varied = varied
         self.kinds: set[str] = set()  # what was done
+        self.bursts = [0]  # how many things one right after the other
         self._draw, self._call = draw, call
         self._saved: list[bytes] = []
         self._names: list[str] = []
@@ -95,14 +96,20 @@ class ByHand:
         answer = self._call(f"emulator/{kind}", request)
         assert answer.success, f"{kind}: {answer.message}"
         self.kinds.add(kind)
+        self.bursts[-1] += 1
         if kind == "save_state":
             self._saved.append(bytes(answer.state))
             self._names += [request.name] if request.name else []
 
     def changes(self, reset: bool = True) -> None:
         """Do some things, one right after the other."""
+        self.bursts.append(0)
         while self._draw.random() < 0.7:
             self.change(reset)
+
+    def has_done_much(self) -> bool:
+        """Whether there were many changes, of several kinds, and several of them at once."""
+        return sum(self.bursts) > 15 and max(self.bursts) > 1 and len(self.kinds) >= 3
 
 
 def go_on(one: InProcess, ticks: int, between: Callable[[], None] = lambda: None) -> None:
@@ -146,6 +153,7 @@ def recorded(clock: str, seed: int, bag: Path, varied: Path) -> set[str]:
         one.begin_record()
         hand = ByHand(draw, one.call, session_of(one).scene.varied)
         hand.changes()  # of which the run that is checked begins with some
+        hand.bursts = [0]
         assert one.call("emulator/reset").success
 
         def between() -> None:
@@ -154,6 +162,8 @@ def recorded(clock: str, seed: int, bag: Path, varied: Path) -> set[str]:
                 hand.changes()
 
         go_on(one, 400, between)
+        while not hand.has_done_much():  # a busy machine looks less often between its ticks
+            go_on(one, 20, between)
         if clock == "realtime":
             assert one.call("emulator/pause", True).success
             hand.changes(reset=False)
