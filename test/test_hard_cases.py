@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import FULL
+from draws import FULL, some
 
 from bench.hard_cases import (
     CASES,
@@ -149,7 +149,7 @@ def test_a_divergence_that_stays_finite_is_detected() -> None:
     ("scheme", "overrides"),
     [
         *((scheme, {}) for scheme in SCHEMES),
-        *((scheme, {**LINKS_ALONE, "gravity": EARTH}) for scheme in SCHEMES),
+        *((scheme, {**LINKS_ALONE, "gravity": EARTH}) for scheme in some(SCHEMES, 2)),
         # Motors that give more mechanical power than they take from their back-EMF.
         ("rosenbrock", {**SHARED, "joints.*.motor.torque_constant": 0.06}),
     ],

@@ -179,7 +179,7 @@ PAIRS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("machine", "scheme"), some(PAIRS, 4 + 2 * (len(MACHINES) - 1)))
+@pytest.mark.parametrize(("machine", "scheme"), some(PAIRS, 4 + (len(MACHINES) - 1)))
 def test_orders(machine: str, scheme: str) -> None:
     coarse, fine = (error(machine, scheme, steps) for steps in (800, 1600))
     # The next term of the error's expansion is one order higher: at 12 us and below it is some per
@@ -201,7 +201,7 @@ def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
 # Limits
 
 
-@pytest.mark.parametrize("scheme", ["implicit", "rosenbrock", "extrapolated"])
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated"], 2))
 def test_stiff_gears_converge_to_the_rigid_gear(scheme: str) -> None:
     """The wind-up is T / Kg."""
     rigid = motion("rigid gear", scheme, 200)
@@ -253,7 +253,7 @@ def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str,
         return Plant(scene("everything", scheme, steps, **overrides)).run(rows, steps)
 
     fine = run("rosenbrock", 10_000)
-    for scheme in some(["rosenbrock", "paper", "extrapolated", "implicit"], 2):
+    for scheme in some(["rosenbrock", "paper", "extrapolated", "implicit"], 1):
         errors = np.array([np.abs(run(scheme, n) - fine).max() for n in (50, 400)])
         # Eight times the steps: an eighth of the error; a switch may fall well or badly into its
         # step, which for the second order is nearly all of the (small) error.
@@ -311,7 +311,7 @@ def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: flo
     assert plant.state.q[0] == rest and plant.state.v[0] == 0.0, "it stays where it came to rest"
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 2))
 def test_a_joint_breaks_away_at_its_breakaway_torque(tmp_path: Path, scheme: str) -> None:
     """A level arm of 2 kg at 0.3 m pulls with m g c; friction a hair above or below that."""
     torque = 2.0 * 9.81 * 0.3
@@ -332,7 +332,7 @@ def test_a_joint_breaks_away_at_its_breakaway_torque(tmp_path: Path, scheme: str
         assert plant.state.v[0] == pytest.approx(speed, rel=1e-2), "speed after 10 ms [rad/s]"
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 2))
 def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
     """A thrown chain of four joints with dry friction alone loses energy till all of it is gone."""
     urdf = random_chain_urdf(np.random.default_rng(7), 4)

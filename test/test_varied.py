@@ -168,7 +168,7 @@ def test_values_out_of_range_are_refused_and_change_nothing(tmp_path: Path) -> N
         assert plant.save() == kept, f"{name} = {value} was refused and has changed something"
 
 
-@pytest.mark.parametrize("scheme", ["rosenbrock", "paper"])
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "paper"], 1))
 def test_dry_friction_that_is_set_on_a_resting_arm_is_no_divergence(scheme: str) -> None:
     """Joints that creep stop within a step, which gives the others more than there was before."""
     overrides = {"varied": ["joints.*.friction.coulomb"], "integrator.scheme": scheme}
