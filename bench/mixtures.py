@@ -3,15 +3,18 @@
     python -m bench.mixtures --count 300
 
 Each machine is a random chain of two links whose joints have parts drawn from all that there are
-(emulator_node/parts/known.py), moved by commands that jump. Claims, with rosenbrock and events
-located:
+(emulator_node/parts/known.py), moved by commands that jump, some under a wrench, some braked on the
+way. Claims, with rosenbrock and events located:
 
 - halving the step twice shows order 2 in the positions, or `Diverged` is raised;
 - what is left of energy given - stored - dissipated falls with that order;
 - four machines side by side go as each of them alone (every third mixture).
 
 There is no truth that knows all parts at once: the order is that of the differences between runs
-with steps of 1, 1/2 and 1/4. Each part by itself is compared with a closed form in test/.
+with steps of 1, 1/2 and 1/4. An order is one of small steps: where the fastest winding or the
+shortest wave is not yet resolved by steps of 0.5 to 0.125 ms, these are halved further, down to
+16 us; the three steps that are judged are told. Each part by itself is compared with a closed form
+in test/.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -33,6 +36,7 @@ from rich.console import Console
 
 from bench.measure import progress
 from bench.random_chain import moving_joints, random_chain_urdf
+from emulator_node.external_wrench import ExternalWrench
 from emulator_node.fleet import Fleet
 from emulator_node.parts.known import EXTRAS, GEARS, MOTORS
 from emulator_node.plant import Diverged, Plant
@@ -40,6 +44,8 @@ from emulator_node.scene import Scene, load_scene
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them
 STEPS = (20, 40, 80)  # in a period
+FINEST = 640  # steps in a period, at which a mixture must show its order at the latest
+BRAKED = slice(8, 14)  # rows in which the power is off
 ORDER = 1.5  # at least; 2 is what is claimed, and events may lie so that it shows a bit less
 RESOLVED = 1e-9  # rad or m: differences below are of rounding and of event times
 BALANCED = 1e-7  # of the energy exchanged
@@ -210,6 +216,30 @@ def drawn_joint(rng: Rng) -> Numbers:
     return joint
 
 
+def add_surroundings(rng: Rng, scene: Numbers) -> None:
+    """Add what acts on other parts: brakes, ripple and temperature of motors, a wrench."""
+    for joint in scene["joints"].values():
+        motor = joint.get("motor")
+        if motor is None:
+            continue
+        # Both ask for a current that is a state.
+        inductive = motor["kind"] != "dc" or "inductance" in motor
+        if inductive and rng.random() < 0.3:
+            motor["ripple"] = {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
+        if inductive and motor["kind"] in ("dc", "pmsm") and rng.random() < 0.3:
+            motor["winding"] = {
+                "heat_capacity": _log(rng, 0.2, 5.0), "thermal_resistance": _log(rng, 0.1, 2.0),
+                "magnet_coefficient": float(rng.choice([0.0, -0.001])),
+            }  # fmt: skip
+        if rng.random() < 0.2:
+            # Whole numbers of the coarsest step, so that all steps brake at the same instant.
+            close, release = (PERIOD / STEPS[0] * int(n) for n in rng.integers(0, 30, 2))
+            joint["brake"] = {
+                "torque": _log(rng, 0.02, 0.5), "close_delay": close, "release_delay": release
+            }  # fmt: skip
+    scene["external_wrench"] = bool(rng.random() < 0.3)
+
+
 def write_mixture(folder: Path, seed: int) -> Path:
     """Write the scene of a mixture and return its path."""
     rng = np.random.default_rng([seed, 4242])
@@ -226,6 +256,7 @@ def write_mixture(folder: Path, seed: int) -> Path:
         "servo_period": PERIOD,
         "energy_flow": True,
     }
+    add_surroundings(np.random.default_rng([seed, 4243]), scene)
     file = folder / "mixture.yaml"
     file.write_text(yaml.safe_dump(scene, sort_keys=False))
     return file
@@ -240,6 +271,7 @@ class Verdict:
     order: float  # of the positions
     differences: tuple[float, float]  # rad or m, between the runs
     left: tuple[float, ...]  # of the energy exchanged, by step
+    steps: tuple[int, ...]  # in a period, of the runs that are judged
     lanes: float  # rad or m, by which lanes differ from machines alone
     note: str = ""
 
@@ -275,11 +307,20 @@ def commands(scene: Scene, seed: int) -> np.ndarray:
     return rng.uniform(-1.0, 1.0, (ROWS, len(size))) * size
 
 
-def _run(scene: Scene, rows: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
+def push(plant: Plant, seed: int) -> None:
+    """Let a wrench act on the last link, if the mixture knows wrenches."""
+    if plant.scene.external_wrench:
+        force, moment = np.random.default_rng([seed, 78]).normal(0.0, 5.0, (2, 3)).tolist()
+        plant.set_external_wrench(plant.scene.chain.joints[-1].link, ExternalWrench(force, moment))
+
+
+def _run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
     """Return positions after each row, and what is left of the energy, of what was exchanged."""
     plant = Plant(scene)
+    push(plant, seed)
     began, given, exchanged, q = plant.energy, 0.0, 1e-3, []
-    for row in rows:
+    for k, row in enumerate(rows):
+        plant.powered = not BRAKED.start <= k < BRAKED.stop  # which brakes follow
         flow = plant.advance_metered(row, steps)
         given += float((flow.given - flow.dissipated).sum())
         exchanged += float(np.abs(flow.given).sum() + np.abs(flow.dissipated).sum())
@@ -297,25 +338,45 @@ def judge(seed: int) -> Verdict:
 
         first = scene(STEPS[0])
         parts = sorted({type(part).__name__ for joint in first.joints for part in joint.parts})
+        if first.external_wrench:
+            parts.append("ExternalWrench")
         rows = commands(first, seed)
+        runs: list[tuple[np.ndarray, float]] = []
         try:
-            runs = [_run(scene(steps), rows, steps) for steps in STEPS]
-            lanes = _lanes(scene(STEPS[1], "step"), rows) if seed % 3 == 0 else 0.0
+            for steps in STEPS:
+                runs.append(_run(scene(steps), seed, rows, steps))
+            verdict = _verdict(seed, parts, runs, STEPS)
+            while not (verdict.in_order and verdict.balanced) and 2 * steps <= FINEST:
+                steps *= 2
+                runs = [*runs[1:], _run(scene(steps), seed, rows, steps)]
+                verdict = _verdict(seed, parts, runs, (steps // 4, steps // 2, steps))
+            if seed % 3 == 0:
+                verdict = replace(verdict, lanes=_lanes(scene(STEPS[1], "step"), seed, rows))
         except Diverged as fault:
-            return Verdict(seed, parts, 0.0, (0.0, 0.0), (), 0.0, f"Diverged: {fault.joint}")
+            return Verdict(seed, parts, 0.0, (0.0, 0.0), (), (), 0.0, f"Diverged: {fault.joint}")
+    return verdict
+
+
+def _verdict(
+    seed: int, parts: list[str], runs: list[tuple[np.ndarray, float]], steps: tuple[int, ...]
+) -> Verdict:
     d = [float(np.abs(a - b).max()) for (a, _), (b, _) in pairwise(runs)]
     order = float(np.log2(d[0] / d[1])) if d[1] > 0.0 < d[0] else 2.0
-    return Verdict(seed, parts, order, (d[0], d[1]), tuple(left for _, left in runs), lanes)
+    return Verdict(seed, parts, order, (d[0], d[1]), tuple(left for _, left in runs), steps, 0.0)
 
 
-def _lanes(scene: Scene, rows: np.ndarray) -> float:
+def _lanes(scene: Scene, seed: int, rows: np.ndarray) -> float:
     """Return by how much machines side by side differ from the same machines alone."""
     fleet, worst = Fleet(scene, LANES), 0.0
     factors = 1.0 - 0.1 * np.arange(LANES)
+    for lane in range(LANES):
+        push(fleet[lane], seed)
     q = fleet.run(rows[:, None, :] * factors[None, :, None], STEPS[1])
     for lane, factor in enumerate(factors):
-        alone = Plant(scene).run(rows * factor, STEPS[1])
-        worst = max(worst, float(np.abs(q[:, lane] - alone).max()))
+        alone = Plant(scene)
+        push(alone, seed)
+        moved = alone.run(rows * factor, STEPS[1])
+        worst = max(worst, float(np.abs(q[:, lane] - moved).max()))
     return worst
 
 
@@ -341,6 +402,9 @@ def main(arguments: list[str] | None = None) -> int:
     failed = [one for one in verdicts if not one.sound]
     print(f"{len(verdicts)} mixtures, of {dict(met)}")
     print(f"Diverged {sum(one.note != '' for one in verdicts)}")
+    needed = Counter(one.steps[-1] for one in verdicts if one.steps)
+    finest = ", ".join(f"{PERIOD / steps * 1e6:.4g} us {needed[steps]}" for steps in sorted(needed))
+    print(f"finest step: {finest}")
     for claim in ("in_order", "balanced", "alike"):
         print(f"{claim}: {sum(getattr(one, claim) for one in verdicts)} of {len(verdicts)}")
     return 1 if failed else 0
