@@ -7,12 +7,13 @@ import random
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from in_process import in_process
-from machines import CONFIG, LINK_INERTIA, one_link_urdf, write_scene
+from machines import CONFIG, MOVED, gantry_urdf, one_link_urdf, write_scene
 from test_by_hand import CLOCKS, go_on, session_of
 
 from arm_emulator.check import check
@@ -45,41 +46,44 @@ def scene(file: Path) -> Scene:
     return load_scene(file)
 
 
-@pytest.mark.parametrize("gear", ["rigid", "elastic"])
-def test_a_turning_joint_stops_within_the_way_of_the_closed_form(tmp_path: Path, gear: str) -> None:
-    """It turns on until the brake closes, then slows down steadily: v^2 / (2 a) more."""
-    rng = np.random.default_rng([len(gear), 1])
+def test_turning_joints_stop_within_the_way_of_the_closed_form(tmp_path: Path) -> None:
+    """They turn on until the brakes close, then slow down steadily: v^2 / (2 a) more.
+
+    One behind a rigid gear and one behind a stiff elastic one, which do not feel each other.
+    """
+    rng = np.random.default_rng(1)
     Ng, Mm, dt = 0.02, 1e-4, 1e-4
     motor = {"resistance": 1e6, "torque_constant": 0.05, "back_emf_constant": 0.0}
-    spring = {"stiffness": 1e9, "damping": 1e5} if gear == "elastic" else {}
-    joint = {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng} | spring,
-             "brake": BRAKE}  # fmt: skip
-    varied = ["joints.joint.brake.torque"]
-    integrator = {"scheme": "rosenbrock", "dt": dt, "events": "located"}
+    joints: dict[str, Any] = {"z": {}}
+    for name, spring in (("x", {}), ("y", {"stiffness": 1e9, "damping": 1e5})):
+        joints[name] = {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng} | spring,
+                        "brake": BRAKE}  # fmt: skip
     scene = load_scene(
-        write_scene(tmp_path, one_link_urdf(), {"joint": joint}, varied=varied,
-                    integrator=integrator)
+        write_scene(tmp_path, gantry_urdf(), joints, varied=["joints.*.brake.torque"],
+                    integrator={"scheme": "rosenbrock", "dt": dt, "events": "located"})
     )  # fmt: skip
     plant = Plant(scene)
+    # A stiff gear is no rigid one: its wind-up, 1e-8 m, is what differs.
     for _ in range(5):
-        v, torque = float(rng.uniform(0.5, 3.0)), float(rng.uniform(0.05, 0.3))
+        v, torque = rng.uniform((0.5, 0.05), (3.0, 0.3), (2, 2)).T
         plant.powered = True
-        plant.set_parameter("joints.joint.brake.torque", torque)
-        plant.reset(v=[v])
+        for name, of_joint in zip("xy", torque, strict=True):
+            plant.set_parameter(f"joints.{name}.brake.torque", float(of_joint))
+        plant.reset(v=[*v, 0.0])
         plant.powered = False
-        plant.advance([0.0], round(CLOSE / dt))
-        # A stiff gear is no rigid one: its wind-up, 1e-8 rad, is what differs.
-        near = 1e-9 if gear == "rigid" else 1e-7
-        assert plant.state.q[0] == pytest.approx(v * CLOSE, abs=near), "until it closes"
-        a = torque / Ng / (LINK_INERTIA + Mm / Ng**2)
-        plant.advance([0.0], round(0.5 * v / a / dt))
-        t = round(0.5 * v / a / dt) * dt
-        assert plant.state.v[0] == pytest.approx(v - a * t, abs=10.0 * near), "while it slows"
-        plant.advance([0.0], round(v / a / dt))
-        assert plant.state.q[0] == pytest.approx(v * CLOSE + v**2 / (2.0 * a), abs=near), "way"
-        if gear == "rigid":
-            assert plant.state.v[0] == 0.0, "it is at rest exactly"
-        assert plant.state.omega_m[0] == 0.0, "the rotor is at rest exactly"
+        a = torque / Ng / (MOVED[:2] + Mm / Ng**2)
+        slowing, steps = round(0.5 * (v / a).min() / dt), round(1.1 * (v / a).max() / dt)
+        plant.advance(np.zeros(3), round(CLOSE / dt))
+        closing = plant.state.q[:2] - v * CLOSE
+        plant.advance(np.zeros(3), slowing)
+        speeds = plant.state.v[:2] - (v - a * slowing * dt)
+        plant.advance(np.zeros(3), steps)
+        ways = plant.state.q[:2] - (v * CLOSE + v**2 / (2.0 * a))
+        for off, of_what in ((closing, "until they close"), (0.1 * speeds, "while they slow"),
+                             (ways, "all the way")):  # fmt: skip
+            assert (np.abs(off) < [1e-9, 1e-7]).all(), f"{of_what}: {off} beside {v}, {torque}"
+        assert plant.state.v[0] == 0.0, "behind the rigid gear it is at rest exactly"
+        assert (plant.state.omega_m[:2] == 0.0).all(), "the rotors are at rest exactly"
 
 
 def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
