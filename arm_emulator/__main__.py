@@ -93,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="the same without a network, as fast as it goes")
     _scene(run)
     run.add_argument(
-        "--seconds", type=float, default=10.0, help="logical time (default: %(default)s)"
+        "--seconds", type=float, help="logical time (default: 10, or as long as the table lasts)"
     )
     run.add_argument(
         "--displacement",
@@ -102,7 +102,26 @@ def _parser() -> argparse.ArgumentParser:
         metavar=("X", "Y", "Z"),
         help="where to bring the tool, from where it starts (m, in the world; default: nowhere)",
     )
+    run.add_argument(
+        "--targets",
+        type=Path,
+        metavar="TABLE",
+        help="joint targets in place of the motion controller: CSV with t and the joints' names",
+    )
+    run.add_argument(
+        "--servo",
+        type=Path,
+        metavar="LIBRARY",
+        help="control code in C in place of our servo (docs/firmware.md); with --targets",
+    )
     run.set_defaults(run=_run)
+
+    header = commands.add_parser(
+        "servo-header", help="write what our servo in C knows of a scene's joints as a C header"
+    )
+    _scene(header)
+    header.add_argument("--out", type=Path, metavar="FILE", help="(default: the terminal)")
+    header.set_defaults(run=_servo_header)
 
     compile_ = commands.add_parser("compile", help="compile a scene ahead of its first use")
     _scene(compile_)
@@ -249,17 +268,38 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    if arguments.targets is not None:
+        if arguments.displacement is not None:
+            raise Refusal("run", "--displacement", "stand without --targets", "both")
+        from arm_emulator.table_run import run as run_table
+
+        return run_table(arguments.scene, arguments.seconds, arguments.targets, arguments.servo)
+    if arguments.servo is not None:
+        raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
     from arm_emulator.offline import run
 
-    return run(arguments.scene, arguments.seconds, arguments.displacement)
+    seconds = 10.0 if arguments.seconds is None else arguments.seconds
+    return run(arguments.scene, seconds, arguments.displacement)
+
+
+def _servo_header(arguments: argparse.Namespace) -> int:
+    from arm_emulator.servo_header import write_header
+
+    return write_header(arguments.scene, arguments.out)
 
 
 def _compile(arguments: argparse.Namespace) -> int:
+    from arm_emulator.servo_step import servo_step_unit
+    from compiled.unit import compile_units
     from emulator_node.compiler import compile_ahead
+    from emulator_node.firmware_loop import firmware_loop_unit
     from emulator_node.scene import load_scene
+    from servo_node.servo_law import servo_unit
 
     scene = load_scene(arguments.scene)
-    for library in compile_ahead(scene, arguments.target, arguments.into, fleet=arguments.fleet):
+    of_scene = compile_ahead(scene, arguments.target, arguments.into, fleet=arguments.fleet)
+    code = [servo_unit(), servo_step_unit(), firmware_loop_unit()]
+    for library in [*of_scene, *compile_units(code, arguments.target, arguments.into)]:
         print(library)
     return 0
 

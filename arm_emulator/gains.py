@@ -42,12 +42,21 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
     Raises:
         Refusal: as `check_joints`, or other periods.
     """
-    check_joints(scene, servo)
+    check_servo(scene, servo)
     where = scene.where
-    period = scene.servo_period
-    _same(where, "servo.period", servo.period, "the scene's servo_period", period)
     other = "motion_controller.period"
     _same(where, "servo.motion_period", servo.motion_period, other, motion.period)
+
+
+def check_servo(scene: Scene, servo: ServoConfig) -> None:
+    """Refuse a servo that is that of another scene.
+
+    Raises:
+        Refusal: as `check_joints`, or another period.
+    """
+    check_joints(scene, servo)
+    period = scene.servo_period
+    _same(scene.where, "servo.period", servo.period, "the scene's servo_period", period)
 
 
 def check_joints(scene: Scene, servo: ServoConfig) -> None:

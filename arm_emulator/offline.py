@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.gains import check_fit, load_gains
+from arm_emulator.run_report import tell, ticks_of
 from arm_emulator.servo_loop import warn_of_loops
 from arm_emulator.servo_step import ServoStep
 from emulator_node.firmware_loop import FirmwareLoop
@@ -32,7 +33,6 @@ from words.bound import Bound
 from words.config_files import find_scene
 from words.count import check_count
 from words.joint_order import JointOrder
-from words.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -151,10 +151,7 @@ def run(scene_name: str, seconds: float, displacement: list[float] | None) -> in
     session, kinematics = one.session, one.controller.kinematics
     scene = session.scene
     warn_of_loops(scene, one.drives.servo.config)
-    ticks = round(seconds / scene.servo_period) if np.isfinite(seconds) else 0
-    if ticks < 1:
-        rule = f"be at least the servo period, {scene.servo_period:g} s"
-        raise Refusal("run", "seconds", rule, f"{seconds:g}")
+    ticks = ticks_of(seconds, scene)
     R_WT, p_WT = kinematics.forward(scene.start)
     # By way of the quaternion, as in a message: the rotation has the same rounding then.
     orientation = Pose(p_WT, R_WT).quaternion()
@@ -170,12 +167,5 @@ def run(scene_name: str, seconds: float, displacement: list[float] | None) -> in
         print(fault, file=sys.stderr)
         return 1
     wall = time.perf_counter() - started
-    logical = session.logical_ns / 1e9
-    x, y, z = (target.p_WT - kinematics.forward(session.state.q)[1]) * 1e3
-    print(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")
-    print(
-        f"real-time factor  {logical / wall:.1f}   ({wall / ticks * 1e6:.1f} us per servo period)"
-    )
-    print(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
-    print(f"energy            {session.plant.energy:.6g} J")
+    tell(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
     return 0

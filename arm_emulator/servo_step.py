@@ -47,6 +47,7 @@ class ServoStep:
     """A servo as a step of `emulator_node.firmware_loop`.
 
     Attributes:
+        name: for refusals.
         step: address of the step.
         with_: address that it gets.
 
@@ -56,6 +57,7 @@ class ServoStep:
     """
 
     def __init__(self, drives: Drives, place: list[int]) -> None:
+        self.name = "servo"
         self._drives = drives  # must outlive the step
         self._place = np.array(place, np.int32)
         servo = drives.servo

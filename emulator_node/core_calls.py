@@ -135,6 +135,23 @@ class Wrench(_Sized):
     )
 
 
+class JointDescription(ctypes.Structure):
+    """``arm_joint_description``."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("modes", _uint32),
+        ("name", ctypes.c_char_p),
+        ("kind", _int32),
+        ("reserved", _int32),
+        *((name, _double) for name in ("gear_ratio", "counts_per_rad", "current_limit")),
+        *((name, _count) for name in ("encoder_wrap", "link_encoder_wrap")),
+        ("link_counts_per_rad", _double),
+        ("sensors", _uint32),
+        ("more", _uint32),
+    )
+
+
 class Truth(_Sized):
     """``arm_truth``."""
 

@@ -69,8 +69,8 @@ class Watchdog:
             raise Refusal("watchdog", "cut_after", f"be > hold_after = {hold_after} s", cut_after)
         self._hold_after, self._cut_after = hold_after, cut_after
         self._dog.hold_after, self._dog.cut_after = (
-            _nanoseconds(hold_after),
-            _nanoseconds(cut_after),
+            nanoseconds(hold_after),
+            nanoseconds(cut_after),
         )
 
     def reset(self) -> None:
@@ -79,15 +79,15 @@ class Watchdog:
 
     def target_came(self, now: float) -> None:
         """Take note of a joint target at time `now` [s]."""
-        self._law.servo_watchdog_target(self._pointer, _nanoseconds(now))
+        self._law.servo_watchdog_target(self._pointer, nanoseconds(now))
 
     def state_came(self, now: float) -> None:
         """Take note of a motor state at time `now` [s]."""
-        self._law.servo_watchdog_state(self._pointer, _nanoseconds(now))
+        self._law.servo_watchdog_state(self._pointer, nanoseconds(now))
 
     def check(self, now: float) -> WatchdogState:
         """Return what to do at time `now` [s]; `reason` is the reason in words."""
-        self._law.servo_watchdog_check(self._pointer, _nanoseconds(now))
+        self._law.servo_watchdog_check(self._pointer, nanoseconds(now))
         return self.state
 
     @property
@@ -110,5 +110,6 @@ class Watchdog:
         return f"{silence} hold_after = {self._hold_after:g} s"
 
 
-def _nanoseconds(seconds: float) -> int:
+def nanoseconds(seconds: float) -> int:
+    """Return a time as the law in C counts it."""
     return min(round(seconds * _NANOSECONDS), _LONGEST)

@@ -1,0 +1,445 @@
+"""Control code in C: our servo as portable C, a user's library in the loop, a table of targets."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+from in_process import in_process
+from network import bits_of
+from sensor_msgs.msg import JointState
+
+from arm_emulator.__main__ import main
+from arm_emulator.servo_header import servo_header
+from arm_emulator.table_run import TableRun, load_table_run
+from arm_emulator.target_table import load_target_table
+from compiled.c_flags import C_FLAGS
+from compiled.cxx import find_compiler
+from emulator_node.compiler import CORE
+from emulator_node.firmware import Firmware
+from emulator_node.scene import load_scene
+from emulator_node.session import Session
+from firmware import FOLDER
+from servo_node.drives import Drives, Target
+from servo_node.servo import load_servo_config
+from words.refusal import Refusal
+
+ROOT = Path(__file__).resolve().parents[1]
+SERVO = load_servo_config(ROOT / "config/servo/three_axis.yaml")
+SCENE = load_scene("three_axis")
+NAMES, N = SCENE.joint_names, len(SCENE.joints)
+WARNINGS = "-Wall -Wextra -pedantic -Werror".split()
+MORE_WARNINGS = ["-Wconversion", "-Wdouble-promotion"]
+MOTION_TICKS = round(SERVO.motion_period / SERVO.period)
+
+
+def compile_c(out: Path, *words: str) -> None:
+    """Compile as our own C is compiled, and fail on any warning."""
+    folders = [f"-I{folder}" for folder in (FOLDER, CORE, out.parent)]
+    run_c([*find_compiler(), *C_FLAGS, *WARNINGS, *folders, *words, "-o", str(out)])
+
+
+def run_c(command: list[str]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), "exit code and words of the compiler"
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Build the template with our servo's numbers for three_axis, or other code, as a library."""
+    folder = tmp_path_factory.mktemp("built")
+    (folder / "servo_joints.h").write_text(servo_header("three_axis", NAMES, SERVO))
+    made: dict[tuple[str, ...], Path] = {}
+
+    def built(source: str = "", *flags: str) -> Path:
+        if (source, *flags) not in made:
+            file = folder / f"mine_{len(made)}.c"
+            file.write_text(source or (FOLDER / "template/mine.c").read_text())
+            library, objects = file.with_suffix(".so"), []
+            for one in [file] if source else [file, FOLDER / "servo.c"]:
+                objects.append(file.with_suffix(f".{one.stem}.o"))
+                compile_c(objects[-1], *flags, "-c", str(one))
+            run_c([*find_compiler(), "-shared", *map(str, objects), "-o", str(library)])
+            made[source, *flags] = library
+        return made[source, *flags]
+
+    return built
+
+
+def code(step: str, start: str = "0", version: str = "FIRMWARE_VERSION") -> str:
+    """Return control code with the body of a step."""
+    return f"""
+#include "firmware.h"
+static void step(const firmware_input* in, firmware_output* out) {{
+  (void)in, (void)out;
+  {step}
+}}
+const firmware* arm_firmware(void) {{
+  static const firmware mine = {{{version}, 0, {start}, step}};
+  return &mine;
+}}
+"""
+
+
+def random_table(rng: np.random.Generator, file: Path, every: int = 1) -> list[list[float]]:
+    """Write a table, columns in any order, times at multiples of so many ticks; return its rows."""
+    steps = rng.integers(1, 6, int(rng.integers(2, 8)))
+    ticks = np.concatenate([[0], np.cumsum(steps)[:-1]]) * every
+    q = SCENE.start + rng.uniform(-0.15, 0.15, (len(ticks), N))
+    rows = [[tick / 1000, *row] for tick, row in zip(ticks.tolist(), q.tolist(), strict=True)]
+    columns = ["t", *NAMES]
+    order = rng.permutation(N + 1)
+    lines = [",".join(f" {columns[k]} " for k in order)]
+    lines += [",".join(repr(row[k]) for k in order) for row in rows]
+    end = str(rng.choice(["\n", "\r\n", "\n\n"]))
+    file.write_text(str(rng.choice(["", "\ufeff"])) + end.join(lines) + end, encoding="utf-8")
+    return rows
+
+
+def row_at(rows: list[list[float]], tick: int) -> list[float]:
+    return [row for row in rows if round(row[0] * 1000) <= tick][-1][1:]
+
+
+def states_of(run: TableRun, ticks: int) -> dict[int, bytes]:
+    session, states = run.session, {}
+    while True:
+        measured = session.measured
+        states[session.tick] = bits_of(measured.encoder_counts, measured.current)
+        if session.tick == ticks:
+            return states
+        run.advance(1)
+
+
+# Portable C
+
+
+@pytest.mark.parametrize("level", some(["-O2", "-O0", "-Os", "-O3"], 2))
+@pytest.mark.parametrize("kind", ["double", "float"])
+def test_the_servo_needs_nothing_but_itself(kind: str, level: str, tmp_path: Path) -> None:
+    """No C library, no heap: nothing is asked for that the object does not have."""
+    if shutil.which("nm") is None:
+        pytest.skip("no nm")
+    words = ["-x", "c", "-std=c99", level, "-ffreestanding", "-nostdlib"]
+    words += [*WARNINGS, *MORE_WARNINGS, "-c"]
+    words += ["-DSERVO_FLOAT"] if kind == "float" else []
+    made = tmp_path / "servo.o"
+    run_c([*find_compiler(), *words, str(FOLDER / "servo.c"), "-o", str(made)])
+    lacks = subprocess.run(["nm", "-u", str(made)], capture_output=True, text=True, check=True)
+    assert lacks.stdout == "", "symbols that it lacks"
+
+
+def test_all_of_our_c_compiles_without_a_warning(tmp_path: Path) -> None:
+    for number, source in enumerate([CORE / "firmware_loop.c", ROOT / "arm_emulator/servo_step.c"]):
+        compile_c(tmp_path / f"{number}.so", *MORE_WARNINGS, "-c", str(source))
+
+
+# One law
+
+
+def node_states(rows: list[list[float]], ticks: int) -> dict[int, bytes]:
+    """The nodes of emulator and servo in lock-step, and the table as motion controller."""
+    with in_process() as nodes:
+
+        def answer(states: JointState) -> None:
+            tick = round(states.header.stamp.sec * 1e3 + states.header.stamp.nanosec * 1e-6)
+            targets = JointState(header=states.header, name=NAMES, position=row_at(rows, tick))
+            nodes.say("joint_targets", targets)
+
+        nodes._wires.listeners["joint_states"] = [answer]
+        nodes.run_to(ticks)
+        return dict(nodes.states)
+
+
+def by_hand(rows: list[list[float]], ticks: int) -> dict[int, bytes]:
+    """Python takes every servo period: `Drives` and `Session`."""
+    session, drives = Session(SCENE, "lockstep", "first_answer"), Drives(SERVO)
+    states = {}
+    for tick in range(ticks + 1):
+        measured = session.measured
+        states[tick] = bits_of(measured.encoder_counts, measured.current)
+        drives.measure(
+            session.logical_ns, measured.encoder_counts, measured.current, session.voltage
+        )
+        drives.aim(Target(np.array(row_at(rows, tick))))
+        session.offer(tick, NAMES, drives.voltage(session.powered).tolist())
+        session.advance()
+    return states
+
+
+@pytest.mark.parametrize("seed", some(range(6), 1))
+def test_library_node_and_runs_without_a_network_give_the_same_bits(
+    seed: int, build: Callable[..., Path], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng([seed, 13])
+    rows = random_table(rng, tmp_path / "table.csv", MOTION_TICKS)
+    table = load_target_table(tmp_path / "table.csv", NAMES)
+    ticks = round(1000 * rows[-1][0]) + 300
+    of_library = TableRun(SCENE, table, Firmware(build()))
+    told = states_of(of_library, ticks)
+    of_servo, _ = load_table_run("three_axis", tmp_path / "table.csv", None)
+    for name, other in (
+        ("our servo, no library", states_of(of_servo, ticks)),
+        ("Python in every period", by_hand(rows, ticks)),
+        ("nodes in lock-step", node_states(rows, ticks)),
+    ):
+        wrong = [tick for tick in range(ticks + 1) if told[tick] != other[tick]]
+        assert not wrong, f"{name}: first difference at tick {wrong[0]} of {ticks}"
+    # Once more in one call, and the library begins anew.
+    again = TableRun(SCENE, table, Firmware(build()))
+    again.advance(ticks)
+    assert again.session.plant.save() == of_library.session.plant.save(), "all that a machine is"
+    off = np.abs(again.session.state.q - rows[-1][1:])
+    assert off.max() < 0.02, "the arm has followed the table [rad]"
+
+
+@pytest.mark.parametrize("seed", some(range(8), 2))
+def test_single_precision_moves_the_arm_as_double(
+    seed: int, build: Callable[..., Path], tmp_path: Path
+) -> None:
+    """At rest both stand in the target's count; on the way they may be some counts apart.
+
+    Angles of a motor up to 100 rad are rounded to 4e-6 rad, a thousandth of a count. So now and
+    then a count is seen a tick earlier or later, and each moves the observed speed by a share of
+    omega_gain, 0.2 counts per ms here, until the loops have taken it back, within some 10 ms: a few
+    counts, 3.2 in 12 draws.
+    """
+    rng = np.random.default_rng([seed, 14])
+    random_table(rng, tmp_path / "table.csv", 200)
+    table = load_target_table(tmp_path / "table.csv", NAMES)
+    runs = [
+        TableRun(SCENE, table, Firmware(build("", *flags))) for flags in ((), ("-DSERVO_FLOAT",))
+    ]
+    count = np.array([joint.count_angle for joint in SERVO.joints])
+    ticks = round(1000 * float(table.t[-1])) + 1000
+    apart = np.zeros(N)
+    for _ in range(0, ticks, 10):
+        for run in runs:
+            run.advance(10)
+        q = [run.session.state.q for run in runs]
+        apart = np.maximum(apart, np.abs(q[0] - q[1]) / count)
+    assert (apart <= 5.0).all(), f"links apart on the way, in counts: {apart}"
+    assert (np.abs(q[0] - q[1]) <= count).all(), f"links apart at rest: {q}"
+    assert apart.max() > 0.0, "single precision is another computation"
+
+
+# The table
+
+
+def test_targets_hold_from_their_row_to_the_next(
+    build: Callable[..., Path], tmp_path: Path
+) -> None:
+    """A library that gives its targets as voltages, against the rows by hand."""
+    library = build(
+        code("for (int j = 0; j < 3; ++j) out->joint[j].value = in->q_target[j] * in->new_targets;")
+    )
+    rng = np.random.default_rng(15)
+    for _ in range(5):
+        rows = random_table(rng, tmp_path / "table.csv")
+        late = float(rng.integers(0, 4)) / 1000  # before the first row: where the arm starts
+        table = load_target_table(tmp_path / "table.csv", NAMES)
+        table = type(table)(table.t + late, table.q)
+        rows = [[-1.0, *SCENE.start], *([t + late, *q] for t, *q in rows)]
+        run = TableRun(SCENE, table, Firmware(library))
+        for tick in range(50):
+            run.advance(1)
+            np.testing.assert_array_equal(
+                run.session.voltage, row_at(rows, tick), err_msg=f"targets of tick {tick}"
+            )
+
+
+GOOD = "t,waist,shoulder,elbow\n0,0.1,0.2,0.3\n0.5,0.1,0.2,0.3\n"
+BAD_TABLES = {
+    "": "columns must be t and every joint of the scene once, got none",
+    "\n\n": "columns must be t",
+    "t,waist,shoulder\n0,0,0\n": "every joint of the scene once, got t, waist, shoulder; valid",
+    "t,waist,shoulder,elbow,elbow\n0,0,0,0,0\n": "columns must be t",
+    "t,waist,shoulder,knee\n0,0,0,0\n": "got t, waist, shoulder, knee; valid: t, waist",
+    "waist,shoulder,elbow\n0,0,0\n": "columns must be t",
+    "0,0.1,0.2,0.3\n": "columns must be t",
+    "t,waist,shoulder,elbow\n": "table must have a row of targets, got none",
+    GOOD + "1.0,0.1,0.2\n": "line 4 must have 4 values, as the columns, got 3",
+    GOOD + "1.0,0.1,0.2,0.3,0.4\n": "line 4 must have 4 values, as the columns, got 5",
+    GOOD + "1.0,0.1,,0.3\n": "line 4, shoulder must be a number [rad or m], got nothing",
+    GOOD + ",0.1,0.2,0.3\n": "line 4, t must be a number [s], got nothing",
+    GOOD + "1.0,0.1,nan,0.3\n": "line 4, shoulder must be a number [rad or m], got nan",
+    GOOD + "1.0,0.1,0.2,-inf\n": "line 4, elbow must be a number",
+    GOOD + "1.0,0.1,0.2,1e400\n": "line 4, elbow must be a number",
+    GOOD + "1.0,0.1,0.2,three\n": "line 4, elbow must be a number [rad or m], got three",
+    GOOD + "1.0,0.1,0.2,1_0\n": "line 4, elbow must be a number",
+    GOOD + "1.0,0.1,0.2,2e6\n": "line 4, elbow must be within +-1e+06 rad or m, got 2000000.0",
+    GOOD + "0.5,0.1,0.2,0.3\n": "line 4, t must be later than that of the row before, 0.5 s",
+    GOOD + "0.4,0.1,0.2,0.3\n": "line 4, t must be later than that of the row before, 0.5 s",
+    GOOD + "nan,0.1,0.2,0.3\n": "line 4, t must be a number [s], got nan",
+    GOOD + "1e12,0.1,0.2,0.3\n": "line 4, t must be from 0 to 1e+09 s",
+    "t,waist,shoulder,elbow\n-1,0,0,0\n": "line 2, t must be from 0 to 1e+09 s, got -1.0",
+    GOOD + '1.0,"0.1,0.2,0.3\n': "must be well-formed CSV",
+    "\udcff\udcfe": "file must be text in UTF-8",
+    "\0": "table.csv: ",
+}
+
+
+@pytest.mark.parametrize("text", BAD_TABLES)
+def test_what_is_no_table_is_refused_in_a_line(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "table.csv"
+    file.write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(Refusal) as refusal:
+        load_target_table(file, NAMES)
+    assert BAD_TABLES[text] in str(refusal.value) and str(refusal.value).startswith("table.csv: ")
+    assert len(str(refusal.value).splitlines()) == 1, f"one line, got {refusal.value}"
+
+
+def test_tables_that_are_spoiled_at_random_are_taken_whole_or_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(16)
+    taken, file = 0, tmp_path / "table.csv"
+    for _ in range(200):
+        random_table(rng, file)
+        body = bytearray(file.read_bytes())
+        for _ in range(int(rng.integers(1, 4))):
+            at = int(rng.integers(len(body)))
+            match int(rng.integers(3)):
+                case 0:
+                    body[at] = int(rng.choice(list(b'0123456789.,-e\n\r"nt \xff\0')))
+                case 1:
+                    del body[at : at + int(rng.integers(1, 9))]
+                case _:
+                    body[at:at] = body[: int(rng.integers(1, 30))]
+        file.write_bytes(bytes(body))
+        try:
+            table = load_target_table(file, NAMES)
+        except Refusal as refusal:
+            assert len(str(refusal).splitlines()) == 1, f"one line, got {refusal}"
+            continue
+        taken += 1
+        assert np.isfinite(table.q).all() and (np.diff(table.t) > 0.0).all(), body
+        assert table.q.shape == (len(table.t), N), body
+    assert 0 < taken < 200, f"{taken} taken: the draws are one-sided"
+
+
+# Libraries
+
+
+NO_TABLE = "t,waist,shoulder,elbow\n0,0,0.5,0.8\n1,0,0.5,0.8\n"
+
+
+def command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: Any
+) -> tuple[int, str, str]:
+    """Run a command of ours in this process; return its exit code and what it printed."""
+    monkeypatch.setattr(sys, "argv", ["arm_emulator", *map(str, words)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    said = capsys.readouterr()
+    return int(end.value.code or 0), said.out, said.err
+
+
+STEP = "out->joint[1].value = in->measured->tick"
+BAD_LIBRARIES: dict[str, tuple[str | bytes | None, str]] = {
+    "missing": (None, "mine.so: file must be readable, got no such file"),
+    "text": (b"int main;", "file must be a shared library with arm_firmware, got it is no 64-bit"),
+    "empty": (b"", "got it is empty"),
+    "entry": ("int other(void);\nint other(void) { return 1; }\n", "got it lacks arm_firmware"),
+    "null": (
+        '#include "firmware.h"\nconst firmware* arm_firmware(void) { return 0; }\n',
+        "arm_firmware must return what the library does, got a null pointer",
+    ),
+    "version": (code("", version="7"), "version must be 1, that of firmware.h, got 7"),
+    "no step": (
+        '#include "firmware.h"\nconst firmware* arm_firmware(void) {'
+        " static const firmware mine = {1, 0, 0, 0}; return &mine; }\n",
+        "step must be a function, got a null pointer",
+    ),
+    "declines": (
+        '#include "firmware.h"\nstatic const char* no(const firmware_machine* m) '
+        '{ return m->joints == 3 ? "made for\\nfive joints" : 0; }\n' + code("", "no"),
+        "start must take scene three_axis, got made for five joints",
+    ),
+    "nan": (
+        code(f"{STEP} == 7 ? 0.0 / ((double)in->time - 7e6) : 0.0;"),
+        "tick 7: value of shoulder must be finite, got",
+    ),
+    "inf": (code(f"{STEP} == 2 ? 1e308 * (double)in->time : 0.0;"), "tick 2: value of shoulder"),
+    "mode": (code("out->joint[2].mode = 99;"), "tick 0: mode of elbow must be one that the drive"),
+    "lacking": (
+        "extern int nowhere(int);\n" + code("out->joint[0].value = nowhere(1);"),
+        "file must be loaded by the system, got ",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BAD_LIBRARIES)
+def test_a_library_that_cannot_be_run_is_refused_in_a_line(
+    what: str,
+    build: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    made, words = BAD_LIBRARIES[what]
+    library, table = tmp_path / "mine.so", tmp_path / "table.csv"
+    table.write_text(NO_TABLE)
+    if isinstance(made, bytes):
+        library.write_bytes(made)
+    elif made is not None:
+        shutil.copy(build(made), library)
+    arguments = ("run", "three_axis", "--servo", library, "--targets", table)
+    exit_code, out, said = command(monkeypatch, capsys, *arguments)
+    assert (exit_code, out) == (2, ""), said
+    assert said.startswith("mine.so") and words in said and said.count("\n") == 1, said
+
+
+def test_a_library_cut_short_is_refused(build: Callable[..., Path], tmp_path: Path) -> None:
+    rng, body = np.random.default_rng(17), build().read_bytes()
+    for _ in range(20):
+        (tmp_path / "mine.so").write_bytes(body[: int(rng.integers(len(body) - 100))])
+        with pytest.raises(Refusal, match=r"^mine.so: file must be a shared library"):
+            Firmware(tmp_path / "mine.so")
+
+
+def test_the_command_reports_and_lasts_as_long_as_its_table(
+    build: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text(NO_TABLE)
+    arguments = ("run", "three_axis", "--targets", table)
+    said = []
+    for more in (("--servo", build()), ()):
+        exit_code, out, err = command(monkeypatch, capsys, *arguments, *more)
+        assert (exit_code, err) == (0, ""), err
+        lines = out.splitlines()
+        assert lines[0].startswith("scene three_axis: 2 s of logical time in "), out
+        assert [line.split()[0] for line in lines[1:]] == ["real-time", "tool", "energy"], out
+        said.append(lines[2:])
+    assert said[0] == said[1], "tool and energy, of the library and of our servo"
+    for words, more in (
+        ("run: --servo must come with --targets", ["--servo", build()]),
+        ("run: --displacement must stand without", ["--targets", table, "--displacement", 0, 0, 0]),
+        ("run: seconds must be at least", ["--targets", table, "--seconds", "nan"]),
+        ("run: seconds must be less than", ["--targets", table, "--seconds", "1e10"]),
+    ):
+        exit_code, out, err = command(monkeypatch, capsys, "run", "three_axis", *more)
+        assert (exit_code, out, err.count("\n")) == (2, "", 1) and err.startswith(words), err
+
+
+def test_the_template_builds_with_its_makefile(tmp_path: Path) -> None:
+    if shutil.which("make") is None or shutil.which("cc") is None:
+        pytest.skip("no make, or no cc")
+    folder = shutil.copytree(FOLDER / "template", tmp_path / "mine")
+    lines = (folder / "mine.c").read_text().splitlines()
+    assert len(lines) <= 45, "short enough to be read at once"
+    words = ["make", f"ARM_EMULATOR={ROOT}", "CFLAGS=-O2 -Werror"]
+    done = subprocess.run(
+        words, cwd=folder, capture_output=True, text=True, check=False, env=os.environ
+    )
+    assert done.returncode == 0, done.stderr
+    assert "real-time factor" in done.stdout, done.stdout
