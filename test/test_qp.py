@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from draws import some
 from scipy.spatial.transform import Rotation
 
 from arm_emulator.offline import load_offline_run
@@ -140,7 +141,7 @@ def test_a_stopping_speed_stops_within_its_distance_and_none_larger_does() -> No
 # Arriving
 
 
-@pytest.mark.parametrize("joints", [1, 2, 3, 4, 5, 6, 7, 9])
+@pytest.mark.parametrize("joints", some([1, 3, 6, 9, 2, 4, 5, 7], 4))
 def test_reachable_poses_are_reached_and_not_passed(joints: int) -> None:
     rng = np.random.default_rng(joints)
     reached = 0

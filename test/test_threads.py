@@ -56,7 +56,7 @@ def test_same_bits_every_time_under_load(exchange: str) -> None:
     one = plant(2, exchange=exchange)
     seen = set()
     with busy_processes(2):
-        for repetition in range(100 if FULL else 30):
+        for repetition in range(100 if FULL else 10):
             one.reset()
             for steps in (30, 1, 69, 100) if repetition % 2 else (200,):
                 one.advance([10.0, -20.0, 15.0], steps)
