@@ -12,8 +12,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (
-    "arm_emulator|bench|config|docs|emulator_node|motion_controller_node|msg|ros_shell|servo_node|"
-    "test|words"
+    "arm_emulator|bench|compiled|config|docs|emulator_node|firmware|motion_controller_node|msg|"
+    "ros_shell|servo_node|test|words"
 )
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
