@@ -52,9 +52,45 @@ def _parser() -> argparse.ArgumentParser:
     new.set_defaults(run=_new)
 
     validate = commands.add_parser("validate", help="compare a real machine with what others found")
-    validate.add_argument("machine", help="manutec_r3")
+    validate.add_argument("machine", help="manutec_r3, kuka_kr300")
+    validate.add_argument(
+        "runs", nargs="*", type=Path, help="of kuka_kr300: further records (default: those shipped)"
+    )
     validate.add_argument("--out", type=Path, default=Path("out"), help="folder of the pictures")
     validate.set_defaults(run=_validate)
+
+    identify = commands.add_parser("identify", help="find a scene's numbers from measured motion")
+    identify.add_argument("scene", help="scene file or name: the machine as it is known")
+    identify.add_argument("data", type=Path, help="record: .npz, .csv, or a bag's folder")
+    identify.add_argument(
+        "--fit", default="*", metavar="NAMES", help="what to find, by commas (default: all)"
+    )
+    identify.add_argument(
+        "--hold", default="", metavar="NAMES", help="what to keep as it is, by commas"
+    )
+    identify.add_argument("--out", type=Path, default=Path("fitted.yaml"), metavar="SCENE")
+    identify.add_argument(
+        "--angles", choices=("rad", "deg"), default="rad", help="unit in the data"
+    )
+    identify.add_argument(
+        "--side", choices=("link", "motor"), default="link", help="where motor angles are told"
+    )
+    identify.add_argument(
+        "--delay", nargs="+", default=[], metavar="SIGNAL=S", help="how late tau or q_link come"
+    )
+    identify.add_argument(
+        "--low-pass", type=float, default=10.0, metavar="HZ", help="(default: %(default)s)"
+    )
+    identify.add_argument(
+        "--trust",
+        type=float,
+        default=0.5,
+        help="share to which the scene's inertias and springs are good (default: %(default)s)",
+    )
+    identify.add_argument(
+        "--as-is", action="store_true", help="do not ask whether axes, signs, units are right"
+    )
+    identify.set_defaults(run=_identify)
 
     up = commands.add_parser("up", help="start the three nodes, end all when one ends")
     _scene(up)
@@ -218,7 +254,28 @@ def _clock(parser: argparse.ArgumentParser) -> None:
 def _validate(arguments: argparse.Namespace) -> int:
     from arm_emulator.validate import validate
 
-    return validate(arguments.machine, arguments.out)
+    return validate(arguments.machine, arguments.runs, arguments.out)
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    from arm_emulator.identify import identify
+
+    fit, hold = (
+        [one for one in text.split(",") if one] for text in (arguments.fit, arguments.hold)
+    )
+    return identify(
+        arguments.scene,
+        arguments.data,
+        fit,
+        hold,
+        arguments.out,
+        angles=arguments.angles,
+        side=arguments.side,
+        delays=arguments.delay,
+        low_pass=arguments.low_pass,
+        trust=arguments.trust,
+        as_is=arguments.as_is,
+    )
 
 
 def _new(arguments: argparse.Namespace) -> int:

@@ -402,6 +402,15 @@ def _topics(bag: Bag) -> dict[str, str]:
     return found
 
 
+def read_topics(bag: Bag, wanted: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+    """Yield name and message of our topics in a bag, in the order of publication.
+
+    Raises:
+        Refusal: it has no motor states, or its messages are of another version.
+    """
+    yield from _read(bag, _topics(bag), wanted)
+
+
 def _read(bag: Bag, topics: dict[str, str], wanted: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
     """Yield name and message, in the order of publication."""
     names = {topics[name]: name for name in wanted if name in topics}

@@ -2,51 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
-
-from arm_emulator.validation import manutec_r3
-from arm_emulator.validation.manutec_picture import draw
 from words.refusal import Refusal
 
-MACHINES = ("manutec_r3",)
-PERIODS = (2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)  # s, servo period and step
-SHOWN = 5e-5  # s, of which angles and currents are drawn
+MACHINES = ("manutec_r3", "kuka_kr300")
 
 
-def validate(machine: str, folder: Path) -> int:
-    """Compare a machine with what others found; exit code 1 if it is not within 1e-5 rad.
+def validate(machine: str, runs: Sequence[Path], folder: Path) -> int:
+    """Compare a machine with what others found; exit code 1 if it is not as close as it should be.
+
+    Args:
+        machine: one of `MACHINES`.
+        runs: records to compare with, beside or in place of those that come along.
+        folder: of the pictures.
 
     Raises:
-        Refusal: no such machine.
+        Refusal: no such machine, or a record that cannot be of it.
     """
-    if machine not in MACHINES:
-        raise Refusal("validate", "machine", "be known", machine, ", ".join(MACHINES))
-    console = Console()
-    table = Table(title="Manutec r3 against the independent solution, largest differences")
-    for heading in ("period, us", "angles, rad", "speeds, rad/s", "currents, A",
-                    "wind-up at the motor, rad", "rows in other friction modes",
-                    "times real time"):  # fmt: skip
-        table.add_column(heading, justify="right")
-    found, shown = [], None
-    for period in track(PERIODS, "manutec_r3", console=Console(stderr=True)):
-        motion = min((manutec_r3.simulate(period) for _ in range(3)), key=lambda one: one.seconds)
-        one = manutec_r3.compare(motion)
-        found.append((period, one))
-        if period == SHOWN:
-            shown = motion
-        table.add_row(
-            f"{1e6 * period:g}", f"{one.q.max():.2g}", f"{one.v.max():.2g}",
-            f"{one.current.max():.2g}", f"{one.wind_up.max():.2g}",
-            f"{one.other_modes} of {one.rows}", f"{manutec_r3.END / motion.seconds:.0f}",
-        )  # fmt: skip
-    console.print(table)
-    assert shown is not None
-    picture = folder / "manutec_r3.png"
-    draw(shown, found, picture)
-    console.print(f"picture: {picture}")
-    at = dict(found)[SHOWN]
-    return 0 if at.q.max() < 1e-5 else 1
+    if machine == "manutec_r3":
+        if runs:
+            raise Refusal("validate", "records", "be absent, others have computed it", runs[0])
+        from arm_emulator.validation.manutec_table import validate_manutec
+
+        return validate_manutec(folder)
+    if machine == "kuka_kr300":
+        from arm_emulator.validation.kuka_table import validate_kuka
+
+        return validate_kuka(runs, folder)
+    raise Refusal("validate", "machine", "be known", machine, ", ".join(MACHINES))

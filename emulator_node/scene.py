@@ -39,6 +39,7 @@ from emulator_node.parts.torque_ripple import TorqueRipple
 from emulator_node.parts.winding import Winding
 from emulator_node.section import LARGEST, LARGEST_COUNT, SMALLEST, Section
 from emulator_node.varied import Varied, choose_varied
+from emulator_node.varied_body import varied_body
 from words.config_files import BESIDE, find_config
 from words.refusal import Refusal
 from words.text_file import why_no_file
@@ -232,7 +233,9 @@ def _build(root: Section, file: Path) -> Scene:
     cores = _cores(root)
     imus = _imus(root, chain)
     seed = root.integer("seed", default=0, at_least=0, at_most=LARGEST_SEED)
-    possible = _could_vary(joints, imus)
+    possible = _could_vary(joints, imus) + [
+        one for joint in chain.joints for one in varied_body(joint)
+    ]
     if payload_body is not None:
         possible.append(Varied("payload.mass", payload_body.mass, SMALLEST, LARGEST))
     if root.has("seed"):
@@ -242,6 +245,12 @@ def _build(root: Section, file: Path) -> Scene:
     load = None
     if payload is not None and any(one.name == "payload.mass" for one in varied):
         load = _load(*(read(_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
+    if load is not None:
+        carrier = f"links.{chain.joints[load.link].link}."
+        for one in varied:
+            if one.name.startswith(carrier):
+                rule = "not name both payload.mass and numbers of the link that carries it"
+                raise Refusal(where, "varied", rule, one.name)
     external_wrench, energy_flow = root.flag("external_wrench"), root.flag("energy_flow")
     for key in BESIDE:
         if root.has(key):

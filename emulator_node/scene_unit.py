@@ -13,6 +13,7 @@ from emulator_node.parts.part import Part
 from emulator_node.parts.sensors import suite
 from emulator_node.scene import Joint, Scene
 from emulator_node.varied import Varied
+from emulator_node.varied_body import AXES, TENSOR, expressions
 
 
 def scene_unit(scene: Scene, boundary: str = "boundary.hpp") -> str:
@@ -32,7 +33,7 @@ def scene_unit(scene: Scene, boundary: str = "boundary.hpp") -> str:
     R_BW = scene.chain.R_BW
     gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
     places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
-    bodies = [_body(geometry.body) for geometry in scene.chain.joints]
+    bodies = [_link_body(geometry, places) for geometry in scene.chain.joints]
     if (load := scene.load) is not None:
         bare, per_kg = _body(load.bare), _body(load.per_kg)
         bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
@@ -113,6 +114,15 @@ def _body(body: Body) -> str:
     tensor |= {"xy": I[0, 1], "xz": I[0, 2], "yz": I[1, 2]}
     m, h = number(body.mass), vector(body.moment)
     return f"arm::Body<double>{{.m = {m}, .h = {h}, .I = {{{fields(tensor)}}}}}"
+
+
+def _link_body(geometry: ChainJoint, places: Mapping[str, str]) -> str:
+    of = expressions(geometry, places)
+    if of is None:
+        return _body(geometry.body)
+    h = ", ".join(of[f"moment_{x}"] for x in AXES)
+    tensor = ", ".join(f".{xx} = {of[f'inertia_{xx}']}" for xx in TENSOR)
+    return f"arm::Body<double>{{.m = {of['mass']}, .h = {{{h}}}, .I = {{{tensor}}}}}"
 
 
 def _link(geometry: ChainJoint, body: str) -> str:

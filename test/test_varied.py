@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -188,3 +189,31 @@ def test_dry_friction_that_is_set_on_a_resting_arm_is_no_divergence(scheme: str)
             plant.exchange(np.zeros(3))
         # It creeps by rounding alone; friction of 100 N m stops it within 1 ms at 1 kg m2.
         assert np.abs(plant.state.v).max() < 1e-2, plant.parameters
+
+
+def test_varied_links_give_the_motion_of_the_urdf_that_has_them(tmp_path: Path) -> None:
+    """Masses, centres and tensors of turned and sliding links, each in its URDF's frame."""
+    rng = np.random.default_rng(7)
+    urdf = random_chain_urdf(rng, 3)
+    other = ET.fromstring(urdf)
+    for inertial in other.iter("inertial"):  # larger, elsewhere, and turned about
+        inertial.find("mass").set("value", repr(float(rng.uniform(0.5, 3.0))))
+        origin = inertial.find("origin")
+        origin.set("xyz", " ".join(map(repr, rng.uniform(-0.2, 0.2, 3).tolist())))
+        origin.set("rpy", " ".join(map(repr, rng.uniform(-1.0, 1.0, 3).tolist())))
+    names = moving_joints(urdf)
+    joints = {name: {"motor": MOTOR, "gear": {"ratio": 0.02}} for name in names}
+    common = {"gravity": [0.0, 0.0, -9.81], "varied": ["links.*"]}
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+    files = [
+        write_scene(tmp_path / name, text, joints, **common)
+        for name, text in (("one", urdf), ("other", ET.tostring(other, encoding="unicode")))
+    ]
+    scene, wanted = map(load_scene, files)
+    plant, rows = Plant(scene), rng.normal(0.0, 10.0, (50, 3))
+    for one in wanted.varied:
+        plant.set_parameter(one.name, one.value)
+    compiled = Plant(load_scene(files[1], {"varied": []}))
+    there, here = motion(plant, rows), motion(compiled, rows)
+    np.testing.assert_allclose(there, here, rtol=1e-9, atol=1e-11, err_msg="set, and compiled")

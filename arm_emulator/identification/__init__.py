@@ -1,0 +1,1 @@
+"""What a machine's numbers are, found from records of its motion."""

@@ -1,0 +1,80 @@
+"""A record without what is faster than rigid links: low-passed, both ways, so that nothing lags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, filtfilt
+
+from arm_emulator.identification.measured_run import SLOWEST, MeasuredRun
+from emulator_node.chain import Array
+from words.refusal import Refusal
+
+Mask = NDArray[np.bool_]
+
+ORDER = 4
+FOR_SIGN = 4.0  # times the low-pass: of the speed whose sign tells the direction of friction
+EDGE = 2.0  # periods of the low-pass, at either end, in which the filter is not yet settled
+ROWS_PER_PERIOD = 2.5  # of the low-pass: more tell nothing new
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """Every few samples of a record. Arrays are (K, N)."""
+
+    t: Array  # s, (K,)
+    q: Array  # rad or m, at the link
+    v: Array
+    a: Array
+    direction: Array  # of the motion, -1 to 1, filtered as the torque is
+    tau: Array  # N m or N, of the motors, times the gears' ratios
+    moving: Mask  # where friction has a direction
+
+
+def low_pass(rows: Array, period: float, frequency: float) -> Array:
+    """Return rows (K, ...) without what is faster than `frequency` [Hz]; no lag."""
+    b, a = butter(ORDER, 2.0 * frequency * period)
+    smooth: Array = filtfilt(b, a, rows, axis=0)
+    return smooth
+
+
+def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | None = None,
+             every: int | None = None) -> Filtered:  # fmt: skip
+    """Return a record low-passed.
+
+    Args:
+        run: the record.
+        ratio: link turns per motor turn (N,).
+        frequency: of the low-pass [Hz].
+        slowest: speed from which a joint moves [rad/s or m/s]; None: a share of its top speed.
+        every: of so many samples one is kept; None: as few as the low-pass leaves to tell.
+
+    Raises:
+        Refusal: the record is too coarse or too short for this frequency.
+    """
+    period = run.period
+    if not 0.0 < frequency < 0.2 / period:
+        rule = f"be > 0 and < {0.2 / period:.3g} Hz with samples every {period:g} s"
+        raise Refusal(run.where, "low-pass", rule, frequency)
+    if run.t[-1] - run.t[0] < 4.0 * EDGE / frequency:
+        rule = f"last at least {4.0 * EDGE / frequency:.3g} s for a low-pass of {frequency:g} Hz"
+        raise Refusal(run.where, "record", rule, f"{run.t[-1] - run.t[0]:.3g} s")
+    q = low_pass(run.q_motor, period, frequency)
+    v = np.gradient(q, period, axis=0)
+    a = np.gradient(v, period, axis=0)
+    quick = min(FOR_SIGN * frequency, 0.2 / period)
+    speed = np.gradient(low_pass(run.q_motor, period, quick), period, axis=0)
+    top = np.quantile(np.abs(speed), 0.99, axis=0)
+    sign = np.sign(speed) * (np.abs(speed) > 1e-3 * top)
+    from_speed = SLOWEST * top if slowest is None else np.full_like(top, slowest)
+    moving = np.abs(speed) > np.maximum(from_speed, 1e-12)
+    edge = int(EDGE / (frequency * period))
+    step = every or max(1, int(1.0 / (ROWS_PER_PERIOD * frequency * period)))
+    kept = slice(edge, len(q) - edge, step)
+    tau = low_pass(run.tau / ratio, period, frequency)
+    direction = low_pass(sign, period, frequency)
+    return Filtered(
+        run.t[kept], q[kept], v[kept], a[kept], direction[kept], tau[kept], moving[kept]
+    )

@@ -1,0 +1,84 @@
+"""What was found, number by number, as people read it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.identification import inertia
+from arm_emulator.identification.torque_fit import NOT_TOLD, TorqueFit
+from emulator_node.chain import Array, Body, ChainJoint
+from emulator_node.scene import Scene
+from emulator_node.varied_body import NAMES, of_child
+
+UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
+
+
+@dataclass(frozen=True)
+class Found:
+    """One number of the scene or its URDF."""
+
+    name: str
+    unit: str
+    before: float
+    value: float
+    deviation: float  # standard deviation; NaN: unknown
+    told: bool  # whether the record tells of it by itself, or it is much as it was taken to be
+
+    @property
+    def remark(self) -> str:
+        """What there is to say of it, if anything."""
+        if self.deviation == 0.0:
+            return "held"
+        return "" if self.told else "not identifiable"
+
+    @property
+    def line(self) -> str:
+        """The number, its confidence, and what it was."""
+        told = self.remark or f"+- {self.deviation:.2g}"
+        return f"{self.name}: {self.value:.6g} {self.unit}, {told}, before {self.before:.6g}"
+
+
+def bodies_of(fit: TorqueFit, values: Array | None = None) -> list[Body]:
+    """Return the links' bodies, in the core's frames."""
+    count = sum(one.name.startswith("links.") for one in fit.unknowns)
+    rows = (fit.values if values is None else values)[:count].reshape(-1, inertia.NUMBERS)
+    return [inertia.body_of(inertia.exponential(row)) for row in rows]
+
+
+def numbers_found(scene: Scene, fit: TorqueFit) -> list[Found]:
+    """Return what was looked for: links as mass, first moment and inertia of the URDF's links."""
+    n, found = inertia.NUMBERS, list[Found]()
+    for k, joint in enumerate(scene.chain.joints):
+        if fit.fitted[n * k : n * k + n].any():
+            found += _link(joint, fit, n * k)
+    units = fit.unknowns[n * len(scene.chain.joints) :]
+    for u, one in enumerate(units, len(fit.unknowns) - len(units)):
+        if fit.fitted[u]:
+            deviation = float(fit.deviations[u])
+            told = deviation < NOT_TOLD * one.width
+            found.append(Found(one.name, one.unit, one.value, fit.values[u], deviation, told))
+    return found
+
+
+def _link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
+    here = slice(first, first + inertia.NUMBERS)
+    start = np.array([one.value for one in fit.unknowns[here]])
+    widths = np.array([one.width for one in fit.unknowns[here]]) * fit.fitted[here]
+    turn = np.array([_in_child(joint, row) for row in np.eye(inertia.NUMBERS)]).T
+    J = turn @ inertia.slope(fit.values[here])
+    after = np.sqrt(np.maximum(np.diag(J @ fit.covariance[here, here] @ J.T), 0.0))
+    before = np.sqrt(np.diag(J @ np.diag(widths**2) @ J.T))
+    old, new = (turn @ inertia.exponential(row) for row in (start, fit.values[here]))
+    for k, name in enumerate(NAMES):
+        unit = UNITS[name.split("_")[0]]
+        told = bool(after[k] < NOT_TOLD * before[k])
+        yield Found(f"links.{joint.link}.{name}", unit, old[k], new[k], float(after[k]), told)
+
+
+def _in_child(joint: ChainJoint, numbers: Array) -> list[float]:
+    """Return what ten numbers of `inertia.dynamic` are in the frame of the joint's child link."""
+    body = inertia.body_of(numbers)
+    return list(of_child(joint, body).values())

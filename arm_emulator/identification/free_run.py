@@ -1,0 +1,125 @@
+"""Runs of the emulated machine under measured torques, begun at measured states.
+
+Nothing corrects them: whatever the machine has otherwise than the real one adds up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.identification.filtered import EDGE, low_pass
+from arm_emulator.identification.link_regressor import LinkRegressor, torques_of_links
+from arm_emulator.identification.measured_run import MeasuredRun
+from emulator_node.chain import Array
+from emulator_node.fleet import Fleet
+from emulator_node.scene import Scene
+from words.refusal import Refusal
+
+SPEED_BELOW = 40.0  # Hz: of the speeds that runs begin with
+LOAD_BELOW = 10.0  # Hz: of the torques that the gears carry at the beginning
+
+
+@dataclass(frozen=True)
+class Starts:
+    """States of a record at some samples: rows (S, N)."""
+
+    at: Array  # sample numbers (S,)
+    q: Array  # rad or m, links
+    v: Array
+    theta_m: Array  # rad, motors
+    omega_m: Array
+
+
+def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
+           faster: float = 0.0) -> Starts:  # fmt: skip
+    """Return states in motion from which runs of some seconds can begin, evenly over the record.
+
+    Speeds are those of the motors. The gears are wound up by what the links weigh and resist.
+
+    Args:
+        run: the record.
+        scene: the machine.
+        seconds: that a run lasts.
+        every: seconds from start to start.
+        faster: at a start some joint is faster than this [rad/s or m/s].
+
+    Raises:
+        Refusal: the record is too short for such runs.
+    """
+    period = run.period
+    edge = EDGE / LOAD_BELOW
+    last = run.t[-1] - run.t[0] - seconds - edge
+    if last < edge:
+        rule = f"last at least {seconds + 2.0 * edge:g} s for free runs of {seconds:g} s"
+        raise Refusal(run.where, "record", rule, f"{run.t[-1] - run.t[0]:.3g} s")
+    at = np.round(np.arange(edge, last, every) / period).astype(int)
+    quick = min(SPEED_BELOW, 0.2 / period)
+    speeds = np.gradient(low_pass(run.q_motor, period, quick), period, axis=0)
+    at = at[np.abs(speeds[at]).max(axis=1) >= faster]
+    if not at.size:
+        raise Refusal(run.where, "record", f"be faster than {faster:g} rad/s or m/s", "at rest")
+    v = speeds[at]
+    slow = low_pass(run.q_motor, period, min(LOAD_BELOW, 0.2 / period))
+    speed = np.gradient(slow, period, axis=0)
+    a = np.gradient(speed, period, axis=0)
+    load = torques_of_links(scene, LinkRegressor(scene), slow[at], speed[at], a[at])
+    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    q_motor = run.q_motor[at]
+    give = np.array([scene.wind_up(row) for row in load])
+    return Starts(at, q_motor - give, v, q_motor / ratio, v / ratio)
+
+
+def free_runs(scene: Scene, run: MeasuredRun, begin: Starts, seconds: float,
+              varied: Mapping[str, ArrayLike] | None = None, copies: int = 1) -> Array:  # fmt: skip
+    """Return the motors' angles, at the link, after each sample (copies, K, S, N) [rad or m].
+
+    Args:
+        scene: a machine whose motors are commanded torques; its servo period is the record's, or
+            divides it.
+        run: the record.
+        begin: where they begin, S of them.
+        seconds: how long they last.
+        varied: values (copies,) of varied numbers, by name.
+        copies: of the machine, each with numbers of its own.
+    """
+    S, N = begin.q.shape
+    samples = round(seconds / run.period)
+    arms = copies * S
+    values = {name: np.repeat(np.asarray(one), S) for name, one in (varied or {}).items()}
+    fleet = Fleet(scene, arms, varied=values, q=np.tile(begin.q, (copies, 1)))
+    for arm in range(arms):
+        k = arm % S
+        fleet[arm].put("free_runs", {
+            "q": begin.q[k], "v": begin.v[k], "theta_m": begin.theta_m[k],
+            "omega_m": begin.omega_m[k],
+        })  # fmt: skip
+    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    steps = round(run.period / scene.integrator.dt)
+    angles = np.empty((samples, arms, N))
+    for k in range(samples):
+        here = run.tau[begin.at + k]
+        torque = 0.5 * (here + run.tau[begin.at + k + 1])
+        fleet.advance(np.tile(torque, (copies, 1)), steps)
+        angles[k] = fleet.state.theta_m * ratio
+    return np.moveaxis(angles.reshape(samples, copies, S, N), 1, 0)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """By how much free runs leave the measured motion: of each joint (N,)."""
+
+    seconds: float
+    share: Array  # root of mean square error at the end over the joint's standard deviation
+    errors: Array  # at the end, (S, N) rad or m
+
+
+def drift(run: MeasuredRun, begin: Starts, angles: Array) -> Drift:
+    """Compare free runs (K, S, N) with the record."""
+    K = len(angles)
+    errors = angles[-1] - run.q_motor[begin.at + K]
+    root = np.sqrt(np.mean(errors**2, axis=0))
+    return Drift(K * run.period, root / run.q_motor.std(axis=0), errors)

@@ -1,0 +1,202 @@
+"""Records of motion in files: NumPy archives, tables, and bags of our own network."""
+
+from __future__ import annotations
+
+import csv
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from arm_emulator.identification.measured_run import MeasuredRun, check_samples
+from emulator_node.chain import Array
+from emulator_node.plant import link_angle_per_count
+from emulator_node.scene import Scene
+from words.refusal import Refusal
+from words.text_file import why_no_file
+
+# What a record may have, by its names in files. Arrays and groups of columns are called alike.
+NAMES = {
+    "q_mot": "q_motor", "tau": "tau", "tau_abs": "tau", "current": "current", "q_link": "q_link",
+    "q_ref": "q_ref", "v_mot": "v_motor",
+}  # fmt: skip
+ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
+SIDES = ("link", "motor")
+OF_ANGLE = ("q_motor", "q_link", "q_ref", "v_motor")
+MOST_BYTES = 2**30
+
+
+def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") -> MeasuredRun:
+    """Read a record of a scene's machine.
+
+    An archive (``.npz``) has arrays ``t`` (K,) [s], ``q_mot`` (K, N), and ``tau`` (or ``tau_abs``)
+    [N m] or ``current`` [A] at the motors' shafts; it may have ``q_link``, ``q_ref`` and ``v_mot``.
+    A table (``.csv``) has columns ``t``, ``q_mot.JOINT``, ``tau.JOINT`` and so on. A bag is a
+    folder with ``motor_states``. Columns of ``q_link`` that are 0 throughout are no encoders.
+
+    Args:
+        path: of the file, or the folder of a bag.
+        scene: the machine.
+        angles: unit of revolute joints' angles in the file, rad or deg.
+        side: where ``q_mot`` and ``v_mot`` are told: at the motor's shaft, or as seen at the link.
+
+    Raises:
+        Refusal: it cannot be read, something is missing, or samples are not sound.
+    """
+    if path.is_dir():
+        signals, where = _from_bag(path, scene), str(path)
+    else:
+        where = path.name
+        reason = why_no_file(path)
+        if reason is not None:
+            raise Refusal("identify", f"file {path}", "exist", reason)
+        if path.stat().st_size > MOST_BYTES:
+            raise Refusal(where, "file", f"have at most {MOST_BYTES} bytes", path.stat().st_size)
+        if path.suffix == ".npz":
+            signals = _from_archive(path)
+        elif path.suffix == ".csv":
+            signals = _from_table(path, scene)
+        else:
+            raise Refusal(where, "file", "be a record", path.suffix or "nothing", ".npz, .csv, bag")
+        _to_radians(signals, scene, angles, side)
+    run = _run(signals, scene, where)
+    check_samples(run)
+    return run
+
+
+def _run(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
+    N, t = len(scene.joints), signals.pop("t", np.zeros(0))
+    if "current" in signals and "tau" not in signals:
+        signals["tau"] = _torques(signals.pop("current"), scene, where)
+    signals.pop("current", None)
+    for name, shown in (("q_motor", "q_mot"), ("tau", "tau, tau_abs or current")):
+        if name not in signals:
+            raise Refusal(where, "record", f"have {shown}", ", ".join(signals) or "nothing")
+    if t.ndim != 1:
+        raise Refusal(where, "t", "have one number per sample [s]", f"shape {t.shape}")
+    for name, rows in signals.items():
+        if rows.shape != (len(t), N):
+            rule = f"have shape ({len(t)}, {N}): samples of t, joints of {scene.where}"
+            raise Refusal(where, name, rule, rows.shape)
+    if "q_link" in signals:
+        absent = ~signals["q_link"].any(axis=0)
+        signals["q_link"] = np.where(absent, np.nan, signals["q_link"])
+    return MeasuredRun(where=where, joints=scene.joint_names, t=t, **signals)
+
+
+def _to_radians(signals: dict[str, Array], scene: Scene, angles: str, side: str) -> None:
+    turns = np.array([joint.kind == "revolute" for joint in scene.chain.joints])
+    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    for name in OF_ANGLE:
+        rows = signals.get(name)
+        if rows is not None and rows.ndim == 2 and rows.shape[1] == len(turns):
+            at_motor = side == "motor" and name in ("q_motor", "v_motor")
+            scale = np.where(turns | at_motor, ANGLES[angles], 1.0)
+            signals[name] = rows * scale * (ratio if at_motor else 1.0)
+
+
+def _torques(current: Array, scene: Scene, where: str) -> Array:
+    """Return the torques of currents (K, N) [A] by the motors' constants."""
+    constants = [getattr(joint.motor, "torque_constant", None) for joint in scene.joints]
+    if None in constants or current.shape[-1:] != (len(constants),):
+        joint = scene.joint_names[constants.index(None)] if None in constants else "joints"
+        rule = "come with torque constants of all motors in the scene, or be torques"
+        raise Refusal(where, "current", rule, f"no torque constant of {joint}")
+    torques: Array = current * np.array(constants)
+    return torques
+
+
+def _from_archive(path: Path) -> dict[str, Array]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            signals = {
+                NAMES.get(name, name): np.asarray(archive[name], np.float64)
+                for name in archive.files
+                if name in NAMES or name == "t"
+            }
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise Refusal(path.name, "file", "be an archive of NumPy arrays", error) from None
+    if "t" not in signals:
+        raise Refusal(path.name, "archive", "have t [s]", ", ".join(signals) or "nothing known")
+    return signals
+
+
+def _from_table(path: Path, scene: Scene) -> dict[str, Array]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise Refusal(path.name, "file", "be a table with commas", error) from None
+    heading = [name.strip() for name in rows[0]] if rows else []
+    if "t" not in heading:
+        raise Refusal(path.name, "heading", "have a column t [s]", ", ".join(heading) or "nothing")
+    body = [row for row in rows[1:] if row]
+    if len(set(heading)) < len(heading):
+        raise Refusal(path.name, "heading", "name each column once", ", ".join(heading))
+    for number, row in enumerate(body, 2):
+        if len(row) != len(heading):
+            rule = f"have {len(heading)} columns as the heading"
+            raise Refusal(path.name, f"line {number}", rule, len(row))
+    columns = {
+        name: _numbers(path, name, [row[k] for row in body]) for k, name in enumerate(heading)
+    }
+    signals = {"t": columns["t"]}
+    for group, name in NAMES.items():
+        there = [f"{group}.{joint}" in columns for joint in scene.joint_names]
+        if not any(there):
+            continue
+        if not all(there) and name != "q_link":
+            missing = scene.joint_names[there.index(False)]
+            raise Refusal(path.name, "heading", f"have {group}.{missing}, as of the others", "none")
+        none = np.full(len(body), np.nan)
+        of = [columns.get(f"{group}.{joint}", none) for joint in scene.joint_names]
+        signals[name] = np.column_stack(of)
+    return signals
+
+
+def _numbers(path: Path, name: str, texts: list[str]) -> Array:
+    values = np.empty(len(texts))
+    for k, text in enumerate(texts):
+        try:
+            values[k] = float(text) if text.strip() else np.nan
+        except ValueError:
+            raise Refusal(path.name, f"{name} of line {k + 2}", "be a number", text) from None
+    return values
+
+
+def _from_bag(path: Path, scene: Scene) -> dict[str, Array]:
+    """Return what motor states tell: counts and currents, or the torques that were commanded."""
+    from arm_emulator.check import read_topics
+    from ros_shell.bag import Bag
+
+    t = list[float]()
+    counts, current, command, at_link = (list[list[float]]() for _ in range(4))
+    for _, state in read_topics(Bag(path), ("motor_states",)):
+        names = list(state.joint_names)
+        for joint in scene.joint_names:
+            if joint not in names:
+                raise Refusal(str(path), "joints", f"be those of {scene.where}", ", ".join(names))
+        order = [names.index(joint) for joint in scene.joint_names]
+        t.append(state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec)
+        for into, of in (
+            (counts, state.encoder_counts), (current, state.current),
+            (command, state.voltage), (at_link, state.link_encoder_counts),
+        ):  # fmt: skip
+            into.append([of[k] if len(of) else 0 for k in order])
+    if not t:
+        raise Refusal(str(path), "bag", "have motor_states", "none")
+    q_motor = (np.array(counts, np.float64) + 0.5) * link_angle_per_count(scene)
+    units = np.array([joint.command == "N m" for joint in scene.joints])
+    Kt = np.array([getattr(joint.motor, "torque_constant", np.nan) for joint in scene.joints])
+    tau = np.array(current, np.float64) * np.nan_to_num(Kt)
+    # A command is told at the end of the period in which it held: here, half of it before.
+    applied = np.array(command, np.float64)
+    later = np.vstack([applied[1:], applied[-1:]])
+    tau = np.where(units, 0.5 * (applied + later), tau)
+    signals = {"t": np.array(t), "q_motor": q_motor, "tau": tau}
+    link = np.array(at_link, np.float64)
+    if link.any():
+        per = [joint.sensors.link_encoder for joint in scene.joints]
+        scale = [2.0 * np.pi / one.counts_per_turn if one else np.nan for one in per]
+        signals["q_link"] = (link + 0.5) * np.array(scale)
+    return signals

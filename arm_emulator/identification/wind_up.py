@@ -1,0 +1,67 @@
+"""Stiffness of gears from encoders at the links: how far a gear gives way under its load.
+
+q_motor - q_link = T / Kg + zero        T: torque on the link; the zero is that of the record
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.identification.filtered import EDGE, low_pass
+from arm_emulator.identification.link_regressor import LinkRegressor, torques_of_links
+from arm_emulator.identification.measured_run import MeasuredRun
+from emulator_node.chain import Array
+from emulator_node.scene import Scene
+
+BELOW = 10.0  # Hz: what rigid links tell of the load
+TOLD = 5.0  # times its deviation: a compliance that is less sure is not identifiable
+
+
+@dataclass(frozen=True)
+class WindUp:
+    """Of each joint with an encoder at the link and an elastic gear; NaN for others. (N,)."""
+
+    residual: Array  # rad, root of mean square
+    unexplained: Array  # rad, the same without any wind-up: what there is to explain
+    stiffness: Array  # N m/rad that fits best
+    deviation: Array  # N m/rad, of it
+    t: Array  # s (K,)
+    measured: Array  # rad (K, N), its zero taken out
+    computed: Array  # rad (K, N), of the scene's gears
+
+
+def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
+    """Compare measured wind-up with that of a scene's gears under its links' torques."""
+    period, N = run.period, len(scene.joints)
+    frequency = min(BELOW, 0.1 / period)
+    q = low_pass(run.q_motor, period, frequency)
+    v = np.gradient(q, period, axis=0)
+    a = np.gradient(v, period, axis=0)
+    edge = int(EDGE / (frequency * period))
+    kept = slice(edge, len(q) - edge)
+    load = torques_of_links(scene, LinkRegressor(scene), q[kept], v[kept], a[kept])
+    K = len(load)
+    measured, computed = np.full((K, N), np.nan), np.full((K, N), np.nan)
+    residual, unexplained, stiffness, deviation = (np.full(N, np.nan) for _ in range(4))
+    for j, joint in enumerate(scene.joints):
+        if run.q_link is None or joint.gear.stiffness is None:
+            continue
+        if np.isnan(run.q_link[:, j]).any():
+            continue
+        give = (run.q_motor - run.q_link)[kept, j]
+        own = np.array([joint.gear.wind_up(torque) for torque in load[:, j]])
+        zero = np.mean(give - own)
+        measured[:, j], computed[:, j] = give - zero, own
+        residual[j] = np.sqrt(np.mean((give - own - zero) ** 2))
+        unexplained[j] = give.std()
+        A = np.column_stack([load[:, j], np.ones(K)])
+        (compliance, _), *_ = np.linalg.lstsq(A, give, rcond=None)
+        error = give - A @ np.linalg.lstsq(A, give, rcond=None)[0]
+        lasting = max(1.0, 1.0 / (frequency * period))
+        of_compliance = np.sqrt(lasting * error @ error / K / max(K * load[:, j].var(), 1e-300))
+        if compliance > TOLD * of_compliance:
+            stiffness[j] = 1.0 / compliance
+            deviation[j] = of_compliance / compliance**2
+    return WindUp(residual, unexplained, stiffness, deviation, run.t[kept], measured, computed)

@@ -1,0 +1,166 @@
+"""Numbers of machines found from records of their motion, and records that cannot be right."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator.identification.filtered import filtered
+from arm_emulator.identification.measured_run import MeasuredRun, check_samples
+from arm_emulator.identification.plausibility import Plausibility, check_movement, check_speeds
+from arm_emulator.identification.read_run import read_run
+from arm_emulator.identify import identify
+from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
+from emulator_node.scene import load_scene
+from words.refusal import Refusal
+
+GIVEN = load_scene(DATA / "given.yaml")
+RATIO = np.array([joint.gear.ratio for joint in GIVEN.joints])
+RUN_A = read_run(SHIPPED[0], GIVEN, angles="deg").shifted(DELAYS)
+
+
+def look_over(run: MeasuredRun) -> None:
+    """All that `identify` asks of a record before it fits."""
+    check_samples(run)
+    motion = filtered(run, RATIO, 10.0)
+    check_movement(run, motion)
+    check_speeds(run, motion)
+    Plausibility(GIVEN, run, 10.0).check()
+
+
+def other(**changes: object) -> MeasuredRun:
+    return dataclasses.replace(RUN_A, **{"v_motor": None, **changes})
+
+
+def swapped(rows: np.ndarray, i: int, j: int) -> np.ndarray:
+    order = np.arange(rows.shape[1])
+    order[[i, j]] = j, i
+    return rows[:, order]
+
+
+def slips() -> dict[str, MeasuredRun]:
+    """Every sign, every pair of axes, and units, in an order drawn at random."""
+    q, tau = RUN_A.q_motor, RUN_A.tau
+    made = {
+        "degrees told as radians": other(q_motor=np.degrees(q)),
+        "radians told as degrees": other(q_motor=np.radians(q)),
+        "torques at the links": other(tau=tau / RATIO),
+        "torques in N mm": other(tau=1e3 * tau),
+    }
+    for j in range(6):
+        flip = np.where(np.arange(6) == j, -1.0, 1.0)
+        made[f"torque {j} turned round"] = other(tau=flip * tau)
+        made[f"angle {j} turned round"] = other(q_motor=flip * q)
+        for i in range(j):
+            made[f"torques {i} {j} swapped"] = other(tau=swapped(tau, i, j))
+            made[f"angles {i} {j} swapped"] = other(q_motor=swapped(q, i, j))
+            both = other(tau=swapped(tau, i, j), q_motor=swapped(q, i, j))
+            made[f"columns {i} {j} swapped"] = both
+    drawn = np.random.default_rng(3).permutation(sorted(made))
+    return {str(name): made[str(name)] for name in drawn}
+
+
+def test_the_record_as_it_is_passes() -> None:
+    look_over(RUN_A)
+
+
+SLIPS = slips()
+
+
+@pytest.mark.parametrize("slip", some(SLIPS, 3))
+def test_a_record_with_a_slip_is_refused_by_its_name(slip: str) -> None:
+    with pytest.raises(Refusal) as refusal:
+        look_over(SLIPS[slip])
+    says = str(refusal.value)
+    what = {"degrees": "angles", "radians": "angles", "torques": "torques", "torque": "axis"}
+    assert what.get(slip.split(maxsplit=1)[0], "axis") in says, f"{slip}: {says}"
+    if slip.endswith("swapped"):
+        i, j = (int(number) + 1 for number in slip.split()[1:3])
+        assert f"axis_{i}" in says or f"axis_{j}" in says, f"{slip}: {says}"
+
+
+def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
+    """Records that are no measurement, each at places drawn at random, and what must be said."""
+    K, j = len(RUN_A.t), int(rng.integers(6))
+    moving = np.flatnonzero(np.abs(np.gradient(RUN_A.q_motor[:, j], 0.004)) > 0.1)
+    at = int(rng.choice(moving[(moving > 300) & (moving < K - 300)]))
+    kept = np.delete(np.arange(K), slice(at, at + int(rng.integers(1, 200))))
+    nan, held, still = RUN_A.tau.copy(), RUN_A.q_motor.copy(), RUN_A.q_motor.copy()
+    nan[at, j], held[at : at + 40, j], still[:, j] = np.nan, held[at, j], 0.3
+    cut = {n: getattr(RUN_A, n)[kept] for n in ("t", "q_motor", "tau", "q_link", "q_ref")}
+    speeds = RUN_A.v_motor * np.where(np.arange(6) == j, -1.0, 1.0)
+    back = RUN_A.t.copy()
+    back[at] = back[at - 1]
+    name = f"axis_{j + 1}"
+    return {
+        "NaN": (other(tau=nan), f"tau of {name} must be finite"),
+        "gap": (other(**cut), "without gaps"),
+        "frozen": (other(q_motor=held), f"q_motor of {name} must change"),
+        "at rest": (other(q_motor=still), f"{name} must move"),
+        "time": (other(t=back), "t must increase"),
+        "speeds": (dataclasses.replace(RUN_A, v_motor=speeds), f"v_mot of {name} must be the rate"),
+        "units": (dataclasses.replace(RUN_A, v_motor=57.3 * RUN_A.v_motor), "are units the same"),
+    }
+
+
+@pytest.mark.parametrize("kind", broken(np.random.default_rng(0)))
+def test_a_record_that_is_none_is_refused_with_its_place(kind: str) -> None:
+    for seed in some(range(20), 2):
+        run, says = broken(np.random.default_rng(seed))[kind]
+        with pytest.raises(Refusal, match=says):
+            look_over(run)
+
+
+def test_files_that_are_no_records_are_refused_in_a_line(tmp_path: Path) -> None:
+    np.savez(tmp_path / "no_torque.npz", t=RUN_A.t, q_mot=RUN_A.q_motor)
+    np.savez(tmp_path / "five.npz", t=RUN_A.t, q_mot=RUN_A.q_motor[:, :5], tau=RUN_A.tau[:, :5])
+    np.savez(tmp_path / "objects.npz", t=np.array([{}], dtype=object))
+    (tmp_path / "cut.npz").write_bytes(SHIPPED[0].read_bytes()[:1000])
+    (tmp_path / "text.csv").write_text("t,q_mot.axis_1\n0,much\n")
+    (tmp_path / "what.mat").write_text("")
+    (tmp_path / "bag").mkdir()
+    for name in ("no_torque.npz", "five.npz", "objects.npz", "cut.npz", "text.csv", "what.mat",
+                 "bag", "absent.npz"):  # fmt: skip
+        with pytest.raises(Refusal) as refusal:
+            read_run(tmp_path / name, GIVEN)
+        assert len(str(refusal.value).splitlines()) == 1, refusal.value
+
+
+def test_a_table_reads_as_the_archive(tmp_path: Path) -> None:
+    columns = {"t": RUN_A.t}
+    for j, joint in enumerate(GIVEN.joint_names):
+        columns[f"tau.{joint}"] = RUN_A.tau[:, j]
+        columns[f"q_mot.{joint}"] = np.degrees(RUN_A.q_motor[:, j] / RATIO[j])
+    rows = np.column_stack(list(columns.values())).tolist()
+    text = "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows)])
+    (tmp_path / "run.csv").write_text(text)
+    run = read_run(tmp_path / "run.csv", GIVEN, angles="deg", side="motor")
+    np.testing.assert_allclose(run.q_motor, RUN_A.q_motor, atol=1e-12, err_msg="motor to link")
+    np.testing.assert_array_equal(run.tau, RUN_A.tau)
+
+
+def test_the_shipped_machine_is_what_identify_makes_of_run_a(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every figure of config/kuka_kr300.yaml and its URDF, from run A alone."""
+    late = [f"{name}={value}" for name, value in DELAYS.items()]
+    hold = ["links.link_6.x", "links.link_6.y"]
+    out = tmp_path / "kuka_kr300.yaml"
+    identify(str(DATA / "given.yaml"), SHIPPED[0], ["*"], hold, out, angles="deg", delays=late)
+    assert "not identifiable" in capsys.readouterr().out
+    made, shipped = load_scene(out), load_scene("kuka_kr300")
+    for one, same in zip(made.chain.joints, shipped.chain.joints, strict=True):
+        for name in ("mass", "moment", "inertia"):
+            values = getattr(one.body, name), getattr(same.body, name)
+            np.testing.assert_allclose(*values, rtol=1e-3, atol=1e-3, err_msg=f"{one.name} {name}")
+    for one, same in zip(made.joints, shipped.joints, strict=True):
+        for name in ("viscous", "coulomb"):
+            values = (getattr(joint.rotor_friction, name) for joint in (one, same))
+            assert next(values) == pytest.approx(next(values), rel=1e-3), f"{one.name} {name}"
+        if one.gear.stiffness is None:
+            continue
+        assert one.gear.stiffness == pytest.approx(same.gear.stiffness, rel=1e-3), one.name
