@@ -65,7 +65,6 @@ class OfflineRun:
         self.motion_ticks = round(motion.period / servo.period)
         # Indices of one side's joints in the other's arrays; a slice where the order is the same.
         places = _places("servo", scene.joint_names, servo.joint_names)
-        self._to_servo = _index(places)
         names = self.controller.kinematics.joint_names
         self._to_motion = _index(_places("joint_states", servo.joint_names, names))
         self._from_motion = _index(_places("joint_targets", names, servo.joint_names))
@@ -94,15 +93,9 @@ class OfflineRun:
 
     def _instruct(self) -> None:
         """Let the motion controller answer what the servo has measured."""
-        session, drives, to_servo = self.session, self.drives, self._to_servo
-        measured, now = session.measured, session.logical_ns
-        drives.measure(
-            now,
-            measured.encoder_counts[to_servo],
-            measured.current[to_servo],
-            measured.voltage[to_servo],
-        )
-        self._step.has_measured()
+        session, drives = self.session, self.drives
+        now = session.logical_ns
+        self._step.measure(self._loop, session.tick)
         q = drives.servo.q_measured[self._to_motion]
         v = drives.servo.v_measured[self._to_motion]
         drives.aim(self._target(self.instructor.instruct(self.controller, now, q, v)))

@@ -1,7 +1,7 @@
 /* Our servo in the loop with a machine. */
 #include <stddef.h>
 
-#include "firmware.h"
+#include "firmware_loop.h"
 #include "servo.h"
 
 typedef struct servo_step {
@@ -13,18 +13,27 @@ typedef struct servo_step {
   int32_t reserved;
 } servo_step;
 
+static void take(servo_step* one, int64_t now, const arm_measurement* measured) {
+  for (int32_t j = 0; j < one->arm->joints; ++j) {
+    const arm_joint_measurement* joint = &measured->joint[one->place[j]];
+    one->counts[j] = joint->encoder;
+    one->current[j] = joint->current;
+    one->applied[j] = joint->voltage;
+  }
+  servo_measure(one->arm, now, one->counts, one->current, one->applied);
+}
+
+/* Take the measurement of the coming period before its step, for whoever sets a target by it. */
+void servo_step_measure(servo_step* one, firmware_loop* loop) {
+  loop->measure(loop->machine, loop->measurement);
+  take(one, loop->tick * loop->period, loop->measurement);
+  one->measured = 1;
+}
+
 void servo_step_step(void* with, const firmware_input* in, firmware_output* out) {
   servo_step* one = with;
   const int32_t joints = one->arm->joints;
-  if (!one->measured) {
-    for (int32_t j = 0; j < joints; ++j) {
-      const arm_joint_measurement* joint = &in->measured->joint[one->place[j]];
-      one->counts[j] = joint->encoder;
-      one->current[j] = joint->current;
-      one->applied[j] = joint->voltage;
-    }
-    servo_measure(one->arm, in->time, one->counts, one->current, one->applied);
-  }
+  if (!one->measured) take(one, in->time, in->measured);
   one->measured = 0;
   if (in->new_targets) {
     for (int32_t j = 0; j < joints; ++j) one->q[j] = in->q_target[one->place[j]];

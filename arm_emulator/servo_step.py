@@ -11,11 +11,15 @@ import numpy as np
 from compiled.c_flags import C_FLAGS
 from compiled.unit import Calls, Unit, address, library
 from emulator_node.compiler import CORE
+from emulator_node.firmware_loop import FirmwareLoop
 from firmware import FOLDER
 from servo_node.drives import Drives
 
 _pointer, _int32 = ctypes.c_void_p, ctypes.c_int32
-_CALLS: Calls = {"servo_step_step": (None, [_pointer] * 3)}
+_CALLS: Calls = {
+    "servo_step_step": (None, [_pointer] * 3),
+    "servo_step_measure": (None, [_pointer] * 2),
+}
 
 
 class _StepStruct(ctypes.Structure):
@@ -71,9 +75,11 @@ class ServoStep:
             q,
             voltage,
         )
-        self.step = address(_servo_step(), "servo_step_step")
+        self._calls = _servo_step()
+        self.step = address(self._calls, "servo_step_step")
         self.with_ = ctypes.addressof(self._struct)
 
-    def has_measured(self) -> None:
-        """Tell that the servo has taken the measurement of the coming period already."""
-        self._struct.measured = 1
+    def measure(self, loop: FirmwareLoop, tick: int) -> None:
+        """Take the measurement of a tick before its step, so that a target can follow from it."""
+        loop.begin(tick)
+        self._calls.servo_step_measure(self.with_, loop.pointer)

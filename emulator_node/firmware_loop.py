@@ -12,7 +12,6 @@ from compiled.c_flags import C_FLAGS
 from compiled.unit import Calls, Unit, address, library
 from emulator_node.chain import Array
 from emulator_node.compiler import CORE
-from emulator_node.core_calls import Command, Measurement
 from emulator_node.plant import Plant
 
 _pointer, _int64 = ctypes.c_void_p, ctypes.c_int64
@@ -59,7 +58,7 @@ class FirmwareLoop:
     """Control code and a machine.
 
     Attributes:
-        tick: where the machine is.
+        pointer: to ``firmware_loop``.
 
     Args:
         plant: the machine.
@@ -95,7 +94,12 @@ class FirmwareLoop:
             row_tick=self._row_tick.ctypes.data,
             rows=self._rows.ctypes.data,
             row_count=len(self._row_tick),
+            joint=plant.command.joint,
+            value_d=plant.command.value_d,
+            command=ctypes.addressof(plant.command),
+            measurement=ctypes.addressof(plant.measurement),
         )
+        self.pointer = ctypes.byref(self._loop)
 
     @property
     def tick(self) -> int:
@@ -109,14 +113,9 @@ class FirmwareLoop:
             Refusal: a command was refused; the machine is at `tick`, where it was then.
             Diverged: see `Plant.exchange`.
         """
-        loop = self._loop
-        loop.tick = tick
+        self.begin(tick)
+        self._plant.exchange_in(lambda: int(self._calls.firmware_loop_run(self.pointer, ticks)))
 
-        def periods(command: Command, measurement: Measurement) -> int:
-            loop.joint, loop.value_d = command.joint, command.value_d
-            loop.command = ctypes.addressof(command)
-            loop.measurement = ctypes.addressof(measurement)
-            result: int = self._calls.firmware_loop_run(ctypes.byref(loop), ticks)
-            return result
-
-        self._plant.exchange_in(periods)
+    def begin(self, tick: int) -> None:
+        """Tell where the machine is."""
+        self._loop.tick = tick

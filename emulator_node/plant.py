@@ -137,6 +137,7 @@ class Plant:
     Attributes:
         core: the scene's compiled core, through ctypes (core/arm.h).
         machine: the core's handle of this machine.
+        command, measurement: what `exchange` hands to the core.
         link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
         bounds: how large what is set may be, by its name in `PlantState`.
 
@@ -171,13 +172,11 @@ class Plant:
         self._commands["enable"] = 1
         self._commands_d, self._current_d = np.zeros(N), np.zeros(N)
         places = {"joint": _address(self._commands), "value_d": _address(self._commands_d)}
-        self._command = Command(tick=-1, **places)
+        self.command = Command(tick=-1, **places)
         self._place = MeasuredPlace(scene)
         self._measured = self._place.joints
-        self._measurement = Measurement(
-            **self._place.addresses, current_d=_address(self._current_d)
-        )
-        self._structs = tuple(map(ctypes.byref, (self._command, self._measurement)))
+        self.measurement = Measurement(**self._place.addresses, current_d=_address(self._current_d))
+        self._structs = tuple(map(ctypes.byref, (self.command, self.measurement)))
         self.link_angle_per_count = link_angle_per_count(scene)
         at_most = largest_position(scene)
         ratio = np.abs([joint.gear.ratio for joint in scene.joints])
@@ -269,7 +268,7 @@ class Plant:
         """
         self._commands["value"] = voltage
         self._commands_d[:] = 0.0 if voltage_d is None else voltage_d
-        self._command.tick = tick
+        self.command.tick = tick
         command, measurement = self._structs
         result = self.core.arm_exchange(self.machine, command, measurement)
         if result == REFUSED:
@@ -277,8 +276,8 @@ class Plant:
         if result == DIVERGED:
             raise self._diverged(self._measured["voltage"])
 
-    def exchange_in(self, loop: Callable[[Command, Measurement], int]) -> None:
-        """Go through servo periods in a loop in C, which gets where commands and measurements lie.
+    def exchange_in(self, loop: Callable[[], int]) -> None:
+        """Go through servo periods in a loop in C, over `command` and `measurement`.
 
         Args:
             loop: returns what ``arm_exchange`` returned last.
@@ -287,7 +286,7 @@ class Plant:
             Refusal: a command was refused; the machine is where it was then.
             Diverged: as `advance`.
         """
-        result = loop(self._command, self._measurement)
+        result = loop()
         if result == REFUSED:
             raise self._refusal("Plant.exchange_in", "a number")
         if result == DIVERGED:
@@ -322,7 +321,7 @@ class Plant:
     def powered(self) -> bool:
         """Whether the drives have power in `exchange`."""
         self.core.arm_measure(self.machine, self._structs[1])
-        return bool(self._measurement.powered)
+        return bool(self.measurement.powered)
 
     @powered.setter
     def powered(self, on: bool) -> None:

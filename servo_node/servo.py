@@ -57,6 +57,8 @@ class Servo:
         )
         self.pointer = ctypes.byref(self.arm)
         self._counts = config.counts.named("counts")
+        self._theta_measured, self._omega = self.state["theta_measured"], self.state["omega"]
+        self._is_known, self._ratio = self.state["known"], self._joint["ratio"]
         # What the law reads and writes has its place for good: finding an array's costs time.
         self._whole = np.zeros(self._N, np.int64)
         self._rows = np.zeros((6, self._N))
@@ -88,18 +90,15 @@ class Servo:
     @property
     def q_measured(self) -> FloatArray:
         """Link angles by the encoders, the middle of the count, (N,) [rad]; NaN before any."""
-        return self._known(self.state["theta_measured"])
+        return self._known(self._theta_measured)
 
     @property
     def v_measured(self) -> FloatArray:
         """Link speeds by the observer, (N,) [rad/s]; NaN before any count."""
-        return self._known(self.state["omega"])
+        return self._known(self._omega)
 
     def _known(self, of_motors: FloatArray) -> FloatArray:
-        of_links: FloatArray = of_motors * self._joint["ratio"]
-        if not self.state["known"].all():
-            of_links[self.state["known"] == 0] = np.nan
-        return of_links
+        return of_motors * (self._ratio if self._is_known[0] else np.nan)
 
     def update(
         self,
@@ -162,7 +161,7 @@ class Servo:
                 measured yet. Nothing has changed then.
         """
         wanted = self.targets(q_target, v_target, tau_feedforward)
-        if not self.state["known"].all():
+        if not self._is_known[0]:
             raise Refusal("servo", "control", "follow a measurement", "none since the reset")
         return self._control(wanted)
 

@@ -632,7 +632,7 @@ def test_a_client_of_version_1_is_served(scene: Scene) -> None:
     """Its structs are shorter: nothing is written behind their ends."""
     plant = Plant(scene)
     plant.exchange(np.ones(3))
-    measurement = plant._measurement
+    measurement = plant.measurement
     short = Measurement.sensors.offset
     room = (ctypes.c_ubyte * ctypes.sizeof(Measurement))(*[0xAB] * ctypes.sizeof(Measurement))
     ctypes.memmove(room, ctypes.byref(measurement), short)
