@@ -84,6 +84,21 @@ class Towed:
         return out, stops
 
 
+def drawn(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
+    """Friction that falls by 20 to 60 %, and a spring that tows a mass at a part of its speed."""
+    Dc, Kg = float(rng.uniform(0.5, 3.0)), float(10 ** rng.uniform(1.0, 2.0))
+    Ds, viscous = Dc * float(rng.uniform(1.2, 1.6)), float(rng.uniform(0.0, 0.1))
+    swing = Dc / float(np.sqrt(Kg * LINK_INERTIA))  # rad/s, of the mass on the spring
+    speed, vs = swing * float(rng.uniform(0.2, 0.5)), swing * float(rng.uniform(0.3, 1.0))
+    friction = {"viscous": viscous, "coulomb": Dc, "breakaway": Ds, "stribeck": vs}
+
+    def sliding(v: float, _: float) -> float:
+        return Dc + (Ds - Dc) * float(np.exp(-((v / vs) ** 2)))
+
+    damping = float(rng.uniform(0.0, 0.05)) * float(np.sqrt(Kg * LINK_INERTIA))
+    return friction, Towed(Kg, damping, viscous, speed, sliding, lambda T: Ds)
+
+
 def scene_of(folder: Path, towed: Towed, friction: dict[str, float], **integrator: Any) -> Path:
     """Write two such masses, which do not feel each other; `friction` is the section of the link.
 

@@ -10,7 +10,7 @@ import pytest
 from draws import some
 from machines import GANTRY, MOVED, gantry_urdf, write_scene
 from stick_slip import Towed, assert_order_two
-from test_stribeck import drawn as drawn_stribeck
+from stick_slip import drawn as drawn_stribeck
 
 from emulator_node.plant import Plant
 from emulator_node.scene import SCHEMES, load_scene

@@ -8,27 +8,12 @@ import numpy as np
 import pytest
 from balance import balance_of
 from draws import some
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+from machines import DC, LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
-from stick_slip import Towed, assert_order_two
+from stick_slip import assert_order_two, drawn
 
 from emulator_node.plant import Plant
 from emulator_node.scene import SCHEMES, load_scene
-
-
-def drawn(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
-    """Friction that falls by 20 to 60 %, and a spring that tows a mass at a part of its speed."""
-    Dc, Kg = float(rng.uniform(0.5, 3.0)), float(10 ** rng.uniform(1.0, 2.0))
-    Ds, viscous = Dc * float(rng.uniform(1.2, 1.6)), float(rng.uniform(0.0, 0.1))
-    swing = Dc / float(np.sqrt(Kg * LINK_INERTIA))  # rad/s, of the mass on the spring
-    speed, vs = swing * float(rng.uniform(0.2, 0.5)), swing * float(rng.uniform(0.3, 1.0))
-    friction = {"viscous": viscous, "coulomb": Dc, "breakaway": Ds, "stribeck": vs}
-
-    def sliding(v: float, _: float) -> float:
-        return Dc + (Ds - Dc) * float(np.exp(-((v / vs) ** 2)))
-
-    damping = float(rng.uniform(0.0, 0.05)) * float(np.sqrt(Kg * LINK_INERTIA))
-    return friction, Towed(Kg, damping, viscous, speed, sliding, lambda T: Ds)
 
 
 @pytest.mark.parametrize(
@@ -82,11 +67,7 @@ def test_the_balance_of_energy_closes_with_order_two(tmp_path: Path) -> None:
     """Of a link and of its rotor that both stick and slip under a motor, events located."""
     rng = np.random.default_rng(33)
     friction, _ = drawn(rng)
-    motor = {
-        "resistance": 1.0, "inductance": 1e-3, "torque_constant": 0.05, "back_emf_constant": 0.05,
-        "rotor_inertia": 1e-4,
-        "friction": {"coulomb": 0.005, "breakaway": 0.008, "stribeck": 2.0},
-    }  # fmt: skip
+    motor = {**DC, "friction": {"coulomb": 0.005, "breakaway": 0.008, "stribeck": 2.0}}
     joint = {"motor": motor, "gear": {"ratio": 0.02, "stiffness": 2e3, "damping": 2.0},
              "friction": friction}  # fmt: skip
     file = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, servo_period=2e-2,
