@@ -37,7 +37,7 @@ setup(
     package_data={
         "firmware": ["*.c", "*.h", "template/*"],
         "emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h", "core/*.c"],
-        "arm_emulator": ["validation/*.hpp"],
+        "arm_emulator": ["*.c", "validation/*.hpp"],
         "": ["py.typed"],
     },
     data_files=[
