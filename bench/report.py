@@ -35,6 +35,8 @@ SECTIONS = (
     "threads",
     "clocks",
     "first_use",
+    "validation",
+    "identification",
 )
 
 NOT_PROVEN = """\

@@ -13,8 +13,13 @@ from arm_emulator.identification.filtered import filtered
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.identification.plausibility import Plausibility, check_movement, check_speeds
 from arm_emulator.identification.read_run import read_run
+from arm_emulator.identification.torque_fit import explained
+from arm_emulator.identification.torque_model import TorqueModel
+from arm_emulator.identification.wind_up import wind_up
 from arm_emulator.identify import identify
-from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
+from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED, compare
+from arm_emulator.validation.kuka_kr300 import load as load_run
+from bench.identification import off, truth
 from emulator_node.scene import load_scene
 from words.refusal import Refusal
 
@@ -164,3 +169,32 @@ def test_the_shipped_machine_is_what_identify_makes_of_run_a(
         if one.gear.stiffness is None:
             continue
         assert one.gear.stiffness == pytest.approx(same.gear.stiffness, rel=1e-3), one.name
+
+
+def test_a_run_that_was_not_used_is_explained() -> None:
+    """Torques and wind-up of run B, whose figures docs/validation.md has; free runs see below."""
+    scene = load_scene("kuka_kr300")
+    run = load_run(SHIPPED[1], scene)
+    data = filtered(run, RATIO, 10.0, slowest=np.radians(1.0), every=1)
+    model = TorqueModel(scene, (np.ones(6), np.ones(6)), 1.0)
+    shares = explained(data.tau, model.of(data).torques(model.start) - data.tau, data.moving)
+    assert shares.mean() > 87.0 and shares.min() > 80.0, f"torque explained: {shares} %"
+    wound = wind_up(run, scene)
+    assert np.degrees(wound.residual[1:3]).max() < 0.004, np.degrees(wound.residual)
+    assert wound.order[1] == pytest.approx(826.0, abs=2.0), "the encoder's wave, as in run A"
+
+
+@pytest.mark.parametrize("path", some(SHIPPED, 0))
+def test_free_runs_stay_near_the_measured_motion(path: Path) -> None:
+    found = compare(path)
+    off = 100.0 * found.drifts[0].share
+    assert off.mean() < 8.0 and off.max() < 15.0, f"{path.name}: {off} % after 0.6 s"
+
+
+def test_truth_lies_within_the_confidence_told() -> None:
+    """Of records that the emulator made; bench/identification.py takes 50 of them."""
+    scene = truth()
+    every = np.array([off(scene, seed) for seed in some(range(50), 6)])
+    # 95.4 % are expected; errors of a record go together, but less than 87 % is a fault.
+    assert np.mean(np.abs(every) < 2.0) > 0.87, f"{np.mean(np.abs(every) < 2.0)} within 2 sigma"
+    assert np.sqrt(np.mean(every**2)) < 1.5, "root of mean square, in deviations"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, filtfilt
 
 from arm_emulator.identification.measured_run import SLOWEST, MeasuredRun
@@ -17,6 +18,7 @@ Mask = NDArray[np.bool_]
 ORDER = 4
 FOR_SIGN = 4.0  # times the low-pass: of the speed whose sign tells the direction of friction
 EDGE = 2.0  # periods of the low-pass, at either end, in which the filter is not yet settled
+REACH = 0.1  # periods of the low-pass
 ROWS_PER_PERIOD = 2.5  # of the low-pass: more tell nothing new
 
 
@@ -48,7 +50,8 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
         run: the record.
         ratio: link turns per motor turn (N,).
         frequency: of the low-pass [Hz].
-        slowest: speed from which a joint moves [rad/s or m/s]; None: a share of its top speed.
+        slowest: speed from which a joint moves [rad/s or m/s]; None: a share of its top speed, and
+            not right at reversals.
         every: of so many samples one is kept; None: as few as the low-pass leaves to tell.
 
     Raises:
@@ -70,6 +73,10 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
     sign = np.sign(speed) * (np.abs(speed) > 1e-3 * top)
     from_speed = SLOWEST * top if slowest is None else np.full_like(top, slowest)
     moving = np.abs(speed) > np.maximum(from_speed, 1e-12)
+    if slowest is None:
+        # Nobody sees the very instant of a reversal.
+        reach = int(REACH / (frequency * period))
+        moving = minimum_filter1d(moving, 2 * reach + 1, axis=0)
     edge = int(EDGE / (frequency * period))
     step = every or max(1, int(1.0 / (ROWS_PER_PERIOD * frequency * period)))
     kept = slice(edge, len(q) - edge, step)

@@ -17,6 +17,8 @@ from arm_emulator.identification.torque_model import MotionTorques, TorqueModel,
 from emulator_node.chain import Array
 
 TURNS = 4  # in which fit and weights are found in turn
+BEGIN = 0.3  # of each torque, at first taken to be noise
+INSIDE = 0.03  # of their widths, by which the search begins away from bounds
 NOT_TOLD = 0.7  # of the width before: what stays as uncertain is not identifiable
 
 
@@ -71,8 +73,10 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
     least = np.array([one.least for one in model.unknowns])[fitted]
     rows = data.moving
     spread = np.array([_spread(y[r]) for y, r in zip(data.tau.T, rows.T, strict=True)])
-    noise, independent = 0.1 * spread, np.ones(len(spread))
+    noise, independent = BEGIN * spread, np.ones(len(spread))
     values = start.copy()
+    # Well inside the bounds, near which steps become short.
+    values[fitted] = np.maximum(values[fitted], least + INSIDE * widths[fitted])
 
     def whole(some: Array) -> Array:
         every = start.copy()
@@ -89,7 +93,7 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
         return np.concatenate([per_noise[rows], np.diag(1.0 / widths[fitted])])
 
     for _ in range(TURNS):
-        inside = np.maximum(values[fitted], least + 1e-9 * widths[fitted])
+        inside = np.maximum(values[fitted], least + 1e-6 * widths[fitted])
         found = least_squares(
             residuals, inside, slopes, bounds=(least, np.inf), x_scale=widths[fitted], max_nfev=60
         )
@@ -98,16 +102,26 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
         last = [_lasting(e, r) for e, r in zip(error.T, rows.T, strict=True)]
         independent = np.array(last)
         of_error = [_spread(e[r], 0.0) for e, r in zip(error.T, rows.T, strict=True)]
-        noise = np.maximum(np.array(of_error) * np.sqrt(independent), 1e-9 * spread)
+        # What the fit has bent to itself is missing in the residual.
+        told = _directions(slopes(values[fitted])[: rows.sum()] * widths[fitted])
+        samples = float((rows.sum(axis=0) / independent).sum())
+        bent = np.sqrt(samples / max(samples - told, 0.2 * samples))
+        noise = np.array(of_error) * np.sqrt(independent) * bent
+        noise = np.clip(noise, 1e-9 * spread, spread)
     J = slopes(values[fitted])
     covariance = np.zeros((len(values), len(values)))
     covariance[np.ix_(fitted, fitted)] = np.linalg.inv(J.T @ J)
-    told = np.linalg.svd(J[: int(rows.sum())] * widths[fitted], compute_uv=False)
+    told = _directions(J[: rows.sum()] * widths[fitted])
     error = motion.torques(values) - data.tau
     return TorqueFit(
-        model.unknowns, fitted, values, covariance, noise, independent, int((told > 1.0).sum()),
+        model.unknowns, fitted, values, covariance, noise, independent, told,
         explained(data.tau, error, rows),
     )  # fmt: skip
+
+
+def _directions(per_width: Array) -> int:
+    """Return in how many directions of the unknowns the record tells more than was known."""
+    return int((np.linalg.svd(per_width, compute_uv=False) > 1.0).sum())
 
 
 def _spread(values: Array, mean: float | None = None) -> float:

@@ -1,6 +1,9 @@
 """Stiffness of gears from encoders at the links: how far a gear gives way under its load.
 
-q_motor - q_link = T / Kg + zero        T: torque on the link; the zero is that of the record
+q_motor - q_link = T / Kg + zero + ripple     with the torque T on the link
+
+Zero and ripple are those of the encoder at the link, in this record. The ripple is a wave that goes
+with the angle, of some hundred per turn.
 """
 
 from __future__ import annotations
@@ -16,6 +19,8 @@ from emulator_node.chain import Array
 from emulator_node.scene import Scene
 
 BELOW = 10.0  # Hz: what rigid links tell of the load
+ORDERS = np.arange(20.0, 2000.0, 0.5)  # waves per turn among which the ripple is looked for
+SLOW = 1.0  # Hz: errors slower than this are no ripple
 TOLD = 5.0  # times its deviation: a compliance that is less sure is not identifiable
 
 
@@ -24,6 +29,9 @@ class WindUp:
     """Of each joint with an encoder at the link and an elastic gear; NaN for others. (N,)."""
 
     residual: Array  # rad, root of mean square
+    ripple: Array  # rad, amplitude of the encoder's largest wave within the residual
+    order: Array  # its waves per turn
+    rest: Array  # rad, root of mean square of the residual without it
     unexplained: Array  # rad, the same without any wind-up: what there is to explain
     stiffness: Array  # N m/rad that fits best
     deviation: Array  # N m/rad, of it
@@ -45,6 +53,7 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
     K = len(load)
     measured, computed = np.full((K, N), np.nan), np.full((K, N), np.nan)
     residual, unexplained, stiffness, deviation = (np.full(N, np.nan) for _ in range(4))
+    ripple, order, rest = (np.full(N, np.nan) for _ in range(3))
     for j, joint in enumerate(scene.joints):
         if run.q_link is None or joint.gear.stiffness is None:
             continue
@@ -56,6 +65,8 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
         measured[:, j], computed[:, j] = give - zero, own
         residual[j] = np.sqrt(np.mean((give - own - zero) ** 2))
         unexplained[j] = give.std()
+        error = give - own - zero
+        ripple[j], order[j], rest[j] = _largest_wave(error, run.q_motor[kept, j], period)
         A = np.column_stack([load[:, j], np.ones(K)])
         (compliance, _), *_ = np.linalg.lstsq(A, give, rcond=None)
         error = give - A @ np.linalg.lstsq(A, give, rcond=None)[0]
@@ -64,4 +75,18 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
         if compliance > TOLD * of_compliance:
             stiffness[j] = 1.0 / compliance
             deviation[j] = of_compliance / compliance**2
-    return WindUp(residual, unexplained, stiffness, deviation, run.t[kept], measured, computed)
+    return WindUp(
+        residual, ripple, order, rest, unexplained, stiffness, deviation, run.t[kept], measured,
+        computed,
+    )  # fmt: skip
+
+
+def _largest_wave(error: Array, q: Array, period: float) -> tuple[float, float, float]:
+    """Return amplitude and order of the largest wave in an error, and what is left without it."""
+    quick = error - low_pass(error[:, None], period, SLOW)[:, 0]
+    found = [abs(np.mean(quick * np.exp(1j * n * q))) for n in ORDERS]
+    n = float(ORDERS[int(np.argmax(found))])
+    A = np.column_stack([np.sin(n * q), np.cos(n * q), np.ones(len(q))])
+    wave = np.linalg.lstsq(A, error, rcond=None)[0]
+    rest = error - A @ wave
+    return float(np.hypot(wave[0], wave[1])), n, float(np.sqrt(np.mean(rest**2)))

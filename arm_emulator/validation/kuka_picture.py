@@ -37,6 +37,8 @@ def draw(one: Comparison, names: tuple[str, ...], file: Path) -> None:
             wound.plot(t, measured, color="0.6", lw=0.8)
             wound.plot(t, computed, "C0", lw=1.0)
             wound.plot(t, measured - computed, "C3", lw=0.6)
+        else:
+            wound.set_axis_off()
         for each in row:
             each.grid(alpha=0.3)
     titles = ("torque at the link, N m, below 10 Hz", "motor at the link, deg: free runs",

@@ -53,6 +53,9 @@ def _table(found: Sequence[Comparison], names: tuple[str, ...]) -> Table:
             (f"free run of {LONG[1]:g} s, % off", long, ".1f", long),
             ("wind-up, deg rms", np.degrees(one.wind_up.unexplained), ".4f", None),
             ("  of it not computed", np.degrees(one.wind_up.residual), ".4f", None),
+            ("  encoder's ripple apart", np.degrees(one.wind_up.rest), ".4f", None),
+            ("  ripple, deg", np.degrees(one.wind_up.ripple), ".4f", None),
+            ("  its waves per turn", one.wind_up.order, ".0f", None),
         ]
         for title, values, form, mean in rows:
             shown = [format(value, form) if np.isfinite(value) else "" for value in values]

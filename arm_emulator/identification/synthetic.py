@@ -1,0 +1,80 @@
+"""Records that the emulator makes of a scene: the truth about them is known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.identification.measured_run import MeasuredRun
+from emulator_node.chain import Array
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene
+
+WAVES = 4  # of the motion of each joint
+SLOWEST, FASTEST = 0.1, 0.7  # Hz
+AROUND = 0.6  # rad or m: how far joints go about
+
+
+def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.0,
+                torque_noise: float = 0.0) -> MeasuredRun:  # fmt: skip
+    """Drive a scene's torque motors along a smooth motion and record what drives would measure.
+
+    The torques of each motor are those of a stiff controller of the motor's angle, which needs to
+    know nothing of the machine.
+
+    Args:
+        scene: the truth; its motors are commanded torques.
+        seed: of the motion and of the noise.
+        seconds: of the record.
+        angle_noise: standard deviation of motors' angles at the link [rad or m].
+        torque_noise: of torques, as a share of their standard deviation.
+    """
+    rng = np.random.default_rng(seed)
+    N, period = len(scene.joints), scene.servo_period
+    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    t: Array = period * np.arange(round(seconds / period) + 1.0, dtype=np.float64)
+    wanted = _motion(rng, t, scene.start)
+    rate = np.gradient(wanted, period, axis=0)
+    plant = Plant(scene)
+    plant.reset(wanted[0], rate[0])
+    stiff = _gains(scene)
+    q, tau = np.empty((len(t), N)), np.zeros((len(t), N))
+    for k in range(len(t)):
+        state = plant.state
+        q[k] = state.theta_m * ratio
+        position, speed = wanted[k] - q[k], rate[k] - state.omega_m * ratio
+        tau[k] = ratio * (stiff[0] * position + stiff[1] * speed)
+        plant.advance(tau[k], scene.steps_per_period)
+    # What acts around an instant is half of the command before it.
+    applied = 0.5 * (tau + np.vstack([tau[:1], tau[:-1]]))
+    spread = applied.std(axis=0)
+    return MeasuredRun(
+        where=f"record {seed}",
+        joints=scene.joint_names,
+        t=t,
+        q_motor=q + angle_noise * rng.standard_normal(q.shape),
+        tau=applied + torque_noise * spread * rng.standard_normal(q.shape),
+    )
+
+
+def _motion(rng: np.random.Generator, t: Array, start: Array) -> Array:
+    """Return a sum of waves for each joint that begins at rest at the start (K, N)."""
+    rows = np.tile(start, (len(t), 1))
+    for j in range(len(start)):
+        for f in rng.uniform(SLOWEST, FASTEST, WAVES):
+            size = AROUND / WAVES * rng.uniform(0.5, 1.5) * rng.choice([-1.0, 1.0])
+            rows[:, j] += size * (1.0 - np.cos(2.0 * np.pi * f * t)) * 0.5
+    return rows
+
+
+def _gains(scene: Scene) -> tuple[Array, Array]:
+    """Return gains of position and speed (N,), for 6 Hz at the inertia that each joint moves."""
+    plant = Plant(scene)
+    N, q = len(scene.joints), scene.start
+    at_rest = np.zeros(N)
+    base = plant.link_accelerations(q, at_rest, at_rest)
+    inverse = [plant.link_accelerations(q, at_rest, row) - base for row in np.eye(N)]
+    carried = [getattr(joint.motor, "rotor_inertia", 0.0) / joint.gear.ratio**2
+               for joint in scene.joints]  # fmt: skip
+    inertia = np.diag(np.linalg.inv(np.array(inverse))) + np.array(carried)
+    w = 2.0 * np.pi * 6.0
+    return inertia * w**2, 1.4 * inertia * w

@@ -1,0 +1,104 @@
+"""How well identification knows how well it knows: truth within the told confidence."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.identification.filtered import filtered
+from arm_emulator.identification.found import numbers_found
+from arm_emulator.identification.synthetic import make_record
+from arm_emulator.identification.torque_fit import fit_torques
+from arm_emulator.identification.torque_model import TorqueModel
+from bench.measure import progress
+from emulator_node.scene import Scene, load_scene
+from emulator_node.varied_body import of_child
+
+TITLE = "Identification"
+SCENE = "three_axis"
+SECONDS = 10.0  # of a record
+ANGLE_NOISE, TORQUE_NOISE = 2e-6, 0.05  # rad; share of a joint's torque
+LOW_PASS = 10.0  # Hz
+TRUST = 0.3
+SIGMAS = 2.0
+EXPECTED = 0.954  # of a normal distribution, within two standard deviations
+
+
+def truth() -> Scene:
+    """Return the machine whose numbers are to be found: rotors and links, friction, weight."""
+    motor = {
+        "kind": "torque",
+        "rotor_inertia": 2e-4,
+        "friction": {"viscous": 2e-3, "coulomb": 0.05},
+    }
+    overrides: dict[str, Any] = {"joints.*.motor": motor, "joints.*.friction": None}
+    overrides |= {"joints.*.encoder": None, "gravity": [0.0, 0.0, -9.81]}
+    overrides |= {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
+    overrides |= {"integrator": {"scheme": "rosenbrock", "dt": 1e-3}, "servo_period": 4e-3}
+    return load_scene(SCENE, overrides)
+
+
+def off(scene: Scene, seed: int) -> np.ndarray:
+    """Return by how many of the told deviations each number found is off.
+
+    What is known before is off by as much as it is trusted to be, drawn anew for each seed.
+    """
+    record = make_record(scene, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE)
+    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    data = filtered(record, ratio, LOW_PASS)
+    typical = data.tau.std(axis=0), np.abs(data.v).max(axis=0)
+    model = TorqueModel(scene, typical, TRUST)
+    fitted = model.choose(["*"], "bench")
+    true = {one.name: one.value for one in model.unknowns}
+    for joint in scene.chain.joints:
+        true |= {f"links.{joint.link}.{name}": value for name, value in of_child(joint).items()}
+    rng = np.random.default_rng([seed, 1])
+    known = model.start + model.widths * rng.standard_normal(len(model.start))
+    least = np.array([one.least for one in model.unknowns])
+    model.start = np.where(fitted & (known > least), known, model.start)
+    found = numbers_found(scene, fit_torques(model, data, fitted))
+    return np.array([(one.value - true[one.name]) / one.deviation for one in found])
+
+
+def run(quick: bool) -> dict[str, Any]:
+    """Measure over seeds."""
+    scene, seeds = truth(), 5 if quick else 50
+    every = []
+    with progress("identification", seeds) as done:
+        for seed in range(seeds):
+            every.append(off(scene, seed))
+            done(f"seed {seed}")
+    inside = np.abs(every) < SIGMAS
+    return {
+        "seeds": seeds,
+        "numbers": inside.size,
+        "within": float(inside.mean()),
+        "worst_seed": float(inside.mean(axis=1).min()),
+        "root_mean_square": float(np.sqrt(np.mean(np.square(every)))),
+    }
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section."""
+    return (
+        f"Of {figures['numbers']} numbers of {figures['seeds']} records of 10 s that the emulator "
+        f"made of `{SCENE}` (rotors, links, friction, weight; noise of {100 * TORQUE_NOISE:g} % of "
+        f"each torque), {100 * figures['within']:.1f} % lie within two of the standard deviations "
+        f"told ({100 * EXPECTED:.1f} % of a normal distribution do); in the worst record "
+        f"{100 * figures['worst_seed']:.0f} %.\n"
+    )
+
+
+def main() -> int:
+    """Print the figures of some seeds."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    print(report(run(parser.parse_args().quick)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

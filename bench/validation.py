@@ -1,0 +1,69 @@
+"""Real machines, computed again: what `python -m arm_emulator validate` says, in a report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.validation import manutec_r3
+from arm_emulator.validation.kuka_kr300 import LONG, SHIPPED, compare
+from bench.measure import progress
+
+TITLE = "Real machines"
+PERIODS = (2e-4, 5e-5, 1e-5)  # s, servo period and step of the Manutec r3
+
+
+def run(quick: bool) -> dict[str, Any]:
+    """Compare the Manutec r3 with its solution, and the KUKA KR300 with its measured runs."""
+    periods = PERIODS[:2] if quick else PERIODS
+    figures: dict[str, Any] = {"manutec_r3": [], "kuka_kr300": []}
+    with progress("validation", len(periods) + len(SHIPPED)) as done:
+        for period in periods:
+            motion = min((manutec_r3.simulate(period) for _ in range(3)), key=lambda m: m.seconds)
+            one = manutec_r3.compare(motion)
+            figures["manutec_r3"].append({
+                "period": period, "angles": float(one.q.max()),
+                "currents": float(one.current.max()),
+                "times_real_time": manutec_r3.END / motion.seconds,
+            })  # fmt: skip
+            done("manutec_r3")
+        for path in SHIPPED:
+            found = compare(path)
+            figures["kuka_kr300"].append({
+                "run": path.stem, "explained": found.explained.tolist(),
+                "off": [(100.0 * drift.share).tolist() for drift in found.drifts],
+                "wind_up": np.degrees(found.wind_up.residual[:3]).tolist(),
+                "without_ripple": np.degrees(found.wind_up.rest[:3]).tolist(),
+                "good": found.good,
+            })  # fmt: skip
+            done(path.stem)
+    return figures
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section."""
+    lines = [
+        "Manutec r3, against an independent solution ([docs/validation.md](../validation.md)):\n",
+        "| period, us | angles, rad | currents, A | times real time |", "|---|---|---|---|",
+    ]  # fmt: skip
+    for one in figures["manutec_r3"]:
+        lines.append(
+            f"| {1e6 * one['period']:g} | {one['angles']:.2g} | {one['currents']:.2g} | "
+            f"{one['times_real_time']:.0f} |"
+        )
+    names = " | ".join(f"axis {j}" for j in range(1, 7))
+    lines += ["\nKUKA KR300, identified on run A, against measured runs:\n",
+              f"| | {names} | mean |", "|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    for one in figures["kuka_kr300"]:
+        rows = [("torque explained, %", one["explained"])]
+        rows += [(f"free run of {long:g} s, % off", off)
+                 for long, off in zip(LONG, one["off"], strict=True)]  # fmt: skip
+        for title, values in rows:
+            shown = " | ".join(f"{value:.1f}" for value in [*values, float(np.mean(values))])
+            lines.append(f"| {one['run']}: {title} | {shown} |")
+        for title, values in (("wind-up not computed, deg", one["wind_up"]),
+                              ("without the encoder's ripple", one["without_ripple"])):  # fmt: skip
+            shown = " | ".join(f"{value:.4f}" for value in values)
+            lines.append(f"| {one['run']}: {title} | {shown} | | | | |")
+    return "\n".join(lines) + "\n"
