@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -19,6 +20,7 @@ from sensor_msgs.msg import JointState
 
 from arm_emulator.__main__ import main
 from arm_emulator.servo_header import servo_header
+from arm_emulator.servo_step import ServoStep
 from arm_emulator.table_run import TableRun, load_table_run
 from arm_emulator.target_table import load_target_table
 from compiled.c_flags import C_FLAGS
@@ -198,6 +200,19 @@ def test_library_node_and_runs_without_a_network_give_the_same_bits(
     assert again.session.plant.save() == of_library.session.plant.save(), "all that a machine is"
     off = np.abs(again.session.state.q - rows[-1][1:])
     assert off.max() < 0.02, "the arm has followed the table [rad]"
+
+
+def test_the_order_of_the_servos_joints_means_nothing(tmp_path: Path) -> None:
+    rng = np.random.default_rng(18)
+    random_table(rng, tmp_path / "table.csv", 20)
+    table = load_target_table(tmp_path / "table.csv", NAMES)
+    saved = set()
+    for order in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
+        config = dataclasses.replace(SERVO, joints=tuple(SERVO.joints[k] for k in order))
+        run = TableRun(SCENE, table, ServoStep(Drives(config), order))
+        run.advance(200)
+        saved.add(run.session.plant.save())
+    assert len(saved) == 1, "machines after 200 ticks, by the servo's order of joints"
 
 
 @pytest.mark.parametrize("seed", some(range(8), 2))
@@ -443,3 +458,23 @@ def test_the_template_builds_with_its_makefile(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "real-time factor" in done.stdout, done.stdout
+
+
+@pytest.mark.parametrize("stops", some([1, 400], 0))
+def test_a_debugger_changes_no_bit(stops: int, build: Callable[..., Path], tmp_path: Path) -> None:
+    """Stopped in the first step, and 400 steps later; what is printed at the end is the same."""
+    if shutil.which("gdb") is None:
+        pytest.skip("no gdb")
+    (tmp_path / "table.csv").write_text("t,waist,shoulder,elbow\n0,0.1,0.5,0.8\n0.5,0,0.4,0.9\n")
+    words = [sys.executable, "-m", "arm_emulator", "run", "three_axis"]
+    words += ["--servo", str(build("", "-g")), "--targets", str(tmp_path / "table.csv")]
+    orders = ["set breakpoint pending on", "break step", "run", f"continue {stops}"]
+    orders += ["print in->time", "delete", "continue"]
+    gdb = ["gdb", "-batch", *(word for order in orders for word in ("-ex", order)), "--args"]
+    told = [
+        subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+        for command in (words, [*gdb, *words])
+    ]
+    assert f"= {stops * 1_000_000}" in told[1], "logical time in the step [ns]"
+    ends = [[line for line in text.splitlines() if line[:4] in ("tool", "ener")] for text in told]
+    assert len(ends[0]) == 2 and ends[0] == ends[1], "tool and energy at the end"
