@@ -1,5 +1,9 @@
 #include "servo.h"
 
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "the servo looks whether its numbers are finite: compile without -ffast-math"
+#endif
+
 /* The largest angle that a joint may be asked for [rad]. */
 static const servo_real FARTHEST = (servo_real)1e6;
 static const servo_real HALF = (servo_real)0.5;
@@ -226,7 +230,7 @@ static servo_real ahead_of(const servo* arm) {
 
 void servo_voltage(servo* arm, int32_t powered, servo_real* voltage) {
   arm->does = servo_watchdog_check(&arm->watchdog, arm->now);
-  if (!powered) arm->does = SERVO_CUT;
+  if (!powered || !arm->measured) arm->does = SERVO_CUT;
   if (arm->does == SERVO_CUT) {
     arm->holding = 0;
     servo_release(arm);

@@ -31,10 +31,6 @@
 #include <float.h>
 #include <stdint.h>
 
-#ifdef __FAST_MATH__
-#error "the servo looks whether its numbers are finite: compile without -ffast-math"
-#endif
-
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -155,7 +151,8 @@ void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_r
  */
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau);
 /* Voltages for the period that begins with the newest measurement: follow the newest target, hold
- * without one, or 0 where the watchdog has cut the power or the drives have none. */
+ * without one, or 0 where nothing was measured yet, the watchdog has cut the power or the drives
+ * have none. */
 void servo_voltage(servo* arm, int32_t powered, servo_real* voltage);
 
 /* The same without watchdog and clock. */

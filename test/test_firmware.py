@@ -32,6 +32,7 @@ from emulator_node.session import Session
 from firmware import FOLDER
 from servo_node.drives import Drives, Target
 from servo_node.servo import load_servo_config
+from servo_node.servo_law import address, servo_law
 from words.refusal import Refusal
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -141,6 +142,29 @@ def test_the_servo_needs_nothing_but_itself(kind: str, level: str, tmp_path: Pat
 def test_all_of_our_c_compiles_without_a_warning(tmp_path: Path) -> None:
     for number, source in enumerate([CORE / "firmware_loop.c", ROOT / "arm_emulator/servo_step.c"]):
         compile_c(tmp_path / f"{number}.so", *MORE_WARNINGS, "-c", str(source))
+
+
+def test_a_servo_that_has_measured_nothing_gives_no_voltage() -> None:
+    """Whatever it was aimed at: it does not know where the motors stand."""
+    drives, law = Drives(SERVO), servo_law()
+    arm, voltage = drives.servo.pointer, np.full(N, np.nan)
+    drives.aim(Target(np.ones(N)))
+    law.servo_voltage(arm, True, address(voltage))
+    np.testing.assert_array_equal(voltage, np.zeros(N), err_msg="before the first measurement")
+    drives.measure(0, [0] * N, [0.0] * N)
+    drives.aim(Target(np.ones(N)))
+    assert (drives.voltage(powered=True) > 0.0).all(), "after it, towards the target"
+    drives.reset()
+    law.servo_voltage(arm, True, address(voltage))
+    np.testing.assert_array_equal(voltage, np.zeros(N), err_msg="after a reset")
+
+
+def test_fast_math_is_refused_by_the_compiler(tmp_path: Path) -> None:
+    for flag in ("-ffast-math", "-ffinite-math-only"):
+        command = [*find_compiler(), *C_FLAGS, flag, "-c", str(FOLDER / "servo.c")]
+        command += ["-o", str(tmp_path / "servo.o")]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode != 0 and "compile without -ffast-math" in done.stderr, flag
 
 
 # One law
