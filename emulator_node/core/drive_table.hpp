@@ -280,6 +280,11 @@ class DriveTables {
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker) : make(maker), n(numbers) {
     fill();
   }
+  // With joints in modes that are given.
+  DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, const Modes (&modes)[N])
+      : make(maker), n(numbers) {
+    for (int lane = 0; lane < width; ++lane) fill_lane(lane, modes);
+  }
   static_assert(!any_drive<S>([](const auto& drive) {
     return !LinearDrive<K, M>::is_sound(drive);
   }),
@@ -289,14 +294,16 @@ class DriveTables {
   void fill() {
     for (int lane = 0; lane < width; ++lane) fill_lane(lane);
   }
-  // The same for one lane. All parts are in their usual modes.
-  void fill_lane(int lane) {
+  // The same for one lane. All parts are in their usual modes, if no others are given.
+  void fill_lane(int lane, const Modes* modes = nullptr) {
     n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+      unsigned held = 0;
       if constexpr (modal) {
-        now[lane][j] = {};
+        now[lane][j] = modes ? modes[j] : Modes{};
+        held = now[lane][j].held();
         put_offsets(j, lane);
       }
-      copy(table_of(drive, 0), j, lane);
+      copy(table_of(drive, held), j, lane);
     });
   }
 

@@ -47,6 +47,9 @@ class LinearlyImplicit {
 
   LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers)
       : h(step), n(numbers), tables(numbers, {step, stages}), coulomb(numbers) {}
+  // For steps in modes that are known.
+  LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers, const Modes<S>& modes)
+      : h(step), n(numbers), tables(numbers, {step, stages}, modes.drive), coulomb(numbers) {}
 
   ~LinearlyImplicit() { delete half; }
   LinearlyImplicit(const LinearlyImplicit&) = delete;

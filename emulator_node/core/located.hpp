@@ -59,14 +59,14 @@ class Located {
   using Past = typename Method::Past;
   static constexpr int kMostEvents = 4 * N + 8;
   static constexpr int kMostTrials = 150;
-  static constexpr double kInstant = 1e-13;  // of a step: how well an event's time is known
+  static constexpr double kInstant = 1e-11;  // of a step: how well an event's time is known
 
   // A step from x to y of which not all modes hold.
   void cut(State<S>& x, State<S> y, const double (&u)[row], Modes<S> modes, Dynamics links) {
     const State<S> start = x;
     double left = h;
     for (int events = 0; left > kInstant * h; ++events) {
-      Method part(left, n);
+      Method part(left, n, modes);
       if (events == kMostEvents) {
         y = x;
         Nobody nobody;
@@ -91,25 +91,31 @@ class Located {
     whole.remember(start, x, u);
   }
 
-  // The time at which the first mode ceases to hold, somewhat below `left`, by regula falsi, each
-  // third trial by bisection; y is the state then, where it does not hold any more.
+  // The time at which the first mode ceases to hold, somewhat below `left`, by regula falsi
+  // (Illinois), with a bisection where three trials have not halved the interval; y is the state
+  // then, where it does not hold any more.
   double first_event(const State<S>& x, State<S>& y, const double (&u)[row], const Modes<S>& modes,
                      const Dynamics& links, double left) const {
     const double instant = kInstant * h;
-    double before = 0.0, after = left;
+    double before = 0.0, after = left, halved = left;
     double margin_before = modes.margin(x, u), margin_after = modes.margin(y, u);
-    int side = 0;  // that was moved last: where one stands still, its margin is halved (Illinois)
+    int side = 0;  // that was moved last: where one stands still, its margin is halved
+    int slow = 0;  // trials since the interval was halved
     for (int trial = 0; trial < kMostTrials && after - before > instant; ++trial) {
       const double width = after - before;
+      if (width <= 0.5 * halved)
+        halved = width, slow = 0;
+      else
+        ++slow;
       double t = before + 0.5 * width;
-      if (margin_before > 0.0 && trial % 3 < 2) {
+      if (margin_before > 0.0 && slow < 3) {
         t = before + width * margin_before / (margin_before - margin_after);
         // So that both ends close in on an estimate that is as good as can be.
         const double least = before + 0.5 * instant, most = after - 0.5 * instant;
         t = t < least ? least : t > most ? most : t;
       }
       State<S> trial_end = x;
-      Method(t, n).step_in(modes, trial_end, u, links, Past::unknown);
+      Method(t, n, modes).step_in(modes, trial_end, u, links, Past::unknown);
       const double margin = modes.margin(trial_end, u);
       if (margin < 0.0) {
         y = trial_end;
