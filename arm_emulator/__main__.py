@@ -90,6 +90,9 @@ def _parser() -> argparse.ArgumentParser:
     identify.add_argument(
         "--as-is", action="store_true", help="do not ask whether axes, signs, units are right"
     )
+    identify.add_argument(
+        "--simulate", action="store_true", help="then fit by simulating free runs (compiles)"
+    )
     identify.set_defaults(run=_identify)
 
     up = commands.add_parser("up", help="start the three nodes, end all when one ends")
@@ -275,6 +278,7 @@ def _identify(arguments: argparse.Namespace) -> int:
         low_pass=arguments.low_pass,
         trust=arguments.trust,
         as_is=arguments.as_is,
+        simulate=arguments.simulate,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from rich.table import Table
 from arm_emulator.identification.filtered import filtered
 from arm_emulator.identification.fitted_scene import in_urdf, write_fitted
 from arm_emulator.identification.found import Found, bodies_of, numbers_found
+from arm_emulator.identification.free_run_fit import fit_free_runs, torque_driven
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.picture import draw_torques
 from arm_emulator.identification.plausibility import (
@@ -22,7 +24,7 @@ from arm_emulator.identification.plausibility import (
     check_speeds,
 )
 from arm_emulator.identification.read_run import read_run
-from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
+from arm_emulator.identification.torque_fit import TorqueFit, explained, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel, matches
 from arm_emulator.identification.wind_up import wind_up
 from emulator_node.chain import Array
@@ -47,6 +49,7 @@ def identify(
     low_pass: float = 10.0,
     trust: float = 0.5,
     as_is: bool = False,
+    simulate: bool = False,
 ) -> int:
     """Find numbers of a scene, print them with their confidence, and write the fitted scene.
 
@@ -62,6 +65,7 @@ def identify(
         low_pass: what is faster is not looked at [Hz].
         trust: see above.
         as_is: take the record as it is, whatever it looks like.
+        simulate: go on with free runs of the emulator, see `fit_free_runs`.
 
     Raises:
         Refusal: the record cannot be of this machine, or too little is in it.
@@ -96,6 +100,13 @@ def identify(
         torques = model.of(motion)
         found = fit_torques(model, motion, fitted, torques)
         check_fit(run.where, run.joints, found.explained)
+        if simulate:
+            bar.update(task, description="compile")
+            driven = torque_driven(file, run.period)
+            bar.update(task, description="fit by simulating")
+            found = fit_free_runs(found, driven, run, bar.console.print)
+            share = explained(motion.tau, torques.torques(found.values) - motion.tau, motion.moving)
+            found = dataclasses.replace(found, explained=share)
         bar.update(task, description="write")
         numbers = numbers_found(scene, found)
         _write(out, file, scene, found, numbers, data.name)

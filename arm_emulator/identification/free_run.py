@@ -5,7 +5,7 @@ Nothing corrects them: whatever the machine has otherwise than the real one adds
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,21 +73,25 @@ def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
     return Starts(at, q_motor - give, v, q_motor / ratio, v / ratio)
 
 
-def free_runs(scene: Scene, run: MeasuredRun, begin: Starts, seconds: float,
-              varied: Mapping[str, ArrayLike] | None = None, copies: int = 1) -> Array:  # fmt: skip
-    """Return the motors' angles, at the link, after each sample (copies, K, S, N) [rad or m].
+def free_runs(
+    scene: Scene,
+    run: MeasuredRun,
+    begin: Starts,
+    looks: Sequence[int],
+    varied: Mapping[str, ArrayLike] | None = None,
+    copies: int = 1,
+) -> Array:
+    """Return the motors' angles, at the link, after some samples (copies, looks, S, N) [rad or m].
 
     Args:
-        scene: a machine whose motors are commanded torques; its servo period is the record's, or
-            divides it.
+        scene: a machine whose motors are commanded torques.
         run: the record.
         begin: where they begin, S of them.
-        seconds: how long they last.
+        looks: after how many samples to look, increasing.
         varied: values (copies,) of varied numbers, by name.
         copies: of the machine, each with numbers of its own.
     """
     S, N = begin.q.shape
-    samples = round(seconds / run.period)
     arms = copies * S
     values = {name: np.repeat(np.asarray(one), S) for name, one in (varied or {}).items()}
     fleet = Fleet(scene, arms, varied=values, q=np.tile(begin.q, (copies, 1)))
@@ -99,13 +103,14 @@ def free_runs(scene: Scene, run: MeasuredRun, begin: Starts, seconds: float,
         })  # fmt: skip
     ratio = np.array([joint.gear.ratio for joint in scene.joints])
     steps = round(run.period / scene.integrator.dt)
-    angles = np.empty((samples, arms, N))
-    for k in range(samples):
-        here = run.tau[begin.at + k]
-        torque = 0.5 * (here + run.tau[begin.at + k + 1])
-        fleet.advance(np.tile(torque, (copies, 1)), steps)
-        angles[k] = fleet.state.theta_m * ratio
-    return np.moveaxis(angles.reshape(samples, copies, S, N), 1, 0)
+    angles, done = np.empty((len(looks), arms, N)), 0
+    for row, look in enumerate(looks):
+        # Between two samples the mean of both acts.
+        at = begin.at + np.arange(done, look)[:, None]
+        torques = 0.5 * (run.tau[at] + run.tau[at + 1])
+        fleet.run(np.tile(torques, (1, copies, 1)), steps)
+        angles[row], done = fleet.state.theta_m * ratio, look
+    return np.moveaxis(angles.reshape(len(looks), copies, S, N), 1, 0)
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ class Drift:
 
 
 def drift(run: MeasuredRun, begin: Starts, angles: Array) -> Drift:
-    """Compare free runs (K, S, N) with the record."""
+    """Compare free runs, looked at after each of K samples (K, S, N), with the record."""
     K = len(angles)
     errors = angles[-1] - run.q_motor[begin.at + K]
     root = np.sqrt(np.mean(errors**2, axis=0))

@@ -82,7 +82,8 @@ def compare(path: Path, scene: Scene | None = None) -> Comparison:
     drifts, paths, begins = list[Drift](), np.zeros(0), np.zeros(0)
     for seconds in LONG:
         begin = starts(run, scene, seconds, EVERY, IN_MOTION)
-        angles = free_runs(scene, run, begin, seconds)[0]
+        looks = range(1, round(seconds / run.period) + 1)
+        angles = free_runs(scene, run, begin, looks)[0]
         drifts.append(drift(run, begin, angles))
         if not paths.size:
             paths, begins = angles, begin.at
