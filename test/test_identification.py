@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import FULL, some
+from machines import one_link_urdf, write_scene
 
 from arm_emulator.identification.filtered import filtered
+from arm_emulator.identification.found import numbers_found
+from arm_emulator.identification.free_run_fit import fit_free_runs, torque_driven
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.identification.plausibility import Plausibility, check_movement, check_speeds
 from arm_emulator.identification.read_run import read_run
-from arm_emulator.identification.torque_fit import explained
+from arm_emulator.identification.synthetic import make_record
+from arm_emulator.identification.torque_fit import explained, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.identification.wind_up import wind_up
 from arm_emulator.identify import identify
@@ -201,3 +205,37 @@ def test_truth_lies_within_the_confidence_told() -> None:
     # 95.4 % are expected; errors of a record go together, but less than 87 % is a fault.
     assert np.mean(np.abs(every) < 2.0) > 0.87, f"{np.mean(np.abs(every) < 2.0)} within 2 sigma"
     assert np.sqrt(np.mean(every**2)) < 1.5, "root of mean square, in deviations"
+
+
+def test_free_runs_find_what_a_pendulum_is(tmp_path: Path) -> None:
+    """From figures 20 % off; driven by the torques of a record that the emulator made."""
+    true = {"rotor_inertia": 1e-3, "friction": {"viscous": 0.01, "coulomb": 0.02}}
+    off_by = {"rotor_inertia": 1.2e-3, "friction": {"viscous": 0.03, "coulomb": 0.03}}
+    files = {}
+    for name, motor, mass in (("true", true, 2.0), ("off", off_by, 2.4)):
+        (tmp_path / name).mkdir()
+        files[name] = write_scene(
+            tmp_path / name, one_link_urdf(mass), {"joint": {
+                "motor": {"kind": "torque", **motor}, "gear": {"ratio": 0.05},
+            }}, gravity=[0.0, 0.0, -9.81], servo_period=4e-3,
+            integrator={"scheme": "rosenbrock", "dt": 1e-3},
+        )  # fmt: skip
+    record = make_record(load_scene(files["true"]), 3, 10.0, 1e-6, 0.02)
+    known = load_scene(files["off"])
+    data = filtered(record, np.array([0.05]), 10.0)
+    model = TorqueModel(known, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), 0.5)
+    fitted = model.choose(["joints", "links.*.log_mass", "links.*.x"], "test")
+    first = fit_torques(model, data, fitted)
+    # As if the first stage had found a fifth less of what there is to find.
+    begun = dataclasses.replace(first, values=0.8 * first.values + 0.2 * model.start)
+    said = list[str]()
+    found = fit_free_runs(begun, torque_driven(files["off"], 4e-3), record, said.append)
+    ends = [float(line.split("end ")[1].split()[0]) for line in said]
+    assert ends[-1] < 0.5 * ends[0], f"free runs end {ends} % off"
+    numbers = {one.name: one for one in numbers_found(known, found)}
+    weight = numbers["links.joint_link.moment_x"]
+    assert weight.value == pytest.approx(0.6, rel=0.02), weight.line
+    for name, wanted in (("viscous", 0.01), ("coulomb", 0.02)):
+        one = numbers[f"joints.joint.motor.friction.{name}"]
+        within = max(4.0 * one.deviation, 0.1 * wanted)
+        assert one.value == pytest.approx(wanted, abs=within), one.line

@@ -29,7 +29,7 @@ SECONDS = 0.6  # that runs last
 EVERY = 0.2  # s, from start to start
 FASTER = 0.2  # of the largest speed: where some joint is as fast, the arm moves
 LOOKS = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # of the time, when the runs are looked at
-TURNS = 4  # of the search
+TURNS = 6  # of the search
 NUDGE = 0.05  # of each deviation, by which it is changed for the differences
 ENOUGH = 1e-2  # share by which a turn must still be better
 
@@ -81,7 +81,7 @@ def fit_free_runs(
     widths = np.array([one.width for one in fit.unknowns])
     which = np.flatnonzero(fit.fitted)
     spread = run.q_motor.std(axis=0)
-    values, damping = fit.values.copy(), 1.0
+    values, damping = fit.values.copy(), 0.1
     errors, J = _errors(fit, scene, run, begin, values, which)
     # Runs that overlap err together: an error counts as of so many samples.
     lasting = max(1.0, SECONDS / EVERY) * len(LOOKS)
@@ -89,6 +89,7 @@ def fit_free_runs(
     told(f"free runs of {SECONDS:g} s end {_shown(errors, spread)} off")
 
     def cost(errors: Array, values: Array) -> float:
+        """With the noise of the turn."""
         known = (values - before)[which] / widths[which]
         return float(np.sum((errors / noise) ** 2) + known @ known)
 
@@ -104,7 +105,9 @@ def fit_free_runs(
         new = cost(new_errors, tried)
         if new < now:
             done = now - new < ENOUGH * now
-            values, errors, J, now, damping = tried, new_errors, new_J, new, 0.2 * damping
+            values, errors, J, damping = tried, new_errors, new_J, 0.1 * damping
+            noise = np.sqrt(np.mean(errors**2, axis=0) * lasting)
+            now = cost(errors, values)
             told(f"free runs of {SECONDS:g} s end {_shown(errors, spread)} off")
             if done:
                 break

@@ -39,7 +39,8 @@ class LinkRegressor:
         """Return Y of every row: (K, N, 10 N)."""
         find, model, data = pin.computeJointTorqueRegressor, self.model, self._data
         rows = [find(model, data, *row).copy() for row in zip(q, v, a, strict=True)]
-        return np.array(rows)
+        N = self.model.nv
+        return np.array(rows).reshape(len(q), N, 10 * N)
 
 
 def torques_of_links(scene: Scene, regressor: LinkRegressor, q: Array, v: Array, a: Array) -> Array:

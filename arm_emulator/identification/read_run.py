@@ -171,7 +171,11 @@ def _from_bag(path: Path, scene: Scene) -> dict[str, Array]:
 
     t = list[float]()
     counts, current, command, at_link = (list[list[float]]() for _ in range(4))
+    tick = -1
     for _, state in read_topics(Bag(path), ("motor_states",)):
+        if state.tick == tick:
+            continue  # told once more, while nobody answered
+        tick = state.tick
         names = list(state.joint_names)
         for joint in scene.joint_names:
             if joint not in names:
