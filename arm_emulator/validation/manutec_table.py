@@ -17,7 +17,7 @@ SHOWN = 5e-5  # s, of which angles and currents are drawn
 
 def validate_manutec(folder: Path) -> int:
     """Compare, print, draw into a folder; exit code 1 if angles are not within 1e-5 rad."""
-    console = Console()
+    console = Console(width=max(110, Console().width))
     table = Table(title="Manutec r3 against the independent solution, largest differences")
     for heading in ("period, us", "angles, rad", "speeds, rad/s", "currents, A",
                     "wind-up at the motor, rad", "rows in other friction modes",
