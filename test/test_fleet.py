@@ -262,7 +262,7 @@ def refusals() -> Iterator[tuple[str, Any, str]]:
     yield "voltage", lambda s: Fleet(s, 2).advance(all_joints(s, np.nan), 1), "must be finite"
     yield "shape", lambda s: Fleet(s, 2).run(np.zeros((4, 3, 3)), 1), "voltages must have shape"
     yield "words", lambda s: Fleet(s, 2).run("fast", 1), "must be numbers"
-    yield "steps", lambda s: Fleet(s, 2).run(np.zeros((4, 3)), -1), "steps must be >= 0"
+    yield "steps", lambda s: Fleet(s, 2).run([all_joints(s, 0.0)], -1), "steps must be >= 0"
     yield "arm", lambda s: Fleet(s, 2)[2], "arm must be at most 1"
     yield "workers", lambda s: Fleet(s, 2, workers=0), "workers must be >= 1"
 

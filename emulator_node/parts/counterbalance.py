@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from emulator_node.parts.part import Number, Part
-from emulator_node.section import LARGEST, Section
+from emulator_node.section import Section
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,7 @@ class Counterbalance(Part):
     base_distance: Annotated[float, Number("a", "m", above=0.0, at_most=100.0, varied=False)]
     link_distance: Annotated[float, Number("b", "m", above=0.0, at_most=100.0, varied=False)]
     angle: Annotated[float, Number("phi", "rad", at_least=-1e4, at_most=1e4)] = 0.0
-    force: Annotated[float, Number("F0", "N", at_least=-LARGEST)]
+    force: Annotated[float, Number("F0", "N", at_least=-1e7, at_most=1e7)]
     length: Annotated[float, Number("l0", "m", above=0.0, at_most=200.0)]
     stiffness: Annotated[float, Number("k", "N/m", at_least=0.0)] = 0.0
     gas_column: Annotated[float, Number("h", "m", at_least=0.0, varied=False)] = 0.0
