@@ -159,7 +159,11 @@ struct Drive {
   }
   template <class X>
   ARM_INLINE constexpr X sliding(const Input<X>& x) const {
-    const X T = load_on_link(x);
+    return sliding_under(x, load_on_link(x));
+  }
+  // The same under the torque T of the gear on its link.
+  template <class X>
+  ARM_INLINE constexpr X sliding_under(const Input<X>& x, X T) const {
     X dry = friction.sliding(x.v, T);
     if constexpr (carries_rotor && Rotor::modes > 0)
       dry += rotor.law.sliding(motor_speed(x), gear.Ng * T) / magnitude(gear.Ng);
@@ -232,12 +236,16 @@ struct Drive {
     return U;
   }
   constexpr double dissipated(const Input<double>& x, unsigned held) const {
-    double P = friction.Dv * x.v * x.v + sliding(x) * magnitude(x.v);
+    double T = 0.0;  // in the modes given: at the end of a part of a step x may call for others
+    if constexpr (elastic)
+      T = gear_on_link(x, held);
+    else
+      T = load_on_link(x);
+    double P = friction.Dv * x.v * x.v + sliding_under(x, T) * magnitude(x.v);
     if constexpr (driven) P += motor.dissipated(x.z);
     if constexpr (elastic)
       P += gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, Gear::modes > 0 && is_held(held, of_gear));
-    if constexpr (elastic && Rotor::modes > 0)
-      P += rotor.dissipated(x.z[wm], on_rotor(x, load_on_link(x)));
+    if constexpr (elastic && Rotor::modes > 0) P += rotor.dissipated(x.z[wm], on_rotor(x, T));
     if constexpr (carries_rotor && Rotor::modes > 0)
       P += rotor.law.Dv * motor_speed(x) * motor_speed(x);
     for_each_extra([&](const auto& extra, auto state, auto mode) {

@@ -29,9 +29,10 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
                         const Modes<S>& modes) {
   EnergyFlow<S> power;
   n.for_each_drive([&](const auto& drive, int j) {
-    const auto at = input_of(drive, j, x, u[j]);
-    power.given[j] = drive.given(at, modes.of(drive, j).held());
-    power.dissipated[j] = drive.dissipated(at, modes.of(drive, j).held());
+    const auto now = modes.of(drive, j);
+    const auto at = drive.with(input_of(drive, j, x, u[j]), now);
+    power.given[j] = drive.given(at, now.held());
+    power.dissipated[j] = drive.dissipated(at, now.held());
   });
   if constexpr (S::external_wrench) {
     typename Links<S>::Kinematics kinematics;
