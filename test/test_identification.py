@@ -192,10 +192,16 @@ def test_a_run_that_was_not_used_is_explained() -> None:
 
 
 @pytest.mark.parametrize("path", some(SHIPPED, 0))
-def test_free_runs_stay_near_the_measured_motion(path: Path) -> None:
+def test_runs_of_the_machine_stay_near_the_measured_motion(path: Path) -> None:
+    """Free ones, and under our own servo, whose following is better than the real one's."""
     found = compare(path)
     off = 100.0 * found.drifts[0].share
     assert off.mean() < 8.0 and off.max() < 15.0, f"{path.name}: {off} % after 0.6 s"
+    closed = found.closed_loop
+    assert closed is not None, "the run has a command"
+    assert (closed.lag < closed.measured_lag).all(), f"behind the command: {closed.lag} rad"
+    # The wrist's real motion is another one than its command.
+    assert closed.explained[:3].min() > 80.0, f"torque explained: {closed.explained} %"
 
 
 def test_truth_lies_within_the_confidence_told() -> None:

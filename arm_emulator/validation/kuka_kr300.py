@@ -14,6 +14,7 @@ from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.torque_fit import explained
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.identification.wind_up import WindUp, wind_up
+from arm_emulator.validation.kuka_closed_loop import ClosedLoop, closed_loop
 from emulator_node.chain import Array
 from emulator_node.scene import Scene, load_scene
 from words.config_files import config_folder
@@ -47,6 +48,7 @@ class Comparison:
     drifts: tuple[Drift, ...]  # one of each length of `LONG`
     paths: Array  # of the free runs of the first length: motor angles (K, S, N)
     begins: Array  # their first samples (S,)
+    closed_loop: ClosedLoop | None  # under our own servo; None: the run tells no command
 
     @property
     def good(self) -> bool:
@@ -88,4 +90,6 @@ def compare(path: Path, scene: Scene | None = None) -> Comparison:
         if not paths.size:
             paths, begins = angles, begin.at
     shares = explained(data.tau, torques - data.tau, data.moving)
-    return Comparison(run, data, torques, shares, wind_up(run, scene), tuple(drifts), paths, begins)
+    closed = closed_loop(run, data, LOW_PASS)
+    of_gears = wind_up(run, scene)
+    return Comparison(run, data, torques, shares, of_gears, tuple(drifts), paths, begins, closed)

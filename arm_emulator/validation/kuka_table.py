@@ -57,6 +57,12 @@ def _table(found: Sequence[Comparison], names: tuple[str, ...]) -> Table:
             ("  ripple, deg", np.degrees(one.wind_up.ripple), ".4f", None),
             ("  its waves per turn", one.wind_up.order, ".0f", None),
         ]
+        if (closed := one.closed_loop) is not None:
+            rows += [
+                ("our servo: torque explained, %", closed.explained, ".1f", closed.explained),
+                ("  behind its command, deg rms", np.degrees(closed.lag), ".4f", None),
+                ("  real controller, deg rms", np.degrees(closed.measured_lag), ".4f", None),
+            ]
         for title, values, form, mean in rows:
             shown = [format(value, form) if np.isfinite(value) else "" for value in values]
             last = "" if mean is None else format(float(mean.mean()), form)
