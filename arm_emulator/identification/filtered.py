@@ -42,6 +42,13 @@ def low_pass(rows: Array, period: float, frequency: float) -> Array:
     return smooth
 
 
+def smooth_motion(q: Array, period: float, frequency: float) -> tuple[Array, Array, Array]:
+    """Return angles (K, N) without what is faster than `frequency` [Hz], and their two rates."""
+    smooth = low_pass(q, period, frequency)
+    v = np.gradient(smooth, period, axis=0)
+    return smooth, v, np.gradient(v, period, axis=0)
+
+
 def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | None = None,
              every: int | None = None) -> Filtered:  # fmt: skip
     """Return a record low-passed.
@@ -64,9 +71,7 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
     if run.t[-1] - run.t[0] < 4.0 * EDGE / frequency:
         rule = f"last at least {4.0 * EDGE / frequency:.3g} s for a low-pass of {frequency:g} Hz"
         raise Refusal(run.where, "record", rule, f"{run.t[-1] - run.t[0]:.3g} s")
-    q = low_pass(run.q_motor, period, frequency)
-    v = np.gradient(q, period, axis=0)
-    a = np.gradient(v, period, axis=0)
+    q, v, a = smooth_motion(run.q_motor, period, frequency)
     quick = min(FOR_SIGN * frequency, 0.2 / period)
     speed = np.gradient(low_pass(run.q_motor, period, quick), period, axis=0)
     top = np.quantile(np.abs(speed), 0.99, axis=0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from arm_emulator.identification.filtered import EDGE, low_pass
+from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
 from arm_emulator.identification.link_regressor import LinkRegressor, torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
 from emulator_node.chain import Array
@@ -63,9 +63,7 @@ def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
     if not at.size:
         raise Refusal(run.where, "record", f"be faster than {faster:g} rad/s or m/s", "at rest")
     v = speeds[at]
-    slow = low_pass(run.q_motor, period, min(LOAD_BELOW, 0.2 / period))
-    speed = np.gradient(slow, period, axis=0)
-    a = np.gradient(speed, period, axis=0)
+    slow, speed, a = smooth_motion(run.q_motor, period, min(LOAD_BELOW, 0.2 / period))
     load = torques_of_links(scene, LinkRegressor(scene), slow[at], speed[at], a[at])
     ratio = np.array([joint.gear.ratio for joint in scene.joints])
     q_motor = run.q_motor[at]

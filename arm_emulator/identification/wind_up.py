@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.identification.filtered import EDGE, low_pass
+from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
 from arm_emulator.identification.link_regressor import LinkRegressor, torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
 from emulator_node.chain import Array
@@ -44,9 +44,7 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
     """Compare measured wind-up with that of a scene's gears under its links' torques."""
     period, N = run.period, len(scene.joints)
     frequency = min(BELOW, 0.1 / period)
-    q = low_pass(run.q_motor, period, frequency)
-    v = np.gradient(q, period, axis=0)
-    a = np.gradient(v, period, axis=0)
+    q, v, a = smooth_motion(run.q_motor, period, frequency)
     edge = int(EDGE / (frequency * period))
     kept = slice(edge, len(q) - edge)
     load = torques_of_links(scene, LinkRegressor(scene), q[kept], v[kept], a[kept])
