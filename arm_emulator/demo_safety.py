@@ -34,7 +34,7 @@ def _power_cut(scene: Scene, q: Array) -> str:
     plant.advance(zero, steps)
     # Now it is known how far the gears wind up here: as of an arm that has stood still for a while.
     wind_up = scene.wind_up(plant.state.gear_torque)
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     plant.powered = True
     plant.reset(q)
     elastic = np.array([joint.gear.stiffness is not None for joint in scene.joints])

@@ -85,7 +85,7 @@ def identify(
         late = _delays(delays)
         run = read_run(data, scene, angles, side).shifted(late)
         bar.update(task, description="look the record over")
-        ratio = np.array([joint.gear.ratio for joint in scene.joints])
+        ratio = scene.gear_ratios
         motion = filtered(run, ratio, low_pass)
         check_movement(run, motion)
         check_speeds(run, motion)

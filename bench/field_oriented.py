@@ -66,7 +66,7 @@ class Controller:
         self.U = self.scene.supply_voltage / np.sqrt(3.0)
         self.current_bandwidth = 2.0 * np.pi * 800.0  # rad/s, a 25th of the control's rate
         # Rotor and link turn together below the gear's resonance.
-        ratio = np.array([joint.gear.ratio for joint in self.scene.joints])
+        ratio = self.scene.gear_ratios
         link = np.array([4.0, 4.0, 1.5, 0.2, 0.2, 0.02])  # kg m2, of the middle of the poses
         self.inertia = self.Mm + ratio**2 * link
         self.speed_bandwidth, self.position_bandwidth = 2.0 * np.pi * 15.0, 2.0 * np.pi * 4.0
@@ -116,7 +116,7 @@ class Controller:
 
 def goals(scene: Scene, seconds: float) -> tuple[Array, Array]:
     """Return motor angles and speeds (K, N) of a smooth motion there and back."""
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     t = np.arange(round(seconds / PERIOD))[:, None] * PERIOD
     swing = 2.0 * np.pi / seconds
     q = scene.start + REACH * 0.5 * (1.0 - np.cos(swing * t))
@@ -128,7 +128,7 @@ def drive(scene: Scene, seconds: float) -> dict[str, Any]:
     """Run the loop; return what was seen."""
     plant, control = Plant(scene), Controller(scene)
     angles, speeds = goals(scene, seconds)
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     error = np.zeros_like(angles)
     off_q, d, u, q = (np.zeros_like(angles) for _ in range(4))
     began = time.process_time()

@@ -47,7 +47,7 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     What is known before is off by as much as it is trusted to be, drawn anew for each seed.
     """
     record = make_record(scene, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE)
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     data = filtered(record, ratio, LOW_PASS)
     typical = data.tau.std(axis=0), np.abs(data.v).max(axis=0)
     model = TorqueModel(scene, typical, TRUST)

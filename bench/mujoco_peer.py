@@ -52,7 +52,7 @@ class MujocoArm:
         self._elastic = [
             k for k, j in enumerate(scene.joints) if j.motor and j.gear.stiffness is not None
         ]
-        self._ratio = np.array([joint.gear.ratio for joint in scene.joints])
+        self._ratio = scene.gear_ratios
         self._q = self._addresses([joint.name for joint in scene.joints])
         self._motors = self._addresses([f"{scene.joints[k].name}_rotor" for k in self._elastic])
         self._driven = [k for k, joint in enumerate(scene.joints) if joint.motor is not None]

@@ -179,7 +179,7 @@ class Plant:
         self._structs = tuple(map(ctypes.byref, (self.command, self.measurement)))
         self.link_angle_per_count = link_angle_per_count(scene)
         at_most = largest_position(scene)
-        ratio = np.abs([joint.gear.ratio for joint in scene.joints])
+        ratio = np.abs(scene.gear_ratios)
         self.bounds = {
             "current": CURRENT,
             "theta_m": Bound("motor position", "rad", at_most / ratio),

@@ -147,6 +147,11 @@ class Scene:
         return tuple(joint.name for joint in self.joints)
 
     @property
+    def gear_ratios(self) -> Array:
+        """Turns of the links per turn of their motors (N,); 1 where there is no gear."""
+        return np.array([joint.gear.ratio for joint in self.joints])
+
+    @property
     def start(self) -> Array:
         """Joint positions at reset (N,) [rad or m]."""
         return np.array([joint.start for joint in self.joints])

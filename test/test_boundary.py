@@ -123,7 +123,7 @@ def test_a_state_that_is_set_is_the_state(drawn: tuple[Scene, np.random.Generato
     plant = Plant(scene)
     N = len(scene.joints)
     q, v = rng.normal(0, 1, N), rng.normal(0, 0.5, N)
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     elastic = np.array([j.motor is not None and j.gear.stiffness is not None for j in scene.joints])
     driven = np.array([j.motor is not None for j in scene.joints])
     limit = np.array(

@@ -28,7 +28,7 @@ from emulator_node.scene import load_scene
 from words.refusal import Refusal
 
 GIVEN = load_scene(DATA / "given.yaml")
-RATIO = np.array([joint.gear.ratio for joint in GIVEN.joints])
+RATIO = GIVEN.gear_ratios
 RUN_A = read_run(SHIPPED[0], GIVEN, angles="deg").shifted(DELAYS)
 
 

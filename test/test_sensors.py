@@ -201,7 +201,7 @@ def test_index_pulses_come_where_a_turn_is_full(scene: Scene) -> None:
 
 def drawn_state(rng: np.random.Generator, plant: Plant) -> None:
     q, v = rng.normal(0.0, 1.0, 3), rng.normal(0.0, 2.0, 3)
-    ratio = np.array([joint.gear.ratio for joint in plant.scene.joints])
+    ratio = plant.scene.gear_ratios
     theta_m, omega_m = (q + 1e-3 * rng.normal(size=3)) / ratio, (v + rng.normal(size=3)) / ratio
     theta_m[1], omega_m[1] = q[1] / ratio[1], v[1] / ratio[1]  # behind a rigid gear
     given = {"q": q, "v": v, "theta_m": theta_m, "omega_m": omega_m, "current": rng.normal(size=3)}
@@ -667,7 +667,7 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
         for number in scene.varied
     )
     noisy = run(dataclasses.replace(scene, varied=varied), words)
-    at_link = np.array([joint.gear.ratio for joint in scene.joints]) * (sigma + count)
+    at_link = scene.gear_ratios * (sigma + count)
     assert (noisy.swing < 6.0 * at_link).all(), f"at rest: {noisy.swing} of {at_link}"
     worse = np.abs(noisy.off).max(axis=0) - np.abs(one.off).max(axis=0)
     assert (worse < 6.0 * at_link).all(), f"on the way: {worse} of {at_link}"

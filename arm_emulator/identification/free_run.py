@@ -65,7 +65,7 @@ def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
     v = speeds[at]
     slow, speed, a = smooth_motion(run.q_motor, period, min(LOAD_BELOW, 0.2 / period))
     load = torques_of_links(scene, LinkRegressor(scene), slow[at], speed[at], a[at])
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     q_motor = run.q_motor[at]
     give = np.array([scene.wind_up(row) for row in load])
     return Starts(at, q_motor - give, v, q_motor / ratio, v / ratio)
@@ -99,7 +99,7 @@ def free_runs(
             "q": begin.q[k], "v": begin.v[k], "theta_m": begin.theta_m[k],
             "omega_m": begin.omega_m[k],
         })  # fmt: skip
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     steps = round(run.period / scene.integrator.dt)
     angles, done = np.empty((len(looks), arms, N)), 0
     for row, look in enumerate(looks):

@@ -92,7 +92,7 @@ class Plausibility:
 
     def __init__(self, scene: Scene, run: MeasuredRun, frequency: float) -> None:
         self.scene, self.run, self.frequency = scene, run, frequency
-        self.ratio = np.array([joint.gear.ratio for joint in scene.joints])
+        self.ratio = scene.gear_ratios
         self._regressor = LinkRegressor(scene)
         self._phi = np.concatenate([inertia.dynamic(joint.body) for joint in scene.chain.joints])
         Jm = [getattr(joint.motor, "rotor_inertia", 0.0) for joint in scene.joints]

@@ -86,7 +86,7 @@ def _run(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
 
 def _to_radians(signals: dict[str, Array], scene: Scene, angles: str, side: str) -> None:
     turns = np.array([joint.kind == "revolute" for joint in scene.chain.joints])
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     for name in OF_ANGLE:
         rows = signals.get(name)
         if rows is not None and rows.ndim == 2 and rows.shape[1] == len(turns):

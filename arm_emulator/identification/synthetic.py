@@ -30,7 +30,7 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
     """
     rng = np.random.default_rng(seed)
     N, period = len(scene.joints), scene.servo_period
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     t: Array = period * np.arange(round(seconds / period) + 1.0, dtype=np.float64)
     wanted = _motion(rng, t, scene.start)
     rate = np.gradient(wanted, period, axis=0)

@@ -58,7 +58,7 @@ def closed_loop(run: MeasuredRun, data: Filtered, frequency: float) -> ClosedLoo
     command = CubicSpline(run.t, run.q_ref)
     speed = command.derivative()
     session, drives = Session(scene, "lockstep", "first_answer"), Drives(_servo(scene))
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     every, rows = round(run.period / PERIOD), list[Array]()
     torque_constant = WINDING["torque_constant"]
     for tick in range(every * len(run.t)):

@@ -76,7 +76,7 @@ def compare(path: Path, scene: Scene | None = None) -> Comparison:
     """
     scene = scene or load_scene("kuka_kr300")
     run = load(path, scene)
-    ratio = np.array([joint.gear.ratio for joint in scene.joints])
+    ratio = scene.gear_ratios
     data = filtered(run, ratio, LOW_PASS, slowest=MOVES, every=1)
     one = np.ones(len(ratio))
     model = TorqueModel(scene, (one, one), 1.0)

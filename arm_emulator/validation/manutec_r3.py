@@ -54,7 +54,7 @@ class Motion:
 @cache
 def turns_of_motors() -> Array:
     """Return by how much the motors turn as their links turn by 1."""
-    return 1.0 / np.array([joint.gear.ratio for joint in load_scene("manutec_r3").joints])
+    return 1.0 / load_scene("manutec_r3").gear_ratios
 
 
 @cache
