@@ -12,6 +12,7 @@ help:
 	@echo 'make demo [SCENE=ur5]   three nodes move an arm: three_axis, ur5, panda, or a scene file'
 	@echo 'make test               run the tests'
 	@echo 'make test-in-full       run the tests with every case of each class'
+	@echo 'make test-peers         run the tests with masters, compilers and simulators of others'
 	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
 	@echo 'make fuzz               random scenes, messages and machines, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
@@ -104,6 +105,11 @@ export QUIET_START
 	@$(call quietly,robots,$(PIP) $<)
 	@touch $@
 
+.venv/.peers: requirements-peers.txt .venv/.requirements
+	@echo 'setup: masters of field buses, a microcontroller, a checker of FMUs ...'
+	@$(call quietly,peers,$(PIP) $<)
+	@touch $@
+
 .venv/.bench: requirements-bench.txt .venv/.requirements
 	@echo 'setup: MuJoCo ...'
 	@$(call quietly,bench,$(PIP) $<)
@@ -145,6 +151,12 @@ test: setup .venv/.robots
 test-in-full: setup .venv/.robots
 	@$(RUN) && FULL=1 pytest -n 2 --dist loadfile $(ARGS)
 
+# What it needs beside Python's packages is installed where that is possible, else named in a line; the
+# tests that want it are then skipped.
+test-peers: setup .venv/.robots .venv/.peers
+	@sh test/peers/install.sh
+	@$(RUN) && pytest -n 2 --dist loadfile test/peers $(ARGS)
+
 NETWORK_TESTS := test/test_network.py test/test_lockstep.py
 
 test-under-load: setup .venv/.robots
@@ -156,7 +168,9 @@ fuzz: setup .venv/.robots
 bench: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench $(ARGS)
 
-CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h *.c) arm_emulator/*.c firmware/*.[ch] \
+CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h *.c) arm_emulator/*.c \
+  fieldbus/core/*.[ch]pp fieldbus/core/*.h fmu/*.[ch]pp fmu/*.h microcontroller/*.[ch]pp microcontroller/*.[ch] \
+  firmware/*.[ch] \
   firmware/template/*.c test/*.c test/*.cpp bench/*.cpp)
 
 lint: setup
@@ -174,4 +188,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup demo test test-in-full test-under-load fuzz bench lint format clean distclean FORCE
+.PHONY: help setup demo test test-in-full test-peers test-under-load fuzz bench lint format clean distclean FORCE

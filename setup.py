@@ -13,6 +13,9 @@ PACKAGES = (
     "emulator_node",
     "servo_node",
     "motion_controller_node",
+    "fieldbus",
+    "fmu",
+    "microcontroller",
     "arm_emulator",
 )
 
@@ -37,6 +40,9 @@ setup(
     package_data={
         "firmware": ["*.c", "*.h", "template/*"],
         "emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h", "core/*.c"],
+        "fieldbus": ["core/*"],
+        "fmu": ["*.cpp", "*.hpp", "*.h"],
+        "microcontroller": ["*.cpp", "*.hpp", "*.h", "examples/*"],
         "arm_emulator": ["*.c", "validation/*.hpp"],
         "": ["py.typed"],
     },
