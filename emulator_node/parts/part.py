@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, Self, get_type_hints
 
 from emulator_node import cxx_literals
@@ -72,13 +73,7 @@ class Part:
     @classmethod
     def numbers(cls) -> dict[str, Number]:
         """Return the declared numbers by key."""
-        hints = get_type_hints(cls, include_extras=True)
-        return {
-            field.name: one
-            for field in dataclasses.fields(cls)
-            for one in getattr(hints[field.name], "__metadata__", ())
-            if isinstance(one, Number)
-        }
+        return _numbers(cls)
 
     @classmethod
     def read(cls, section: Section) -> Self:
@@ -163,3 +158,14 @@ class Part:
                 text = f"{cxx_literals.number(ratio)} * {place}"
             members.append((one.symbol, text))
         return members
+
+
+@cache  # a scene asks once for every part of every joint
+def _numbers(part: type[Part]) -> dict[str, Number]:
+    hints = get_type_hints(part, include_extras=True)
+    return {
+        field.name: one
+        for field in dataclasses.fields(part)
+        for one in getattr(hints[field.name], "__metadata__", ())
+        if isinstance(one, Number)
+    }
