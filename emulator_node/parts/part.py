@@ -161,7 +161,7 @@ class Part:
 
 
 @cache  # a scene asks once for every part of every joint
-def _numbers(part: type[Part]) -> dict[str, Number]:
+def _numbers(part: type[Any]) -> dict[str, Number]:
     hints = get_type_hints(part, include_extras=True)
     return {
         field.name: one
