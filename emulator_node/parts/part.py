@@ -73,7 +73,8 @@ class Part:
     @classmethod
     def numbers(cls) -> dict[str, Number]:
         """Return the declared numbers by key."""
-        return _numbers(cls)
+        this: type = cls  # mypy takes a class of its own for not hashable
+        return _numbers(this)
 
     @classmethod
     def read(cls, section: Section) -> Self:
@@ -161,7 +162,7 @@ class Part:
 
 
 @cache  # a scene asks once for every part of every joint
-def _numbers(part: type[Any]) -> dict[str, Number]:
+def _numbers(part: type) -> dict[str, Number]:
     hints = get_type_hints(part, include_extras=True)
     return {
         field.name: one
