@@ -1,0 +1,269 @@
+// The state machine of a drive after CiA 402 (IEC 61800-7-201), and no bus in it.
+//
+//   0, 1  start-up, then Switch on disabled      9  Operation enabled -> Switch on disabled
+//   2  Switch on disabled -> Ready               10  Switched on -> Switch on disabled
+//   3  Ready -> Switched on                      11  Operation enabled -> Quick stop active
+//   4  Switched on -> Operation enabled          12  Quick stop active -> Switch on disabled
+//   5  Operation enabled -> Switched on          13  any -> Fault reaction active
+//   6  Switched on -> Ready                      14  Fault reaction active -> Fault
+//   7  Ready -> Switch on disabled               15  Fault -> Switch on disabled
+//   8  Operation enabled -> Ready                16  Quick stop active -> Operation enabled
+#pragma once
+
+#include <cstdint>
+
+namespace fieldbus {
+
+enum class State : std::uint8_t {
+  not_ready,
+  switch_on_disabled,
+  ready,
+  switched_on,
+  operation_enabled,
+  quick_stop,
+  fault_reaction,
+  fault,
+};
+
+enum class Mode : std::int8_t {
+  none = 0,
+  profile_position = 1,
+  profile_velocity = 3,
+  profile_torque = 4,
+  homing = 6,
+  cyclic_position = 8,
+  cyclic_velocity = 9,
+  cyclic_torque = 10,
+};
+
+// Bits of the controlword 0x6040.
+namespace control {
+inline constexpr std::uint16_t switch_on = 1 << 0, enable_voltage = 1 << 1, quick_stop = 1 << 2,
+                               enable_operation = 1 << 3, new_set_point = 1 << 4,
+                               change_at_once = 1 << 5, relative = 1 << 6, fault_reset = 1 << 7,
+                               halt = 1 << 8, start_homing = 1 << 4;
+}  // namespace control
+
+// Bits of the statusword 0x6041.
+namespace status {
+inline constexpr std::uint16_t ready = 1 << 0, switched_on = 1 << 1, operation_enabled = 1 << 2,
+                               fault = 1 << 3, voltage_enabled = 1 << 4, no_quick_stop = 1 << 5,
+                               switch_on_disabled = 1 << 6, warning = 1 << 7, remote = 1 << 9,
+                               target_reached = 1 << 10, internal_limit = 1 << 11, bit12 = 1 << 12,
+                               bit13 = 1 << 13;
+}  // namespace status
+
+// Error codes, 0x603F.
+namespace error_code {
+inline constexpr std::uint16_t undervoltage = 0x3220, too_hot = 0x4310, software = 0x6100,
+                               communication = 0x8100, heartbeat = 0x8130,
+                               sync_manager_watchdog = 0x821B, following_error = 0x8611,
+                               homing = 0x8613;
+}  // namespace error_code
+
+// What bits 0 to 3 of a controlword ask for.
+enum class Command : std::uint8_t {
+  shutdown,
+  switch_on,
+  disable_voltage,
+  quick_stop,
+  enable_operation,
+};
+constexpr Command command_of(std::uint16_t word) {
+  if (!(word & control::enable_voltage)) return Command::disable_voltage;
+  if (!(word & control::quick_stop)) return Command::quick_stop;
+  if (!(word & control::switch_on)) return Command::shutdown;
+  return word & control::enable_operation ? Command::enable_operation : Command::switch_on;
+}
+
+// What the options 0x605A to 0x605E say of the way to stand still.
+enum class Stop : std::uint8_t {
+  none,          // keep going
+  profile_ramp,  // slow down by 0x6084
+  quick_ramp,    // slow down by 0x6085
+  torque_limit,  // slow down by what torque there is
+};
+
+// What the master has set of it.
+struct StopOptions {
+  std::int16_t quick_stop = 2, shutdown = 0, disable = 1, halt = 1, fault = 2;
+};
+
+class StateMachine {
+ public:
+  State state() const { return state_; }
+  // The transition taken last.
+  int transition() const { return transition_; }
+  // How the drive shall come to a standstill now.
+  Stop stop() const { return stop_; }
+  std::uint16_t error() const { return error_; }
+  bool has_power() const {  // whether the drive's output is on
+    return state_ == State::operation_enabled || state_ == State::quick_stop ||
+           (state_ == State::fault_reaction && stop_ != Stop::none);
+  }
+
+  // Start up: transitions 0 and 1.
+  void begin() {
+    *this = StateMachine{};
+    go(1, State::switch_on_disabled);
+  }
+
+  // Take a controlword. `voltage`: whether the supply is there; `cause`: whether what led to a
+  // fault is still there.
+  void take(std::uint16_t word, const StopOptions& options, bool voltage, bool cause) {
+    const bool reset = (word & control::fault_reset) && !(word_ & control::fault_reset);
+    word_ = word;
+    const Command command = command_of(word);
+    switch (state_) {
+      case State::not_ready:
+      case State::fault_reaction:
+        return;
+      case State::fault:
+        if (reset && !cause) {
+          error_ = 0;
+          go(15, State::switch_on_disabled);
+        }
+        return;
+      case State::switch_on_disabled:
+        if (command == Command::shutdown) go(2, State::ready);
+        return;
+      case State::ready:
+        if (command == Command::disable_voltage || command == Command::quick_stop)
+          go(7, State::switch_on_disabled);
+        else if (command != Command::shutdown && voltage)
+          go(3, State::switched_on);
+        return;
+      case State::switched_on:
+        if (command == Command::disable_voltage || command == Command::quick_stop)
+          go(10, State::switch_on_disabled);
+        else if (command == Command::shutdown || !voltage)
+          go(6, State::ready);
+        else if (command == Command::enable_operation)
+          go(4, State::operation_enabled);
+        return;
+      case State::operation_enabled:
+        operate(command, options);
+        return;
+      case State::quick_stop:
+        if (command == Command::disable_voltage)
+          go(12, State::switch_on_disabled);
+        else if (command == Command::enable_operation && options.quick_stop >= 5)
+          go(16, State::operation_enabled);
+        return;
+    }
+  }
+
+  // The motor stands still after a stop.
+  void stands(const StopOptions& options) {
+    if (stop_ == Stop::none) return;
+    if (state_ == State::fault_reaction)
+      go(14, State::fault);
+    else if (state_ == State::quick_stop && options.quick_stop < 5)
+      go(12, State::switch_on_disabled);
+    else if (state_ == State::operation_enabled)
+      go(leaving_, leaving_ == 8 ? State::ready : State::switched_on);
+  }
+
+  // Something went wrong. `can_stop`: whether the motor can still be slowed down.
+  void fail(std::uint16_t error, const StopOptions& options, bool can_stop) {
+    if (state_ == State::fault || state_ == State::fault_reaction) {
+      if (!can_stop && state_ == State::fault_reaction) go(14, State::fault);
+      return;
+    }
+    error_ = error;
+    const bool moves = state_ == State::operation_enabled || state_ == State::quick_stop;
+    go(13, State::fault_reaction);
+    const auto way = static_cast<Stop>(options.fault);
+    if (moves && can_stop && options.fault > 0)
+      stop_ = way;
+    else
+      go(14, State::fault);
+  }
+
+  // The master is gone: as if it had commanded that.
+  void command(Command command, const StopOptions& options) {
+    if (command == Command::disable_voltage) {
+      if (state_ == State::ready) go(7, State::switch_on_disabled);
+      if (state_ == State::switched_on) go(10, State::switch_on_disabled);
+      if (state_ == State::quick_stop) go(12, State::switch_on_disabled);
+    }
+    if (state_ == State::operation_enabled) operate(command, options);
+  }
+
+  // Bits 0 to 3, 5 and 6 of the statusword.
+  std::uint16_t status() const {
+    using namespace fieldbus::status;
+    switch (state_) {
+      case State::not_ready:
+        return 0;
+      case State::switch_on_disabled:
+        return fieldbus::status::switch_on_disabled;
+      case State::ready:
+        return fieldbus::status::ready | no_quick_stop;
+      case State::switched_on:
+        return fieldbus::status::ready | fieldbus::status::switched_on | no_quick_stop;
+      case State::operation_enabled:
+        return fieldbus::status::ready | fieldbus::status::switched_on |
+               fieldbus::status::operation_enabled | no_quick_stop;
+      case State::quick_stop:
+        return fieldbus::status::ready | fieldbus::status::switched_on |
+               fieldbus::status::operation_enabled;
+      case State::fault_reaction:
+        return fieldbus::status::ready | fieldbus::status::switched_on |
+               fieldbus::status::operation_enabled | fieldbus::status::fault;
+      case State::fault:
+        return fieldbus::status::fault;
+    }
+    return 0;
+  }
+
+ private:
+  void go(int transition, State state) {
+    transition_ = transition;
+    state_ = state;
+    stop_ = Stop::none;
+    leaving_ = 0;
+  }
+  void leave(int transition, State state, std::int16_t option) {
+    if (option == 0) {
+      go(transition, state);
+    } else {  // once the motor stands
+      stop_ = Stop::profile_ramp;
+      leaving_ = transition;
+    }
+  }
+  void operate(Command command, const StopOptions& options) {
+    switch (command) {
+      case Command::enable_operation:
+        stop_ = Stop::none;
+        leaving_ = 0;
+        return;
+      case Command::switch_on:
+        if (leaving_ != 5) leave(5, State::switched_on, options.disable);
+        return;
+      case Command::shutdown:
+        if (leaving_ != 8) leave(8, State::ready, options.shutdown);
+        return;
+      case Command::disable_voltage:
+        go(9, State::switch_on_disabled);
+        return;
+      case Command::quick_stop:
+        go(11, State::quick_stop);
+        if (options.quick_stop == 0) {
+          go(12, State::switch_on_disabled);
+        } else {
+          const int way = options.quick_stop < 5 ? options.quick_stop : options.quick_stop - 4;
+          stop_ = static_cast<Stop>(way);
+        }
+        return;
+    }
+  }
+
+  State state_ = State::not_ready;
+  Stop stop_ = Stop::none;
+  std::uint16_t word_ = 0, error_ = 0;
+  int transition_ = 0;
+  int leaving_ = 0;  // transition that follows when the motor stands; 0: none
+};
+
+}  // namespace fieldbus

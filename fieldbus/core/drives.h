@@ -1,0 +1,109 @@
+/* The drives of a scene behind a field bus: CiA 402 drives, one per joint, on one machine of arm.h.
+ *
+ * The library of the drives is one for all scenes; it gets the functions of the scene's library. A
+ * bus reads and writes entries of the drives' object dictionaries between two servo periods, then
+ * calls `drives_period`. No call but `drives_new` allocates memory; one thread at a time. C99.
+ */
+#ifndef DRIVES_H
+#define DRIVES_H
+
+#include <stdint.h>
+
+#include "arm.h"
+#include "servo.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct drives drives;
+
+enum drives_bus { DRIVES_ETHERCAT = 1, DRIVES_CANOPEN = 2 };
+
+/* What is known of a joint. */
+typedef struct drives_joint {
+  const char* name;
+  servo_joint servo;       /* what its inner loops work with */
+  int64_t counts_per_turn; /* of the encoder at the motor */
+  int64_t lower, upper;    /* counts, within which its link may be */
+  int32_t brake;           /* 1: it has one */
+  int32_t index;           /* 1: its encoder at the motor has an index pulse */
+  int32_t stops;           /* 1: its way ends at stops on both sides */
+  int32_t mode;            /* enum arm_mode that its motor takes; ARM_VOLTAGE */
+} drives_joint;
+
+/* The machine, the functions of its library, and the joints base to tool. */
+typedef struct drives_machine {
+  uint32_t size;
+  int32_t joints;
+  int32_t bus; /* enum drives_bus */
+  int32_t reserved;
+  arm_machine* machine;
+  int (*measure)(const arm_machine*, arm_measurement*);
+  int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
+  int64_t period;            /* ns, servo period */
+  double supply_voltage;     /* V */
+  const char* device_name;   /* of the scene */
+  const drives_joint* joint; /* an entry per joint */
+} drives_machine;
+
+/* Return the drives in Switch on disabled, the machine as it is; null: it makes no sense. What the
+ * pointers show must outlive them. */
+drives* drives_new(const drives_machine* machine);
+void drives_delete(drives* all);
+int32_t drives_count(const drives* all);
+/* Begin anew at the machine as it is now: drives as they were made. Call it after a reset or a
+ * restore of the machine. */
+void drives_begin(drives* all);
+
+/* Go through one servo period: every drive's loops, one arm_exchange. Returns its result; once it
+ * is not ARM_OK the drives are in Fault. */
+int drives_period(drives* all);
+/* Where the machine is. */
+int64_t drives_tick(const drives* all);
+
+/* ---------------------------------------------------------------------------- the dictionaries */
+
+/* Read or write an entry of a drive, little-endian. Returns 0 or the abort code of an SDO server; a
+ * refused access changes nothing. `size` gets the bytes that the entry has, also where `room` is
+ * too small for them (0x05040005). */
+uint32_t drives_read(const drives* all, int32_t drive, uint16_t index, uint8_t sub, void* out,
+                     uint32_t room, uint32_t* size);
+uint32_t drives_write(drives* all, int32_t drive, uint16_t index, uint8_t sub, const void* in,
+                      uint32_t size);
+
+/* An entry of the dictionary, the same for all drives. Texts live for ever. */
+typedef struct drives_entry {
+  uint16_t index;
+  uint8_t sub, last_sub; /* last_sub: of its object */
+  uint16_t type;         /* of CiA 301: 2 INTEGER8 ... 7 UNSIGNED32, 9 VISIBLE_STRING */
+  uint16_t bits;         /* 0: text */
+  uint8_t access;        /* 0 constant, 1 read, 2 write, 3 both */
+  uint8_t pdo;           /* bits: 1 may be mapped to receive, 2 to transmit */
+  uint8_t code;          /* 7 variable, 8 array, 9 record */
+  uint8_t buses;         /* bits of enum drives_bus */
+  uint32_t reserved;
+  int64_t standard, least, most;
+  const char *object, *name, *unit;
+} drives_entry;
+
+/* Walk the dictionary: entries 0, 1, ... in ascending order; 0 where there are no more, else 1. */
+int drives_list(int32_t slot, drives_entry* out);
+
+/* ------------------------------------------------------------------------------------ the bus */
+
+/* Tell a drive (-1: all) that its master is gone, once per loss: it does as 0x6007 says, with this
+ * error code (0x603F), 0x8100 in general. */
+void drives_lost(drives* all, int32_t drive, uint16_t error);
+/* Forbid or allow that the mapping of process data is changed (-1: of all drives): EtherCAT locks
+ * it beyond pre-operational. */
+void drives_lock_mapping(drives* all, int32_t drive, int locked);
+/* Reset a drive (-1: all) as NMT or a new start does: values as they were made, Switch on
+ * disabled. The motor goes on turning. */
+void drives_restart(drives* all, int32_t drive);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

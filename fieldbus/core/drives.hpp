@@ -1,0 +1,131 @@
+// The functions of drives.h. Included once in the unit of a bus, before what uses it.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "drive.hpp"
+
+struct drives {
+  explicit drives(const drives_machine& of)
+      : machine(of),
+        command(static_cast<std::size_t>(of.joints)),
+        measured(static_cast<std::size_t>(of.joints)),
+        sensors(static_cast<std::size_t>(of.joints)) {
+    one.reserve(command.size());
+    for (int j = 0; j < of.joints; ++j) one.emplace_back(of.joint[j], machine);
+    measurement.size = sizeof measurement;
+    measurement.joint = measured.data();
+    measurement.sensors = sensors.data();
+  }
+
+  int count() const { return machine.joints; }
+  fieldbus::Drive& at(int j) { return one[static_cast<std::size_t>(j)]; }
+  const fieldbus::Drive& at(int j) const { return one[static_cast<std::size_t>(j)]; }
+  std::int64_t tick() const { return measurement.tick; }
+
+  // Begin anew at the machine as it is now.
+  void begin() {
+    machine.measure(machine.machine, &measurement);
+    for (int j = 0; j < count(); ++j) {
+      const auto k = static_cast<std::size_t>(j);
+      one[k].begin(measured[k], sensors[k], measurement.powered != 0);
+    }
+  }
+  // One servo period of every drive and the machine. Returns what arm_exchange did.
+  int period() {
+    for (int j = 0; j < count(); ++j) command[static_cast<std::size_t>(j)] = at(j).begin_period();
+    arm_command all = {};
+    all.size = sizeof all;
+    all.tick = tick();
+    all.joint = command.data();
+    const int result = machine.exchange(machine.machine, &all, &measurement);
+    for (int j = 0; j < count(); ++j) {
+      const auto k = static_cast<std::size_t>(j);
+      if (result != ARM_OK) one[k].diverged();
+      one[k].end_period(measured[k], sensors[k], measurement.powered != 0);
+    }
+    return result;
+  }
+  // Do something with a drive, -1: with all.
+  template <class Does>
+  void with(int j, Does&& does) {
+    for (int k = 0; k < count(); ++k)
+      if (j < 0 || j == k) does(at(k));
+  }
+
+  drives_machine machine;
+  std::vector<fieldbus::Drive> one;
+  std::vector<arm_joint_command> command;
+  std::vector<arm_joint_measurement> measured;
+  std::vector<arm_joint_sensors> sensors;
+  arm_measurement measurement = {};
+};
+
+#pragma GCC visibility push(default)
+
+drives* drives_new(const drives_machine* machine) {
+  const bool sound = machine && machine->size >= sizeof *machine && machine->joints >= 0 &&
+                     machine->machine && machine->measure && machine->exchange &&
+                     machine->period > 0 && (machine->joint || !machine->joints) &&
+                     (machine->bus == DRIVES_ETHERCAT || machine->bus == DRIVES_CANOPEN);
+  if (!sound) return nullptr;
+  drives* all = new drives(*machine);
+  all->begin();
+  return all;
+}
+void drives_delete(drives* all) { delete all; }
+std::int32_t drives_count(const drives* all) { return all->count(); }
+void drives_begin(drives* all) { all->begin(); }
+int drives_period(drives* all) { return all->period(); }
+std::int64_t drives_tick(const drives* all) { return all->tick(); }
+
+std::uint32_t drives_read(const drives* all, std::int32_t drive, std::uint16_t index,
+                          std::uint8_t sub, void* out, std::uint32_t room, std::uint32_t* size) {
+  *size = 0;
+  if (drive < 0 || drive >= all->count()) return fieldbus::abort_code::general;
+  std::size_t bytes = 0;
+  const std::uint32_t abort =
+      all->at(drive).read(index, sub, {static_cast<std::byte*>(out), room}, bytes);
+  *size = static_cast<std::uint32_t>(bytes);
+  return abort;
+}
+std::uint32_t drives_write(drives* all, std::int32_t drive, std::uint16_t index, std::uint8_t sub,
+                           const void* in, std::uint32_t size) {
+  if (drive < 0 || drive >= all->count()) return fieldbus::abort_code::general;
+  return all->at(drive).write(index, sub, {static_cast<const std::byte*>(in), size});
+}
+
+int drives_list(std::int32_t slot, drives_entry* out) {
+  if (slot < 0 || slot >= fieldbus::kSlots) return 0;
+  const fieldbus::Entry& one = fieldbus::Values::entry(slot);
+  *out = {one.index,
+          one.sub,
+          one.last_sub,
+          static_cast<std::uint16_t>(one.type),
+          one.bits,
+          static_cast<std::uint8_t>(one.access),
+          static_cast<std::uint8_t>(one.pdo),
+          static_cast<std::uint8_t>(one.code),
+          one.buses,
+          0,
+          one.standard,
+          one.least,
+          one.most,
+          one.object,
+          one.name,
+          one.unit};
+  return 1;
+}
+
+void drives_lost(drives* all, std::int32_t drive, std::uint16_t error) {
+  all->with(drive, [=](fieldbus::Drive& one) { one.lost(error); });
+}
+void drives_lock_mapping(drives* all, std::int32_t drive, int locked) {
+  all->with(drive, [=](fieldbus::Drive& one) { one.lock_mapping(locked != 0); });
+}
+void drives_restart(drives* all, std::int32_t drive) {
+  all->with(drive, [](fieldbus::Drive& one) { one.restart(); });
+}
+
+#pragma GCC visibility pop
