@@ -7,7 +7,7 @@ import sys
 from ros_shell.ctrl_c import CtrlC, end_at_once, exit_code
 
 # Commands that run until they are told to stop, or may.
-UNTIL_TOLD = ("up", "record", "replay")
+UNTIL_TOLD = ("up", "record", "replay", "modbus")
 CODE = 0 if sys.argv[1:2] and sys.argv[1] in UNTIL_TOLD else None
 if __name__ == "__main__":
     end_at_once(CODE)
@@ -154,6 +154,42 @@ def _parser() -> argparse.ArgumentParser:
         help="control code in C in place of our servo (docs/firmware.md); with --targets",
     )
     run.set_defaults(run=_run)
+
+    modbus = commands.add_parser(
+        "modbus", help="the paper's data converter on a serial port, in Modbus RTU"
+    )
+    _scene(modbus)
+    modbus.add_argument(
+        "--clock",
+        choices=("lockstep", "line", "realtime"),
+        default="lockstep",
+        help="a servo period per write of commands, logical time by what the line takes, or the "
+        "wall clock (default: %(default)s)",
+    )
+    modbus.add_argument("--baud", type=int, default=115_200, help="(default: %(default)s)")
+    modbus.add_argument(
+        "--station", type=int, default=1, help="address on the line (default: %(default)s)"
+    )
+    modbus.add_argument(
+        "--error-rate",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="of bytes that are lost or damaged on the line (default: %(default)s)",
+    )
+    modbus.add_argument("--seed", type=int, default=0, help="of these errors")
+    modbus.add_argument(
+        "--watchdog",
+        type=int,
+        default=100,
+        metavar="MS",
+        help="after which a silent master's drives are off; 0: never (default: %(default)s)",
+    )
+    modbus.add_argument("--link", type=Path, metavar="PATH", help="link to the port, to be made")
+    modbus.add_argument(
+        "--registers", action="store_true", help="print the table of registers, and end"
+    )
+    modbus.set_defaults(run=_modbus)
 
     header = commands.add_parser(
         "servo-header", help="write what our servo in C knows of a scene's joints as a C header"
@@ -341,6 +377,23 @@ def _run(arguments: argparse.Namespace) -> int:
 
     seconds = 10.0 if arguments.seconds is None else arguments.seconds
     return run(arguments.scene, seconds, arguments.displacement)
+
+
+def _modbus(arguments: argparse.Namespace) -> int:
+    from arm_emulator.modbus import modbus, print_registers
+
+    if arguments.registers:
+        return print_registers(arguments.scene)
+    return modbus(
+        arguments.scene,
+        clock=arguments.clock,
+        baud=arguments.baud,
+        station=arguments.station,
+        error_rate=arguments.error_rate,
+        seed=arguments.seed,
+        watchdog=arguments.watchdog,
+        link=arguments.link,
+    )
 
 
 def _servo_header(arguments: argparse.Namespace) -> int:

@@ -1,0 +1,289 @@
+"""Modbus over a serial line: frames, functions, exceptions. Bytes in, bytes out.
+
+After "Modbus application protocol specification V1.1b3" and "Modbus over serial line V1.02"
+(modbus.org). Input and holding registers of a station are one and the same table.
+"""
+
+from __future__ import annotations
+
+import enum
+import struct
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+BROADCAST = 0
+LARGEST_STATION = 247
+LARGEST_FRAME = 256  # bytes
+
+
+class Function(enum.IntEnum):
+    """What a master asks for."""
+
+    READ_HOLDING = 3
+    READ_INPUT = 4
+    WRITE_ONE = 6
+    DIAGNOSTICS = 8
+    WRITE = 16
+    READ_WRITE = 23
+
+
+class Code(enum.IntEnum):
+    """Why a station does not do it."""
+
+    FUNCTION = 1
+    ADDRESS = 2
+    VALUE = 3
+    FAILURE = 4
+
+
+class ModbusException(Exception):
+    """What a station answers instead of the data that were asked for."""
+
+    def __init__(self, code: Code) -> None:
+        self.code = code
+        super().__init__(code.name)
+
+
+class Registers(Protocol):
+    """What a station has behind its addresses: words of 16 bits."""
+
+    def read(self, address: int, count: int) -> Sequence[int]:
+        """Return `count` words from an address on.
+
+        Raises:
+            ModbusException: not all of these addresses exist.
+        """
+
+    def write(self, address: int, words: Sequence[int]) -> None:
+        """Write words from an address on, all of them or none.
+
+        Raises:
+            ModbusException: nothing has changed.
+        """
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        for _ in range(8):
+            byte = byte >> 1 ^ (0xA001 if byte & 1 else 0)
+        table.append(byte)
+    return tuple(table)
+
+
+_CRC = _crc_table()
+
+
+def crc(data: bytes) -> int:
+    """Return the checksum of a frame: x^16 + x^15 + x^2 + 1, bits reversed, begun with ones.
+
+    It sees every odd number of flipped bits, every two of them and every burst of up to 16 bits.
+    Of other damage it lets one case in 65536 pass.
+    """
+    value, table = 0xFFFF, _CRC
+    for byte in data:
+        value = value >> 8 ^ table[(value ^ byte) & 0xFF]
+    return value
+
+
+def frame(station: int, body: bytes) -> bytes:
+    """Return the bytes of a frame: station, function and data, checksum (low byte first)."""
+    data = bytes((station,)) + body
+    return data + struct.pack("<H", crc(data))
+
+
+def is_sound(data: bytes) -> bool:
+    """Return whether a frame has a length that frames have, and its checksum."""
+    return 4 <= len(data) <= LARGEST_FRAME and crc(data[:-2]) == data[-2] | data[-1] << 8
+
+
+# Bytes of a request with its checksum, by its function; and the place of a byte that counts more.
+_LENGTHS = {1: 8, 2: 8, 3: 8, 4: 8, 5: 8, 6: 8, 7: 4, 8: 8, 11: 4, 12: 4, 17: 4, 22: 10, 24: 6}
+_COUNTED = {15: (9, 6), 16: (9, 6), 20: (5, 2), 21: (5, 2), 23: (13, 10)}
+
+
+def request_length(data: bytes | bytearray) -> int | None:
+    """Return how long a request that begins so is; None: not known, or not yet."""
+    if len(data) < 2:
+        return None
+    function = data[1]
+    if function in _COUNTED:
+        length, at = _COUNTED[function]
+        return length + data[at] if len(data) > at else None
+    return _LENGTHS.get(function)
+
+
+class Receiver:
+    """Finds requests in what a line brings.
+
+    A request ends where a silence of 3.5 characters begins. Where the receiver need not wait for
+    it, it does not: bytes that have the length which their function tells, and the right checksum,
+    are a request as soon as they are there. What is not, stays until the silence, and is dropped
+    then unless all of it together has the right checksum.
+
+    Attributes:
+        damaged: how often bytes were dropped.
+    """
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self.damaged = 0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether there are bytes that wait for more, or for silence."""
+        return bool(self._bytes)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes, and return the requests that are complete."""
+        held = self._bytes
+        held += data
+        found = []
+        while (length := request_length(held)) and len(held) >= length:
+            one = bytes(held[:length])
+            if not is_sound(one):
+                break
+            found.append(one)
+            del held[:length]
+        # Nothing of a frame that is too long is kept; the silence after it is still to come.
+        del held[LARGEST_FRAME + 1 :]
+        return found
+
+    def silence(self) -> list[bytes]:
+        """Take note that nothing came for 3.5 characters; return the request that ended so."""
+        data = bytes(self._bytes)
+        self._bytes.clear()
+        if not data:
+            return []
+        # A request whose length does not fit its function was damaged, whatever its checksum.
+        if is_sound(data) and request_length(data) in (None, len(data)):
+            return [data]
+        self.damaged += 1
+        return []
+
+
+class Counters:
+    """What diagnostics (function 8) tell of a station since it was started or they were cleared."""
+
+    def __init__(self) -> None:
+        self.messages = 0  # on the line, for whichever station
+        self.exceptions = 0
+        self.served = 0  # for this station, or for all
+        self.unanswered = 0
+
+
+class Station:
+    """A station on the line.
+
+    Attributes:
+        counters: for diagnostics.
+
+    Args:
+        number: its address, 1 to 247.
+        registers: what it has behind its addresses.
+        damaged: tells how many frames came damaged, for diagnostics.
+    """
+
+    def __init__(
+        self, number: int, registers: Registers, damaged: Callable[[], int] = lambda: 0
+    ) -> None:
+        self.number = number
+        self.counters = Counters()
+        self._registers = registers
+        self._damaged = damaged
+        self._damaged_before = 0
+        self._functions: dict[int, Callable[[bytes], bytes]] = {
+            Function.READ_HOLDING: self._read,
+            Function.READ_INPUT: self._read,
+            Function.WRITE_ONE: self._write_one,
+            Function.DIAGNOSTICS: self._diagnostics,
+            Function.WRITE: self._write,
+            Function.READ_WRITE: self._read_write,
+        }
+
+    def answer(self, request: bytes) -> bytes:
+        """Do what a sound frame asks for, and return the reply; empty where none is due."""
+        counters = self.counters
+        counters.messages += 1
+        station, function, data = request[0], request[1], request[2:-2]
+        if station not in (self.number, BROADCAST):
+            return b""
+        counters.served += 1
+        serve = self._functions.get(function)
+        try:
+            if function & 0x80 or serve is None:
+                raise ModbusException(Code.FUNCTION)
+            if station == BROADCAST and function not in (Function.WRITE_ONE, Function.WRITE):
+                raise ModbusException(Code.FUNCTION)  # it would ask for a reply
+            body = serve(data)
+        except ModbusException as no:
+            counters.exceptions += 1
+            function, body = function | 0x80, bytes((no.code,))
+        if station == BROADCAST:
+            counters.unanswered += 1
+            return b""
+        return frame(self.number, bytes((function,)) + body)
+
+    def _read(self, data: bytes) -> bytes:
+        address, count = _words(data, 2)
+        return self._read_from(address, count)
+
+    def _read_from(self, address: int, count: int) -> bytes:
+        _check(1 <= count <= 125)
+        words = self._registers.read(address, count)
+        return struct.pack(f">B{count}H", 2 * count, *words)
+
+    def _write_one(self, data: bytes) -> bytes:
+        address, word = _words(data, 2)
+        self._registers.write(address, (word,))
+        return data
+
+    def _write(self, data: bytes) -> bytes:
+        _check(len(data) >= 5)
+        address, count = _words(data[:4], 2)
+        _check(1 <= count <= 123 and data[4] == 2 * count)
+        self._registers.write(address, _words(data[5:], count))
+        return data[:4]
+
+    def _read_write(self, data: bytes) -> bytes:
+        """Write first, then read, as the standard says; nothing is written if it cannot be read."""
+        _check(len(data) >= 9)
+        address, count, to, written = _words(data[:8], 4)
+        _check(1 <= count <= 125 and 1 <= written <= 121 and data[8] == 2 * written)
+        words = _words(data[9:], written)
+        self._registers.read(address, count)
+        self._registers.write(to, words)
+        return self._read_from(address, count)
+
+    def _diagnostics(self, data: bytes) -> bytes:
+        _check(len(data) >= 2)
+        (sub,), rest = _words(data[:2], 1), data[2:]
+        if sub == 0:  # return what was sent
+            return data
+        counters = self.counters
+        told = {
+            2: 0,  # a register for each to use as he likes
+            11: counters.messages,
+            12: self._damaged() - self._damaged_before,
+            13: counters.exceptions,
+            14: counters.served,
+            15: counters.unanswered,
+        }
+        if sub != 10 and sub not in told:
+            raise ModbusException(Code.FUNCTION)
+        _check(rest == b"\0\0")
+        if sub == 10:  # clear
+            self.counters = Counters()
+            self._damaged_before = self._damaged()
+            return data
+        return data[:2] + struct.pack(">H", told[sub] & 0xFFFF)
+
+
+def _words(data: bytes, count: int) -> tuple[int, ...]:
+    _check(len(data) == 2 * count)
+    return struct.unpack(f">{count}H", data)
+
+
+def _check(fits: bool) -> None:
+    if not fits:
+        raise ModbusException(Code.VALUE)
