@@ -7,7 +7,7 @@ import sys
 from ros_shell.ctrl_c import CtrlC, end_at_once, exit_code
 
 # Commands that run until they are told to stop, or may.
-UNTIL_TOLD = ("up", "record", "replay", "modbus")
+UNTIL_TOLD = ("up", "record", "replay", "modbus", "ethercat")
 CODE = 0 if sys.argv[1:2] and sys.argv[1] in UNTIL_TOLD else None
 if __name__ == "__main__":
     end_at_once(CODE)
@@ -190,6 +190,32 @@ def _parser() -> argparse.ArgumentParser:
         "--registers", action="store_true", help="print the table of registers, and end"
     )
     modbus.set_defaults(run=_modbus)
+
+    ethercat = commands.add_parser(
+        "ethercat", help="a CiA 402 drive per joint on EtherCAT, for the master of your choice"
+    )
+    _scene(ethercat)
+    ethercat.add_argument(
+        "--interface", metavar="IF", help="network interface that the master is connected to"
+    )
+    ethercat.add_argument(
+        "--esi",
+        type=Path,
+        metavar="FILE",
+        help="write the description of the slaves (ESI), and end",
+    )
+    clocks = ethercat.add_mutually_exclusive_group()
+    clocks.add_argument(
+        "--lockstep",
+        dest="lockstep",
+        action="store_true",
+        default=True,
+        help="a servo period per frame of process data (default)",
+    )
+    clocks.add_argument(
+        "--realtime", dest="lockstep", action="store_false", help="servo periods by the clock"
+    )
+    ethercat.set_defaults(run=_ethercat)
 
     header = commands.add_parser(
         "servo-header", help="write what our servo in C knows of a scene's joints as a C header"
@@ -394,6 +420,16 @@ def _modbus(arguments: argparse.Namespace) -> int:
         watchdog=arguments.watchdog,
         link=arguments.link,
     )
+
+
+def _ethercat(arguments: argparse.Namespace) -> int:
+    from arm_emulator.ethercat import serve, write_esi
+
+    if arguments.esi is not None:
+        return write_esi(arguments.scene, arguments.esi)
+    if arguments.interface is None:
+        raise Refusal("ethercat", "--interface", "name a network interface", "none")
+    return serve(arguments.scene, arguments.interface, arguments.lockstep)
 
 
 def _servo_header(arguments: argparse.Namespace) -> int:

@@ -269,6 +269,11 @@ class Drives:
             self.calls.drives_delete(pointer)
 
     @property
+    def entries(self) -> tuple[Entry, ...]:
+        """All entries of the dictionary, in ascending order."""
+        return tuple(self._entries.values())
+
+    @property
     def tick(self) -> int:
         """Where the machine is."""
         return int(self.calls.drives_tick(self.pointer))

@@ -1,0 +1,76 @@
+// Fieldbus memory management unit: lays bits of a slave's memory into the logical address space of
+// the whole segment (ETG.1000.4, section 6.6; 16 bytes each from register 0x0600 on).
+#pragma once
+
+#include <algorithm>
+
+#include "ethercat_registers.hpp"
+
+namespace ethercat {
+
+// What a logical datagram and a slave's memory share, in bytes or in bits.
+struct Mapped {
+  std::size_t in_datagram;
+  std::size_t address;  // of the slave
+  std::size_t size;
+};
+
+class Fmmu {
+ public:
+  explicit Fmmu(const std::uint8_t* at)
+      : logical(get32(at)),
+        length(get16(at + 4)),
+        first_bit(at[6] & 7),
+        last_bit(at[7] & 7),
+        physical(get16(at + 8)),
+        physical_bit(at[10] & 7),
+        type(at[11]),
+        active(at[12] & 1) {}
+
+  bool reads() const { return active && length > 0 && type & 1; }
+  bool writes() const { return active && length > 0 && type & 2; }
+  bool whole_bytes() const { return first_bit == 0 && last_bit == 7 && physical_bit == 0; }
+
+  // The share of a datagram at `address` with `size` bytes, for whole bytes; size 0 if there is
+  // none.
+  Mapped overlapping(std::uint32_t address, std::size_t size) const {
+    const std::uint64_t begin = std::max<std::uint64_t>(address, logical);
+    const std::uint64_t end =
+        std::min(std::uint64_t{address} + size, std::uint64_t{logical} + length);
+    if (begin >= end) return {0, 0, 0};
+    return {static_cast<std::size_t>(begin - address),
+            physical + static_cast<std::size_t>(begin - logical),
+            static_cast<std::size_t>(end - begin)};
+  }
+
+  // The same in bits.
+  Mapped overlapping_bits(std::uint32_t address, std::size_t size) const {
+    const std::uint64_t first = std::uint64_t{logical} * 8 + first_bit;
+    const std::uint64_t last = (std::uint64_t{logical} + length - 1) * 8 + last_bit;
+    const std::uint64_t begin = std::max(first, std::uint64_t{address} * 8);
+    const std::uint64_t end = std::min(last + 1, (std::uint64_t{address} + size) * 8);
+    if (begin >= end) return {0, 0, 0};
+    return {static_cast<std::size_t>(begin - std::uint64_t{address} * 8),
+            static_cast<std::size_t>(std::uint64_t{physical} * 8 + physical_bit + begin - first),
+            static_cast<std::size_t>(end - begin)};
+  }
+
+ private:
+  std::uint32_t logical;
+  std::uint16_t length;
+  unsigned first_bit, last_bit;
+  std::uint16_t physical;
+  unsigned physical_bit;
+  std::uint8_t type;
+  bool active;
+};
+
+inline void copy_bits(const std::uint8_t* from, std::size_t first, std::uint8_t* to, std::size_t at,
+                      std::size_t count) {
+  for (std::size_t k = 0; k < count; ++k, ++first, ++at) {
+    const unsigned bit = (from[first / 8] >> (first % 8)) & 1u;
+    to[at / 8] = static_cast<std::uint8_t>((to[at / 8] & ~(1u << (at % 8))) | bit << (at % 8));
+  }
+}
+
+}  // namespace ethercat

@@ -1,0 +1,92 @@
+// The object dictionary as a master on EtherCAT sees it: what is in it, and the door to the values
+// of one drive.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "drives.h"
+
+namespace ethercat {
+
+// Why an access is refused, as SDO servers say it (CiA 301, table 22).
+namespace abort_code {
+constexpr std::uint32_t kToggle = 0x05030000, kCommand = 0x05040001, kMemory = 0x05040005,
+                        kUnsupported = 0x06010000, kReadOnly = 0x06010002, kNoObject = 0x06020000,
+                        kWrongLength = 0x06070010, kTooShort = 0x06070013, kNoSub = 0x06090011;
+}  // namespace abort_code
+
+class Objects {
+ public:
+  Objects() {
+    drives_entry one = {};
+    for (std::int32_t slot = 0; drives_list(slot, &one); ++slot) {
+      if (!(one.buses & DRIVES_ETHERCAT)) continue;
+      entries.push_back(one);
+      if (one.sub == 0) indices.push_back(one.index);
+    }
+  }
+
+  const std::vector<std::uint16_t>& all() const { return indices; }
+  // The entries of an object, none if there is no such object.
+  std::span<const drives_entry> object(std::uint16_t index) const {
+    const auto [first, last] = std::equal_range(entries.begin(), entries.end(), index, ByIndex{});
+    return {first, last};
+  }
+  const drives_entry* entry(std::uint16_t index, std::uint8_t sub) const {
+    const auto subs = object(index);
+    return sub < subs.size() ? &subs[sub] : nullptr;
+  }
+
+ private:
+  struct ByIndex {
+    bool operator()(const drives_entry& a, std::uint16_t b) const { return a.index < b; }
+    bool operator()(std::uint16_t a, const drives_entry& b) const { return a < b.index; }
+  };
+
+  std::vector<drives_entry> entries;
+  std::vector<std::uint16_t> indices;
+};
+
+inline bool writable(const drives_entry& entry) { return entry.access >= 2; }
+
+// The values of one drive.
+class Door {
+ public:
+  Door(drives* all, std::int32_t drive) : all(all), drive(drive) {}
+
+  // An abort code, 0 for none. `size` gets how many bytes there are.
+  std::uint32_t read(std::uint16_t index, std::uint8_t sub, std::span<std::uint8_t> out,
+                     std::uint32_t& size) const {
+    size = 0;
+    return drives_read(all, drive, index, sub, out.data(), static_cast<std::uint32_t>(out.size()),
+                       &size);
+  }
+  std::uint32_t write(std::uint16_t index, std::uint8_t sub,
+                      std::span<const std::uint8_t> in) const {
+    return drives_write(all, drive, index, sub, in.data(), static_cast<std::uint32_t>(in.size()));
+  }
+  // The value of a number, 0 where there is none.
+  std::uint32_t number(std::uint16_t index, std::uint8_t sub) const {
+    std::uint8_t bytes[8] = {};
+    std::uint32_t size = 0;
+    if (read(index, sub, bytes, size) != 0 || size > 4) return 0;
+    return static_cast<std::uint32_t>(bytes[0] | bytes[1] << 8 | bytes[2] << 16) |
+           static_cast<std::uint32_t>(bytes[3]) << 24;
+  }
+  std::string text(std::uint16_t index) const {
+    std::uint8_t bytes[256] = {};
+    std::uint32_t size = 0;
+    if (read(index, 0, bytes, size) != 0 || size > sizeof bytes) return {};
+    return {bytes, bytes + size};
+  }
+
+ private:
+  drives* all;
+  std::int32_t drive;
+};
+
+}  // namespace ethercat

@@ -1,0 +1,127 @@
+// Frames of a network interface, by a raw socket.
+#pragma once
+
+#include <arpa/inet.h>
+#include <linux/if_packet.h>
+#include <net/ethernet.h>
+#include <net/if.h>
+#include <poll.h>
+#include <sys/ioctl.h>
+#include <sys/socket.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+
+#include "ethercat_segment.hpp"
+
+namespace ethercat {
+
+constexpr std::uint16_t kEtherType = 0x88a4;
+
+// A descriptor, or -errno.
+inline int open_interface(const char* name) {
+  const int descriptor =
+      socket(AF_PACKET, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, htons(kEtherType));
+  if (descriptor < 0) return -errno;
+  const auto no = [descriptor] {
+    const int error = errno;
+    close(descriptor);
+    return -error;
+  };
+  sockaddr_ll address = {};
+  address.sll_family = AF_PACKET;
+  address.sll_protocol = htons(kEtherType);
+  address.sll_ifindex = static_cast<int>(if_nametoindex(name));
+  if (address.sll_ifindex == 0) return no();
+  const int one = 1;
+  setsockopt(descriptor, SOL_PACKET, PACKET_IGNORE_OUTGOING, &one, sizeof one);
+  packet_mreq all = {};
+  all.mr_ifindex = address.sll_ifindex;
+  all.mr_type = PACKET_MR_PROMISC;  // masters send to addresses of their own choice
+  setsockopt(descriptor, SOL_PACKET, PACKET_ADD_MEMBERSHIP, &all, sizeof all);
+  if (bind(descriptor, reinterpret_cast<const sockaddr*>(&address), sizeof address) < 0)
+    return no();
+  return descriptor;
+}
+
+inline std::int64_t monotonic() {
+  timespec t;
+  clock_gettime(CLOCK_MONOTONIC, &t);
+  return t.tv_sec * 1'000'000'000LL + t.tv_nsec;
+}
+
+// Carries frames between an interface and a segment.
+class Port {
+ public:
+  explicit Port(Segment& segment) : segment(segment) {}
+
+  int serve(int descriptor, std::int64_t duration) {
+    const std::int64_t end = monotonic() + duration;
+    std::int64_t due = monotonic() + segment.period_ns();
+    bool up = true;
+    for (std::int64_t now; (now = monotonic()) < end;) {
+      if (segment.diverged()) return 0;
+      const bool paced = !segment.lockstep() || !up;
+      if (!paced) due = now + segment.period_ns();
+      if (paced && now >= due) {
+        const std::int64_t late = (now - due) / segment.period_ns();
+        segment.count_late(late);
+        due += (late + 1) * segment.period_ns();
+        segment.period(now);
+        continue;
+      }
+      pollfd wait = {descriptor, POLLIN, 0};
+      const std::int64_t left = std::min(end, paced ? due : now + 20'000'000) - now;
+      const timespec limit = {left / 1'000'000'000, left % 1'000'000'000};
+      const int found = ppoll(&wait, 1, &limit, nullptr);
+      if (found < 0) return errno == EINTR ? 0 : -errno;
+      if (found == 0 || wait.revents & (POLLERR | POLLHUP)) {
+        clear_error(descriptor);
+        const int flags = flags_of(descriptor);
+        if (flags < 0) return flags;
+        up = flags & IFF_UP && flags & IFF_RUNNING;
+        continue;
+      }
+      up = true;
+      if (const int result = receive(descriptor); result < 0) return result;
+    }
+    return 0;
+  }
+
+ private:
+  int receive(int descriptor) {
+    const ssize_t size = recv(descriptor, buffer, sizeof buffer, MSG_TRUNC);
+    if (size < 0) return errno == EAGAIN || errno == EINTR || errno == ENETDOWN ? 0 : -errno;
+    const auto length = std::min(static_cast<std::size_t>(size), sizeof buffer);
+    const std::size_t back = segment.pass({buffer, length}, monotonic());
+    if (back > 0 && send(descriptor, buffer, back, 0) < 0 && errno != ENETDOWN && errno != EAGAIN &&
+        errno != ENOBUFS && errno != EINTR && errno != EMSGSIZE)
+      return -errno;
+    segment.finish_exchange();  // the frame is on its way back meanwhile
+    return 0;
+  }
+
+  static void clear_error(int descriptor) {
+    int error = 0;
+    socklen_t size = sizeof error;
+    getsockopt(descriptor, SOL_SOCKET, SO_ERROR, &error, &size);
+  }
+  // Of the interface, or -errno where it is gone.
+  static int flags_of(int descriptor) {
+    sockaddr_ll address = {};
+    socklen_t size = sizeof address;
+    ifreq request = {};
+    if (getsockname(descriptor, reinterpret_cast<sockaddr*>(&address), &size) < 0) return -errno;
+    if (!if_indextoname(static_cast<unsigned>(address.sll_ifindex), request.ifr_name))
+      return -ENODEV;
+    if (ioctl(descriptor, SIOCGIFFLAGS, &request) < 0) return -errno;
+    return static_cast<std::uint16_t>(request.ifr_flags);
+  }
+
+  Segment& segment;
+  std::uint8_t buffer[2048];
+};
+
+}  // namespace ethercat

@@ -1,0 +1,209 @@
+// A line of slaves: a frame goes through all of them, and comes back from the last.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "ethercat.h"
+#include "ethercat_slave.hpp"
+
+namespace ethercat {
+
+class Segment {
+ public:
+  explicit Segment(const ethercat_options& options) : arm(options) {
+    for (std::int32_t k = 0; k < drives_count(arm.all); ++k)
+      slaves.push_back(std::make_unique<Slave>(arm.all, objects, k, arm.period));
+  }
+
+  // Lets a frame through, in place, where the clock is `now` [ns]; returns how long it comes back,
+  // 0: it does not. Clocks and watchdogs of slaves go by logical time in lock-step.
+  std::size_t pass(std::span<std::uint8_t> frame, std::int64_t now) {
+    const std::int64_t time = arm.lockstep ? logical : now;
+    switch (check(frame)) {
+      case FrameCheck::FOREIGN:
+        ++figures_.foreign;
+        return 0;
+      case FrameCheck::CIRCULATING:
+        ++figures_.circulating;
+        return 0;
+      case FrameCheck::MALFORMED:
+        ++figures_.malformed;
+        slaves[0]->count_error();
+        return 0;
+      case FrameCheck::SOUND:
+        break;
+    }
+    ++figures_.frames;
+    std::size_t reached = 0;  // slaves that the frame passes
+    Slave::Onward onward = Slave::Onward::NEXT;
+    for (const auto& slave : slaves) {
+      slave->pass({}, ++reached < slaves.size(), time);
+      onward = slave->onward();
+      if (onward != Slave::Onward::NEXT) break;
+    }
+    for (std::size_t k = 0; k < reached; ++k) {
+      const auto hops = [](std::size_t count) {
+        return DistributedClock::kHop * static_cast<std::int64_t>(count);
+      };
+      const Passage passage = {time + hops(k), time + hops(2 * (reached - 1) - k),
+                               k + 1 == reached};
+      slaves[k]->pass(passage, k + 1 < slaves.size(), time);
+    }
+    for (Datagrams datagrams(frame); datagrams.left();) {
+      Datagram datagram = datagrams.next();
+      if (!datagram.known()) ++figures_.unknown;
+      for (std::size_t k = 0; k < reached; ++k) visit(*slaves[k], datagram);
+    }
+    if (onward == Slave::Onward::LOST) return 0;
+    frame[6] |= 2;  // it has been processed, as the first slave tells in the sender's address
+    return frame.size();
+  }
+
+  // In lock-step: lets the servo period pass that a frame has set off, if it completed an exchange
+  // with all drives.
+  void finish_exchange() {
+    if (!arm.lockstep || !exchanged()) return;
+    ++figures_.exchanges;
+    for (std::int64_t k = periods_per_exchange(); k > 0 && !figures_.diverged; --k) {
+      logical += arm.period;
+      step(logical);
+    }
+  }
+  // Lets a servo period pass by the clock, where it is `now` [ns].
+  int period(std::int64_t now) {
+    bool operational = false;
+    for (const auto& slave : slaves) operational = operational || slave->operational();
+    if (exchanged())
+      ++figures_.exchanges;
+    else if (operational)
+      ++figures_.lost_cycles;
+    logical += arm.period;
+    return step(arm.lockstep ? logical : now);
+  }
+  // Servo periods that the host was too late for.
+  void count_late(std::int64_t periods) { figures_.late_periods += periods; }
+
+  ethercat_figures figures() const {
+    ethercat_figures out = figures_;
+    for (const auto& slave : slaves) {
+      out.watchdogs += slave->expired();
+      out.operational += slave->operational();
+    }
+    return out;
+  }
+  const Slave& slave(std::size_t k) const { return *slaves[k]; }
+  bool lockstep() const { return arm.lockstep; }
+  bool diverged() const { return figures_.diverged; }
+  std::int64_t period_ns() const { return arm.period; }
+
+ private:
+  // Whether all drives that exchange process data have done so since the last servo period.
+  bool exchanged() const {
+    bool any = false;
+    for (const auto& slave : slaves) {
+      if (!slave->exchanges()) continue;
+      if (!slave->exchanged()) return false;
+      any = true;
+    }
+    return any;
+  }
+  // Servo periods that an exchange stands for: SYNC0's cycle, if the master has set one.
+  std::int64_t periods_per_exchange() const {
+    for (const auto& slave : slaves) {
+      const DistributedClock& clock = slave->distributed_clock();
+      if (slave->exchanges() && clock.sync0())
+        return std::max<std::int64_t>(1, clock.sync0_cycle() / arm.period);
+    }
+    return 1;
+  }
+  // A machine that has diverged stays where it is.
+  int step(std::int64_t time) {
+    for (const auto& slave : slaves) slave->before_period(time);
+    const int result = drives_period(arm.all);
+    figures_.diverged = result != ARM_OK;
+    ++figures_.periods;
+    for (const auto& slave : slaves) slave->after_period();
+    return result;
+  }
+
+  static void visit(Slave& slave, Datagram& datagram) {
+    const auto data = datagram.data();
+    const std::uint16_t offset = datagram.offset();
+    const auto here = [&slave, &datagram] { return slave.has_address(datagram.position()); };
+    datagram.add_interrupts(slave.events());
+    switch (datagram.command()) {
+      case Command::APRD:
+      case Command::APWR:
+      case Command::APRW:
+      case Command::ARMW: {
+        const bool ours = datagram.position() == 0;
+        datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
+        if (datagram.command() == Command::APRD && ours) read(slave, datagram);
+        if (datagram.command() == Command::APWR && ours) write(slave, datagram);
+        if (datagram.command() == Command::APRW && ours) read_write(slave, datagram, false);
+        if (datagram.command() == Command::ARMW)
+          ours ? read(slave, datagram) : write(slave, datagram);
+        return;
+      }
+      case Command::FPRD:
+        if (here()) read(slave, datagram);
+        return;
+      case Command::FPWR:
+        if (here()) write(slave, datagram);
+        return;
+      case Command::FPRW:
+        if (here()) read_write(slave, datagram, false);
+        return;
+      case Command::FRMW:
+        here() ? read(slave, datagram) : write(slave, datagram);
+        return;
+      case Command::BRD:
+        datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
+        datagram.count(slave.read(offset, data, true));
+        return;
+      case Command::BWR:
+        datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
+        write(slave, datagram);
+        return;
+      case Command::BRW:
+        datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
+        read_write(slave, datagram, true);
+        return;
+      case Command::LRD:
+        datagram.count(slave.logical(datagram.logical(), data, true, false));
+        return;
+      case Command::LWR:
+        datagram.count(slave.logical(datagram.logical(), data, false, true));
+        return;
+      case Command::LRW:
+        datagram.count(slave.logical(datagram.logical(), data, true, true));
+        return;
+      case Command::NOP:
+        return;
+    }
+  }
+  static void read(Slave& slave, Datagram& datagram) {
+    datagram.count(slave.read(datagram.offset(), datagram.data(), false));
+  }
+  static void write(Slave& slave, Datagram& datagram) {
+    datagram.count(slave.write(datagram.offset(), datagram.data()));
+  }
+  // What is read takes the place of what is written.
+  static void read_write(Slave& slave, Datagram& datagram, bool add) {
+    std::array<std::uint8_t, 2048> in;
+    const auto data = datagram.data();
+    std::copy(data.begin(), data.end(), in.begin());
+    const bool was_read = slave.read(datagram.offset(), data, add);
+    const bool was_written = slave.write(datagram.offset(), std::span(in).first(data.size()));
+    datagram.count((was_read ? 1u : 0) + (was_written ? 2u : 0));
+  }
+
+  const ethercat_options arm;
+  const Objects objects;
+  std::vector<std::unique_ptr<Slave>> slaves;
+  ethercat_figures figures_ = {};
+  std::int64_t logical = 0;  // ns
+};
+
+}  // namespace ethercat

@@ -1,0 +1,215 @@
+// Slave information interface: the EEPROM that tells a master what a slave is (ETG.2010), and the
+// registers from 0x0500 on through which it is read and written.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "ethercat_registers.hpp"
+
+namespace ethercat {
+
+// Where a slave's mailboxes and buffers of process data lie.
+namespace area {
+constexpr std::uint16_t kMailbox = 128;  // bytes of each
+constexpr std::uint16_t kMailboxOut = 0x1000, kMailboxIn = 0x1080, kOutputs = 0x1100,
+                        kInputs = 0x1400;
+constexpr std::uint8_t kMailboxOutControl = 0x26, kMailboxInControl = 0x22, kOutputsControl = 0x64,
+                       kInputsControl = 0x20;
+}  // namespace area
+
+// One entry of a process data object.
+struct PdoEntry {
+  std::uint16_t index;
+  std::uint8_t subindex;
+  std::uint8_t bits;
+  std::uint8_t type;  // number of the data type in the object dictionary
+  std::string name;
+};
+
+struct Pdo {
+  std::uint16_t index;
+  int sync_manager;
+  std::vector<PdoEntry> entries;
+  std::string name;
+};
+
+struct Identity {
+  std::uint32_t vendor, product, revision, serial;
+  std::string device, group, order;  // names
+};
+
+inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::vector<Pdo>& pdos,
+                                           std::uint16_t alias) {
+  std::vector<std::uint8_t> out(0x80, 0);
+  const auto put = [&out](std::size_t word, std::uint16_t value) { put16(&out[2 * word], value); };
+  put(0x00, 0x0005);  // a process data interface of a microcontroller, as at register 0x0140
+  put(0x04, alias);
+  put32(&out[2 * 0x08], identity.vendor);
+  put32(&out[2 * 0x0a], identity.product);
+  put32(&out[2 * 0x0c], identity.revision);
+  put32(&out[2 * 0x0e], identity.serial);
+  put(0x18, area::kMailboxOut);
+  put(0x19, area::kMailbox);
+  put(0x1a, area::kMailboxIn);
+  put(0x1b, area::kMailbox);
+  put(0x1c, 0x0004);  // CoE
+  put(0x3e, 15);      // 2 KiB, in Kibit less one
+  put(0x3f, 1);       // version
+
+  std::vector<std::string> strings;
+  const auto word_of = [&strings](const std::string& text) {
+    for (std::size_t k = 0; k < strings.size(); ++k)
+      if (strings[k] == text) return static_cast<std::uint8_t>(k + 1);
+    strings.push_back(text.substr(0, 255));
+    return static_cast<std::uint8_t>(strings.size());
+  };
+  std::vector<std::uint8_t> categories;
+  const auto category = [&categories](std::uint16_t kind, std::vector<std::uint8_t> body) {
+    if (body.size() % 2) body.push_back(0);
+    std::uint8_t head[4];
+    put16(head, kind);
+    put16(head + 2, static_cast<std::uint16_t>(body.size() / 2));
+    categories.insert(categories.end(), head, head + 4);
+    categories.insert(categories.end(), body.begin(), body.end());
+  };
+
+  std::vector<std::uint8_t> general(32, 0);
+  const std::uint8_t device = word_of(identity.device);  // first, where some masters look for it
+  general[0] = word_of(identity.group);
+  general[2] = word_of(identity.order);
+  general[3] = device;
+  general[5] =
+      0x2f;  // CoE: SDO, SDO information, PDO assignment and configuration, complete access
+  put16(&general[0x10], 0x0011);  // ports 0 and 1: MII
+  category(30, general);
+  category(40, {1, 2, 3, 0});  // FMMUs: outputs, inputs, state of the mailbox
+  std::vector<std::uint8_t> managers;
+  const auto manager = [&managers](std::uint16_t start, std::size_t size, std::uint8_t control,
+                                   std::uint8_t enable, std::uint8_t use) {
+    std::uint8_t one[8] = {};
+    put16(one, start);
+    put16(one + 2, static_cast<std::uint16_t>(size));
+    one[4] = control;
+    one[6] = enable;
+    one[7] = use;
+    managers.insert(managers.end(), one, one + 8);
+  };
+  std::size_t bits[kSyncManagers] = {};
+  for (const Pdo& pdo : pdos)
+    if (pdo.sync_manager >= 0)
+      for (const PdoEntry& entry : pdo.entries) bits[pdo.sync_manager] += entry.bits;
+  manager(area::kMailboxOut, area::kMailbox, area::kMailboxOutControl, 1, 1);
+  manager(area::kMailboxIn, area::kMailbox, area::kMailboxInControl, 1, 2);
+  manager(area::kOutputs, (bits[2] + 7) / 8, area::kOutputsControl, 1, 3);
+  manager(area::kInputs, (bits[3] + 7) / 8, area::kInputsControl, 1, 4);
+  category(41, managers);
+  for (const std::uint16_t kind : {50, 51}) {  // what the slave sends, what it receives
+    std::vector<std::uint8_t> body;
+    for (const Pdo& pdo : pdos) {
+      if ((pdo.index >= 0x1a00) != (kind == 50)) continue;
+      std::uint8_t head[8] = {};
+      put16(head, pdo.index);
+      head[2] = static_cast<std::uint8_t>(pdo.entries.size());
+      head[3] = static_cast<std::uint8_t>(pdo.sync_manager < 0 ? 0xff : pdo.sync_manager);
+      head[5] = word_of(pdo.name);
+      body.insert(body.end(), head, head + 8);
+      for (const PdoEntry& entry : pdo.entries) {
+        std::uint8_t one[8] = {};
+        put16(one, entry.index);
+        one[2] = entry.subindex;
+        one[3] = word_of(entry.name);
+        one[4] = entry.type;
+        one[5] = entry.bits;
+        body.insert(body.end(), one, one + 8);
+      }
+    }
+    if (!body.empty()) category(kind, body);
+  }
+  std::vector<std::uint8_t> clocks(48, 0);  // free run, and SYNC0
+  clocks[0x14] = word_of("FreeRun");
+  clocks[24 + 0x14] = word_of("DC SYNC0");
+  put16(&clocks[24 + 0x0e], 0x0300);
+  category(60, clocks);
+
+  std::vector<std::uint8_t> words = {static_cast<std::uint8_t>(strings.size())};
+  for (const std::string& text : strings) {
+    words.push_back(static_cast<std::uint8_t>(text.size()));
+    words.insert(words.end(), text.begin(), text.end());
+  }
+  std::vector<std::uint8_t> rest;
+  rest.swap(categories);
+  category(10, words);
+  out.insert(out.end(), categories.begin(), categories.end());
+  out.insert(out.end(), rest.begin(), rest.end());
+  out.push_back(0xff);
+  out.push_back(0xff);
+  out.resize(std::max<std::size_t>(out.size(), 2048), 0xff);
+
+  std::uint8_t crc = 0xff;  // x^8 + x^2 + x + 1 over the words before
+  for (std::size_t k = 0; k < 14; ++k) {
+    crc = static_cast<std::uint8_t>(crc ^ out[k]);
+    for (int bit = 0; bit < 8; ++bit)
+      crc = static_cast<std::uint8_t>(crc & 0x80 ? (crc << 1) ^ 0x07 : crc << 1);
+  }
+  put(0x07, crc);
+  return out;
+}
+
+class Sii {
+ public:
+  Sii(Memory& memory, std::vector<std::uint8_t> contents)
+      : memory(memory), image(std::move(contents)) {
+    reload();
+  }
+
+  // As after switching on.
+  void reload() {
+    memory.fill(reg::kEeprom, 16);
+    memory.put16(kControl, kEightBytes | kTwoAddressBytes);
+    memory.put16(reg::kPdi, word(0));
+    memory.put16(reg::kAlias, word(4));
+  }
+
+  // The master has written to the registers: carry out the command that may be among it.
+  void after_write(std::size_t address, std::size_t size) {
+    if (!overlap(address, size, kControl, 2)) return;
+    const std::uint16_t control = memory.get16(kControl);
+    const unsigned command = (control >> 8) & 7u;
+    const std::uint32_t at = memory.get32(kAddress);
+    std::uint16_t status = kEightBytes | kTwoAddressBytes;
+    const bool ours = memory.get8(reg::kEeprom) & 1;  // the drive has the EEPROM
+    if (ours) {
+      if (command != 0) status |= kRefused;
+    } else if (command == 1) {
+      for (std::uint32_t k = 0; k < 4; ++k)
+        memory.put16(kData + 2 * k, word(std::uint64_t{at} + k));
+    } else if (command == 2) {
+      if (!(control & 1))
+        status |= kNotEnabled;
+      else if (at < image.size() / 2)
+        put16(&image[2 * at], memory.get16(kData));
+      else
+        status |= kRefused;
+    } else if (command == 4) {
+      memory.put16(reg::kAlias, word(4));
+    } else if (command != 0) {
+      status |= kRefused;
+    }
+    memory.put16(kControl, status);
+  }
+
+ private:
+  static constexpr std::size_t kControl = 0x0502, kAddress = 0x0504, kData = 0x0508;
+  static constexpr std::uint16_t kEightBytes = 0x0040, kTwoAddressBytes = 0x0080, kRefused = 0x2000,
+                                 kNotEnabled = 0x4000;
+
+  std::uint16_t word(std::uint64_t at) const {
+    return at < image.size() / 2 ? get16(&image[static_cast<std::size_t>(2 * at)]) : 0xffff;
+  }
+
+  Memory& memory;
+  std::vector<std::uint8_t> image;
+};
+
+}  // namespace ethercat

@@ -1,0 +1,92 @@
+// Sync managers guard areas of a slave's memory, so that master and drive exchange them whole
+// (ETG.1000.4, section 6.7; 8 bytes each from register 0x0800 on). A mailbox holds one message
+// until the other side has taken it; a buffer of process data always holds the newest.
+#pragma once
+
+#include "ethercat_registers.hpp"
+
+namespace ethercat {
+
+class SyncManagers {
+ public:
+  explicit SyncManagers(Memory& memory) : memory(memory) {}
+
+  bool enabled(int k) const { return memory.get8(at(k) + 6) & 1 && !(memory.get8(at(k) + 7) & 1); }
+  bool mailbox(int k) const { return (memory.get8(at(k) + 4) & 3) == 2; }
+  bool written_by_master(int k) const { return (memory.get8(at(k) + 4) & 0x0c) == 4; }
+  bool triggers_watchdog(int k) const { return memory.get8(at(k) + 4) & 0x40; }
+  bool repeat_requested(int k) const { return memory.get8(at(k) + 6) & 2; }
+  void acknowledge_repeat(int k) {
+    const std::uint8_t rest = memory.get8(at(k) + 7) & 0xfd;
+    memory.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (repeat_requested(k) ? 2 : 0)));
+  }
+  std::size_t start(int k) const { return memory.get16(at(k)); }
+  std::size_t length(int k) const { return memory.get16(at(k) + 2); }
+  std::uint8_t* area(int k) { return memory.at(start(k)); }
+  // Whether the area lies in the RAM: nothing else may be guarded.
+  bool placed(int k) const {
+    return length(k) > 0 && start(k) >= kRamBegin && start(k) + length(k) <= kMemory;
+  }
+
+  bool full(int k) const { return memory.get8(at(k) + 5) & 0x08; }
+  void set_full(int k, bool full) {
+    const std::uint8_t rest = memory.get8(at(k) + 5) & 0xf7;
+    memory.put8(at(k) + 5, static_cast<std::uint8_t>(rest | (full ? 0x08 : 0)));
+    if (!full) opened[k] = false;
+  }
+  // The next of the three buffers holds the newest data.
+  void turn_buffer(int k) {
+    const std::uint8_t status = memory.get8(at(k) + 5);
+    const unsigned buffer = (((status >> 4) & 3u) + 1) % 3;
+    memory.put8(at(k) + 5, static_cast<std::uint8_t>((status & 0xcf) | buffer << 4));
+  }
+
+  // Whether the master may read (write) these bytes now. A mailbox and a buffer are opened with
+  // their first byte.
+  bool permits(std::size_t address, std::size_t size, bool write) {
+    for (int k = 0; k < kSyncManagers; ++k) {
+      if (!enabled(k) || !overlap(address, size, start(k), length(k))) continue;
+      if (written_by_master(k) != write) return false;
+      if (mailbox(k) && full(k) == write) return false;
+      if (address <= start(k)) opened[k] = true;
+      if (!opened[k]) return false;
+    }
+    return true;
+  }
+
+  // Calls done(k) for each enabled area whose last byte was part of an access that was permitted.
+  template <class Done>
+  void close(std::size_t address, std::size_t size, Done done) {
+    for (int k = 0; k < kSyncManagers; ++k) {
+      const std::size_t last = start(k) + length(k) - 1;
+      if (!enabled(k) || length(k) == 0 || last < address || last >= address + size) continue;
+      opened[k] = false;
+      done(k);
+    }
+  }
+
+  // The master has written to these registers: an area that is switched on begins empty.
+  void configure(std::size_t address, std::size_t size) {
+    for (int k = 0; k < kSyncManagers; ++k)
+      if (overlap(address, size, at(k), 8) && !(memory.get8(at(k) + 6) & 1)) {
+        memory.put8(at(k) + 5, memory.get8(at(k) + 5) & 0xc0);
+        opened[k] = false;
+      }
+  }
+
+  // Which bytes of the registers a master cannot change now: status and the slave's own, and the
+  // area of one that is switched on.
+  bool locked(std::size_t address) const {
+    const std::size_t byte = (address - reg::kSyncManager) % 8;
+    const int k = static_cast<int>((address - reg::kSyncManager) / 8);
+    return byte == 5 || byte == 7 || (byte < 5 && memory.get8(at(k) + 6) & 1);
+  }
+
+ private:
+  static std::size_t at(int k) { return reg::kSyncManager + 8 * static_cast<std::size_t>(k); }
+
+  Memory& memory;
+  std::array<bool, kSyncManagers> opened = {};
+};
+
+}  // namespace ethercat

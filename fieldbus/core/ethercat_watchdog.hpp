@@ -1,0 +1,46 @@
+// The watchdog of the process data (ETG.1000.4, section 6.3; registers 0x0400 to 0x0443): outputs
+// must come often enough. The watchdog of the drive's side never runs out, since drive and slave
+// are one program.
+#pragma once
+
+#include "ethercat_registers.hpp"
+
+namespace ethercat {
+
+class Watchdog {
+ public:
+  explicit Watchdog(Memory& memory) : memory(memory) { begin(); }
+
+  // As after switching on.
+  void begin() {
+    memory.put16(reg::kWatchdogDivider, 0x09c2);  // 100 us
+    memory.put16(0x0410, 1000);                   // 100 ms
+    memory.put16(reg::kWatchdogTime, 1000);       // 100 ms
+    memory.put16(reg::kWatchdogStatus, 1);
+  }
+
+  void trigger(std::int64_t now) {
+    newest = now;
+    memory.put16(reg::kWatchdogStatus, 1);
+  }
+  // Whether it has run out just now.
+  bool expires(std::int64_t now) {
+    if (!(memory.get16(reg::kWatchdogStatus) & 1) || limit() == 0 || now - newest <= limit())
+      return false;
+    memory.put16(reg::kWatchdogStatus, 0);
+    const std::uint8_t count = memory.get8(reg::kWatchdogCount);
+    memory.put8(reg::kWatchdogCount, static_cast<std::uint8_t>(count + (count < 0xff)));
+    return true;
+  }
+
+ private:
+  std::int64_t limit() const {  // ns
+    return (memory.get16(reg::kWatchdogDivider) + 2) * std::int64_t{40} *
+           memory.get16(reg::kWatchdogTime);
+  }
+
+  Memory& memory;
+  std::int64_t newest = 0;
+};
+
+}  // namespace ethercat
