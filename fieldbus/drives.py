@@ -51,6 +51,8 @@ DRIVES_CALLS: Calls = {
     ),
     "drives_write": (_uint32, [_pointer, _int32, _uint16, _uint8, _pointer, _uint32]),
     "drives_list": (_int, [_int32, _pointer]),
+    "drives_set": (_int, [_pointer, _int32, _uint16, _uint8, _int64]),
+    "drives_periods_per_target": (_int32, [_pointer, _int32]),
     "drives_lost": (None, [_pointer, _int32, _uint16]),
     "drives_lock_mapping": (None, [_pointer, _int32, _int]),
     "drives_restart": (None, [_pointer, _int32]),
@@ -335,6 +337,14 @@ class Drives:
         one = self._entries[index, sub]
         raw = value.to_bytes(one.bits // 8, "little", signed=one.type in _SIGNED)
         self.download(drive, index, sub, raw)
+
+    def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
+        """Set an entry that belongs to the bus, whatever its access and range."""
+        assert self.calls.drives_set(self.pointer, drive, index, sub, value), "the dictionary has it"
+
+    def periods_per_target(self, drive: int) -> int:
+        """Return how many servo periods there are in a drive's interpolation time."""
+        return int(self.calls.drives_periods_per_target(self.pointer, drive))
 
     def lost(self, drive: int = -1, error: int = 0x8100) -> None:
         """Tell a drive, -1: all, that its master is gone."""

@@ -13,7 +13,11 @@ static servo_real clip(servo_real value, servo_real limit) {
   return value < -limit ? -limit : value > limit ? limit : value;
 }
 
-static int finite(servo_real value) { return value - value == 0; }
+static servo_real bound(servo_real value, servo_real least, servo_real most) {
+  return value < least ? least : value > most ? most : value;
+}
+
+static int is_finite(servo_real value) { return value - value == 0; }
 
 static servo_real sum_of(const servo_sum* sum, servo_real current, servo_real speed,
                          servo_real voltage, servo_real load) {
@@ -84,37 +88,84 @@ void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real t
 
 servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
                                servo_real v_target, servo_real tau) {
-  const servo_real theta_target = q_target / joint->ratio;
+  servo_wish wish;
+  servo_wish_within(joint, &wish);
+  wish.q_target = q_target;
+  wish.v_target = v_target;
+  wish.tau = tau;
+  return servo_joint_drive(joint, state, &wish);
+}
+
+void servo_wish_within(const servo_joint* joint, servo_wish* wish) {
+  wish->wants = SERVO_POSITION;
+  wish->limited = 0;
+  wish->q_target = wish->v_target = wish->tau = 0;
+  wish->omega = wish->current = 0;
+  wish->least_omega = -joint->omega_limit;
+  wish->most_omega = joint->omega_limit;
+  wish->least_current = -joint->current_limit;
+  wish->most_current = joint->current_limit;
+}
+
+static servo_real position_stage(const servo_joint* joint, const servo_state* state,
+                                 servo_wish* wish) {
+  const servo_real theta_target = wish->q_target / joint->ratio;
   const servo_real off = theta_target - state->theta_measured;
   const int within_count = (off < 0 ? -off : off) <= HALF * joint->count_angle;
   const servo_real error = within_count ? 0 : theta_target - state->theta;
-  const servo_real omega_ref =
-      clip(v_target / joint->ratio + joint->position_gain * error, joint->omega_limit);
+  return wish->v_target / joint->ratio + joint->position_gain * error;
+}
 
-  const servo_real feedforward = tau * joint->ratio / joint->torque_constant;
-  servo_real i_ref =
-      joint->velocity_gain * (omega_ref - state->omega) + state->integral + feedforward;
-  i_ref = clip(i_ref, joint->current_limit);
-
+static servo_real current_stage(const servo_joint* joint, servo_state* state, servo_wish* wish,
+                                servo_real* i_ref) {
   const servo_real current = state->current, memory = joint->current_memory;
   const servo_sum* mean = &joint->mean_current;
   const servo_real at_no_voltage = sum_of(mean, current, state->omega, 0, state->load);
-  const servo_real wanted = (i_ref - memory * (i_ref - current) - at_no_voltage) / mean->voltage;
+  const servo_real wanted = (*i_ref - memory * (*i_ref - current) - at_no_voltage) / mean->voltage;
   /* No voltage that lets the current beyond its limit within the period. What the model did not
    * know in the last period, an observed speed that lags for one, counts here: the winding turns a
    * few volts into many amperes. */
   const servo_real middle =
       joint->emf * state->omega - state->unknown_voltage - joint->winding * current;
-  const servo_real span = joint->current_voltage * joint->current_limit;
-  const servo_real least = middle - span, most = middle + span;
+  const servo_real least = middle + joint->current_voltage * wish->least_current;
+  const servo_real most = middle + joint->current_voltage * wish->most_current;
   servo_real voltage = least > wanted ? least : wanted;
   voltage = clip(most < voltage ? most : voltage, joint->voltage_limit);
-  if (voltage != wanted) /* what current the limits leave of the reference */
-    i_ref = (mean->voltage * voltage + at_no_voltage - memory * current) / (1 - memory);
-  /* Automatic reset: with no limit active this is the integral of Kv error / integral time. */
-  state->integral += joint->reset_rate * (i_ref - feedforward - state->integral);
-  state->voltage = voltage;
+  if (voltage != wanted) { /* what current the limits leave of the reference */
+    *i_ref = (mean->voltage * voltage + at_no_voltage - memory * current) / (1 - memory);
+    wish->limited |= SERVO_LIMITS_VOLTAGE;
+  }
   return voltage;
+}
+
+servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo_wish* wish) {
+  const servo_real feedforward =
+      wish->wants == SERVO_CURRENT ? 0 : wish->tau * joint->ratio / joint->torque_constant;
+  servo_real i_ref, asked;
+  wish->limited = 0;
+  if (wish->wants == SERVO_CURRENT) {
+    /* What the velocity stage would ask for at the largest speeds is the most that is given. */
+    asked = bound(wish->current, joint->velocity_gain * (wish->least_omega - state->omega),
+                  joint->velocity_gain * (wish->most_omega - state->omega));
+    if (asked != wish->current) wish->limited |= SERVO_LIMITS_SPEED;
+  } else {
+    const servo_real omega =
+        wish->wants == SERVO_SPEED ? wish->omega : position_stage(joint, state, wish);
+    const servo_real omega_ref = bound(omega, wish->least_omega, wish->most_omega);
+    if (omega_ref != omega) wish->limited |= SERVO_LIMITS_SPEED;
+    asked = joint->velocity_gain * (omega_ref - state->omega) + state->integral + feedforward;
+  }
+  i_ref = bound(asked, wish->least_current, wish->most_current);
+  if (i_ref != asked) wish->limited |= SERVO_LIMITS_CURRENT;
+
+  state->voltage = current_stage(joint, state, wish, &i_ref);
+  /* Automatic reset: with no limit active this is the integral of Kv error / integral time. It goes
+   * on from the current that was asked for when speed or position are controlled again. */
+  if (wish->wants == SERVO_CURRENT)
+    state->integral = i_ref;
+  else
+    state->integral += joint->reset_rate * (i_ref - feedforward - state->integral);
+  return state->voltage;
 }
 
 /* ------------------------------------------------------------------------------- the watchdog */
@@ -136,7 +187,7 @@ void servo_watchdog_state(servo_watchdog* dog, int64_t now) {
   dog->last_state = now;
 }
 
-static void listen(servo_watchdog* dog, int64_t* last, int64_t now, int32_t cause) {
+static void note_silence(servo_watchdog* dog, int64_t* last, int64_t now, int32_t cause) {
   if (*last > now) *last = now;
   const int64_t silence = now - *last;
   if (silence <= dog->hold_after) return;
@@ -149,9 +200,9 @@ int32_t servo_watchdog_check(servo_watchdog* dog, int64_t now) {
   if (dog->does == SERVO_CUT) return dog->does;
   dog->does = dog->target_came ? SERVO_FOLLOWS : SERVO_HOLDS;
   dog->cause = dog->target_came ? SERVO_HEARS : SERVO_NO_TARGET;
-  if (dog->target_came) listen(dog, &dog->last_target, now, SERVO_LATE_TARGET);
+  if (dog->target_came) note_silence(dog, &dog->last_target, now, SERVO_LATE_TARGET);
   if (dog->state_came && dog->does != SERVO_CUT)
-    listen(dog, &dog->last_state, now, SERVO_LATE_STATE);
+    note_silence(dog, &dog->last_state, now, SERVO_LATE_STATE);
   return dog->does;
 }
 
@@ -167,7 +218,7 @@ void servo_reset(servo* arm) {
 
 static void begin_anew(servo* arm, int32_t j) {
   servo_state* state = &arm->state[j];
-  start(&arm->joint[j], state, finite(state->current) ? state->current : 0);
+  start(&arm->joint[j], state, is_finite(state->current) ? state->current : 0);
   ++arm->restarts;
 }
 
@@ -177,17 +228,24 @@ void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
     servo_state* state = &arm->state[j];
     servo_joint_observe(&arm->joint[j], state, counts[j], current[j],
                         voltage ? voltage[j] : state->voltage);
-    if (!finite(state->theta + state->omega + state->load + state->unknown_voltage))
+    if (!is_finite(state->theta + state->omega + state->load + state->unknown_voltage))
       begin_anew(arm, j);
   }
 }
 
-static servo_real control(servo* arm, int32_t j, servo_real q, servo_real v, servo_real tau) {
+static servo_real sound(servo* arm, int32_t j, servo_real voltage) {
   servo_state* state = &arm->state[j];
-  const servo_real voltage = servo_joint_control(&arm->joint[j], state, q, v, tau);
-  if (finite(voltage + state->integral)) return voltage;
+  if (is_finite(voltage + state->integral)) return voltage;
   begin_anew(arm, j);
   return state->voltage = 0;
+}
+
+static servo_real control(servo* arm, int32_t j, servo_real q, servo_real v, servo_real tau) {
+  return sound(arm, j, servo_joint_control(&arm->joint[j], &arm->state[j], q, v, tau));
+}
+
+servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish) {
+  return sound(arm, j, servo_joint_drive(&arm->joint[j], &arm->state[j], wish));
 }
 
 void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,

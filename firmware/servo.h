@@ -84,6 +84,22 @@ typedef struct servo_state {
   servo_real q_hold;                             /* where it is held without one */
 } servo_state;
 
+/* What is asked of a joint in one period, where it is more than a target: a drive that is commanded
+ * in speeds or currents, or has limits of its own. */
+enum servo_wants { SERVO_POSITION = 0, SERVO_SPEED = 1, SERVO_CURRENT = 2 };
+enum servo_limits { SERVO_LIMITS_SPEED = 1, SERVO_LIMITS_CURRENT = 2, SERVO_LIMITS_VOLTAGE = 4 };
+
+typedef struct servo_wish {
+  int32_t wants;                      /* enum servo_wants */
+  int32_t limited;                    /* bits of enum servo_limits: what was less than asked for */
+  servo_real q_target, v_target;      /* of the link, for SERVO_POSITION */
+  servo_real tau;                     /* torque of the link that is known, but for SERVO_CURRENT */
+  servo_real omega;                   /* rad/s of the motor, for SERVO_SPEED */
+  servo_real current;                 /* A, for SERVO_CURRENT */
+  servo_real least_omega, most_omega; /* of the motor; they bound a SERVO_CURRENT, too */
+  servo_real least_current, most_current; /* A */
+} servo_wish;
+
 /* ------------------------------------------------------------------------------- the watchdog */
 
 enum servo_does { SERVO_FOLLOWS = 0, SERVO_HOLDS = 1, SERVO_CUT = 2 };
@@ -163,6 +179,9 @@ void servo_control(servo* arm, const servo_real* q, const servo_real* v, const s
 /* Tell that the motors get no voltage; control will start without an integral again. */
 void servo_release(servo* arm);
 
+/* The same for one joint, whatever is asked of it. */
+servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish);
+
 /* ---------------------------------------------------------------------------------- one joint */
 
 void servo_joint_reset(servo_state* state);
@@ -174,6 +193,10 @@ void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real t
 /* Return the voltage for the period that begins now. */
 servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
                                servo_real v_target, servo_real tau);
+/* Set a wish to a position of 0 within the limits of the joint. */
+void servo_wish_within(const servo_joint* joint, servo_wish* wish);
+/* As servo_joint_control, for whatever is wished. */
+servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo_wish* wish);
 
 #ifdef __cplusplus
 }

@@ -97,9 +97,10 @@ class StateMachine {
   // How the drive shall come to a standstill now.
   Stop stop() const { return stop_; }
   std::uint16_t error() const { return error_; }
-  bool has_power() const {  // whether the drive's output is on
+  // Whether the motor is controlled: also while its brake opens, before transition 4.
+  bool controls() const {
     return state_ == State::operation_enabled || state_ == State::quick_stop ||
-           (state_ == State::fault_reaction && stop_ != Stop::none);
+           state_ == State::fault_reaction || opening_;
   }
 
   // Start up: transitions 0 and 1.
@@ -108,9 +109,11 @@ class StateMachine {
     go(1, State::switch_on_disabled);
   }
 
-  // Take a controlword. `voltage`: whether the supply is there; `cause`: whether what led to a
-  // fault is still there.
-  void take(std::uint16_t word, const StopOptions& options, bool voltage, bool cause) {
+  // Take a controlword, once per period. `voltage`: whether the supply is there; `released`:
+  // whether the brake is open; `cause`: whether what led to a fault is still there.
+  void take(std::uint16_t word, const StopOptions& options, bool voltage, bool released,
+            bool cause) {
+    opening_ = false;
     const bool reset = (word & control::fault_reset) && !(word_ & control::fault_reset);
     word_ = word;
     const Command command = command_of(word);
@@ -138,8 +141,10 @@ class StateMachine {
           go(10, State::switch_on_disabled);
         else if (command == Command::shutdown || !voltage)
           go(6, State::ready);
-        else if (command == Command::enable_operation)
+        else if (command == Command::enable_operation && released)
           go(4, State::operation_enabled);
+        else if (command == Command::enable_operation)
+          opening_ = true;
         return;
       case State::operation_enabled:
         operate(command, options);
@@ -153,7 +158,7 @@ class StateMachine {
     }
   }
 
-  // The motor stands still after a stop.
+  // The motor stands after a stop.
   void stands(const StopOptions& options) {
     if (stop_ == Stop::none) return;
     if (state_ == State::fault_reaction)
@@ -182,6 +187,7 @@ class StateMachine {
 
   // The master is gone: as if it had commanded that.
   void command(Command command, const StopOptions& options) {
+    opening_ = false;
     if (command == Command::disable_voltage) {
       if (state_ == State::ready) go(7, State::switch_on_disabled);
       if (state_ == State::switched_on) go(10, State::switch_on_disabled);
@@ -223,6 +229,7 @@ class StateMachine {
     state_ = state;
     stop_ = Stop::none;
     leaving_ = 0;
+    opening_ = false;
   }
   void leave(int transition, State state, std::int16_t option) {
     if (option == 0) {
@@ -263,6 +270,7 @@ class StateMachine {
   Stop stop_ = Stop::none;
   std::uint16_t word_ = 0, error_ = 0;
   int transition_ = 0;
+  bool opening_ = false;
   int leaving_ = 0;  // transition that follows when the motor stands; 0: none
 };
 

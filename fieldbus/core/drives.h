@@ -92,6 +92,13 @@ int drives_list(int32_t slot, drives_entry* out);
 
 /* ------------------------------------------------------------------------------------ the bus */
 
+/* Set an entry that belongs to the bus (COB-IDs, sync manager parameters), whatever its access and
+ * range; 0: there is none. */
+int drives_set(drives* all, int32_t drive, uint16_t index, uint8_t sub, int64_t value);
+/* Servo periods in a drive's interpolation time 0x60C2, one at least: a bus in lock-step goes
+ * through so many of them per cycle. */
+int32_t drives_periods_per_target(const drives* all, int32_t drive);
+
 /* Tell a drive (-1: all) that its master is gone, once per loss: it does as 0x6007 says, with this
  * error code (0x603F), 0x8100 in general. */
 void drives_lost(drives* all, int32_t drive, uint16_t error);

@@ -1,7 +1,7 @@
 // The functions of drives.h. Included once in the unit of a bus, before what uses it.
 #pragma once
 
-#include <memory>
+#include <deque>
 #include <vector>
 
 #include "drive.hpp"
@@ -12,8 +12,7 @@ struct drives {
         command(static_cast<std::size_t>(of.joints)),
         measured(static_cast<std::size_t>(of.joints)),
         sensors(static_cast<std::size_t>(of.joints)) {
-    one.reserve(command.size());
-    for (int j = 0; j < of.joints; ++j) one.emplace_back(of.joint[j], machine);
+    for (int j = 0; j < of.joints; ++j) one.emplace_back(of.joint[j], machine, j);
     measurement.size = sizeof measurement;
     measurement.joint = measured.data();
     measurement.sensors = sensors.data();
@@ -29,7 +28,7 @@ struct drives {
     machine.measure(machine.machine, &measurement);
     for (int j = 0; j < count(); ++j) {
       const auto k = static_cast<std::size_t>(j);
-      one[k].begin(measured[k], sensors[k], measurement.powered != 0);
+      at(j).begin(measured[k], sensors[k], measurement.powered != 0);
     }
   }
   // One servo period of every drive and the machine. Returns what arm_exchange did.
@@ -42,8 +41,8 @@ struct drives {
     const int result = machine.exchange(machine.machine, &all, &measurement);
     for (int j = 0; j < count(); ++j) {
       const auto k = static_cast<std::size_t>(j);
-      if (result != ARM_OK) one[k].diverged();
-      one[k].end_period(measured[k], sensors[k], measurement.powered != 0);
+      if (result != ARM_OK) at(j).diverged();
+      at(j).end_period(measured[k], sensors[k], measurement.powered != 0);
     }
     return result;
   }
@@ -55,7 +54,7 @@ struct drives {
   }
 
   drives_machine machine;
-  std::vector<fieldbus::Drive> one;
+  std::deque<fieldbus::Drive> one;
   std::vector<arm_joint_command> command;
   std::vector<arm_joint_measurement> measured;
   std::vector<arm_joint_sensors> sensors;
@@ -116,6 +115,14 @@ int drives_list(std::int32_t slot, drives_entry* out) {
           one.name,
           one.unit};
   return 1;
+}
+
+int drives_set(drives* all, std::int32_t drive, std::uint16_t index, std::uint8_t sub,
+               std::int64_t value) {
+  return drive >= 0 && drive < all->count() && all->at(drive).set(index, sub, value);
+}
+std::int32_t drives_periods_per_target(const drives* all, std::int32_t drive) {
+  return drive >= 0 && drive < all->count() ? all->at(drive).periods_per_target() : 1;
 }
 
 void drives_lost(drives* all, std::int32_t drive, std::uint16_t error) {
