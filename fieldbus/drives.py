@@ -340,7 +340,8 @@ class Drives:
 
     def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Set an entry that belongs to the bus, whatever its access and range."""
-        assert self.calls.drives_set(self.pointer, drive, index, sub, value), "the dictionary has it"
+        known = self.calls.drives_set(self.pointer, drive, index, sub, value)
+        assert known, "the dictionary has it"
 
     def periods_per_target(self, drive: int) -> int:
         """Return how many servo periods there are in a drive's interpolation time."""
