@@ -54,6 +54,7 @@ struct DcMotorOf {
     if constexpr (limited) i[0] = clamp(i[0], current_limit);
   }
 
+  constexpr bool is_usual(const double* i) const { return magnitude(i[0]) < current_limit; }
   constexpr Mode mode_at(const double* i, double V, double wm) const {
     const Mode mode = beyond(i[0]);
     return mode.held && surplus(mode.offset, V, wm) * mode.offset < 0.0 ? Mode{} : mode;

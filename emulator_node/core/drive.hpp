@@ -296,6 +296,26 @@ struct Drive {
     return false;
   }
 
+  // Whether all parts say at once that x, as the start and as the end of a step, calls for their
+  // usual modes. No means that they must be asked for their modes.
+  constexpr bool is_usual([[maybe_unused]] const Input<double>& x) const {
+    bool usual = true;
+    if constexpr (driven && Motor::modes > 0) {
+      if constexpr (requires { motor.is_usual(x.z); })
+        usual &= motor.is_usual(x.z);
+      else
+        usual = false;
+    }
+    if constexpr (elastic && Gear::modes > 0) usual = false;
+    for_each_extra([&](const auto& extra, auto state, auto) __attribute__((always_inline)) {
+      if constexpr (requires { extra.is_usual(x.q, x.v, x.z); })
+        usual &= extra.is_usual(angle_of(extra, x), speed_of(extra, x), x.z + state);
+      else if constexpr (extra.modes > 0)
+        usual = false;
+    });
+    if constexpr (elastic && Rotor::modes > 0) usual &= rotor.is_usual();
+    return usual;
+  }
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<double>& x) const {
     Modes at;

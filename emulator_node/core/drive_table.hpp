@@ -315,6 +315,13 @@ class DriveTables {
     put_offsets(j, lane);
   }
   const Modes& served(int j, int lane) const { return now[lane][j]; }
+  // Whether all joints are served in their usual modes.
+  bool serves_usual() const {
+    bool usual = true;
+    for (const auto& lane : now)
+      for (const Modes& modes : lane) usual = usual && modes == Modes{};
+    return usual;
+  }
 
   // The numbers of the modes that are in use.
   ARM_INLINE void put_modes(Inputs& in) const {

@@ -58,6 +58,7 @@ class LinearlyImplicit {
   // The numbers have changed.
   void renew() {
     tables.fill();
+    usual = true;
     if (half) half->renew();
   }
 
@@ -302,13 +303,8 @@ class LinearlyImplicit {
   // changes its mind within the step there may be none: then the step is taken in halves.
   void step_in_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past;
-    for (int lane = 0; lane < kWidth<X>; ++lane) {
-      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.modes > 0)
-          tables.serve(j, lane,
-                       resized<Tables::M>(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
-      });
-    }
+    const bool begins_usual = usual && is_usual(x, u);
+    if (!begins_usual) serve_modes_at(x, u);
     State<S, X> y;
     Mask<X> hold = {};
     for (int round = 0; round <= 2 * N * Tables::M; ++round) {
@@ -321,13 +317,19 @@ class LinearlyImplicit {
       stages_of(y, u, at_start, in, k1);
       move_links(y, in);
       move_drives(y, in);
+      if (begins_usual && round == 0 && is_usual(y, u)) {
+        x = y;
+        return;
+      }
       hold = modes_hold(x, y, u);
       if (all(hold)) {
         x = y;
         tables.settle(x, u);
+        usual = tables.serves_usual();
         return;
       }
     }
+    usual = false;
     tables.settle(y, u);
     Memory later = past;
     past = memory;
@@ -336,6 +338,25 @@ class LinearlyImplicit {
       keep(hold, y, x);
       keep(hold, later, past);
     }
+  }
+
+  // Whether x surely calls for the usual modes of all drives.
+  ARM_INLINE bool is_usual(const State<S, X>& x, const X (&u)[row]) const {
+    bool all = true;
+    for (int lane = 0; lane < kWidth<X>; ++lane)
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
+        if constexpr (drive.modes > 0)
+          all &= drive.is_usual(input_in_lane(drive, j, x, u[j], lane));
+      });
+    return all;
+  }
+  void serve_modes_at(const State<S, X>& x, const X (&u)[row]) {
+    for (int lane = 0; lane < kWidth<X>; ++lane)
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        if constexpr (drive.modes > 0)
+          tables.serve(j, lane,
+                       resized<Tables::M>(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
+      });
   }
 
   // Put what `from` is where the mask holds.
@@ -393,6 +414,7 @@ class LinearlyImplicit {
   double h;
   const arm::Numbers<S, X>& n;
   Tables tables;
+  bool usual = true;  // all joints are served in their usual modes
   Memory past = {};
   Coulomb<S, X> coulomb;
   LinearlyImplicit* half = nullptr;  // made when it is first needed

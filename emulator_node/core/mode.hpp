@@ -8,6 +8,8 @@
 //   wanted(...)          the one that the end of a step calls for: the same where it holds,
 //   margin(...)          how far a state is from where the mode ceases to hold, negative beyond,
 //   settle(...)          and puts a state where its mode says, against rounding.
+//   is_usual(...)        Where it has one that is quicker than these: whether a state, as the start
+//                        and as the end of a step, surely calls for the usual mode, number 0.
 #pragma once
 
 namespace arm {

@@ -35,10 +35,11 @@ struct RotorFriction {
     return law.Dv * wm * wm + law.sliding(wm, T) * magnitude(wm);
   }
 
+  constexpr bool is_usual() const { return is_free(); }
   // `torque`: what the rotor feels beside friction; T: that of the gear on the rotor.
   constexpr Mode mode_at(double wm, double torque, double T) const {
-    if (!is_free() && wm == 0.0 && magnitude(torque) <= law.holding(T) * (1.0 + kRounding))
-      return {true, 0.0};
+    if (is_free()) return {};
+    if (wm == 0.0 && magnitude(torque) <= law.holding(T) * (1.0 + kRounding)) return {true, 0.0};
     return slide(wm == 0.0 ? torque : wm, wm, T);
   }
   constexpr Mode wanted(double began, double wm, double torque, double T, const Mode& mode) const {
