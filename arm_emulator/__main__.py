@@ -7,7 +7,7 @@ import sys
 from ros_shell.ctrl_c import CtrlC, end_at_once, exit_code
 
 # Commands that run until they are told to stop, or may.
-UNTIL_TOLD = ("up", "record", "replay", "modbus", "ethercat")
+UNTIL_TOLD = ("up", "record", "replay", "modbus", "canopen", "ethercat")
 CODE = 0 if sys.argv[1:2] and sys.argv[1] in UNTIL_TOLD else None
 if __name__ == "__main__":
     end_at_once(CODE)
@@ -216,6 +216,30 @@ def _parser() -> argparse.ArgumentParser:
         "--realtime", dest="lockstep", action="store_false", help="servo periods by the clock"
     )
     ethercat.set_defaults(run=_ethercat)
+
+    canopen = commands.add_parser("canopen", help="the joints' drives as nodes of CANopen")
+    _scene(canopen)
+    canopen.add_argument(
+        "--bus",
+        default="udp_multicast",
+        help="of python-can: virtual, udp_multicast, socketcan, ... (default: %(default)s)",
+    )
+    canopen.add_argument(
+        "--channel", default="239.74.163.2", help="of this bus (default: %(default)s)"
+    )
+    canopen.add_argument("--bitrate", type=int, help="for buses that need it told")
+    canopen.add_argument(
+        "--first-node",
+        type=int,
+        default=1,
+        metavar="ID",
+        help="node-ID of the first joint; the others follow (default: %(default)s)",
+    )
+    _clock(canopen)
+    canopen.add_argument(
+        "--eds", type=Path, metavar="FOLDER", help="write the drives' data sheets, and end"
+    )
+    canopen.set_defaults(run=_canopen)
 
     header = commands.add_parser(
         "servo-header", help="write what our servo in C knows of a scene's joints as a C header"
@@ -430,6 +454,21 @@ def _ethercat(arguments: argparse.Namespace) -> int:
     if arguments.interface is None:
         raise Refusal("ethercat", "--interface", "name a network interface", "none")
     return serve(arguments.scene, arguments.interface, arguments.lockstep)
+
+
+def _canopen(arguments: argparse.Namespace) -> int:
+    from arm_emulator.canopen import canopen, write_eds
+
+    if arguments.eds is not None:
+        return write_eds(arguments.scene, arguments.eds)
+    return canopen(
+        arguments.scene,
+        bus=arguments.bus,
+        channel=arguments.channel,
+        bitrate=arguments.bitrate,
+        first=arguments.first_node,
+        clock=arguments.clock,
+    )
 
 
 def _servo_header(arguments: argparse.Namespace) -> int:

@@ -1,0 +1,69 @@
+"""`arm_emulator canopen`: the drives of a scene as CANopen nodes, one per joint."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from arm_emulator.gains import check_servo, load_gains
+from emulator_node.plant import Plant
+from emulator_node.scene import load_scene
+from fieldbus.can_bus import BusService, can_bus
+from fieldbus.canopen_segment import Segment
+from fieldbus.drives import CANOPEN, Drives
+from fieldbus.eds import eds
+from words.config_files import find_scene
+from words.refusal import Refusal
+
+
+def load_segment(scene_name: str, first: int = 1, *, lockstep: bool = True) -> Segment:
+    """Return the nodes of a scene, its drives with the gains that belong to it.
+
+    Raises:
+        Refusal: a file that is missing or not taken, gains that do not fit, or node-IDs that are
+            not there.
+    """
+    file = find_scene(scene_name)
+    scene, servo = load_scene(file), load_gains(file).servo
+    check_servo(scene, servo)
+    return Segment(Drives(Plant(scene), servo, CANOPEN), first, lockstep=lockstep)
+
+
+def canopen(
+    scene_name: str, *, bus: str, channel: str, bitrate: int | None, first: int, clock: str
+) -> int:
+    """Serve a bus until Ctrl-C.
+
+    Raises:
+        Refusal: see `load_segment`, or the bus does not open.
+    """
+    lockstep = clock == "lockstep"
+    with can_bus(bus, channel, bitrate) as opened:
+        segment = load_segment(scene_name, first, lockstep=lockstep)
+        scene = segment.scene
+        print(f"canopen: scene {scene.name}, {bus} {channel}, clock {clock}")
+        for node, joint in zip(segment.nodes, scene.joint_names, strict=True):
+            print(f"canopen: node {node.number}: {joint}")
+        print("canopen: ready", flush=True)
+        period = None if lockstep else round(scene.servo_period * 1e9)
+        BusService(opened, segment, period).serve()
+    return 0
+
+
+def write_eds(scene_name: str, folder: Path) -> int:
+    """Write the data sheet of each joint's drive, and tell the files.
+
+    Raises:
+        Refusal: see `load_segment`, or the folder cannot be written to.
+    """
+    segment = load_segment(scene_name)
+    scene = segment.scene
+    for node, joint in zip(segment.nodes, scene.joint_names, strict=True):
+        file = folder / (re.sub(r"[^\w.-]", "_", f"{scene.name}_{joint}") + ".eds")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            file.write_text(eds(node, file.name, f"{scene.name} {joint}"), encoding="utf-8")
+        except OSError as error:
+            raise Refusal("canopen", f"file {file}", "be writable", error.strerror) from None
+        print(file)
+    return 0

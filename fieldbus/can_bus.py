@@ -1,0 +1,126 @@
+"""The nodes on a bus of python-can, whichever of them: virtual, udp_multicast, socketcan."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from fieldbus.canopen_node import Frame
+from fieldbus.canopen_segment import Segment
+from words.refusal import Refusal
+
+LOOK = 0.1  # s, after which a bus that is silent is looked at
+TELL_SILENCE = 5.0  # s
+LATEST = 100_000_000  # ns, beyond which periods are lost
+
+
+@contextlib.contextmanager
+def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Any]:
+    """Open a bus for a block.
+
+    Raises:
+        Refusal: python-can is not installed, or it does not open this bus.
+    """
+    try:
+        import can
+    except ImportError:
+        rule = "be installed (pip install python-can)"
+        raise Refusal("canopen", "package python-can", rule, "none") from None
+    known = sorted(can.VALID_INTERFACES)
+    if interface not in known:
+        raise Refusal("canopen", "bus", "be one of python-can", interface, ", ".join(known))
+    speed: dict[str, Any] = {} if bitrate is None else {"bitrate": bitrate}
+    try:
+        bus = can.Bus(interface=interface, channel=channel, **speed)
+    except (can.CanError, OSError, ValueError, ImportError) as error:
+        where = f"bus {interface}, channel {channel}"
+        raise Refusal("canopen", where, "open", error) from None
+    try:
+        yield bus
+    finally:
+        bus.shutdown()
+
+
+class BusService:
+    """Serves a bus until it is told to end.
+
+    Args:
+        bus: of python-can.
+        segment: the nodes.
+        period: servo period [ns]; None: in lock-step.
+    """
+
+    def __init__(self, bus: Any, segment: Segment, period: int | None) -> None:
+        self._bus, self._segment, self._period = bus, segment, period
+        self._told = False
+        self.lost_periods = 0  # in real time, by which logical time is late
+
+    def serve(self, goes_on: Callable[[], bool] = lambda: True) -> None:
+        """Boot the nodes, and serve."""
+        self._send(self._segment.boot())
+        if self._period is None:
+            self._serve_in_lockstep(goes_on)
+        else:
+            self._serve_in_real_time(goes_on, self._period)
+
+    def _serve_in_lockstep(self, goes_on: Callable[[], bool]) -> None:
+        silent, since, tick = False, time.monotonic(), -1
+        while goes_on():
+            beat = self._segment.beat
+            self._take(min(beat / 2e9, LOOK) if beat else LOOK)
+            if self._segment.tick != tick:
+                tick, since, silent = self._segment.tick, time.monotonic(), False
+            elif not silent and time.monotonic() - since > TELL_SILENCE:
+                silent = True
+                _say(f"no SYNC, logical time stands still at tick {tick}")
+
+    def _serve_in_real_time(self, goes_on: Callable[[], bool], period: int) -> None:
+        due = time.monotonic_ns() + period
+        while goes_on():
+            late = time.monotonic_ns() - due
+            if late < 0:
+                self._take(-late / 1e9)
+                continue
+            if late > LATEST:
+                lost = late // period
+                self.lost_periods += lost
+                due += lost * period
+            due += period
+            self._send(self._segment.pass_period())
+            self._take(0.0)
+            self._tell_fault()
+
+    def _take(self, timeout: float) -> None:
+        """Wait for a frame, and answer it; heartbeats that are due."""
+        message = self._bus.recv(timeout)
+        if message is not None and not (message.is_extended_id or message.is_error_frame):
+            frame = Frame(
+                message.arbitration_id, bytes(message.data), bool(message.is_remote_frame)
+            )
+            self._send(self._segment.receive(frame))
+            self._tell_fault()
+        self._send(self._segment.heartbeats(time.monotonic_ns()))
+
+    def _send(self, frames: list[Frame]) -> None:
+        import can
+
+        for frame in frames:
+            message = can.Message(
+                arbitration_id=frame.id, data=frame.data, is_extended_id=False, check=False
+            )
+            try:
+                self._bus.send(message)
+            except can.CanError as error:
+                _say(f"a frame was not sent: {error}")
+
+    def _tell_fault(self) -> None:
+        if self._segment.fault is not None and not self._told:
+            self._told = True
+            _say(str(self._segment.fault))
+
+
+def _say(words: str) -> None:
+    print(f"canopen: {words}", file=sys.stderr, flush=True)

@@ -1,0 +1,91 @@
+"""All drives of a machine as nodes on one CAN bus: frames in, frames out, and servo periods."""
+
+from __future__ import annotations
+
+from emulator_node.plant import Diverged
+from fieldbus.canopen_node import LARGEST_NODE, Frame, Node
+from fieldbus.drives import Drives
+from words.refusal import Refusal
+
+
+class Segment:
+    """Nodes of all joints, base to tool, with node-IDs in a row.
+
+    In lock-step each SYNC is a servo period, or as many as all drives have in their interpolation
+    time 0x60C2: targets received before it hold from its beginning on, and what nodes send with it
+    is what there was then. Else the owner calls `pass_period`.
+
+    Attributes:
+        scene: the machine.
+        nodes: one per joint.
+        fault: why the machine stays where it is; None if it goes on.
+
+    Args:
+        drives: of a machine, made for CANopen.
+        first: node-ID of the first joint.
+        lockstep: whether SYNC lets time pass.
+
+    Raises:
+        Refusal: there are not so many node-IDs.
+    """
+
+    def __init__(self, drives: Drives, first: int = 1, *, lockstep: bool = True) -> None:
+        self.scene = scene = drives.plant.scene
+        largest = LARGEST_NODE + 1 - len(scene.joints)
+        if not 1 <= first <= largest:
+            raise Refusal("canopen", "first node-ID", f"be 1 to {largest}", first)
+        self._drives = drives
+        self._lockstep = lockstep
+        self._period = round(scene.servo_period * 1e9)
+        self.nodes = [Node(drives, k, first + k) for k in range(len(scene.joints))]
+        self.fault: Diverged | None = None
+
+    @property
+    def tick(self) -> int:
+        """How many servo periods have passed."""
+        return self._drives.tick
+
+    @property
+    def now(self) -> int:
+        """Logical time [ns]."""
+        return self.tick * self._period
+
+    def boot(self) -> list[Frame]:
+        """Start up, and return what is sent."""
+        return [frame for node in self.nodes for frame in node.boot()]
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Take a frame from the bus, and return what is sent."""
+        now, frames, synced = self.now, [], False
+        for node in self.nodes:
+            if node.takes_sync(frame):
+                synced = True
+                frames += node.sync(now)
+            else:
+                frames += node.receive(frame, now)
+        if synced and self._lockstep:
+            for _ in range(min(map(self._drives.periods_per_target, range(len(self.nodes))))):
+                frames += self.pass_period()
+        return frames
+
+    def pass_period(self) -> list[Frame]:
+        """Let a servo period pass, and return what is sent after it.
+
+        A machine that has diverged stays where it is, its drives in Fault.
+        """
+        if self.fault is None:
+            try:
+                self._drives.period()
+            except Diverged as fault:
+                self.fault = fault
+        now = self.now
+        return [frame for node in self.nodes for frame in node.after_period(now)]
+
+    def heartbeats(self, now: int) -> list[Frame]:
+        """Return the heartbeats that are due at a time of the bus's clock [ns]."""
+        return [frame for node in self.nodes for frame in node.heartbeat(now)]
+
+    @property
+    def beat(self) -> int:
+        """Shortest time between heartbeats of a node [ns]; 0: there are none."""
+        return min((node.beat for node in self.nodes if node.beat), default=0)

@@ -1,0 +1,424 @@
+"""Drives as CANopen nodes, by their frames and without a bus: NMT, SDO, PDOs, heartbeats, EDS."""
+
+from __future__ import annotations
+
+import configparser
+import random
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from draws import FULL
+
+from arm_emulator.gains import load_gains
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+from fieldbus.canopen_node import Frame, State
+from fieldbus.canopen_segment import Segment
+from fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
+from fieldbus.eds import eds
+from words.config_files import find_scene
+from words.refusal import Refusal
+
+FRAMES = 1_000_000 if FULL else 12_000
+SYNC = Frame(0x80)
+ENTRIES = [one for one in dictionary() if one.buses & CANOPEN]
+CSP = 8
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("three_axis")
+
+
+def drives_of(scene: Scene) -> Drives:
+    return Drives(Plant(scene), load_gains(find_scene(scene.name)).servo, CANOPEN)
+
+
+def segment_of(scene: Scene, first: int = 1, *, operational: bool = False) -> Segment:
+    segment = Segment(drives_of(scene), first)
+    segment.boot()
+    if operational:
+        segment.receive(Frame(0, bytes((1, 0))))
+    return segment
+
+
+def uploaded(segment: Segment, number: int, index: int, sub: int) -> bytes:
+    """A client of SDO, written from the standard; raises the abort code as a LookupError."""
+    reply = sdo(segment, number, struct.pack("<BHB4x", 0x40, index, sub))
+    if reply[0] & 2:
+        assert reply[1:4] == struct.pack("<HB", index, sub)
+        return reply[4 : 8 - (reply[0] >> 2 & 3)]
+    assert reply[0] == 0x41, "segmented, with the size"
+    size, value, toggle = struct.unpack("<I", reply[4:])[0], b"", 0
+    while True:
+        reply = sdo(segment, number, bytes((0x60 | toggle,)) + bytes(7))
+        assert reply[0] & 0xF0 == toggle
+        value += reply[1 : 8 - (reply[0] >> 1 & 7)]
+        toggle ^= 0x10
+        if reply[0] & 1:
+            assert len(value) == size
+            return value
+
+
+def download(
+    segment: Segment, number: int, index: int, sub: int, value: bytes, *, by_segments: bool = False
+) -> None:
+    size = len(value)
+    if size <= 4 and not by_segments:
+        head = 0x23 | (4 - size) << 2
+        reply = sdo(segment, number, struct.pack("<BHB", head, index, sub) + value.ljust(4, b"\0"))
+        assert reply == struct.pack("<BHB4x", 0x60, index, sub)
+        return
+    reply = sdo(segment, number, struct.pack("<BHBI", 0x21, index, sub, size))
+    assert reply == struct.pack("<BHB4x", 0x60, index, sub)
+    toggle = 0
+    while True:
+        part, value = value[:7], value[7:]
+        head = toggle | (7 - len(part)) << 1 | (not value)
+        reply = sdo(segment, number, bytes((head,)) + part.ljust(7, b"\0"))
+        assert reply == bytes((0x20 | toggle,)) + bytes(7)
+        toggle ^= 0x10
+        if not value:
+            return
+
+
+def sdo(segment: Segment, number: int, request: bytes) -> bytes:
+    (reply,) = segment.receive(Frame(0x600 + number, request))
+    assert reply.id == 0x580 + number and len(reply.data) == 8
+    if reply.data[0] == 0x80:
+        raise LookupError(struct.unpack("<I", reply.data[4:])[0])
+    return reply.data
+
+
+def put(segment: Segment, number: int, index: int, sub: int, value: int, size: int) -> None:
+    download(segment, number, index, sub, value.to_bytes(size, "little"))
+
+
+def refused(segment: Segment, number: int, index: int, sub: int, value: int, size: int) -> int:
+    with pytest.raises(LookupError) as no:
+        put(segment, number, index, sub, value, size)
+    return int(no.value.args[0])
+
+
+def sent(frames: Sequence[Frame], id_: int) -> list[bytes]:
+    return [frame.data for frame in frames if frame.id == id_]
+
+
+def test_nodes_boot_and_follow_network_management(scene: Scene) -> None:
+    """Any commands in any order, against the table of CiA 301."""
+    segment = Segment(drives_of(scene), 10)
+    assert segment.boot() == [Frame(0x700 + number, b"\0") for number in (10, 11, 12)]
+    draw, model = random.Random(1), {number: 127 for number in (10, 11, 12)}
+    toggle = {number: 0 for number in model}
+    table = {1: 5, 2: 4, 128: 127, 129: 127, 130: 127}
+    for _ in range(300):
+        command = draw.choice([1, 2, 128, 129, 130, 0, 77])
+        to = draw.choice([0, 9, 10, 11, 12, 13])
+        frames = segment.receive(Frame(0, bytes((command, to))))
+        reached = [number for number in model if to in (0, number)]
+        for number in reached:
+            model[number] = table.get(command, model[number])
+        boots = [data for number in reached for data in sent(frames, 0x700 + number)]
+        assert boots == ([b"\0"] * len(reached) if command in (129, 130) else [])
+        assert {node.number: int(node.state) for node in segment.nodes} == model
+        number = draw.choice(list(model))
+        if command in (129, 130) and number in reached:
+            toggle[number] = 0
+        for other in reached:
+            toggle[other] = 0 if command in (129, 130) else toggle[other]
+        guarded = segment.receive(Frame(0x700 + number, remote=True))
+        assert guarded == [Frame(0x700 + number, bytes((model[number] | toggle[number],)))]
+        toggle[number] ^= 0x80
+        ask = segment.receive(Frame(0x600 + number, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
+        assert bool(ask) == (model[number] != 4), "no SDO while stopped"
+    for data in (b"", b"\1", b"\1\0\0"):
+        before = [node.state for node in segment.nodes]
+        segment.receive(Frame(0, data))
+        assert [node.state for node in segment.nodes] == before
+
+
+def test_whole_dictionary_is_read_and_written_as_the_drive_has_it(scene: Scene) -> None:
+    segment, draw = segment_of(scene, 5), random.Random(2)
+    drives = segment._drives
+    for one in ENTRIES:
+        if one.index == 0x1200 and one.sub:
+            expected = struct.pack("<I", {1: 0x606, 2: 0x586}[one.sub])
+        else:
+            expected = drives.upload(1, one.index, one.sub)
+        assert uploaded(segment, 6, one.index, one.sub) == expected, one
+        if one.access == "rw" and one.index >= 0x6000 and one.index != 0x6040:
+            value = draw.randint(one.least, one.most) & (1 << one.bits) - 1
+            raw = value.to_bytes(one.bits // 8, "little")
+            own = drives_of_one(drives, one.index, one.sub, raw)
+            try:
+                download(segment, 6, one.index, one.sub, raw, by_segments=draw.random() < 0.5)
+                assert own == 0
+            except LookupError as no:
+                assert own == no.args[0]
+
+
+def drives_of_one(drives: Drives, index: int, sub: int, raw: bytes) -> int:
+    """What another drive of the machine says to the same write."""
+    try:
+        drives.download(2, index, sub, raw)
+    except Aborted as no:
+        return no.code
+    return 0
+
+
+@pytest.mark.parametrize(
+    ("index", "sub", "value", "size", "code"),
+    [
+        (0x7FFF, 0, 0, 4, 0x06020000),  # no such object
+        (0x6040, 1, 0, 2, 0x06090011),  # no such sub
+        (0x1000, 0, 0, 4, 0x06010002),  # constant
+        (0x6041, 0, 0, 2, 0x06010002),  # read only
+        (0x6040, 0, 0, 4, 0x06070012),  # too long
+        (0x6040, 0, 0, 1, 0x06070013),  # too short
+        (0x6086, 0, 1, 2, 0x06090031),  # above its range
+        (0x1005, 0, 1 << 30 | 0x80, 4, 0x06090030),  # it does not produce SYNC
+        (0x1005, 0, 1 << 29 | 0x80, 4, 0x06090030),  # 29 bits
+        (0x1005, 0, 0, 4, 0x06090030),  # the identifier of NMT
+        (0x1014, 0, 0x601, 4, 0x06090030),  # that of an SDO
+        (0x1016, 1, 200 << 16 | 5, 4, 0x06090030),  # node-ID 200
+        (0x1400, 1, 0x333, 4, 0x08000022),  # another identifier while it is in use
+        (0x1400, 1, 0x80000000, 4, 0),
+        (0x1400, 1, 0x80000601, 4, 0),  # not in use: any
+        (0x1400, 1, 0x601, 4, 0x06090030),
+        (0x1402, 2, 241, 1, 0x06090030),
+        (0x1802, 2, 250, 1, 0x06090030),
+        (0x1802, 2, 252, 1, 0),
+        (0x1600, 1, 0x60400010, 4, 0x08000022),  # mapped while there are entries
+        (0x1010, 1, int.from_bytes(b"save", "little"), 4, 0x08000020),  # nothing is stored
+        (0x1011, 1, 0x12345678, 4, 0x08000020),  # without the word that means it
+    ],
+)
+def test_aborts_change_nothing(
+    scene: Scene, index: int, sub: int, value: int, size: int, code: int
+) -> None:
+    segment = segment_of(scene)
+    before = dumped(segment, 1)
+    if code:
+        assert refused(segment, 1, index, sub, value, size) == code
+        assert dumped(segment, 1) == before
+    else:
+        put(segment, 1, index, sub, value, size)
+        assert uploaded(segment, 1, index, sub) == value.to_bytes(size, "little")
+
+
+def dumped(segment: Segment, number: int) -> list[bytes]:
+    node = next(node for node in segment.nodes if node.number == number)
+    return [node.upload(one.index, one.sub) for one in ENTRIES]
+
+
+def test_transfers_that_go_wrong_are_aborted(scene: Scene) -> None:
+    segment = segment_of(scene)
+    ask = struct.pack("<BHB4x", 0x40, 0x1008, 0)
+
+    def code(request: bytes) -> int:
+        with pytest.raises(LookupError) as no:
+            sdo(segment, 1, request)
+        return int(no.value.args[0])
+
+    assert code(b"\x60" + bytes(7)) == 0x05040001, "a segment without a transfer"
+    assert code(b"\x00" + bytes(7)) == 0x05040001
+    sdo(segment, 1, ask)
+    assert code(b"\x70" + bytes(7)) == 0x05030000, "a toggle bit that did not alternate"
+    assert code(b"\x60" + bytes(7)) == 0x05040001, "which has ended the transfer"
+    sdo(segment, 1, struct.pack("<BHBI", 0x21, 0x607A, 0, 4))
+    assert code(b"\x09\x01\x02\x03" + bytes(4)) == 0x06070010, "three bytes of four announced"
+    assert code(struct.pack("<BHBI", 0x21, 0x607A, 0, 1 << 30)) == 0x05040005
+    assert code(b"\xc6" + struct.pack("<HBI", 0x607A, 0, 4)) == 0x05040001, "a block"
+    assert segment.receive(Frame(0x601, b"\x80" + bytes(7))) == [], "the client's abort"
+    assert segment.receive(Frame(0x601, ask[:7])) == [], "seven bytes"
+    assert uploaded(segment, 1, 0x1008, 0) == scene.name.encode()
+
+
+def test_receive_pdos_hold_from_the_next_sync_or_at_once(scene: Scene) -> None:
+    segment = segment_of(scene)
+    put(segment, 2, 0x1402, 2, 255, 1)
+    position = struct.pack("<Hi", 0, 4711)
+    segment.receive(Frame(0x302, position))
+    assert uploaded(segment, 2, 0x607A, 0) != position[2:], "pre-operational: no PDOs"
+    segment.receive(Frame(0, b"\1\0"))
+    before = uploaded(segment, 2, 0x607A, 0)
+    segment.receive(Frame(0x302, position))
+    assert uploaded(segment, 2, 0x607A, 0) == before, "waits for SYNC"
+    segment.receive(SYNC)
+    assert uploaded(segment, 2, 0x607A, 0) == position[2:]
+    segment.receive(Frame(0x402, struct.pack("<Hi", 0, -5)))
+    assert uploaded(segment, 2, 0x60FF, 0) == struct.pack("<i", -5), "at once"
+    assert uploaded(segment, 1, 0x60FF, 0) == bytes(4), "the other node's stays"
+    (told,) = segment.receive(Frame(0x402, b"\1\2\3"))
+    assert told == Frame(0x82, struct.pack("<HB5x", 0x8210, 0)), "too short, and told"
+    assert uploaded(segment, 2, 0x60FF, 0) == struct.pack("<i", -5)
+    segment.receive(Frame(0x302, struct.pack("<Hi", 0, 1)))
+    put(segment, 2, 0x1017, 0, 0, 2)  # another setting
+    segment.receive(SYNC)
+    assert uploaded(segment, 2, 0x607A, 0) == struct.pack("<i", 1), "what waited was kept"
+
+
+@pytest.mark.parametrize("every", [1, 2, 7, 240])
+def test_transmit_pdos_come_with_every_nth_sync(scene: Scene, every: int) -> None:
+    segment = segment_of(scene)
+    put(segment, 1, 0x1801, 2, every, 1)
+    segment.receive(Frame(0, b"\1\0"))
+    for k in range(1, 500):
+        told = uploaded(segment, 1, 0x6064, 0)
+        (*data,) = sent(segment.receive(SYNC), 0x281)
+        assert len(data) == (k % every == 0), k
+        assert not data or data[0][2:] == told, "as it was when SYNC came"
+    assert segment.tick == 499, "one servo period per SYNC"
+
+
+def test_transmit_pdos_on_event_on_request_and_by_timer(scene: Scene) -> None:
+    segment = segment_of(scene)
+    put(segment, 1, 0x1800, 5, 3, 2)  # at the latest after 3 ms
+    put(segment, 1, 0x1801, 2, 252, 1)
+    put(segment, 1, 0x1802, 2, 253, 1)
+    frames = segment.receive(Frame(0, b"\1\0"))
+    assert len(sent(frames, 0x181)) == 1, "on entering operational"
+    came = [len(sent(segment.receive(SYNC), 0x181)) for _ in range(9)]
+    assert came == [0, 0, 1] * 3, "the statusword stands still: by the timer"
+    assert sent(segment.receive(Frame(0x281, remote=True)), 0x281), "sampled by SYNC"
+    assert sent(segment.receive(Frame(0x381, remote=True)), 0x381), "sampled when asked for"
+    put(segment, 1, 0x1802, 1, 0x80000381, 4)
+    assert not segment.receive(Frame(0x381, remote=True)), "switched off"
+
+
+def test_mapping_is_changed_as_the_standard_says(scene: Scene) -> None:
+    segment = segment_of(scene, operational=True)
+    assert refused(segment, 1, 0x1A01, 0, 0, 1) == 0x08000022, "operational, and in use"
+    put(segment, 1, 0x1801, 1, 0x80000281, 4)
+    put(segment, 1, 0x1A01, 0, 0, 1)
+    assert refused(segment, 1, 0x1A01, 1, 0x607A0020, 4) == 0x06040041, "it cannot transmit that"
+    put(segment, 1, 0x1A01, 1, 0x60640020, 4)
+    put(segment, 1, 0x1A01, 2, 0x606C0020, 4)
+    put(segment, 1, 0x1A01, 3, 0x60410010, 4)
+    assert refused(segment, 1, 0x1A01, 0, 3, 1) == 0x06040042, "10 bytes"
+    put(segment, 1, 0x1A01, 0, 2, 1)
+    put(segment, 1, 0x1801, 1, 0x123 + 0x200, 4)
+    told = uploaded(segment, 1, 0x6064, 0) + uploaded(segment, 1, 0x606C, 0)
+    assert sent(segment.receive(SYNC), 0x323) == [told]
+    fresh = dumped(segment_of(scene), 1)
+    segment.receive(Frame(0, bytes((128, 1))))
+    segment.receive(Frame(0, bytes((130, 1))))
+    assert dumped(segment, 1) == fresh, "a reset of the communication restores it"
+
+
+def test_heartbeats_are_sent_and_watched(scene: Scene) -> None:
+    segment = segment_of(scene, operational=True)
+    put(segment, 1, 0x1017, 0, 10, 2)
+    ms = 1_000_000
+    beats = [t for t in range(0, 100) if segment.heartbeats(5 * ms + t * ms)]
+    assert beats == list(range(0, 100, 10))
+    assert segment.heartbeats(200 * ms) == [Frame(0x701, b"\5")]
+    assert segment.receive(Frame(0x701, remote=True)) == [], "no guarding beside it"
+    put(segment, 2, 0x1016, 1, 0x7F << 16 | 5, 4)
+    for _ in range(20):
+        assert not sent(segment.receive(SYNC), 0x82), "not heard yet: not watched"
+    for _ in range(3):
+        segment.receive(Frame(0x77F, b"\5"))
+        for _ in range(5):
+            assert not sent(segment.receive(SYNC), 0x82)
+    lost = sent(segment.receive(SYNC), 0x82)
+    assert [data[:2] for data in lost] == [b"\x30\x81"], "life guard error"
+    assert [node.state for node in segment.nodes] == [5, State.PRE_OPERATIONAL, 5]
+    for _ in range(10):
+        assert not sent(segment.receive(SYNC), 0x82), "told once"
+
+
+def noise(draw: random.Random, numbers: Sequence[int]) -> Frame:
+    """A frame of some kind that a node might take, sound or spoiled."""
+    number = draw.choice(numbers)
+    one = draw.choice(ENTRIES)
+    match draw.randrange(8):
+        case 0 | 1 | 2:  # SDO with an entry of the dictionary, any command
+            head = draw.choice([0x40, 0x2F, 0x2B, 0x23, 0x22, 0x21, 0x20, draw.randrange(256)])
+            raw = struct.pack("<BHB", head, one.index, one.sub)
+            value = draw.choice([draw.randbytes(4), bytes(4), struct.pack("<I", draw.randrange(9))])
+            return Frame(0x600 + number, raw + value)
+        case 3:  # segments, and anything else
+            head = draw.choice([0x00, 0x10, 0x01, 0x60, 0x70, draw.randrange(256)])
+            return Frame(0x600 + number, bytes((head,)) + draw.randbytes(draw.choice([7, 7, 7, 3])))
+        case 4:
+            commands = [1, 1, 1, 128, 2, 129, 130, draw.randrange(256)]
+            return Frame(0, bytes((draw.choice(commands), draw.choice([0, number, 99]))))
+        case 5:
+            data = draw.randbytes(draw.randrange(9))
+            return Frame(draw.choice([0x200, 0x300, 0x400, 0x500]) + number, data)
+        case 6:
+            return draw.choice([SYNC, Frame(0x80, b"\1"), Frame(0x77F, b"\5")])
+    return Frame(draw.randrange(0x800), draw.randbytes(draw.randrange(9)), draw.random() < 0.3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
+    """No frame breaks a node; what a server aborts, and what is for nobody, changes nothing."""
+    segment, draw = segment_of(scene), random.Random(seed)
+    numbers, looked = [1, 2, 3], 0
+    for k in range(FRAMES // 4):
+        frame = noise(draw, numbers)
+        look = k % 50 == 0 and frame.id not in (0, 0x80)
+        before = whole(segment) if look else None
+        frames = segment.receive(frame)
+        assert all(0 <= one.id < 0x800 and len(one.data) <= 8 for one in frames)
+        if not look:
+            continue
+        aborted = frames and frames[0].id & 0x780 == 0x580 and frames[0].data[0] == 0x80
+        for_nobody = frame.id & 0x7F not in numbers and not frame.remote and not frames
+        if aborted or (for_nobody and frame.id not in ids_of(segment)):
+            assert whole(segment) == before, frame
+            looked += 1
+    assert looked > FRAMES // 4 // 50 // 8
+    assert np.isfinite(segment._drives.plant.state.q).all()
+    segment.receive(Frame(0, b"\x81\0"))
+    for number in numbers:
+        assert uploaded(segment, number, 0x1000, 0) == b"\x92\x01\x02\0", "it still answers"
+
+
+def ids_of(segment: Segment) -> set[int]:
+    """Identifiers that PDOs, SYNC and heartbeats have after whatever was set."""
+    ids = set()
+    for node in segment.nodes:
+        for index, sub in [(0x1005, 0), *((0x1400 + k, 1) for k in range(4))]:
+            ids.add(int.from_bytes(node.upload(index, sub), "little") & 0x7FF)
+        ids.add(0x700 + (int.from_bytes(node.upload(0x1016, 1), "little") >> 16 & 0x7F))
+    return ids
+
+
+def whole(segment: Segment) -> tuple[object, ...]:
+    dumps = [dumped(segment, node.number) for node in segment.nodes]
+    return dumps, [node.state for node in segment.nodes], segment._drives.plant.save()
+
+
+def test_data_sheet_tells_every_entry(scene: Scene) -> None:
+    node = segment_of(scene, 7).nodes[0]
+    sheet = configparser.RawConfigParser()
+    sheet.optionxform = str  # type: ignore[assignment,method-assign]
+    sheet.read_string(eds(node, "a.eds", "a"))
+    listed = [
+        int(value, 16)
+        for part in ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
+        for key, value in sheet[part].items()
+        if key != "SupportedObjects"
+    ]
+    assert sorted(listed) == sorted({one.index for one in ENTRIES})
+    for one in ENTRIES:
+        name = f"{one.index:04X}" + ("" if one.code == 7 else f"sub{one.sub:X}")
+        section = sheet[name]
+        assert section["AccessType"] == one.access and section["ObjectType"] == "0x7"
+        assert section["PDOMapping"] == str(int(one.rx or one.tx))
+        if "DefaultValue" in section and one.bits:
+            text = section["DefaultValue"].replace("$NODEID", "7")
+            value = sum(int(part, 0) for part in text.split("+"))
+            raw = node.upload(one.index, one.sub)
+            assert value == int.from_bytes(raw, "little", signed=value < 0), name
+
+
+@pytest.mark.parametrize("first", [0, 126, -1])
+def test_nodes_that_there_are_not_are_refused(scene: Scene, first: int) -> None:
+    with pytest.raises(Refusal, match=f"first node-ID must be 1 to 125, got {first}"):
+        Segment(drives_of(scene), first)
