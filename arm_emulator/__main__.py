@@ -248,6 +248,21 @@ def _parser() -> argparse.ArgumentParser:
     header.add_argument("--out", type=Path, metavar="FILE", help="(default: the terminal)")
     header.set_defaults(run=_servo_header)
 
+    fmu = commands.add_parser("fmu", help="write the machine as a unit for simulators (FMI 3.0)")
+    fmu.add_argument("scene", help="scene file or name")
+    fmu.add_argument("--out", type=Path, required=True, metavar="FILE", help="such as arm.fmu")
+    fmu.add_argument(
+        "--varied",
+        metavar="NAMES",
+        help="numbers that become parameters, by commas (default: those that the scene lists)",
+    )
+    fmu.add_argument(
+        "--target",
+        default="x86-64-v2",
+        help="processors of its binary: a level (default: %(default)s), or native, this machine's",
+    )
+    fmu.set_defaults(run=_fmu)
+
     compile_ = commands.add_parser("compile", help="compile a scene ahead of its first use")
     _scene(compile_)
     compile_.add_argument(
@@ -475,6 +490,14 @@ def _servo_header(arguments: argparse.Namespace) -> int:
     from arm_emulator.servo_header import write_header
 
     return write_header(arguments.scene, arguments.out)
+
+
+def _fmu(arguments: argparse.Namespace) -> int:
+    from arm_emulator.fmu import write_fmu
+
+    varied = arguments.varied
+    names = None if varied is None else [one for one in varied.split(",") if one]
+    return write_fmu(arguments.scene, arguments.out, names, arguments.target)
 
 
 def _compile(arguments: argparse.Namespace) -> int:

@@ -97,6 +97,25 @@ def compile_units(units: Iterable[Unit], target: str, folder: Path | None) -> li
     return [_ahead(unit, target, cache, folder) for unit in units]
 
 
+def compiled_bytes(unit: Unit, target: str) -> bytes:
+    """Return the library that a compiler makes of a unit, as others than our cache load it.
+
+    Args:
+        unit: which one.
+        target: see `compile_units`.
+
+    Raises:
+        Refusal: see there.
+    """
+    (file,) = compile_units([unit], target, None)
+    return file.read_bytes()[: -library_cache.SEAL_SIZE]
+
+
+def fingerprint(unit: Unit, target: str) -> str:
+    """Return what a unit knows of its sources and flags, as a number of C."""
+    return f"0x{_digest(unit, target)[:16]}u"
+
+
 def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
     with _compiled(unit, target, cache) as library:
         if folder is None:
@@ -154,7 +173,7 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
             source.write_text(unit.source, encoding="utf-8")
             command = [*compiler, *unit.flags, f"-march={target}"]
             command += [f"-I{folder}" for folder in unit.folders]
-            command.append(f"-DARM_FINGERPRINT=0x{_digest(unit, target)[:16]}u")
+            command.append(f"-DARM_FINGERPRINT={fingerprint(unit, target)}")
             run_compiler([*command, str(source), "-o", str(built)], scratch, unit.where, unit.part)
             library_cache.store(library, _built(built, compiler[0], unit), scratch)
             library_cache.make_room(library, largest)

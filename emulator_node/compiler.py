@@ -39,15 +39,29 @@ def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.C
         source: C++ that may use core/arm.h.
         calls: the functions that it adds.
     """
+    return library(unit_with(scene, name, source, calls))
+
+
+def unit_with(
+    scene: Scene, name: str, source: str, calls: Calls, folders: tuple[Path, ...] = ()
+) -> Unit:
+    """Return the unit of `library_with`.
+
+    Args:
+        scene: see there.
+        name: see there.
+        source: see there.
+        calls: see there.
+        folders: where it includes further files from.
+    """
     unit = _unit_of(scene)
-    return library(
-        replace(
-            unit,
-            name=f"{scene.name}-{name}",
-            source=unit.source + source,
-            calls={**unit.calls, **calls},
-            about=f"{unit.about} with {name}",
-        )
+    return replace(
+        unit,
+        name=f"{scene.name}-{name}",
+        source=unit.source + source,
+        folders=(*unit.folders, *folders),
+        calls={**unit.calls, **calls},
+        about=f"{unit.about} with {name}",
     )
 
 

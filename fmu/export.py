@@ -1,0 +1,88 @@
+"""From a scene to a functional mock-up unit: a file that simulators load."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from compiled.unit import compiled_bytes, fingerprint
+from emulator_node.compiler import CORE
+from emulator_node.scene import Scene
+from fmu.model_description import build_description, model_description
+from fmu.names import identifier
+from fmu.page import page
+from fmu.unit import FOLDER, unit_of
+from fmu.variables import variables
+from words.config_files import config_folder
+from words.refusal import Refusal
+
+TARGET = "x86-64-v2"  # that most machines have; "native" is faster, and gives other bits
+PLATFORM = "x86_64-linux"
+_SOURCE = "unit.cpp"
+_DATE = (1980, 1, 1, 0, 0, 0)  # so that equal scenes make equal files
+
+
+def export(scene: Scene, out: Path, target: str = TARGET) -> None:
+    """Write a scene's machine as a unit of FMI 3.0 for co-simulation.
+
+    Args:
+        scene: the machine; its `varied` numbers become tunable parameters.
+        out: the file, which ends in ``.fmu``.
+        target: which processors its binary is for, see `compiled.unit.compile_units`.
+
+    Raises:
+        Refusal: another ending, a file that cannot be written, or no compiler.
+    """
+    if out.suffix != ".fmu":
+        raise Refusal("fmu", "--out", "end in .fmu", out.name)
+    listed = variables(scene)
+    unit, token = unit_of(scene, listed, "3.0")
+    library = compiled_bytes(unit, target)
+    name = identifier(scene.name)
+    options = shlex.join([*unit.flags, f"-march={target}"])
+    definition = f"ARM_FINGERPRINT={fingerprint(unit, target)}"
+    command = f"g++ {options} -I. -D{definition} {_SOURCE} -o {name}.so"
+    files = {
+        "modelDescription.xml": model_description(scene, listed, token),
+        "documentation/index.html": page(scene, listed, command),
+        "documentation/licenses/license.txt": (config_folder().parent / "LICENSE").read_bytes(),
+        f"sources/{_SOURCE}": unit.source.encode(),
+        "sources/buildDescription.xml": build_description(scene, _SOURCE, options, definition),
+        **{f"sources/{name}": text.encode() for name, text in _included(unit.source).items()},
+        f"binaries/{PLATFORM}/{name}.so": library,
+    }
+    try:
+        _write(out, files)
+    except OSError as error:
+        raise Refusal("fmu", f"file {out}", "be writable", error.strerror) from None
+
+
+def _included(source: str) -> dict[str, str]:
+    """Return the files that a source includes, and those that they include, by name."""
+    found: dict[str, str] = {}
+    left = [source]
+    while left:
+        for name in re.findall(r'^ *# *include "([^"]+)"', left.pop(), re.M):
+            if name not in found:
+                file = next(folder / name for folder in (FOLDER, CORE) if (folder / name).is_file())
+                found[name] = file.read_text(encoding="utf-8")
+                left.append(found[name])
+    return dict(sorted(found.items()))
+
+
+def _write(out: Path, files: Mapping[str, bytes]) -> None:
+    """Write the archive beside its place, then move it there."""
+    with tempfile.TemporaryDirectory(prefix=f"{out.name}.", dir=out.parent) as scratch:
+        beside = Path(scratch) / out.name
+        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in files.items():
+                one = zipfile.ZipInfo(name, _DATE)
+                one.compress_type = zipfile.ZIP_DEFLATED
+                one.external_attr = 0o644 << 16
+                archive.writestr(one, content)
+        os.replace(beside, out)

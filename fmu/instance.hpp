@@ -1,0 +1,657 @@
+// One instance of the unit: a machine, the values of its variables, and where it is in the life
+// that the standard prescribes. What is called from outside is in fmi3.cpp and fmi2.cpp.
+//
+// Inputs act at the next step and are held over it, so no output depends on an input of now.
+//
+// Included in a unit after the scene's machine and the table of variables (unit.py).
+#pragma once
+
+#include <cstdarg>
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+#include <new>
+
+#include "arm.h"
+#include "finite.hpp"
+#include "variable.hpp"
+
+namespace fmu {
+
+// As fmi3Status and fmi2Status number them.
+enum Status { kOk = 0, kWarning = 1, kDiscard = 2, kError = 3 };
+
+// Bits, so that a call can name all modes in which it is allowed.
+enum Mode : std::uint32_t { kInstantiated = 1, kInitialization = 2, kStep = 4, kTerminated = 8 };
+constexpr std::uint32_t kBeforeStart = kInstantiated | kInitialization;
+constexpr std::uint32_t kSettable = kBeforeStart | kStep;
+constexpr std::uint32_t kAnyMode = kSettable | kTerminated;
+
+constexpr int N = kJoints;
+constexpr int kVariableCount = sizeof kVariables / sizeof *kVariables;
+constexpr double kLargestTicks = 1e15;  // of one step
+
+// Categories of what is logged, in modelDescription.xml, too.
+enum Category { kEvents, kStatusDiscard, kStatusError, kCategories };
+constexpr const char* kCategoryNames[kCategories] = {"logEvents", "logStatusDiscard",
+                                                     "logStatusError"};
+
+// Where messages go to: a function of the importer's, called by `call`.
+struct Log {
+  void (*call)(const Log& log, Status status, const char* category, const char* text);
+  void (*function)();
+  void* environment;
+  const char* name;  // of the instance
+};
+
+// All that decides how an instance goes on, but for its machine.
+struct Values {
+  std::uint64_t mode;
+  std::int64_t ticks;  // servo periods that have passed
+  double start, stop;  // s
+  std::uint64_t has_stop;
+  std::uint64_t moved;  // the start has changed since the machine was put there
+  double command[N], command_d[N];
+  double external[3][3 * N];  // forces, moments, points
+  double start_q[N], start_v[N];
+  double parameter[kParameters + 1];
+  unsigned char enable[N], close_brake[N], power, world_axes;
+};
+
+static_assert(sizeof(Values) % 8 == 0);
+
+class Instance {
+ public:
+  Instance(const char* name, bool logging, const Log& log) : log_(log) {
+    std::snprintf(name_, sizeof name_, "%s", name);
+    log_.name = name_;
+    for (bool& on : logged_) on = logging;
+  }
+  ~Instance() {
+    arm_delete(machine_);
+    while (Kept* first = kept_) {
+      kept_ = first->next;
+      operator delete(first);
+    }
+  }
+  Instance(const Instance&) = delete;
+  Instance& operator=(const Instance&) = delete;
+
+  // Make the machine; false if that fails.
+  bool make() {
+    arm_description description = {};
+    description.size = sizeof description;
+    arm_describe(&description);
+    fingerprint_ = description.fingerprint;
+    for (int k = 0; k < kParameters; ++k) {
+      parameters_[k].size = sizeof parameters_[k];
+      arm_describe_parameter(k, &parameters_[k]);
+    }
+    for (int j = 0; j < N; ++j) {
+      joints_[j].size = sizeof joints_[j];
+      arm_describe_joint(j, &joints_[j]);
+    }
+    arm_options options = {};
+    options.size = sizeof options;
+    options.core = -1;
+    options.step = kIntegrationStep;
+    options.steps_per_period = kStepsPerPeriod;
+    options.parameters = kParameterStart;
+    machine_ = arm_new(&options);
+    if (!machine_) return false;
+    become_new();
+    return true;
+  }
+
+  // ------------------------------------------------------------------------------------- logging
+
+  // What a call returns: with a status that is none of success, the reason is told. An error ends
+  // the simulation; a reset or a state that was kept begins it again.
+  Status tell(Status status, const char* format, ...) __attribute__((format(printf, 3, 4))) {
+    if (status == kError) values_.mode = kTerminated;
+    const Category category = status == kError     ? kStatusError
+                              : status == kDiscard ? kStatusDiscard
+                                                   : kEvents;
+    // Errors are told whatever was asked for, as the standard wants it.
+    if (!log_.function || (status != kError && !logged_[category])) return status;
+    char text[1024], escaped[2 * sizeof text];
+    va_list arguments;
+    va_start(arguments, format);
+    std::vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    char* to = escaped;
+    for (const char* from = text; *from; ++from) {
+      if (*from == '#') *to++ = '#';  // or it would begin a value reference
+      *to++ = *from;
+    }
+    *to = 0;
+    log_.call(log_, status, kCategoryNames[category], escaped);
+    return status;
+  }
+
+  // Switch categories on or off; all of them if `count` is 0.
+  Status set_logging(bool on, std::size_t count, const char* const* categories) {
+    bool chosen[kCategories] = {};
+    if (count && !categories) return tell(kError, "categories must be given, got none");
+    for (std::size_t k = 0; k < count; ++k) {
+      int c = 0;
+      while (c < kCategories && (!categories[k] || std::strcmp(categories[k], kCategoryNames[c])))
+        ++c;
+      if (c == kCategories)
+        return tell(kError, "log category must be one of modelDescription.xml, got %.100s",
+                    categories[k] ? categories[k] : "none");
+      chosen[c] = true;
+    }
+    for (int c = 0; c < kCategories; ++c)
+      if (!count || chosen[c]) logged_[c] = on;
+    return kOk;
+  }
+
+  // --------------------------------------------------------------------------------- its life
+
+  // Whether `call` may be made now; if not, it is an error.
+  bool allows(std::uint32_t modes, const char* call) {
+    if (values_.mode & modes) return true;
+    const char* now = values_.mode == kInstantiated     ? "instantiation"
+                      : values_.mode == kInitialization ? "initialization mode"
+                      : values_.mode == kStep           ? "step mode"
+                                                        : "termination";
+    tell(kError, "%s must not be called after %s", call, now);
+    return false;
+  }
+
+  Status set_times(double start, bool has_stop, double stop) {
+    if (!arm::is_finite(start)) return tell(kError, "start time must be finite [s]");
+    if (has_stop && (!arm::is_finite(stop) || stop < start))
+      return tell(kError, "stop time must be finite and not before the start [s]");
+    values_.start = start;
+    values_.has_stop = has_stop;
+    values_.stop = has_stop ? stop : 0.0;
+    return kOk;
+  }
+  Status enter_initialization() {
+    values_.mode = kInitialization;
+    return kOk;
+  }
+  Status exit_initialization() {
+    put_at_start();
+    values_.mode = kStep;
+    return tell(kOk, "the machine is at its start");
+  }
+  Status terminate() {
+    values_.mode = kTerminated;
+    return kOk;
+  }
+  Status reset() {
+    become_new();
+    return tell(kOk, "reset");
+  }
+
+  double time() const { return values_.start + static_cast<double>(values_.ticks) * kPeriod; }
+
+  // Go from `from` by `step` [s], a whole number of servo periods.
+  Status do_step(double from, double step) {
+    if (!arm::is_finite(from) || !arm::is_finite(step) || step <= 0.0)
+      return tell(kError, "communication step must be finite and > 0 s, got %g s at %g s", step,
+                  from);
+    // Importers that add up their steps drift away by rounding.
+    if (__builtin_fabs(from - time()) > 0.25 * kPeriod)
+      return tell(kError, "communication point must be %.17g s, where the machine is, got %.17g s",
+                  time(), from);
+    const double periods = step / kPeriod, whole = __builtin_nearbyint(periods);
+    // Steps may be differences of times, which are rounded.
+    const double rounding = 1e-6 * kPeriod + 4.0 * 0x1p-52 * (__builtin_fabs(from) + step);
+    if (whole < 1.0 || whole > kLargestTicks || __builtin_fabs(step - whole * kPeriod) > rounding)
+      return tell(kDiscard,
+                  "communication step must be a whole number of servo periods of %.17g s, "
+                  "got %.17g s",
+                  kPeriod, step);
+    if (values_.has_stop && from + step > values_.stop + 0.25 * kPeriod)
+      return tell(kError, "communication step must end at %.17g s, the stop time, got %.17g s",
+                  values_.stop, from + step);
+    arm_power(machine_, values_.power);
+    if (put_external_wrenches() != ARM_OK) return refused(kError);
+    arm_joint_command commands[N];
+    for (int j = 0; j < N; ++j) {
+      commands[j].mode = kModes[j];
+      commands[j].enable = 0;
+      if (values_.enable[j]) commands[j].enable |= ARM_ENABLED;
+      if (values_.enable[j] && values_.close_brake[j]) commands[j].enable |= ARM_CLOSE_BRAKE;
+      commands[j].value = values_.command[j];
+    }
+    const arm_command command = {sizeof command, 0, -1, commands, values_.command_d};
+    for (auto left = static_cast<std::int64_t>(whole); left > 0; --left) {
+      told_ = truth_told_ = false;
+      const int result = arm_exchange(machine_, &command, &measurement_);
+      if (result == ARM_REFUSED) return refused(kError);
+      if (result == ARM_DIVERGED) return diverged();
+      ++values_.ticks;
+    }
+    return kOk;
+  }
+
+  // -------------------------------------------------------------------------------- variables
+
+  // Whether `count` references are of variables of this type with so many values in all; if not,
+  // it is an error. FMI 2 has no 64-bit integers and takes them as `other`.
+  bool match(const char* call, const unsigned* references, std::size_t count, Type type, Type other,
+             const void* values, std::size_t size) {
+    std::size_t all = 0;
+    if (count && !references) return tell(kError, "%s: references must be given", call), false;
+    for (std::size_t k = 0; k < count; ++k) {
+      if (references[k] >= static_cast<unsigned>(kVariableCount))
+        return tell(kError, "%s: value reference must be below %d, got %u", call, kVariableCount,
+                    references[k]),
+               false;
+      const Variable& one = kVariables[references[k]];
+      if (one.type != type && one.type != other)
+        return tell(kError, "%s: variable %u must be of the call's type", call, references[k]),
+               false;
+      all += static_cast<std::size_t>(one.count);
+    }
+    if (all != size || (all && !values))
+      return tell(kError, "%s: there must be %zu values, got %zu", call, all, values ? size : 0),
+             false;
+    return true;
+  }
+
+  // Whether these variables may be set now; if not, it is an error.
+  bool settable(const char* call, const unsigned* references, std::size_t count) {
+    for (std::size_t k = 0; k < count; ++k) {
+      const Role role = kVariables[references[k]].role;
+      const bool now = role == Role::input || role == Role::tunable ||
+                       (role == Role::fixed && values_.mode & kBeforeStart);
+      if (!now)
+        return tell(kError, "%s: variable %u cannot be set now", call, references[k]), false;
+    }
+    return true;
+  }
+
+  // All values or none are taken.
+  Status set_numbers(const char* call, const unsigned* references, std::size_t count,
+                     const double* values) {
+    const double* value = values;
+    for (std::size_t r = 0; r < count; ++r)
+      for (int k = 0; k < kVariables[references[r]].count; ++k)
+        if (const char* rule = why_not(kVariables[references[r]], k, *value++))
+          return tell(kDiscard, "%s: value %d of variable %u must %s, got %g", call, k,
+                      references[r], rule, value[-1]);
+    for (std::size_t r = 0; r < count; ++r) {
+      const Variable& one = kVariables[references[r]];
+      double* to = numbers(one.quantity) + one.first;
+      for (int k = 0; k < one.count; ++k) {
+        to[k] = *values++;
+        if (one.quantity == Quantity::parameter)
+          arm_set_parameter(machine_, parameters_[one.first + k].name, to[k]);
+      }
+      if (one.role != Role::input) {
+        told_ = truth_told_ = false;
+        if (values_.mode & kBeforeStart) values_.moved = true;
+      }
+    }
+    return kOk;
+  }
+  void set_flag(unsigned reference, int k, bool on) {
+    const Variable& one = kVariables[reference];
+    flags(one.quantity)[one.first + k] = on;
+    if (values_.mode & kBeforeStart) values_.moved = true;
+  }
+
+  // Have everything that these variables tell.
+  void look(const unsigned* references, std::size_t count) {
+    put_at_start();
+    bool truth = false;
+    for (std::size_t k = 0; k < count; ++k)
+      truth |= kVariables[references[k]].quantity >= Quantity::truth_q;
+    if (!told_) measure();
+    if (truth && !truth_told_) measure_truth();
+  }
+  // Rows of a quantity; null if it is of another type.
+  double* numbers(Quantity quantity) {
+    switch (quantity) {
+      case Quantity::time:
+        return &(now_ = time());
+      case Quantity::command:
+        return values_.command;
+      case Quantity::command_d:
+        return values_.command_d;
+      case Quantity::external_force:
+        return values_.external[0];
+      case Quantity::external_moment:
+        return values_.external[1];
+      case Quantity::external_point:
+        return values_.external[2];
+      case Quantity::start_q:
+        return values_.start_q;
+      case Quantity::start_v:
+        return values_.start_v;
+      case Quantity::parameter:
+        return values_.parameter;
+      case Quantity::current:
+        return current_;
+      case Quantity::current_d:
+        return current_d_;
+      case Quantity::applied:
+        return applied_;
+      case Quantity::torque:
+        return torque_;
+      case Quantity::specific_force:
+        return specific_force_;
+      case Quantity::angular_rate:
+        return angular_rate_;
+      case Quantity::truth_q:
+        return q_;
+      case Quantity::truth_v:
+        return v_;
+      case Quantity::truth_gear_torque:
+        return gear_torque_;
+      case Quantity::truth_motor_angle:
+        return motor_angle_;
+      case Quantity::truth_motor_speed:
+        return motor_speed_;
+      case Quantity::truth_current:
+        return true_current_;
+      case Quantity::truth_energy:
+        return &energy_;
+      case Quantity::truth_winding_temperature:
+        return temperature_;
+      default:
+        return nullptr;
+    }
+  }
+  std::int64_t* counts(Quantity quantity) {
+    switch (quantity) {
+      case Quantity::encoder_counts:
+        return encoder_;
+      case Quantity::index_counts:
+        return index_;
+      case Quantity::index_pulses:
+        return index_pulses_;
+      case Quantity::link_encoder_counts:
+        return link_encoder_;
+      case Quantity::link_index_counts:
+        return link_index_;
+      case Quantity::link_index_pulses:
+        return link_index_pulses_;
+      default:
+        return nullptr;
+    }
+  }
+  std::int32_t* faults() { return faults_; }
+  unsigned char* flags(Quantity quantity) {
+    switch (quantity) {
+      case Quantity::enable:
+        return values_.enable;
+      case Quantity::close_brake:
+        return values_.close_brake;
+      case Quantity::power:
+        return &values_.power;
+      case Quantity::external_world_axes:
+        return &values_.world_axes;
+      case Quantity::powered:
+        return &powered_;
+      case Quantity::brake_closed:
+        return brake_closed_;
+      default:
+        return nullptr;
+    }
+  }
+
+  // ------------------------------------------------------------------------------ whole states
+
+  static std::size_t state_size() {
+    return 2 * sizeof(std::uint64_t) + sizeof(Values) + static_cast<std::size_t>(arm_saved_size()) +
+           sizeof(std::uint64_t);
+  }
+  // Keep the state in `*state`, which is made if it is null; it lives as long as this instance.
+  Status keep(void** state) {
+    if (!state) return tell(kError, "state must have a place, got none");
+    if (*state && !known(*state)) return unknown_state();
+    if (!*state) *state = make_state();
+    put_at_start();
+    unsigned char* bytes = bytes_of(*state);
+    std::memcpy(bytes, &kMagic, sizeof kMagic);
+    std::memcpy(bytes + 8, &fingerprint_, 8);
+    std::memcpy(bytes + 16, &values_, sizeof values_);
+    arm_save(machine_, bytes + 16 + sizeof values_, arm_saved_size());
+    const std::uint64_t sum = sum_of(bytes);
+    std::memcpy(bytes + state_size() - 8, &sum, 8);
+    return kOk;
+  }
+  Status go_back_to(void* state) {
+    if (!known(state)) return unknown_state();
+    const unsigned char* bytes = bytes_of(state);
+    if (arm_restore(machine_, bytes + 16 + sizeof values_, arm_saved_size()) != ARM_OK)
+      return refused(kError);
+    std::memcpy(&values_, bytes + 16, sizeof values_);
+    told_ = truth_told_ = false;
+    return tell(kOk, "went back to %.17g s", time());
+  }
+  Status forget(void** state) {
+    if (!state || !*state) return kOk;
+    for (Kept** at = &kept_; *at; at = &(*at)->next)
+      if (*at == *state) {
+        Kept* one = *at;
+        *at = one->next;
+        operator delete(one);
+        *state = nullptr;
+        return kOk;
+      }
+    return unknown_state();
+  }
+  Status write_state(void* state, unsigned char* bytes, std::size_t size) {
+    if (!known(state)) return unknown_state();
+    if (size != state_size() || !bytes)
+      return tell(kError, "serialized state must have %zu bytes, got %zu", state_size(),
+                  bytes ? size : 0);
+    std::memcpy(bytes, bytes_of(state), size);
+    return kOk;
+  }
+  Status read_state(const unsigned char* bytes, std::size_t size, void** state) {
+    if (!state || (*state && !known(*state))) return unknown_state();
+    if (size != state_size() || !bytes)
+      return tell(kError, "serialized state must have %zu bytes, got %zu", state_size(),
+                  bytes ? size : 0);
+    std::uint64_t magic, of, sum;
+    std::memcpy(&magic, bytes, 8);
+    std::memcpy(&of, bytes + 8, 8);
+    std::memcpy(&sum, bytes + size - 8, 8);
+    if (magic != kMagic || of != fingerprint_)
+      return tell(kError, "serialized state must be of this binary");
+    if (sum != sum_of(bytes)) return tell(kError, "serialized state must be as it was written");
+    if (!*state) *state = make_state();
+    std::memcpy(bytes_of(*state), bytes, size);
+    return kOk;
+  }
+  Status size_of(void* state, std::size_t* size) {
+    if (!known(state)) return unknown_state();
+    if (!size) return tell(kError, "size must have a place, got none");
+    *size = state_size();
+    return kOk;
+  }
+
+ private:
+  static constexpr std::uint64_t kMagic = 0x31554d464d5241;  // "ARMFMU1"
+
+  // As just instantiated: everything at its start value.
+  void become_new() {
+    std::memset(static_cast<void*>(&values_), 0, sizeof values_);  // states have no chance bytes
+    values_.mode = kInstantiated;
+    values_.moved = true;
+    values_.power = 1;
+    for (int j = 0; j < N; ++j) {
+      values_.enable[j] = 1;
+      values_.start_q[j] = kStartQ[j];
+    }
+    for (int k = 0; k < kParameters; ++k) {
+      values_.parameter[k] = kParameterStart[k];
+      arm_set_parameter(machine_, parameters_[k].name, kParameterStart[k]);
+    }
+  }
+  void put_at_start() {
+    if (!values_.moved) return;
+    arm_power(machine_, values_.power);
+    arm_reset(machine_, values_.start_q, values_.start_v);
+    values_.moved = false;
+    told_ = truth_told_ = false;
+  }
+
+  // Why a value is not taken; null if it is.
+  const char* why_not(const Variable& one, int k, double value) const {
+    const int at = one.first + k;
+    if (!arm::is_finite(value)) return "be finite";
+    switch (one.quantity) {
+      case Quantity::command:
+        return joints_[at].modes || value == 0.0 ? nullptr : "be 0, the joint has no motor";
+      case Quantity::command_d:
+        return joints_[at].modes & ARM_VOLTAGE_DQ || value == 0.0
+                   ? nullptr
+                   : "be 0, the joint's motor has no such voltage";
+      case Quantity::external_force:
+      case Quantity::external_moment:
+      case Quantity::external_point:
+        return __builtin_fabs(value) <= ARM_LARGEST_WRENCH ? nullptr : "be at most 1e9";
+      case Quantity::start_q:
+        return __builtin_fabs(value) <= kLargestQ[at] ? nullptr : "be near enough to be counted";
+      case Quantity::start_v:
+        return __builtin_fabs(value) <= kLargestV ? nullptr : "be at most 1e6";
+      case Quantity::parameter:
+        return value >= parameters_[at].least && value <= parameters_[at].most
+                   ? nullptr
+                   : "be within its bounds";
+      default:
+        return nullptr;
+    }
+  }
+
+  int put_external_wrenches() {
+    if constexpr (kExternalWrench)
+      for (int j = 0; j < N; ++j) {
+        arm_wrench wrench = {};
+        wrench.size = sizeof wrench;
+        wrench.axes = values_.world_axes ? ARM_WORLD_AXES : ARM_LINK_AXES;
+        for (int k = 0; k < 3; ++k) {
+          wrench.force[k] = values_.external[0][3 * j + k];
+          wrench.moment[k] = values_.external[1][3 * j + k];
+          wrench.point[k] = values_.external[2][3 * j + k];
+        }
+        if (arm_set_external_wrench(machine_, j, &wrench) != ARM_OK) return ARM_REFUSED;
+      }
+    return ARM_OK;
+  }
+
+  void measure() {
+    arm_measure(machine_, &measurement_);
+    powered_ = measurement_.powered != 0;
+    for (int j = 0; j < N; ++j) {
+      const arm_joint_measurement& joint = joint_[j];
+      encoder_[j] = joint.encoder;
+      current_[j] = joint.current;
+      applied_[j] = joint.voltage;
+      faults_[j] = static_cast<std::int32_t>(joint.faults);
+      brake_closed_[j] = joint.brake != 0;
+      const arm_joint_sensors& more = sensors_[j];
+      index_[j] = more.index;
+      index_pulses_[j] = more.index_pulses;
+      link_encoder_[j] = more.link_encoder;
+      link_index_[j] = more.link_index;
+      link_index_pulses_[j] = more.link_index_pulses;
+      torque_[j] = more.torque;
+    }
+    for (int m = 0; m < kImus; ++m)
+      for (int k = 0; k < 3; ++k) {
+        specific_force_[3 * m + k] = imu_[m].specific_force[k];
+        angular_rate_[3 * m + k] = imu_[m].angular_rate[k];
+      }
+    told_ = true;
+  }
+  void measure_truth() {
+    arm_truth truth = {};
+    truth.size = sizeof truth;
+    truth.energy = &energy_;
+    truth.current = true_current_;
+    truth.motor_angle = motor_angle_;
+    truth.motor_speed = motor_speed_;
+    truth.q = q_;
+    truth.v = v_;
+    truth.gear_torque = gear_torque_;
+    arm_get_truth(machine_, &truth);
+    arm_get_winding_temperatures(machine_, temperature_);
+    truth_told_ = true;
+  }
+
+  Status refused(Status status) {
+    arm_refusal why = {};
+    why.size = sizeof why;
+    arm_why(machine_, &why);
+    return tell(status, "%s must %s, got %g%s%s", why.quantity, why.rule, why.got,
+                why.joint >= 0 && why.joint < N ? " at joint " : "",
+                why.joint >= 0 && why.joint < N ? joints_[why.joint].name : "");
+  }
+  Status diverged() {
+    arm_truth truth = {};
+    truth.size = sizeof truth;
+    arm_get_truth(machine_, &truth);
+    const int joint = truth.fault;
+    return tell(kError,
+                "joint %s diverged after %.17g s; the machine stays at its last sound state",
+                joint >= 0 && joint < N ? joints_[joint].name : "?", values_.start + truth.time);
+  }
+
+  // A state that was kept; its bytes stand behind it.
+  struct Kept {
+    Kept* next;
+  };
+  static unsigned char* bytes_of(void* state) {
+    return reinterpret_cast<unsigned char*>(static_cast<Kept*>(state) + 1);
+  }
+  Kept* make_state() {
+    kept_ = new (operator new(sizeof(Kept) + state_size())) Kept{kept_};
+    return kept_;
+  }
+  bool known(const void* state) const {
+    for (const Kept* one = kept_; one; one = one->next)
+      if (one == state) return true;
+    return false;
+  }
+  Status unknown_state() { return tell(kError, "state must be one that this instance has kept"); }
+  static std::uint64_t sum_of(const unsigned char* bytes) {
+    std::uint64_t sum = 0xcbf29ce484222325;
+    for (std::size_t k = 0; k + 8 < state_size(); k += 8) {
+      std::uint64_t word;
+      std::memcpy(&word, bytes + k, 8);
+      sum = (sum ^ word) * 0x100000001b3;  // FNV-1a: any one word that is changed changes it
+      sum ^= sum >> 32;
+    }
+    return sum;
+  }
+
+  char name_[200];
+  Log log_;
+  bool logged_[kCategories];
+  arm_machine* machine_ = nullptr;
+  std::uint64_t fingerprint_ = 0;
+  arm_parameter parameters_[kParameters + 1] = {};
+  arm_joint_description joints_[N] = {};
+  Values values_;
+  Kept* kept_ = nullptr;
+
+  // What was asked of the machine last.
+  bool told_ = false, truth_told_ = false;
+  arm_joint_measurement joint_[N] = {};
+  arm_joint_sensors sensors_[N] = {};
+  arm_imu_measurement imu_[kImus + 1] = {};
+  double current_d_[N] = {};
+  arm_measurement measurement_ = {sizeof measurement_, 0, 0, -1, joint_, sensors_, imu_,
+                                  current_d_};
+  double now_ = 0.0, current_[N] = {}, applied_[N] = {}, torque_[N] = {};
+  double specific_force_[3 * kImus + 1] = {}, angular_rate_[3 * kImus + 1] = {};
+  double q_[N] = {}, v_[N] = {}, gear_torque_[N] = {}, motor_angle_[N] = {}, motor_speed_[N] = {};
+  double true_current_[N] = {}, energy_ = 0.0, temperature_[N] = {};
+  std::int64_t encoder_[N] = {}, index_[N] = {}, index_pulses_[N] = {}, link_encoder_[N] = {};
+  std::int64_t link_index_[N] = {}, link_index_pulses_[N] = {};
+  std::int32_t faults_[N] = {};
+  unsigned char brake_closed_[N] = {}, powered_ = 0;
+};
+
+}  // namespace fmu

@@ -1,0 +1,80 @@
+"""The C++ of a unit: a scene's machine, the table of its variables, and the functions of FMI."""
+
+from __future__ import annotations
+
+import ctypes
+import uuid
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from compiled.unit import Calls, Unit
+from emulator_node.compiler import unit_with
+from emulator_node.core_calls import MODES
+from emulator_node.cxx_literals import number
+from emulator_node.plant import largest_position
+from emulator_node.scene import Scene
+from fmu.variables import Variable
+from words.bound import VELOCITY
+
+FOLDER = Path(__file__).resolve().parent
+# Several units may be loaded into one program, and each calls its own machine.
+FLAGS = ("-Wl,-Bsymbolic",)
+_CALLS: dict[str, Calls] = {
+    "3.0": {"fmi3GetVersion": (ctypes.c_char_p, [])},
+}
+_SOURCES = {"3.0": "fmi3.cpp"}
+
+
+def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[Unit, str]:
+    """Return the unit, and the token that its binary expects.
+
+    Args:
+        scene: the machine.
+        variables: of it, in the order of their value references.
+        version: of FMI.
+    """
+    table = _table(scene, variables)
+    name = f"fmu{version[0]}"
+    bare = unit_with(scene, name, table, _CALLS[version], (FOLDER,))
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {bare.source}')}}}"
+    source = f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
+    source += f'#include "{_SOURCES[version]}"\n'
+    unit = unit_with(scene, name, source, _CALLS[version], (FOLDER,))
+    return replace(unit, flags=(*unit.flags, *FLAGS)), token
+
+
+def _table(scene: Scene, variables: Sequence[Variable]) -> str:
+    """Return the constants of instance.hpp; the namespace is left open."""
+    rows = ",\n".join(
+        f"    {{Type::{one.type.lower()}, Role::{one.role}, Quantity::{one.quantity}, "
+        f"{one.first}, {one.count}}}"
+        for one in variables
+    )
+    modes = ", ".join(str(MODES[joint.command]) for joint in scene.joints)
+    parameters = _numbers([*(one.value for one in scene.varied), 0.0])
+    return f"""
+#include "variable.hpp"
+
+namespace fmu {{
+inline constexpr int kJoints = {len(scene.joints)}, kParameters = {len(scene.varied)};
+inline constexpr int kImus = {len(scene.imus)};
+inline constexpr bool kExternalWrench = {"true" if scene.external_wrench else "false"};
+inline constexpr double kPeriod = {number(scene.servo_period)};  // s, of the servo
+inline constexpr double kIntegrationStep = {number(scene.integrator.dt)};  // s
+inline constexpr long kStepsPerPeriod = {scene.steps_per_period};
+inline constexpr int kModes[] = {{{modes}}};  // enum arm_mode
+inline constexpr double kStartQ[] = {{{_numbers(scene.start)}}};
+inline constexpr double kLargestQ[] = {{{_numbers(largest_position(scene))}}};
+inline constexpr double kLargestV = {_numbers(VELOCITY.largest)};
+inline constexpr double kParameterStart[] = {{{parameters}}};
+inline constexpr Variable kVariables[] = {{
+{rows}}};
+"""
+
+
+def _numbers(values: ArrayLike) -> str:
+    return ", ".join(map(number, np.atleast_1d(values)))

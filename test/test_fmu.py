@@ -1,0 +1,472 @@
+"""Units of FMI 3.0 against `Plant`, and under everything that an importer may do wrong.
+
+What needs the standard's own schemas and importers of others is in test/peers/test_fmu_fmpy.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import math
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import FULL, some
+from fmu_client import DISCARD, ERROR, OK, Fmu, Instance, abuse, rich_machine
+from fuzz.cores import environment, random_machine
+from random_scenes import draw
+
+from arm_emulator.fmu import write_fmu
+from compiled.unit import declare
+from emulator_node.core_calls import ARM_CALLS
+from emulator_node.external_wrench import ExternalWrench
+from emulator_node.parts.known import PARTS
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+from fmu.export import export
+from fmu.model_description import model_description
+from fmu.units import unit_of
+from fmu.variables import variables
+from words.refusal import Refusal
+
+TEST = Path(__file__).resolve().parent
+NAMES = 'hip\'s "<1>"', "lift"
+PERIOD = 1e-3
+MASS, STIFFNESS = "payload.mass", "joints.'hip\\'s \\\"<1>\\\"'.gear.stiffness"
+MEASURED = (
+    "current", "brake_closed", "index_counts", "index_pulses", "link_encoder_counts",
+    "link_index_counts", "link_index_pulses", "torque",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return load_scene(rich_machine(tmp_path_factory.mktemp("rich"), NAMES))
+
+
+@pytest.fixture(scope="module")
+def fmu(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
+    folder = tmp_path_factory.mktemp("unit")
+    export(scene, folder / "rich.fmu", "native")
+    return Fmu(folder / "rich.fmu", folder / "unpacked")
+
+
+@pytest.fixture
+def plant(scene: Scene, fmu: Fmu) -> Plant:
+    """The same machine at another door: arm.h of the unit's binary."""
+    return Plant(scene, core=declare(ctypes.CDLL(fmu.binary._name), ARM_CALLS))
+
+
+def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
+    """Compare all that the unit tells, bit by bit."""
+    state, measured = plant.state, plant.measured
+    told: dict[str, Any] = {name: getattr(measured, name) for name in MEASURED}
+    told |= {
+        "encoder_counts": state.encoder_counts,
+        "current_d": plant.current_d,
+        "applied": plant.voltage,
+        "powered": plant.powered,
+        "specific_force.'unit 1'": measured.specific_force[0],
+        "angular_rate.'unit 1'": measured.angular_rate[0],
+        "truth.q": state.q,
+        "truth.v": state.v,
+        "truth.gear_torque": state.gear_torque,
+        "truth.motor_angle": state.theta_m,
+        "truth.motor_speed": state.omega_m,
+        "truth.current": state.current,
+        "truth.energy": plant.energy,
+        "truth.winding_temperature.'hip\\'s \\\"<1>\\\"'": plant.winding_temperatures[0],
+        "faults": measured.joints["faults"],
+    }
+    outputs = {n for n, v in one.fmu.variables.items() if v.attrib["causality"] == "output"}
+    assert outputs == set(told), "every output is compared"
+    for name, value in told.items():
+        got = one.get(name)
+        assert np.array_equal(got, np.atleast_1d(value)), (name, plant.t, got, value)
+    # A product here, a sum there.
+    assert one.get("time")[0] == pytest.approx(start + plant.t, abs=1e-9), "time goes along"
+
+
+def set_all(one: Instance, values: dict[str, Any]) -> None:
+    """Set variables; all are taken."""
+    for name, value in values.items():
+        assert one.set(name, value) == OK, one.said
+
+
+def random_inputs(rng: np.random.Generator) -> dict[str, Any]:
+    """Commands and forces."""
+    N = len(NAMES)
+    return {
+        "command": rng.normal(0.0, 20.0, N),
+        "command_d": rng.normal(0.0, 20.0, N) * [1.0, 0.0],
+        "external.force": rng.normal(0.0, 5.0, (N, 3)),
+        "external.moment": rng.normal(0.0, 5.0, (N, 3)),
+        "external.point": rng.normal(0.0, 0.3, (N, 3)),
+        "external.world_axes": bool(rng.integers(2)),
+    }
+
+
+def moved(fmu: Fmu, seed: int, periods: int = 20) -> Instance:
+    """An instance that is on its way."""
+    rng = np.random.default_rng(seed)
+    one = Instance(fmu)
+    set_all(one, {"start.q": rng.normal(0.0, 0.3, len(NAMES)), **random_inputs(rng)})
+    one.start()
+    assert one.step(periods * PERIOD) == OK, one.said
+    return one
+
+
+@pytest.mark.parametrize("seed", some(range(20), 3))
+def test_a_unit_moves_as_plant_does_to_the_last_bit(fmu: Fmu, plant: Plant, seed: int) -> None:
+    """Under random commands, forces, power cuts, parameters and steps."""
+    rng = np.random.default_rng(seed)
+    one, start = Instance(fmu), 5.0 * seed
+
+    def vary() -> None:
+        mass, stiffness = float(rng.uniform(0.1, 2.0)), float(10.0 ** rng.uniform(3, 5))
+        set_all(one, {MASS: mass, STIFFNESS: stiffness})
+        plant.set_parameter("payload.mass", mass)
+        plant.set_parameter(f"joints.{NAMES[0]}.gear.stiffness", stiffness)
+
+    q, v = rng.normal(0.0, 0.3, (2, len(NAMES)))
+    set_all(one, {"start.q": q, "start.v": v})
+    vary()
+    plant.reset(q, v)
+    compare(one, plant)
+    one.start(start)
+    for _ in range(60):
+        inputs = random_inputs(rng)
+        set_all(one, inputs)
+        axes = "world" if inputs["external.world_axes"] else "link"
+        for j, joint in enumerate(NAMES):
+            rows = (tuple(inputs[f"external.{name}"][j]) for name in ("force", "moment", "point"))
+            plant.set_external_wrench(f"{joint}_link", ExternalWrench(*rows, axes))
+        if rng.random() < 0.2:
+            plant.powered = bool(rng.integers(2))
+            set_all(one, {"power": plant.powered})
+        if rng.random() < 0.2:
+            vary()
+        periods = int(rng.integers(1, 6))
+        assert one.step(periods * PERIOD) == OK, one.said
+        for _ in range(periods):
+            plant.exchange(inputs["command"], voltage_d=inputs["command_d"])
+        compare(one, plant, start)
+
+
+@pytest.mark.parametrize("seed", some(range(20), 5))
+def test_a_state_that_was_kept_goes_on_with_equal_bits(fmu: Fmu, seed: int) -> None:
+    """Within an instance, in another one, in a new one; kept at any time of its life."""
+    rng = np.random.default_rng(seed)
+    one = moved(fmu, seed) if seed % 5 else Instance(fmu)
+    if seed % 5 == 1:
+        one.call("Terminate")
+    saved = one.save()
+    assert one.save() == saved, "equal states have equal bytes"
+
+    def go_on(instance: Instance) -> dict[str, bytes]:
+        if seed % 5 == 0:
+            instance.start()
+        if seed % 5 != 1:
+            set_all(instance, inputs)
+            assert instance.step(7 * PERIOD) == OK, instance.said
+        return instance.everything()
+
+    inputs = random_inputs(rng)
+    wanted = go_on(one)
+    others = [one, Instance(fmu), moved(fmu, seed + 100)]
+    others[1].call("DoStep", 0.0, 1.0, True, None, None, None, None)  # an error; it is over
+    for other in others:
+        assert other.restore(saved) == OK, other.said
+        assert other.save() == saved, "what comes back is what was kept"
+        assert go_on(other) == wanted, "it goes on with equal bits"
+
+
+def test_a_spoiled_state_is_refused(fmu: Fmu) -> None:
+    one = moved(fmu, 1)
+    saved, rng = one.save(), np.random.default_rng(0)
+    for _ in range(200):
+        spoiled = bytearray(saved)
+        spoiled[int(rng.integers(len(saved)))] ^= 1 << int(rng.integers(8))
+        other = Instance(fmu)
+        assert other.restore(bytes(spoiled)) == ERROR, "one bit is spoiled"
+    assert Instance(fmu).restore(saved[:-8]) == ERROR, "it is cut short"
+
+
+def test_a_reset_makes_it_new(fmu: Fmu) -> None:
+    rng = np.random.default_rng(3)
+    one, new = moved(fmu, 3), Instance(fmu)
+    set_all(one, {"power": False, MASS: 3.0})
+    assert one.step(PERIOD) == OK, one.said
+    assert one.call("Reset") == OK, one.said
+    assert one.everything() == new.everything(), "all start values are there again"
+    inputs = random_inputs(rng)
+    for instance in (one, new):
+        instance.start()
+        set_all(instance, inputs)
+        assert instance.step(20 * PERIOD) == OK, instance.said
+    assert one.everything() == new.everything(), "it moves as a new one"
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_is_discarded_and_nothing_changes(fmu: Fmu, bad: float) -> None:
+    """At any place of any variable, while others in the same row are sound."""
+    rng = np.random.default_rng(4)
+    for one in (Instance(fmu), moved(fmu, 4)):
+        before = one.save()
+        for name, variable in fmu.variables.items():
+            kind = variable.attrib["causality"], variable.attrib["variability"]
+            now = kind in (("input", "continuous"), ("parameter", "tunable")) or (
+                kind == ("parameter", "fixed") and one.time == 0.0
+            )
+            if not now:
+                continue
+            values = rng.normal(0.0, 1.0, fmu.size(name))
+            values[int(rng.integers(len(values)))] = bad
+            assert one.set(name, values) == DISCARD, name
+            assert "be finite" in one.said[-1][2], "the reason is told"
+            assert one.save() == before, f"{name} changed something"
+
+
+def test_what_is_out_of_bounds_is_discarded(fmu: Fmu) -> None:
+    one = moved(fmu, 5)
+    before = one.save()
+    for name, value, rule in (
+        (MASS, 0.0, "within its bounds"),
+        (STIFFNESS, -1.0, "within its bounds"),
+        ("command_d", [0.0, 1.0], "no such voltage"),
+        ("external.force", [1e10] + [0.0] * 5, "at most 1e9"),
+    ):
+        assert one.set(name, value) == DISCARD, name
+        assert rule in one.said[-1][2], one.said[-1]
+    assert one.save() == before, "nothing changed"
+    assert one.set("start.q", [0.0, 0.0]) == ERROR, "it has begun"
+    early = Instance(fmu)
+    assert early.set("start.q", [1e9, 0.0]) == DISCARD, early.said
+    assert early.set("start.v", [0.0, -1e7]) == DISCARD, early.said
+
+
+@pytest.mark.parametrize("step", [0.5, 1.5, 1.0001, 1e300, 1e-9])
+def test_a_step_between_servo_periods_is_discarded(fmu: Fmu, step: float) -> None:
+    one = moved(fmu, 6)
+    before = one.save()
+    assert one.step(step * PERIOD) == DISCARD, one.said
+    assert "whole number of servo periods" in one.said[-1][2], one.said[-1]
+    assert one.save() == before, "nothing changed"
+    assert one.step(PERIOD) == OK, "it goes on"
+
+
+def test_steps_are_taken_as_importers_compute_them(fmu: Fmu) -> None:
+    """As a constant, as a difference of times, as times that are summed up."""
+    wanted, start = Instance(fmu), 1e4 + 0.1
+    wanted.start(start)
+    assert wanted.step(3000 * PERIOD) == OK, wanted.said
+    differences, summed = Instance(fmu), Instance(fmu)
+    for one in (differences, summed):
+        one.start(start)
+    for k in range(3000):
+        now, then = start + k * PERIOD, start + (k + 1) * PERIOD
+        differences.time = now
+        assert differences.step(then - now) == OK, differences.said
+    time = start
+    for _ in range(3000):
+        summed.time = time
+        assert summed.step(PERIOD) == OK, summed.said
+        time += PERIOD
+    assert differences.everything() == wanted.everything() == summed.everything(), "equal bits"
+
+
+@pytest.mark.parametrize(("at", "step"), [
+    (0.0, 0.0), (0.0, -PERIOD), (0.0, math.nan), (0.0, math.inf), (math.nan, PERIOD),
+    (PERIOD, PERIOD), (-PERIOD, PERIOD), (0.0, 0.02),
+])  # fmt: skip
+def test_a_step_that_cannot_be_is_an_error(fmu: Fmu, at: float, step: float) -> None:
+    one = Instance(fmu)
+    one.start(stop=0.01)
+    one.time = at
+    assert one.step(step) == ERROR, one.said
+    assert one.call("DoStep", 0.0, PERIOD, True, *[None] * 4) == ERROR, "it is over"
+    assert one.call("Reset") == OK, "a reset helps"
+
+
+def test_a_divergence_is_told_and_hurts_nobody_else(fmu: Fmu) -> None:
+    other, wanted = moved(fmu, 7), moved(fmu, 7)
+    one = Instance(fmu, logging=False)
+    set_all(one, {"start.v": [9e5, 9e5], MASS: 1e15})
+    one.start()
+    set_all(one, {"external.force": [1e9] * 6, "external.moment": [1e9] * 6})
+    status = OK
+    for _ in range(1000):
+        status = status or one.step(PERIOD)
+    assert status == ERROR, "it diverges"
+    last, category, text = one.said[-1]
+    assert (last, category) == (ERROR, "logStatusError"), "told, though logging is off"
+    assert "diverged" in text, text
+    for values in map(one.get, ("truth.q", "truth.v", "truth.energy")):
+        assert np.isfinite(values).all(), "the last sound state is told"
+    assert one.step(PERIOD) == ERROR, "it is over"
+    assert other.step(5 * PERIOD) == OK, other.said
+    assert wanted.step(5 * PERIOD) == OK, wanted.said
+    assert other.everything() == wanted.everything(), "the others do not notice"
+    assert one.call("Reset") == OK, one.said
+    new = Instance(fmu)
+    for instance in (one, new):
+        instance.start()
+        assert instance.step(5 * PERIOD) == OK, instance.said
+    assert one.everything() == new.everything(), "a reset makes it sound again"
+
+
+def test_brakes_and_drives_obey(fmu: Fmu) -> None:
+    one = Instance(fmu)
+    one.start()
+    set_all(one, {"command": [5.0, 5.0]})
+    assert one.step(10 * PERIOD) == OK, one.said
+    assert one.get("applied").tolist() == [5.0, 5.0], "enabled"
+    assert not one.get("brake_closed").any(), "a brake opens with its drive"
+    set_all(one, {"close_brake": [True, False], "enable": [True, False]})
+    assert one.step(10 * PERIOD) == OK, one.said
+    assert one.get("brake_closed").tolist() == [True, False], "a brake closes"
+    assert one.get("applied").tolist() == [5.0, 0.0], "a drive is off"
+    set_all(one, {"power": False})
+    assert one.step(PERIOD) == OK, one.said
+    assert not one.get("powered")[0] and not one.get("applied").any(), "no power"
+
+
+CALLS = {
+    "EnterInitializationMode": (False, 0.0, 0.0, False, 0.0),
+    "ExitInitializationMode": (),
+    "DoStep": (0.0, PERIOD, True, None, None, None, None),
+    "Terminate": (),
+}
+ALLOWED = {
+    "instantiation": {"EnterInitializationMode"},
+    "initialization": {"ExitInitializationMode"},
+    "step": {"DoStep", "Terminate"},
+    "termination": set(),
+}
+
+
+@pytest.mark.parametrize("mode", ALLOWED)
+def test_calls_in_the_wrong_mode_are_errors(fmu: Fmu, mode: str) -> None:
+    way = ["EnterInitializationMode", "ExitInitializationMode", "Terminate"]
+    for name, arguments in CALLS.items():
+        one = Instance(fmu)
+        for before in way[: list(ALLOWED).index(mode)]:
+            assert one.call(before, *CALLS[before]) == OK, one.said
+        wanted = OK if name in ALLOWED[mode] else ERROR
+        assert one.call(name, *arguments) == wanted, (mode, name)
+        if wanted == ERROR:
+            assert mode[:4] in one.said[-1][2], "the message tells the mode"
+            assert one.set("command", [0.0, 0.0]) == ERROR, "after an error nothing can be set"
+            assert len(one.get("truth.q")) == 2, "but looked at"
+
+
+def test_null_instances_and_wrong_tokens_are_refused(fmu: Fmu) -> None:
+    assert not Instance(fmu, token="{0}").handle, "a token of another unit"
+    assert fmu.binary.fmi3Reset(None) == ERROR, "no instance"
+    fmu.binary.fmi3FreeInstance(None)
+    version = fmu.binary.fmi3GetVersion
+    version.restype = ctypes.c_char_p
+    assert version() == b"3.0", "of FMI"
+
+
+def test_messages_go_to_their_categories(fmu: Fmu) -> None:
+    one = moved(fmu, 8)
+    assert {category for _, category, _ in one.said} == {"logEvents"}, one.said
+    chosen = (ctypes.c_char_p * 1)(b"logStatusDiscard")
+    assert one.call("SetDebugLogging", False, 1, chosen) == OK, one.said
+    count = len(one.said)
+    assert one.step(0.5 * PERIOD) == DISCARD, one.said
+    assert len(one.said) == count, "switched off"
+    assert one.call("SetDebugLogging", True, 0, None) == OK, one.said
+    assert one.step(0.5 * PERIOD) == DISCARD, one.said
+    assert one.said[-1][1] == "logStatusDiscard", one.said
+    unknown = (ctypes.c_char_p * 1)(b"logAnything")
+    assert one.call("SetDebugLogging", True, 1, unknown) == ERROR, one.said
+
+
+def test_any_calls_in_any_order_hurt_nobody(fmu: Fmu) -> None:
+    """The same under sanitizers: `test_sanitizers_find_nothing`."""
+    statuses = abuse(np.random.default_rng(0), fmu, 30_000 if FULL else 1500)
+    assert min(statuses[status] for status in (OK, DISCARD, ERROR)) > 20, statuses
+
+
+@pytest.mark.skipif(not FULL, reason="compiles with sanitizers: make test-in-full")
+@pytest.mark.parametrize("seed", range(3))
+def test_sanitizers_find_nothing(tmp_path: Path, seed: int) -> None:
+    command = [sys.executable, "-m", "fuzz.units", str(seed), "20000", str(tmp_path)]
+    done = subprocess.run(
+        command, env=environment(tmp_path / "cache"), cwd=TEST, capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stderr.decode()[-3000:]
+    assert json.loads(done.stdout.splitlines()[-1])["outcome"] == "taken", "calls were made"
+
+
+def scenes(folder: Path, count: int) -> list[Scene]:
+    """Scenes that are taken, of any names and numbers."""
+    found: list[Scene] = []
+    for number in range(10 * count):
+        rng = np.random.default_rng([11, number])
+        at = folder / str(number)
+        try:
+            if number % 2:
+                path = random_machine(rng, at, int(rng.integers(1, 7)))
+            else:
+                path = draw(rng, at)
+            found.append(load_scene(path, {"varied": ["*"]} if number % 3 else {}))
+        except Refusal:
+            continue
+        if len(found) == count:
+            break
+    return found
+
+
+def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
+    """Its names differ, its references lead somewhere, its start values fit."""
+    for scene in scenes(tmp_path, 50 if FULL else 12):
+        listed = variables(scene)
+        root = ET.fromstring(model_description(scene, listed, "{token}"))
+        elements = root.find("ModelVariables")
+        assert elements is not None and len(elements) == len(listed), "all are listed"
+        names = [one.attrib["name"] for one in elements]
+        assert len(set(names)) == len(names), "names differ"
+        assert not any(set(name) & set("\r\n\t") for name in names), "names are of one line"
+        units = {one.attrib["name"] for one in root.iter("Unit")}
+        for one in elements:
+            assert one.attrib.get("unit") in (None, *units), "its unit is defined"
+            size = math.prod(int(part.attrib["start"]) for part in one)
+            start = one.attrib.get("start")
+            assert start is None or len(start.split()) == size, "start values fit"
+
+
+def test_units_are_powers_of_base_units() -> None:
+    for part in PARTS:
+        for key, one in part.numbers().items():
+            if one.varied and not one.whole:
+                assert unit_of(one.unit).powers is not None, (part.__name__, key, one.unit)
+    assert unit_of("V s/rad").powers == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}
+    assert unit_of("N m/rad3").powers == {"kg": 1, "m": 2, "s": -2, "rad": -3}
+
+
+def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -> None:
+    files = tmp_path / "a.fmu", tmp_path / "b.fmu"
+    for file in files:
+        export(scene, file, "native")
+    assert files[0].read_bytes() == files[1].read_bytes(), "byte by byte"
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"scene_name": "no_such"}, "file no_such must exist"),
+    ({"varied": ["joints.*.color"]}, "varied must name numbers"),
+    ({"target": "z80"}, "target must be known"),
+    ({"out": Path("arm.zip")}, "--out must end in .fmu"),
+])  # fmt: skip
+def test_what_is_not_taken_is_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    given = {"scene_name": "three_axis", "out": tmp_path / "arm.fmu", "varied": None}
+    with pytest.raises(Refusal, match=words):
+        write_fmu(**{**given, "target": "native", **change})
+    assert not (tmp_path / "arm.fmu").exists(), "nothing is written"
