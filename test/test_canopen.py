@@ -330,6 +330,83 @@ def test_heartbeats_are_sent_and_watched(scene: Scene) -> None:
         assert not sent(segment.receive(SYNC), 0x82), "told once"
 
 
+def enable(segment: Segment, mode: int) -> None:
+    """Bring all drives to Operation enabled by process data, one SYNC per step."""
+    segment.receive(Frame(0, b"\1\0"))
+    for word in (6, 7, 15):
+        for node in segment.nodes:
+            segment.receive(Frame(0x200 + node.number, struct.pack("<Hb", word, mode)))
+        segment.receive(SYNC)
+    for node in segment.nodes:
+        assert uploaded(segment, node.number, 0x6041, 0)[0] & 0x6F == 0x27, "Operation enabled"
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_motion_by_frames_is_that_of_the_drives(scene: Scene, seed: int) -> None:
+    """Cyclic positions by PDOs, SYNC by SYNC: equal bits, and followed."""
+    rng = np.random.default_rng(seed)
+    segment, drives = segment_of(scene, 3), drives_of(scene)
+    enable(segment, CSP)
+    for word in (6, 7, 15):
+        for k in range(3):
+            drives.write(k, 0x6060, CSP)
+            drives.write(k, 0x6040, word)
+        drives.period()
+    start = [drives.read(k, 0x6064) for k in range(3)]
+    counts = 0.3 * 1024 / (2 * np.pi) / scene.gear_ratios  # 0.3 rad
+    hertz = rng.uniform(0.3, 1.0, 3)
+    for tick in range(800):
+        way = counts * (1 - np.cos(2 * np.pi * hertz * tick * 1e-3)) / 2
+        targets = [at + round(step) for at, step in zip(start, way.tolist(), strict=True)]
+        for k, target in enumerate(targets):
+            segment.receive(Frame(0x300 + 3 + k, struct.pack("<Hi", 15, target)))
+        frames = segment.receive(SYNC)
+        for k, target in enumerate(targets):
+            told = struct.unpack("<Hi", sent(frames, 0x280 + 3 + k)[0])
+            assert told == (drives.read(k, 0x6041), drives.read(k, 0x6064)), f"at SYNC {tick}"
+            drives.write(k, 0x6040, 15)
+            drives.write(k, 0x607A, target)
+        drives.period()
+        assert all(abs(drives.read(k, 0x6064) - targets[k]) < 60 for k in range(3)), "followed"
+    assert segment._drives.plant.save() == drives.plant.save()
+
+
+def test_a_fault_is_told_with_its_code(scene: Scene) -> None:
+    """A target that jumps is a following error: EMCY, Fault; the reset tells that it is over."""
+    segment = segment_of(scene)
+    enable(segment, CSP)
+    put(segment, 2, 0x6065, 0, 100, 4)
+    at = int.from_bytes(uploaded(segment, 2, 0x6064, 0), "little", signed=True)
+    told: list[bytes] = []
+    for _ in range(100):
+        segment.receive(Frame(0x302, struct.pack("<Hi", 15, at + 5000)))
+        told += sent(segment.receive(SYNC), 0x82)
+    assert [data[:2] for data in told] == [b"\x11\x86"], "following error, told once"
+    assert told[0][2] != 0, "the error register"
+    assert uploaded(segment, 2, 0x6041, 0)[0] & 0x4F == 0x08, "Fault"
+    for word in (0, 0x80, 0):
+        segment.receive(Frame(0x302, struct.pack("<Hi", word, at)))
+        told += sent(segment.receive(SYNC), 0x82)
+    assert told[1:] == [bytes(8)], "error reset"
+
+
+def test_a_stopped_node_and_a_lost_master_take_the_drives_off(scene: Scene) -> None:
+    for command, code in ((b"\2\1", b"\x00\x81"), (None, b"\x30\x81")):
+        segment = segment_of(scene)
+        enable(segment, CSP)
+        if command:
+            segment.receive(Frame(0, command))
+        else:
+            put(segment, 1, 0x1016, 1, 0x7F << 16 | 3, 4)
+            segment.receive(Frame(0x77F, b"\5"))
+        for _ in range(100):
+            segment.receive(SYNC)
+        node = segment.nodes[0]
+        assert node.upload(0x6041, 0)[0] & 0x4F == 0x08, "Fault, as 0x6007 says"
+        assert node.upload(0x603F, 0) == code
+        assert segment.nodes[1].upload(0x6041, 0)[0] & 0x6F == 0x27, "the others go on"
+
+
 def noise(draw: random.Random, numbers: Sequence[int]) -> Frame:
     """A frame of some kind that a node might take, sound or spoiled."""
     number = draw.choice(numbers)

@@ -9,12 +9,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from draws import FULL
 
 from arm_emulator.canopen import load_segment, write_eds
+from arm_emulator.gains import load_gains
+from emulator_node.plant import Plant
 from fieldbus.can_bus import BusService, can_bus
 from fieldbus.canopen_segment import Segment
-from fieldbus.drives import CANOPEN, dictionary
+from fieldbus.drives import CANOPEN, Drives, dictionary
+from words.config_files import find_scene
 
 canopen: Any = pytest.importorskip("canopen")
 pytest.importorskip("can")
@@ -99,3 +104,88 @@ def test_heartbeat_and_emergency_reach_the_master(tmp_path: Path) -> None:
         network.subscribe(0x701, lambda _id, data, _time: beats.append(bytes(data)))
         remote.nmt.state = "RESET"
         wait_until(lambda: b"\0" in beats, "the node boots")
+
+
+SECONDS = 60.0 if FULL else 6.0  # of the motion of ur5
+CYCLE = 4  # servo periods between targets, as a line of 1 Mbit/s allows for six drives
+CSP = 8
+
+
+def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
+    """Cyclic positions of six drives by the master's PDOs and SYNC, as drives and plant predict.
+
+    Every statusword and position that the master gets is compared with those of drives that get the
+    same targets in this process, and in the end every bit of the machine.
+    """
+    segment = load_segment("ur5")
+    scene = segment.scene
+    write_eds("ur5", tmp_path)
+    drives = Drives(Plant(scene), load_gains(find_scene("ur5")).servo, CANOPEN)
+    with network_of(segment, "ur5") as network:
+        nodes = []
+        for number, joint in enumerate(scene.joint_names, 1):
+            node = canopen.BaseNode402(number, str(tmp_path / f"ur5_{joint}.eds"))
+            network.add_node(node)
+            node.sdo[0x60C2][1].raw = CYCLE
+            node.rpdo.read()
+            node.tpdo.read()
+            for k in (1, 3, 4):
+                node.tpdo[k].enabled = False
+            node.tpdo.save()
+            nodes.append(node)
+        network.nmt.state = "OPERATIONAL"
+        wait_until(lambda: all(int(one.state) == 5 for one in segment.nodes), "operational")
+        told: list[tuple[int, ...]] = []
+        got: list[tuple[int, ...]] = []
+        for k, node in enumerate(nodes):
+            node.tpdo[2].add_callback(
+                lambda pdo, k=k: got.append((k, pdo[0].raw, pdo[1].raw))  # type: ignore[misc]
+            )
+
+        def exchange() -> list[tuple[int, ...]]:
+            """Send SYNC, and wait for what six drives tell."""
+            got.clear()
+            network.sync.transmit()
+            wait_until(lambda: len(got) == 6, "six drives answer SYNC")
+            return sorted(got)
+
+        for word in (6, 7, 15):
+            for k, node in enumerate(nodes):
+                node.rpdo[1]["Controlword"].raw = word
+                node.rpdo[1]["Modes of operation"].raw = CSP
+                node.rpdo[1].transmit()
+                drives.write(k, 0x60C2, CYCLE, 1)
+                drives.write(k, 0x6060, CSP)
+                drives.write(k, 0x6040, word)
+            exchange()
+            drives.period(CYCLE)
+        start = [position for _, _, position in exchange()]
+        assert start == [drives.read(k, 0x6064) for k in range(6)]
+        drives.period(CYCLE)
+        counts = np.array([joint.counts_per_turn for joint in scene.joints])
+        counts = 0.4 * counts / (2 * np.pi) / scene.gear_ratios  # 0.4 rad
+        hertz = np.random.default_rng(1).uniform(0.2, 0.5, 6)
+        worst = 0.0
+        for cycle in range(round(SECONDS / (CYCLE * scene.servo_period))):
+            t = cycle * CYCLE * scene.servo_period
+            way = counts * (1 - np.cos(2 * np.pi * hertz * t)) / 2
+            targets = [at + round(step) for at, step in zip(start, way.tolist(), strict=True)]
+            for node, target in zip(nodes, targets, strict=True):
+                node.rpdo[2]["Controlword"].raw = 15
+                node.rpdo[2]["Target position"].raw = target
+                node.rpdo[2].transmit()
+            told = exchange()
+            predicted = [(k, drives.read(k, 0x6041), drives.read(k, 0x6064)) for k in range(6)]
+            assert told == predicted, f"at {t:g} s"
+            assert all(status & 0x6F == 0x27 for _, status, _ in told), "Operation enabled"
+            for k, target in enumerate(targets):
+                drives.write(k, 0x6040, 15)
+                drives.write(k, 0x607A, target)
+            drives.period(CYCLE)
+            off = np.array(targets) - [position for *_, position in told]
+            worst = max(worst, float(np.abs(off / counts * 0.4).max()))
+        exchange()
+        drives.period(CYCLE)
+        assert worst < 0.02, "rad at the links, behind the targets"
+        print(f"worst distance to the targets {worst:.4f} rad")
+    assert segment._drives.plant.save() == drives.plant.save()
