@@ -14,7 +14,7 @@ import numpy as np
 
 from compiled.unit import Calls, Unit, address, library
 from emulator_node.compiler import CORE
-from emulator_node.core_calls import DIVERGED, MODES, REFUSED
+from emulator_node.core_calls import MODES
 from emulator_node.parts.end_stops import EndStops
 from emulator_node.plant import Plant
 from emulator_node.scene import Joint, Scene
@@ -44,6 +44,7 @@ DRIVES_CALLS: Calls = {
     "drives_count": (_int32, [_pointer]),
     "drives_begin": (None, [_pointer]),
     "drives_period": (_int, [_pointer]),
+    "drives_periods": (_int, [_pointer, _int64]),
     "drives_tick": (_int64, [_pointer]),
     "drives_read": (
         _uint32,
@@ -291,10 +292,15 @@ class Drives:
             Refusal: the machine refused a command.
             Diverged: the machine did; the drives are in Fault.
         """
-        for _ in range(periods):
-            result = self.calls.drives_period(self.pointer)
-            if result in (REFUSED, DIVERGED):
-                self.plant.exchange_in(lambda result=result: result)  # type: ignore[misc]
+
+        def go() -> int:
+            result = int(self.calls.drives_periods(self.pointer, periods))
+            # The drives have measurements of their own; the plant tells of its newest one.
+            plant = self.plant
+            plant.core.arm_measure(plant.machine, ctypes.byref(plant.measurement))
+            return result
+
+        self.plant.exchange_in(go)
 
     def upload(self, drive: int, index: int, sub: int = 0) -> bytes:
         """Return the bytes of an entry, little-endian.

@@ -394,7 +394,8 @@ class Drive {
       loop_ = Loop::speed;
     }
     halted_ = true;
-    const bool fades = halt && mode_ == Mode::profile_torque && machine_.stop() == Stop::none;
+    by_halt_ = halt && machine_.stop() == Stop::none;
+    const bool fades = by_halt_ && mode_ == Mode::profile_torque;
     if (fades) {  // halt in profile torque: the torque goes
       torque_ = ramp(torque_, 0.0, slope(), slope(), dt_);
       return;
@@ -433,7 +434,7 @@ class Drive {
     // The motor is held until its brake has closed.
     closing_ = left && !machine_.controls() && brakes();
   }
-  // A halt has ended.
+  // A stop has ended: what a halt has interrupted goes on.
   void go_on() {
     stands_ = false;
     stood_ = 0.0;
@@ -444,7 +445,7 @@ class Drive {
         const bool known = acknowledged_;
         begin_position();
         acknowledged_ = known;
-        plan(target);
+        if (by_halt_) plan(target_ = target);
         break;
       }
       case Mode::cyclic_position:
@@ -817,6 +818,7 @@ class Drive {
   double target_ = 0.0;  // of profile positions
   bool aimed_ = false;   // a target position was written
   bool fresh_ = false, acknowledged_ = false, buffered_ = false;
+  bool by_halt_ = false;  // the newest stop was a halt
   bool controlled_ = false, closing_ = false, halted_ = false, stands_ = false, lost_ = false;
   bool cut_ = false, outside_ = false;  // a target speed, position was beyond a limit
   int limited_ = 0;                     // bits of enum servo_limits

@@ -59,6 +59,8 @@ void drives_begin(drives* all);
 /* Go through one servo period: every drive's loops, one arm_exchange. Returns its result; once it
  * is not ARM_OK the drives are in Fault. */
 int drives_period(drives* all);
+/* The same for so many periods, or fewer where one is not ARM_OK. */
+int drives_periods(drives* all, int64_t periods);
 /* Where the machine is. */
 int64_t drives_tick(const drives* all);
 

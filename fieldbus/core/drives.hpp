@@ -77,6 +77,11 @@ void drives_delete(drives* all) { delete all; }
 std::int32_t drives_count(const drives* all) { return all->count(); }
 void drives_begin(drives* all) { all->begin(); }
 int drives_period(drives* all) { return all->period(); }
+int drives_periods(drives* all, std::int64_t periods) {
+  int result = ARM_OK;
+  for (; periods > 0 && result == ARM_OK; --periods) result = all->period();
+  return result;
+}
 std::int64_t drives_tick(const drives* all) { return all->tick(); }
 
 std::uint32_t drives_read(const drives* all, std::int32_t drive, std::uint16_t index,
