@@ -19,7 +19,7 @@ LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
 
 _pointer, _int, _int32, _int64 = ctypes.c_void_p, ctypes.c_int, ctypes.c_int32, ctypes.c_int64
 
-_CALLS: Calls = {
+CALLS: Calls = {
     "ethercat_new": (_pointer, [_pointer]),
     "ethercat_delete": (None, [_pointer]),
     "ethercat_frame": (_int64, [_pointer, _pointer, _int64, _int64]),
@@ -74,7 +74,7 @@ def ethercat_library() -> ctypes.CDLL:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
     return drives_library_with(
-        "ethercat", '#include "ethercat.cpp"\n', _CALLS, "the EtherCAT segment"
+        "ethercat", '#include "ethercat.cpp"\n', CALLS, "the EtherCAT segment"
     )
 
 
@@ -84,29 +84,33 @@ class Segment:
     Attributes:
         drives: their object dictionaries.
         lockstep: a servo period per frame of process data; else by the clock.
+        pointer: to ``ethercat_segment``.
 
     Args:
         scene: the machine, which begins where it starts.
         servo: gains and data sheets of the joints.
         lockstep: see above.
+        calls: the library, if it has more in it than `ethercat_library`.
 
     Raises:
         Refusal: drives that do not fit the scene, or no compiler.
     """
 
-    def __init__(self, scene: Scene, servo: ServoConfig, lockstep: bool) -> None:
-        self._calls = ethercat_library()
+    def __init__(
+        self, scene: Scene, servo: ServoConfig, lockstep: bool, calls: ctypes.CDLL | None = None
+    ) -> None:
+        self._calls = calls or ethercat_library()
         self.lockstep = lockstep
         self.drives = Drives(Plant(scene), servo, ETHERCAT, self._calls)
         period = round(scene.servo_period * 1e9)
         options = _Options(ctypes.sizeof(_Options), lockstep, self.drives.pointer, period)
-        self._segment = self._calls.ethercat_new(ctypes.byref(options))
+        self.pointer = self._calls.ethercat_new(ctypes.byref(options))
         self._room = ctypes.create_string_buffer(LONGEST)
 
     def __del__(self) -> None:
-        segment, self._segment = getattr(self, "_segment", None), None
-        if segment:
-            self._calls.ethercat_delete(segment)
+        pointer, self.pointer = getattr(self, "pointer", None), None
+        if pointer:
+            self._calls.ethercat_delete(pointer)
 
     def frame(self, frame: bytes, now: int = 0) -> bytes:
         """Let an Ethernet frame through; return what comes back, nothing if none does.
@@ -117,23 +121,23 @@ class Segment:
         """
         size = min(len(frame), LONGEST)
         ctypes.memmove(self._room, frame, size)
-        back = self._calls.ethercat_frame(self._segment, self._room, size, now)
+        back = self._calls.ethercat_frame(self.pointer, self._room, size, now)
         return self._room.raw[:back]
 
     def period(self, now: int = 0) -> None:
         """Let a servo period pass without a frame; `now` is what a clock says [ns]."""
-        self._calls.ethercat_period(self._segment, now)
+        self._calls.ethercat_period(self.pointer, now)
 
     @property
     def figures(self) -> Figures:
         """What has happened since the segment was made."""
         out = Figures()
-        self._calls.ethercat_get_figures(self._segment, ctypes.byref(out))
+        self._calls.ethercat_get_figures(self.pointer, ctypes.byref(out))
         return out
 
     def memory(self, slave: int) -> bytes:
         """Return registers and memory of a slave."""
-        return ctypes.string_at(self._calls.ethercat_memory(self._segment, slave), MEMORY)
+        return ctypes.string_at(self._calls.ethercat_memory(self.pointer, slave), MEMORY)
 
     def open(self, interface: str) -> int:
         """Return a descriptor of a network interface.
@@ -156,6 +160,6 @@ class Segment:
         Raises:
             Refusal: the interface is gone.
         """
-        result = self._calls.ethercat_serve(self._segment, descriptor, round(seconds * 1e9))
+        result = self._calls.ethercat_serve(self.pointer, descriptor, round(seconds * 1e9))
         if result < 0:
             raise Refusal("ethercat", "--interface", "stay", os.strerror(-result))

@@ -1,7 +1,8 @@
-"""`make fuzz`: python -m fuzz [--minutes 10] [--seed 1] [--scenes N] [--messages N] [--machines N].
+"""`make fuzz`: python -m fuzz [--minutes 10] [--seed 1] [--scenes N] [--messages N] [--machines N]
+[--frames N].
 
-Without numbers, scenes and machines share the time that messages leave. What fails is told with the
-command that shows it again.
+Without numbers, scenes, machines and frames share the time that messages leave. What fails is told
+with the command that shows it again.
 """
 
 from __future__ import annotations
@@ -31,7 +32,12 @@ from fuzz.line import FAILED, REFUSED, TAKEN
 WORKERS = 2
 MESSAGES_PER_MINUTE = 1000  # of the time for all, where no number is asked for
 MESSAGES_PER_NETWORK = 5000
-HANGS = {"scenes": 20.0, "cores": 300.0, "messages": 120.0}  # s without a word; a compiler may take
+HANGS = {
+    "scenes": 20.0,
+    "cores": 300.0,
+    "messages": 120.0,
+    "frames": 300.0,
+}  # s without a word; a compiler may take
 OUT = Path("out/fuzz")
 
 
@@ -199,9 +205,10 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, help="how many scenes and URDFs")
     parser.add_argument("--messages", type=int, help="how many messages, half in each clock")
     parser.add_argument("--machines", type=int, help="how many machines, compiled with sanitizers")
+    parser.add_argument("--frames", type=int, help="how many of EtherCAT, with sanitizers")
     arguments = parser.parse_args()
     console = Console(highlight=False)
-    numbered = (arguments.scenes, arguments.messages, arguments.machines)
+    numbered = (arguments.scenes, arguments.messages, arguments.machines, arguments.frames)
     bounded = any(number is not None for number in numbered)
     messages = arguments.messages
     if messages is None and not bounded:
@@ -227,12 +234,16 @@ def main() -> None:
             fuzzer.counts[name] = properties(round(200 * arguments.minutes), arguments.seed)
             fuzzer.seconds[name] = round(time.monotonic() - started)
         now = time.monotonic()
-        half = now + max(0.0, deadline - now) / 2
+        left = max(0.0, deadline - now)
+        half = now + left / 2
         if arguments.scenes is not None or not bounded:
             workers = [Worker("scenes", [seed], first) for first in range(WORKERS)]
             fuzzer.run("scenes", workers, arguments.scenes, half)
+        sanitized = environment(Path(cache))
+        if arguments.frames is not None or not bounded:
+            workers = [Worker("frames", [seed], first, sanitized) for first in range(WORKERS)]
+            fuzzer.run("frames", workers, arguments.frames, half + left / 8)
         if arguments.machines is not None or not bounded:
-            sanitized = environment(Path(cache))
             workers = [Worker("cores", [seed], first, sanitized) for first in range(WORKERS)]
             fuzzer.run("machines", workers, arguments.machines, deadline)
     table = Table("part", TAKEN, REFUSED, FAILED, "seconds")

@@ -1,0 +1,73 @@
+"""Random and mutated Ethernet frames for a segment of EtherCAT slaves that watches itself.
+
+python -m fuzz.frames SEED FIRST STEP: batch FIRST, FIRST + STEP, ... of a seed, until it is ended.
+
+Compiled with AddressSanitizer and UBSan. A frame that is not sound changes nothing but the counters
+of errors; whatever else comes, slaves are in a state that there is.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import sys
+import traceback
+from pathlib import Path
+
+from arm_emulator.gains import load_gains
+from emulator_node.scene import load_scene
+from fieldbus import ethercat
+from fieldbus.drives import drives_library_with
+from fieldbus.ethercat import Segment
+from fuzz.line import FAILED, REFUSED, TAKEN, tell
+from words.config_files import find_scene
+
+FRAMES = 10_000  # of a batch
+SCENE = "three_axis"
+_SOURCE = Path(__file__).with_name("ethercat.cpp")
+
+
+def library() -> ctypes.CDLL:
+    """Return drives, segment and what makes the frames, in one library."""
+    pointer = ctypes.c_void_p
+    arguments = [pointer, pointer, ctypes.c_uint64, ctypes.c_int64, ctypes.c_char_p]
+    calls = {**ethercat.CALLS, "ethercat_fuzz": (ctypes.c_int64, arguments)}
+    source = '#include "ethercat.cpp"\n' + _SOURCE.read_text()
+    return drives_library_with(
+        "ethercat-fuzz", source, calls, "the EtherCAT segment and its frames"
+    )
+
+
+def case(seed: int, number: int, frames: int = FRAMES) -> dict[str, int]:
+    """Let a batch of frames through a new segment; return how many were sound and how many not."""
+    calls = library()
+    path = find_scene(SCENE)
+    segment = Segment(load_scene(path), load_gains(path).servo, number % 2 == 0, calls)
+    why = ctypes.create_string_buffer(200)
+    sound = calls.ethercat_fuzz(
+        segment.pointer, segment.drives.pointer, seed * 1_000_003 + number, frames, why
+    )
+    assert sound >= 0, f"batch {number} of seed {seed}: {why.value.decode()}"
+    figures = segment.figures
+    thrown = figures.malformed + figures.foreign + figures.circulating
+    assert figures.frames == sound and thrown > frames // 20, "hardly one frame was malformed"
+    return {TAKEN: frames - thrown, REFUSED: thrown}
+
+
+def main() -> None:
+    """Tell of each batch before and after it."""
+    seed, first, step = map(int, sys.argv[1:])
+    for number in itertools.count(first, step):
+        tell(begin=number)
+        try:
+            count = case(seed, number)
+        except Exception:  # whatever it is, it is what is looked for
+            tell(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
+        else:
+            for outcome, much in count.items():
+                tell(outcome=outcome, count=much)
+            tell(sent=FRAMES)
+
+
+if __name__ == "__main__":
+    main()
