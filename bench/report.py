@@ -32,8 +32,8 @@ SECTIONS = (
     "clocks",
     "first_use",
 )
-# What is measured only when it is named, how well controllers and given machines do: docs/motion.md,
-# docs/assumed.md, docs/validation.md and docs/identify.md.
+# What is measured only when it is named, how well controllers and given machines do:
+# docs/motion.md, docs/assumed.md, docs/validation.md and docs/identify.md.
 BY_NAME = ("tool_line", "hard_places", "convergence", "assumed", "validation", "identification")
 
 NOT_PROVEN = """\
