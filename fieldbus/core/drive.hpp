@@ -143,21 +143,14 @@ class Drive {
     if (!lost_)
       machine_.take(static_cast<std::uint16_t>(values_.get<0x6040>()), options(), powered_, !brake_,
                     cause());
-    const bool was_closing = closing_;
     closing_ = closing_ && !brake_ && powered_;
     if (machine_.controls()) closing_ = false;
     choose_mode();
-    if (!machine_.controls() && !closing_) {
-      if (was_closing || controlled_) hold();
-      controlled_ = false;
-      servo_release(&arm_);
-      limited_ = 0;
-      follow_motor();
-      return {joint_.mode, 0, 0.0};
-    }
+    if (!machine_.controls() && !closing_) return let_go();
     if (!controlled_) hold();
     controlled_ = true;
     const double volts = move();
+    if (!machine_.controls() && !closing_) return let_go();  // a stop has come to its end
     const bool close = closing_ || closed_by_output();
     const std::uint32_t enable = ARM_ENABLED | (close ? std::uint32_t{ARM_CLOSE_BRAKE} : 0U);
     return {joint_.mode, enable, volts};
@@ -326,6 +319,14 @@ class Drive {
     }
   }
 
+  // No voltage; the brake closes.
+  arm_joint_command let_go() {
+    hold();
+    controlled_ = false;
+    servo_release(&arm_);
+    limited_ = 0;
+    return {joint_.mode, 0, 0.0};
+  }
   // Demands at the motor as it is, without speed.
   void follow_motor() {
     position_ = number(counts_);
@@ -632,7 +633,7 @@ class Drive {
   // No faster than the motor can stop before a software limit.
   void bound_speed(servo_wish& wish) const {
     if (!bounded() || mode_ == Mode::homing) return;
-    const double d = deceleration<0x6085>(), at = number(counts_ - shift_);
+    const double d = deceleration<0x6084>(), at = number(counts_ - shift_);
     const auto most = [&](double way) {
       return way > 0.0 ? units_.omega(std::sqrt(2.0 * d * way)) : 0.0;
     };
