@@ -169,7 +169,7 @@ bench: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench $(ARGS)
 
 CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h *.c) arm_emulator/*.c \
-  fieldbus/core/*.[ch]pp fieldbus/core/*.h fmu/*.[ch]pp fmu/*.h microcontroller/*.[ch]pp microcontroller/*.[ch] \
+  fieldbus/core/*.[ch]pp fieldbus/core/*.h fmu/*.[ch]pp fmu/*.h microcontroller/*.[ch]pp microcontroller/*.[ch] microcontroller/examples/*/*.[ch] \
   firmware/*.[ch] \
   firmware/template/*.c test/*.c test/*.cpp bench/*.cpp)
 

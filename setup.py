@@ -42,7 +42,7 @@ setup(
         "emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h", "core/*.c"],
         "fieldbus": ["core/*"],
         "fmu": ["*.cpp", "*.hpp", "*.h"],
-        "microcontroller": ["*.cpp", "*.hpp", "*.h", "examples/*"],
+        "microcontroller": ["*.cpp", "*.hpp", "*.h", "examples/*/*"],
         "arm_emulator": ["*.c", "validation/*.hpp"],
         "": ["py.typed"],
     },

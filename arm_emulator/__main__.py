@@ -241,6 +241,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     canopen.set_defaults(run=_canopen)
 
+    firmware = commands.add_parser(
+        "firmware", help="run unmodified firmware of a Cortex-M4F in the loop with a machine"
+    )
+    firmware.add_argument("board", type=Path, help="which register is wired to what (YAML)")
+    firmware.add_argument("elf", type=Path, metavar="FIRMWARE", help="ELF file")
+    firmware.add_argument("--scene", default="three_axis", help="scene file or name")
+    firmware.add_argument(
+        "--targets", type=Path, metavar="TABLE", help="joint targets: CSV with t and joints' names"
+    )
+    firmware.add_argument(
+        "--seconds", type=float, help="logical time (default: 10, or as long as the table lasts)"
+    )
+    firmware.add_argument(
+        "--gdb", type=int, metavar="PORT", help="wait there for gdb, on 127.0.0.1"
+    )
+    firmware.add_argument(
+        "--uart",
+        nargs="+",
+        default=[],
+        metavar="NAME=WHERE",
+        help="a serial line of the board: stdout, pty or none (default: the first to stdout)",
+    )
+    firmware.set_defaults(run=_firmware)
+
     header = commands.add_parser(
         "servo-header", help="write what our servo in C knows of a scene's joints as a C header"
     )
@@ -483,6 +507,20 @@ def _canopen(arguments: argparse.Namespace) -> int:
         bitrate=arguments.bitrate,
         first=arguments.first_node,
         clock=arguments.clock,
+    )
+
+
+def _firmware(arguments: argparse.Namespace) -> int:
+    from arm_emulator.firmware import run
+
+    return run(
+        arguments.board,
+        arguments.elf,
+        arguments.scene,
+        targets=arguments.targets,
+        seconds=arguments.seconds,
+        gdb=arguments.gdb,
+        uarts=arguments.uart,
     )
 
 

@@ -27,20 +27,21 @@ def ticks_of(seconds: float, scene: Scene) -> int:
     return round(seconds / period)
 
 
-def tell(session: Session, ticks: int, wall: float, off: npt.NDArray[np.float64]) -> None:
+def tell(session: Session, ticks: int, wall: float, off: npt.NDArray[np.float64] | None) -> None:
     """Print the outcome of a run.
 
     Args:
         session: the machine.
         ticks: servo periods that it has gone through.
         wall: time that they took [s].
-        off: what the tool lacks to its target, in the world (3,) [m].
+        off: what the tool lacks to its target, in the world (3,) [m]; None: no target is known.
     """
     logical = session.logical_ns / 1e9
-    x, y, z = off * 1e3
     print(f"scene {session.scene.name}: {logical:g} s of logical time in {wall:.2f} s")
     print(
         f"real-time factor  {logical / wall:.1f}   ({wall / ticks * 1e6:.1f} us per servo period)"
     )
-    print(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
+    if off is not None:
+        x, y, z = off * 1e3
+        print(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
     print(f"energy            {session.plant.energy:.6g} J")

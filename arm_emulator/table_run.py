@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from arm_emulator.gains import check_servo, load_gains
 from arm_emulator.run_report import tell, ticks_of
@@ -21,6 +22,7 @@ from emulator_node.firmware_loop import FirmwareLoop
 from emulator_node.plant import Diverged
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
+from microcontroller.microcontroller import Microcontroller
 from motion_controller_node.kinematics import Kinematics
 from servo_node.drives import Drives
 from words.config_files import find_scene
@@ -40,24 +42,33 @@ class TableRun:
 
     Args:
         scene: the machine.
-        table: joint targets in the scene's order of joints.
-        servo: a library of a user's, or our servo.
+        table: joint targets in the scene's order of joints; None: the control code knows them.
+        servo: a library of a user's, a microcontroller with firmware, or our servo.
 
     Raises:
         Refusal: the control code does not take the scene.
     """
 
-    def __init__(self, scene: Scene, table: TargetTable, servo: Firmware | ServoStep) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        table: TargetTable | None,
+        servo: Firmware | Microcontroller | ServoStep,
+    ) -> None:
         self.session = Session(scene, "lockstep", "first_answer")
         self._servo = servo  # it must not go before the loop
-        ticks, rows = table.ticks(scene.servo_period), table.q
-        if ticks[0] > 0:
-            ticks, rows = [0, *ticks], np.vstack([scene.start, rows])
+        targets = None
+        if table is not None:
+            ticks, rows = table.ticks(scene.servo_period), table.q
+            if ticks[0] > 0:
+                ticks, rows = [0, *ticks], np.vstack([scene.start, rows])
+            targets = ticks, rows
         session = self.session
         if isinstance(servo, Firmware):
             servo.start(session.plant, session.period_ns)
+        stop = servo.stop if isinstance(servo, Microcontroller) else None
         self._loop = FirmwareLoop(
-            session.plant, session.period_ns, servo.step, servo.with_, (ticks, rows)
+            session.plant, session.period_ns, servo.step, servo.with_, targets, stop
         )
 
     def advance(self, ticks: int) -> None:
@@ -66,6 +77,7 @@ class TableRun:
         Raises:
             Refusal: no such count, or the control code gave a command that is none.
             Diverged: the machine did; it stays at the last state before.
+            FirmwareEnd: the firmware of a microcontroller cannot go on.
         """
         check_count("TableRun.advance", "ticks", ticks)
         session = self.session
@@ -79,6 +91,8 @@ class TableRun:
                 ) from None
             if session.fault is not None:
                 raise session.fault
+            if isinstance(self._servo, Microcontroller) and self._servo.ended is not None:
+                raise self._servo.ended
 
 
 def load_table_run(
@@ -116,21 +130,27 @@ def run(scene_name: str, seconds: float | None, table: Path, library: Path | Non
     ticks = ticks_of(seconds, scene)
     started = time.perf_counter()
     try:
-        with _ctrl_c_ends_at_once():
+        with ctrl_c_ends_at_once():
             one.advance(ticks)
     except Diverged as fault:
         print(fault, file=sys.stderr)
         return 1
     wall = time.perf_counter() - started
-    at = sum(tick < ticks for tick in targets.ticks(scene.servo_period))
-    forward = Kinematics(scene.urdf, scene.joint_names, scene.tool).forward
-    wanted = forward(targets.q[at - 1] if at else scene.start)[1]
-    tell(session, ticks, wall, wanted - forward(session.state.q)[1])
+    tell(session, ticks, wall, off_target(session, targets, ticks))
     return 0
 
 
+def off_target(session: Session, targets: TargetTable, ticks: int) -> npt.NDArray[np.float64]:
+    """Return what the tool lacks to its target after so many ticks, in the world (3,) [m]."""
+    scene = session.scene
+    at = sum(tick < ticks for tick in targets.ticks(scene.servo_period))
+    forward = Kinematics(scene.urdf, scene.joint_names, scene.tool).forward
+    wanted = forward(targets.q[at - 1] if at else scene.start)[1]
+    return np.asarray(wanted - forward(session.state.q)[1])
+
+
 @contextlib.contextmanager
-def _ctrl_c_ends_at_once() -> Iterator[None]:
+def ctrl_c_ends_at_once() -> Iterator[None]:
     """Within, Ctrl-C needs no Python: control code that never returns ends, and gdb gets it."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:

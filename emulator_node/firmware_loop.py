@@ -33,6 +33,7 @@ class LoopStruct(ctypes.Structure):
         *((name, _int64) for name in ("row_count", "row")),
         *((name, _pointer) for name in ("joint", "value_d", "command", "measurement")),
         ("tick", _int64),
+        ("stop", _pointer),
     )
 
 
@@ -67,6 +68,7 @@ class FirmwareLoop:
         with_: address that it gets.
         targets: ticks, ascending from 0, and joint targets (N,) that hold from each on; None: the
             control code knows them.
+        stop: address of a number that is not 0 after a step that ends the run; None: none does.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class FirmwareLoop:
         step: int | None,
         with_: int | None,
         targets: tuple[Sequence[int], Array] | None = None,
+        stop: int | None = None,
     ) -> None:
         self._plant = plant
         self._calls = firmware_loop()
@@ -98,6 +101,7 @@ class FirmwareLoop:
             value_d=plant.command.value_d,
             command=ctypes.addressof(plant.command),
             measurement=ctypes.addressof(plant.measurement),
+            stop=stop,
         )
         self.pointer = ctypes.byref(self._loop)
 

@@ -162,6 +162,10 @@ class Section:
                 raise self.refusal(key, rule, value)
         return tuple(float(entry) for entry in value)
 
+    def value(self, key: str) -> object:
+        """Return whatever a key holds, None if it is not there, for the caller to check."""
+        return self._take(key)
+
     def entries(self, key: str) -> list[object]:
         """Return a list, empty if the key is not there."""
         value = self._take(key)

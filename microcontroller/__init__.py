@@ -1,1 +1,5 @@
-"""The machine behind the registers of an emulated microcontroller that runs its own firmware."""
+"""Unmodified firmware of a Cortex-M4F in the loop with a machine."""
+
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent

@@ -19,6 +19,7 @@ int firmware_loop_run(firmware_loop* loop, int64_t ticks) {
                          NULL,      NULL};
     aim(loop, &in);
     loop->step(loop->with, &in, &out);
+    if (loop->stop && *loop->stop) break;
     command.tick = loop->tick;
     result = loop->exchange(loop->machine, &command, loop->measurement);
     if (result == ARM_OK) ++loop->tick;

@@ -28,11 +28,12 @@ typedef struct firmware_loop {
   double* value_d;          /* of the command */
   const arm_command* command;
   arm_measurement* measurement;
-  int64_t tick; /* where the machine is */
+  int64_t tick;        /* where the machine is */
+  const int32_t* stop; /* null, or not 0 after a step that ends the run before its period */
 } firmware_loop;
 
-/* Go through so many periods, or fewer where the machine diverges or a command is refused; what
- * arm_exchange said last is returned. */
+/* Go through so many periods, or fewer where a step ends the run, the machine diverges or a command
+ * is refused; what arm_exchange said last is returned. */
 int firmware_loop_run(firmware_loop* loop, int64_t ticks);
 
 /* The step of a library, `with` being what its arm_firmware() returned. */

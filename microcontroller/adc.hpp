@@ -1,0 +1,57 @@
+// An analog-to-digital converter that is triggered when a servo period begins, and tells its end.
+#pragma once
+
+#include <cmath>
+#include <vector>
+
+#include "nvic.hpp"
+#include "registers.hpp"
+#include "runner.h"
+
+namespace mcu {
+
+class Adc {
+ public:
+  Adc(const mcu_adc& told, Registers& registers) : told_(told), registers_(registers) {
+    if (!told.status) return;
+    registers.on_write(told.status, [this](uint32_t value, uint32_t stored) {
+      const uint32_t flag = 1u << told_.flag;
+      const bool keeps = told_.clear_by_one ? !(value & flag) : value & flag;
+      return (value & ~flag) | (keeps ? stored & flag : 0);
+    });
+    if (told.control)
+      registers.on_write(told.control, [](uint32_t value, uint32_t) { return value; });
+  }
+
+  void add(const mcu_channel& channel) { channels_.push_back(channel); }
+
+  void convert(const arm_measurement& measured) {
+    for (const mcu_channel& one : channels_) {
+      const double current = measured.joint[one.joint].current;
+      if (one.bits)
+        registers_.word(one.at) = counts(one, current);
+      else
+        registers_.put(one.at, static_cast<float>(current));
+    }
+    if (told_.status) registers_.word(told_.status) |= 1u << told_.flag;
+  }
+
+  int interrupt() const { return told_.interrupt; }
+  bool asks() const {
+    return told_.status && (registers_.word(told_.status) >> told_.flag & 1) &&
+           (!told_.control || (registers_.word(told_.control) >> told_.enable & 1));
+  }
+
+ private:
+  static uint32_t counts(const mcu_channel& one, double current) {
+    const double value = std::floor(current * one.counts_per_ampere + one.offset + 0.5);
+    const double most = static_cast<double>((1ll << one.bits) - 1);
+    return value > 0 ? static_cast<uint32_t>(value < most ? value : most) : 0;
+  }
+
+  mcu_adc told_;
+  Registers& registers_;
+  std::vector<mcu_channel> channels_;
+};
+
+}  // namespace mcu

@@ -1,0 +1,440 @@
+// The processor: a Cortex-M4F by Unicorn, which runs instructions; exceptions are ours (ARMv7-M,
+// B1.5).
+#pragma once
+
+#include <unicorn/unicorn.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include "clock.hpp"
+#include "memory.hpp"
+#include "nvic.hpp"
+
+namespace mcu {
+
+// Registers that are mapped at addresses, as the processor sees them.
+class Bus {
+ public:
+  virtual ~Bus() = default;
+  virtual uint32_t read(uint32_t at, unsigned size) = 0;
+  virtual void write(uint32_t at, unsigned size, uint32_t value) = 0;
+};
+
+// Instructions run in blocks: up to a branch, or what else ends the straight line. Time goes on,
+// and interrupts come, between blocks only; so do they when a debugger walks through a block in
+// steps, which is why it changes nothing.
+class Cpu {
+ public:
+  enum class Stop {
+    BETWEEN,  // before a block, for whatever is due
+    SLEEP,    // after WFI
+    EVENT,    // after WFE
+    CALL,     // after SVC
+    RETURN,   // at an exception's return
+    STEPPED,  // within a block, by `step`
+    FAULT
+  };
+
+  // Why it cannot go on.
+  struct Fault {
+    const char* what = nullptr;
+    uint32_t address = 0;
+    bool has_address = false;
+  };
+
+  Time now = 0;
+  uint64_t instructions = 0;
+  static constexpr uint64_t FOREVER = std::numeric_limits<uint64_t>::max();
+  uint64_t awake_until = FOREVER;  // instructions
+  bool masked_wait = false;        // an exception waits for a mask register to let it in
+  std::vector<uint32_t> stops;     // addresses where a debugger wants to stop, ascending
+  uint32_t pc = 0;                 // of the next instruction, while it does not run
+  Fault fault;
+
+  Cpu(Memory& memory, Bus& bus, double cycles_per_instruction, double cycles_per_branch)
+      : memory_(memory),
+        bus_(bus),
+        cost_(static_cast<Time>(cycles_per_instruction * CYCLE + 0.5)),
+        branch_cost_(static_cast<Time>(cycles_per_branch * CYCLE + 0.5)) {
+    open_ = uc_open(UC_ARCH_ARM, static_cast<uc_mode>(UC_MODE_THUMB | UC_MODE_MCLASS), &uc_) ==
+            UC_ERR_OK;
+    if (!open_) return;
+    uc_ctl_set_cpu_model(uc_, UC_CPU_ARM_CORTEX_M4);
+    uc_ctl_tlb_mode(uc_, UC_TLB_VIRTUAL);
+    hook(UC_HOOK_TLB_FILL, reinterpret_cast<void*>(first_access));
+    uc_ctl_exits_enable(uc_);  // there are none: an address where it ends would end blocks, too
+    hook(UC_HOOK_BLOCK, reinterpret_cast<void*>(block_begins));
+    hook(UC_HOOK_INTR, reinterpret_cast<void*>(interrupted));
+    hook(UC_HOOK_INSN_INVALID, reinterpret_cast<void*>(no_instruction));
+  }
+  Cpu(const Cpu&) = delete;
+  Cpu& operator=(const Cpu&) = delete;
+  ~Cpu() {
+    if (open_) uc_close(uc_);
+  }
+
+  bool is_open() const { return open_; }
+
+  // Unicorn takes a long way for every write to a page that may have code, or a hook: RAM has
+  // neither.
+  bool map_memory() {
+    std::vector<uint64_t> edges = {0};
+    for (const Memory::Region& region : memory_.regions()) {
+      const bool code = !region.writable || region.code;
+      const uint32_t may =
+          UC_PROT_READ | (region.writable ? UC_PROT_WRITE : 0) | (code ? UC_PROT_EXEC : 0);
+      if (uc_mem_map_ptr(uc_, region.at, region.size, may, region.bytes.get()) != UC_ERR_OK)
+        return false;
+      if (code) continue;
+      edges.push_back(region.at);
+      edges.push_back(static_cast<uint64_t>(region.at) + region.size);
+    }
+    edges.push_back(1ull << 32);
+    std::sort(edges.begin(), edges.end());
+    for (size_t k = 0; k < edges.size(); k += 2)
+      if (edges[k] < edges[k + 1])
+        hook(UC_HOOK_MEM_INVALID, reinterpret_cast<void*>(no_memory), edges[k], edges[k + 1] - 1);
+    return true;
+  }
+  bool map_bus(uint32_t at, uint32_t size) {
+    windows_.push_back(std::make_unique<Window>(Window{this, at}));
+    Window* window = windows_.back().get();
+    return uc_mmio_map(uc_, at, size, bus_read, window, bus_write, window) == UC_ERR_OK;
+  }
+
+  // As after a reset, with stack pointer and program counter of the vector table.
+  void reset(uint32_t sp, uint32_t start) {
+    set(UC_ARM_REG_SP, sp);
+    pc = start & ~1u;
+    inside_until_ = 0;
+  }
+
+  // Run until something stops it; `deadline` lets it stop between blocks.
+  Stop run(Time deadline) {
+    // A block that may have to stop for something else than the time is looked at first.
+    const bool by_time = stops.empty() && !masked_wait && awake_until == FOREVER;
+    until_ = by_time ? deadline : ALWAYS;
+    deadline_ = deadline;
+    stepping_ = false;
+    return start(0);
+  }
+
+  // Run one instruction (a whole IT block is one), within a block or at the beginning of one.
+  Stop step() {
+    stepping_ = true;
+    until_ = ALWAYS;
+    const uint32_t before = pc;
+    begun_ = inside();
+    const Stop stop = start(1);
+    if (stop != Stop::STEPPED || pc <= before || pc >= inside_until_) inside_until_ = 0;
+    return stop;
+  }
+
+  // Whether it stands within a block, where neither time nor interrupts come.
+  bool inside() const { return inside_until_ != 0; }
+  // Whether the block at which it stands has a stop.
+  bool stop_near() const { return stop_near_; }
+  bool stop_here() const { return std::binary_search(stops.begin(), stops.end(), pc); }
+
+  // Go on elsewhere, as a debugger wants.
+  void jump(uint32_t to) {
+    pc = to;
+    inside_until_ = 0;
+  }
+  // What was translated of code that a debugger has changed.
+  void forget(uint32_t at, uint32_t size) {
+    uc_ctl_remove_cache(uc_, static_cast<uint64_t>(at), static_cast<uint64_t>(at) + size);
+    blocks_.fill({});
+  }
+
+  uint32_t get(int reg) const {
+    uint32_t value = 0;
+    uc_reg_read(uc_, reg, &value);
+    return value;
+  }
+  void set(int reg, uint32_t value) { uc_reg_write(uc_, reg, &value); }
+  Masks masks() const {
+    return {get(UC_ARM_REG_PRIMASK), get(UC_ARM_REG_BASEPRI), get(UC_ARM_REG_FAULTMASK)};
+  }
+
+  // Put what is running on the stack and go on in the handler; false: its stack is no memory.
+  bool enter(int exception, uint32_t vectors) {
+    uint32_t handler = 0;
+    if (!memory_.read(vectors + 4 * static_cast<uint32_t>(exception), &handler, 4))
+      return fail("read of a vector outside of memory",
+                  vectors + 4 * static_cast<uint32_t>(exception));
+    if (!(handler & 1)) return fail("a vector that is no Thumb address", handler);
+    const uint32_t xpsr = get(UC_ARM_REG_XPSR), control = get(UC_ARM_REG_CONTROL);
+    const bool handling = xpsr & 0x1ff, with_fpu = control & 4,
+               process = !handling && (control & 2);
+    const uint32_t sp = get(UC_ARM_REG_SP), size = with_fpu ? 0x68 : 0x20;
+    const bool aligned = !(sp & 4);
+    const uint32_t at = (sp - size) & ~7u;
+    std::array<uint32_t, 26> frame{};
+    for (int k = 0; k < 4; ++k) frame[k] = get(UC_ARM_REG_R0 + k);
+    frame[4] = get(UC_ARM_REG_R12);
+    frame[5] = get(UC_ARM_REG_LR);
+    frame[6] = pc;
+    frame[7] = (xpsr & ~0x200u) | (aligned ? 0 : 0x200u);
+    if (with_fpu) {
+      for (int k = 0; k < 16; ++k) frame[8 + k] = get(UC_ARM_REG_S0 + k);
+      frame[24] = get(UC_ARM_REG_FPSCR);
+    }
+    if (!memory_.write(at, frame.data(), size)) return fail("stack outside of memory", at);
+    set(UC_ARM_REG_SP, at);
+    set(UC_ARM_REG_XPSR, (xpsr & 0xf8000000u) | 1u << 24 | static_cast<uint32_t>(exception));
+    set(UC_ARM_REG_CONTROL, get(UC_ARM_REG_CONTROL) & ~4u);
+    set(UC_ARM_REG_LR, (handling  ? 0xfffffff1u
+                        : process ? 0xfffffffdu
+                                  : 0xfffffff9u) &
+                           (with_fpu ? ~0x10u : ~0u));
+    refresh();
+    pc = handler & ~1u;
+    return true;
+  }
+
+  // Take what was running back from the stack; false: there is no such return.
+  bool leave(uint32_t how) {
+    const bool with_fpu = !(how & 0x10), process = (how & 0xf) == 0xd, thread = (how & 0xf) != 1;
+    if ((how & 0xffffffe0u) != 0xffffffe0u || ((how & 0xf) != 1 && (how & 0xf) != 9 && !process))
+      return fail("an exception return that is none", how);
+    const int pointer = process ? UC_ARM_REG_PSP : UC_ARM_REG_MSP;
+    const uint32_t at = get(pointer), size = with_fpu ? 0x68 : 0x20;
+    std::array<uint32_t, 26> frame{};
+    if (!memory_.read(at, frame.data(), size)) return fail("stack outside of memory", at);
+    const uint32_t xpsr = frame[7];
+    if (thread != !(xpsr & 0x1ff) || !(xpsr & 1u << 24))
+      return fail("an exception return to another mode than its stack tells", frame[6]);
+    set(pointer, (at + size) | (xpsr & 0x200 ? 4u : 0u));
+    const uint32_t control = get(UC_ARM_REG_CONTROL);
+    set(UC_ARM_REG_CONTROL, control & ~5u);  // privileged until all is set
+    set(UC_ARM_REG_XPSR_NZCVQG, xpsr & ~0x200u);
+    if (thread) set(UC_ARM_REG_CONTROL, (control & ~7u) | (process ? 2u : 0u));
+    for (int k = 0; k < 4; ++k) set(UC_ARM_REG_R0 + k, frame[k]);
+    set(UC_ARM_REG_R12, frame[4]);
+    set(UC_ARM_REG_LR, frame[5]);
+    if (with_fpu) {
+      for (int k = 0; k < 16; ++k) set(UC_ARM_REG_S0 + k, frame[8 + k]);
+      set(UC_ARM_REG_FPSCR, frame[24]);
+    }
+    const uint32_t end = get(UC_ARM_REG_CONTROL) & ~5u;
+    set(UC_ARM_REG_CONTROL, end | (with_fpu ? 4u : 0u) | (control & 1u));
+    refresh();
+    pc = frame[6] & ~1u;
+    return true;
+  }
+
+  bool fail(const char* what, uint32_t address) {
+    fault = {what, address, true};
+    return false;
+  }
+  bool fail(const char* what) {
+    fault = {what, 0, false};
+    return false;
+  }
+
+ private:
+  static constexpr Time ALWAYS = std::numeric_limits<Time>::min();
+
+  struct Window {
+    Cpu* cpu;
+    uint32_t at;
+  };
+  // What is known of a block.
+  struct Block {
+    uint32_t at = 1, size = 0;
+    uint32_t count = 0;
+    Time cost = 0;
+  };
+
+  void hook(int kind, void* call, uint64_t from = 1, uint64_t to = 0) {
+    uc_hook handle;
+    uc_hook_add(uc_, &handle, kind, call, this, from, to);
+  }
+
+  // What the translator knows of mode and FPU follows the registers only after this write.
+  void refresh() { set(UC_ARM_REG_APSR_NZCV, get(UC_ARM_REG_XPSR) & 0xf0000000u); }
+
+  Stop start(size_t count) {
+    stop_near_ = false;
+    stop_ = Stop::FAULT;
+    told_ = false;
+    fault = {};
+    const uint32_t from = pc;
+    const uc_err error = uc_emu_start(uc_, from | 1, 0, 0, count);
+    if (!told_) {
+      pc = get(UC_ARM_REG_PC) & ~1u;
+      if (error != UC_ERR_OK) {
+        stop_ = Stop::FAULT;
+        if (!fault.what) fault.what = uc_strerror(error);
+      } else {
+        stop_ = !count || sleeps(from) ? Stop::SLEEP : Stop::STEPPED;
+      }
+    }
+    return stop_;
+  }
+
+  // Whether an instruction is WFI.
+  bool sleeps(uint32_t at) const {
+    uint16_t code[2] = {};
+    if (!memory_.read(at, code, 2)) return false;
+    memory_.read(at, code, 4);
+    return code[0] == 0xbf30 || (code[0] == 0xf3af && code[1] == 0x8003);
+  }
+
+  void tell(Stop stop) {
+    stop_ = stop;
+    told_ = true;
+    uc_emu_stop(uc_);
+  }
+
+  static void block_begins(uc_engine*, uint64_t address, uint32_t size, void* self) {
+    static_cast<Cpu*>(self)->begin(static_cast<uint32_t>(address), size);
+  }
+
+  void begin(uint32_t at, uint32_t size) {
+    if (now >= until_) [[unlikely]] {
+      if (!may_begin(at, size)) return;
+    }
+    const Block& block = known(at, size);
+    instructions += block.count;
+    now += block.cost;
+  }
+
+  // Whether a block may begin although something looks due.
+  bool may_begin(uint32_t at, uint32_t size) {
+    if (stepping_) {
+      if (begun_) {
+        // It has stepped out of its block, or goes on within it.
+        if (inside() && at < inside_until_ && at == pc) return false;
+        pc = at;
+        tell(Stop::STEPPED);
+        return false;
+      }
+      begun_ = true;
+      inside_until_ = at + known(at, size).size;
+      return true;
+    }
+    const auto stop = std::lower_bound(stops.begin(), stops.end(), at);
+    stop_near_ = stop != stops.end() && *stop < at + known(at, size).size;
+    if (stop_near_ || now >= deadline_ || instructions >= awake_until ||
+        (masked_wait && !still_masked())) {
+      pc = at;
+      tell(Stop::BETWEEN);
+      return false;
+    }
+    return true;
+  }
+
+  bool still_masked() const {
+    const Masks masks = this->masks();
+    return masks.primask == waited_.primask && masks.basepri == waited_.basepri &&
+           masks.faultmask == waited_.faultmask;
+  }
+
+  const Block& known(uint32_t at, uint32_t size) {
+    Block& block = blocks_[(at >> 1) % blocks_.size()];
+    if (block.at == at && block.size == size) return block;
+    block = {at, size, 0, 0};
+    const uint8_t* code = memory_.find(at, size);
+    for (uint32_t k = 0; code && k + 1 < size; ++block.count)
+      k += (code[k + 1] & 0xf8) >= 0xe8 ? 4 : 2;  // the first half of a long one: 0b11101 and up
+    block.cost = block.count * cost_ + branch_cost_;
+    return block;
+  }
+
+  static void interrupted(uc_engine*, uint32_t number, void* self) {
+    Cpu& cpu = *static_cast<Cpu*>(self);
+    cpu.pc = cpu.get(UC_ARM_REG_PC);
+    if (number == 2) return cpu.tell(Stop::CALL);
+    if (number == 8) {
+      cpu.pc |= 1;
+      return cpu.tell(Stop::RETURN);
+    }
+    cpu.fault.what = number == 7   ? "a breakpoint instruction"
+                     : number == 3 ? "instructions from where none can be"
+                     : number == 4 ? "an access that memory refuses"
+                                   : "an exception of the processor";
+    cpu.tell(Stop::FAULT);
+  }
+
+  static bool no_instruction(uc_engine*, void* self) {
+    Cpu& cpu = *static_cast<Cpu*>(self);
+    cpu.pc = cpu.get(UC_ARM_REG_PC) & ~1u;
+    uint16_t before = 0;
+    cpu.memory_.read(cpu.pc - 2, &before, 2);
+    if (before == 0xbf20) {  // WFE
+      cpu.tell(Stop::EVENT);
+      return true;
+    }
+    if (before == 0xbf10) return true;  // YIELD
+    cpu.fault.what = "an undefined instruction";
+    cpu.tell(Stop::FAULT);
+    return true;
+  }
+
+  static bool no_memory(uc_engine*, uc_mem_type type, uint64_t address, int, int64_t, void* self) {
+    Cpu& cpu = *static_cast<Cpu*>(self);
+    const char* what = "read of an address where nothing is";
+    if (type == UC_MEM_WRITE_UNMAPPED) what = "write to an address where nothing is";
+    if (type == UC_MEM_WRITE_PROT) what = "write to flash";
+    if (type == UC_MEM_FETCH_UNMAPPED || type == UC_MEM_FETCH_PROT)
+      what = "instructions from an address where none are";
+    cpu.fail(what, static_cast<uint32_t>(address));
+    return false;
+  }
+
+  // What may be done with a page that is accessed for the first time.
+  static bool first_access(uc_engine*, uint64_t address, uc_mem_type type, uc_tlb_entry* out,
+                           void* self) {
+    Cpu& cpu = *static_cast<Cpu*>(self);
+    const Memory::Region* region = cpu.memory_.region(static_cast<uint32_t>(address));
+    out->paddr = address;
+    out->perms = UC_PROT_ALL;  // where it is not: `no_memory` knows the address
+    if (!region || !region->writable || region->code) return true;
+    out->perms = static_cast<uc_prot>(UC_PROT_READ | UC_PROT_WRITE);
+    if (type == UC_MEM_FETCH)
+      cpu.fail("instructions from RAM that is not of kind code_ram",
+               static_cast<uint32_t>(address));
+    return true;
+  }
+
+  static uint64_t bus_read(uc_engine*, uint64_t offset, unsigned size, void* window) {
+    const Window& one = *static_cast<Window*>(window);
+    return one.cpu->bus_.read(one.at + static_cast<uint32_t>(offset), size);
+  }
+  static void bus_write(uc_engine*, uint64_t offset, unsigned size, uint64_t value, void* window) {
+    const Window& one = *static_cast<Window*>(window);
+    one.cpu->bus_.write(one.at + static_cast<uint32_t>(offset), size, static_cast<uint32_t>(value));
+  }
+
+ public:
+  // Let blocks begin, masks being as they are: an exception waits for one of them to change.
+  void wait_for_masks(const Masks& masks) {
+    masked_wait = true;
+    waited_ = masks;
+  }
+  // Stop before the next block, whatever the time.
+  void attend() { until_ = deadline_ = ALWAYS; }
+
+ private:
+  Memory& memory_;
+  Bus& bus_;
+  Time cost_, branch_cost_;
+  uc_engine* uc_ = nullptr;
+  bool open_ = false;
+  std::vector<std::unique_ptr<Window>> windows_;
+  std::array<Block, 1 << 14> blocks_;
+  Time until_ = 0, deadline_ = 0;
+  Masks waited_{};
+  Stop stop_ = Stop::FAULT;
+  bool told_ = false, stepping_ = false, begun_ = false, stop_near_ = false;
+  uint32_t inside_until_ = 0;  // end of the block within which it stands; 0: it stands between
+};
+
+}  // namespace mcu

@@ -1,0 +1,83 @@
+"""Firmware as a linker wrote it: what goes into memory, and which function is where."""
+
+from __future__ import annotations
+
+import bisect
+import io
+from pathlib import Path
+
+from microcontroller.unicorn_library import package_folder
+from words.refusal import Refusal
+from words.text_file import read_bytes
+
+LARGEST = 1 << 28  # bytes
+ARM = 40  # e_machine
+
+
+class ElfImage:
+    """An ELF file for a Cortex-M.
+
+    Attributes:
+        name: of the file.
+        pieces: addresses and bytes that go into flash and RAM.
+
+    Raises:
+        Refusal: no such file, no ELF for 32-bit Arm, a damaged one, or nothing to load.
+    """
+
+    def __init__(self, file: Path) -> None:
+        package_folder("elftools", "pyelftools")
+        from elftools.common.exceptions import ELFError
+        from elftools.elf.elffile import ELFFile
+        from elftools.elf.sections import SymbolTableSection
+
+        self.name = file.name
+        content = read_bytes(file, LARGEST)
+        if content[:4] != b"\x7fELF":
+            raise Refusal(self.name, "file", "be an ELF file", "another")
+        if content[4:6] != b"\x01\x01" or content[18:20] != ARM.to_bytes(2, "little"):
+            rule = "be built for a little-endian 32-bit Arm"
+            raise Refusal(self.name, "file", rule, "for another processor")
+        try:
+            elf = ELFFile(io.BytesIO(content))
+            self.pieces = [
+                (int(segment["p_paddr"]), bytes(segment.data()))
+                for segment in elf.iter_segments("PT_LOAD")
+                if segment["p_filesz"]
+            ]
+            table = elf.get_section_by_name(".symtab")
+            functions = sorted(
+                (symbol["st_value"] & ~1, symbol["st_size"], symbol.name)
+                for symbol in (
+                    table.iter_symbols() if isinstance(table, SymbolTableSection) else ()
+                )
+                if symbol["st_info"]["type"] == "STT_FUNC" and symbol.name
+            )
+        except (
+            ELFError,
+            ValueError,
+            KeyError,
+            AttributeError,
+            UnicodeError,
+            MemoryError,
+            OverflowError,
+            TypeError,
+            IndexError,
+        ) as error:  # what a damaged file leads to
+            rule = "be a sound ELF file"
+            raise Refusal(self.name, "file", rule, f"{type(error).__name__} {error}") from None
+        if not self.pieces:
+            raise Refusal(self.name, "file", "hold something to load", "nothing")
+        self._starts = [start for start, _, _ in functions]
+        self._functions = functions
+
+    def symbol(self, address: int) -> str:
+        """Return the function at an address and how far in; empty: none is known there."""
+        index = bisect.bisect_right(self._starts, address) - 1
+        if index < 0:
+            return ""
+        start, size, name = self._functions[index]
+        into = address - start
+        if into >= max(size, 2):
+            return ""
+        return f"{name}+{into:#x}" if into else str(name)

@@ -1,0 +1,359 @@
+// gdb's remote protocol on a socket: registers, memory, breakpoints, continue, step, interrupt. It
+// lives in the thread that runs the firmware; while it is halted nothing else goes on.
+#pragma once
+
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <cstdlib>
+#include <set>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace mcu {
+
+// What is debugged. Registers: 0 to 15, 16 xPSR, from 17 on S0 to S31, 49 FPSCR.
+class Debugged {
+ public:
+  virtual ~Debugged() = default;
+  virtual uint32_t get_register(int number) = 0;
+  virtual void set_register(int number, uint32_t value) = 0;
+  // Read a byte without any effect; false: nothing is there.
+  virtual bool look(uint32_t at, uint8_t* out) = 0;
+  virtual bool poke(uint32_t at, const uint8_t* bytes, uint32_t size) = 0;
+  virtual void set_stops(std::vector<uint32_t> stops) = 0;
+};
+
+class GdbServer {
+ public:
+  // `socket` listens; this waits until somebody comes.
+  GdbServer(Debugged& debugged, int socket) : debugged_(debugged) {
+    client_ = ::accept(socket, nullptr, nullptr);
+  }
+  GdbServer(const GdbServer&) = delete;
+  GdbServer& operator=(const GdbServer&) = delete;
+  ~GdbServer() {
+    if (client_ < 0) return;
+    if (!halted_) send("W00");
+    ::close(client_);
+  }
+
+  // Before every instruction that may be the next to run: halt here if that is wanted, until told
+  // to go on. Returns false if all shall end.
+  bool attend(bool at_stop) {
+    if (client_ < 0) return !killed_;
+    if (!halted_) {
+      if (stepped_ || (at_stop && moved_))
+        halt(5);
+      else if (interrupt_comes())
+        halt(2);
+    }
+    while (halted_ && client_ >= 0) serve();
+    return !killed_;
+  }
+
+  // Whether one instruction shall run, not many.
+  bool steps() const { return stepping_; }
+  // Something has run.
+  void moved() {
+    moved_ = true;
+    stepped_ = stepping_;
+  }
+  // It cannot go on: say so, and show why until told to end.
+  void ended() {
+    if (client_ < 0) return;
+    halt(11);
+    while (halted_ && client_ >= 0) serve();
+  }
+
+ private:
+  static constexpr int REGISTERS = 17, DOUBLES = 16;  // gdb's: core, then d0 to d15 and fpscr
+
+  void halt(int signal) {
+    halted_ = true;
+    stepping_ = stepped_ = false;
+    signal_ = signal;
+    if (told_to_go_) send(stop_reply());
+  }
+
+  void go(bool step) {
+    halted_ = moved_ = stepped_ = false;
+    stepping_ = step;
+    told_to_go_ = true;
+  }
+
+  void leave() {
+    ::close(client_);
+    client_ = -1;
+    halted_ = stepping_ = false;
+    debugged_.set_stops({});
+  }
+
+  std::string stop_reply() const {
+    std::string reply = "S";
+    put_byte(reply, static_cast<uint8_t>(signal_));
+    return reply;
+  }
+
+  bool interrupt_comes() {
+    char one;
+    while (::recv(client_, &one, 1, MSG_DONTWAIT | MSG_PEEK) == 1) {
+      ::recv(client_, &one, 1, 0);
+      if (one == 3) return true;
+    }
+    return false;
+  }
+
+  int byte() {
+    if (at_ == held_.size()) {
+      char some[4096];
+      const ssize_t size = ::recv(client_, some, sizeof some, 0);
+      if (size <= 0) return -1;
+      held_.assign(some, static_cast<size_t>(size));
+      at_ = 0;
+    }
+    return static_cast<uint8_t>(held_[at_++]);
+  }
+
+  // Take one packet and answer it.
+  void serve() {
+    int one = byte();
+    if (one < 0) return leave();
+    if (one == 3) return send(stop_reply());
+    if (one != '$') return;
+    std::string packet;
+    uint8_t sum = 0;
+    while ((one = byte()) >= 0 && one != '#') {
+      sum = static_cast<uint8_t>(sum + one);
+      if (one == '}') {
+        one = byte();
+        sum = static_cast<uint8_t>(sum + one);
+        one ^= 0x20;
+      }
+      if (packet.size() < MOST) packet.push_back(static_cast<char>(one));
+    }
+    const int high = byte(), low = byte();
+    if (one < 0 || low < 0) return leave();
+    const bool sound = digit(high) * 16 + digit(low) == sum;
+    raw(sound ? "+" : "-");
+    if (sound) answer(packet);
+  }
+
+  void answer(const std::string& packet) {
+    const char kind = packet.empty() ? 0 : packet[0];
+    const char* rest = packet.c_str() + (kind != 0);
+    switch (kind) {
+      case '?':
+        return send(stop_reply());
+      case 'g':
+        return send(all_registers());
+      case 'G':
+        return set_all(rest);
+      case 'p':
+        return send(one_register(std::strtoul(rest, nullptr, 16)));
+      case 'P':
+        return set_one(rest);
+      case 'm':
+        return send(memory(rest));
+      case 'M':
+        return send(set_memory(rest) ? "OK" : "E01");
+      case 'c':
+        return go(false);
+      case 's':
+        return go(true);
+      case 'Z':
+      case 'z':
+        return send(set_stop(kind == 'Z', rest));
+      case 'H':
+      case 'T':
+        return send("OK");
+      case 'D':
+        send("OK");
+        return leave();
+      case 'k':
+        killed_ = true;
+        return leave();
+      case 'q':
+        return send(query(packet));
+      case 'v':
+        if (packet == "vCont?") return send("vCont;c;C;s;S");
+        if (packet.starts_with("vCont;")) return go(packet[6] == 's' || packet[6] == 'S');
+        if (packet.starts_with("vKill")) {
+          killed_ = true;
+          send("OK");
+          return leave();
+        }
+        return send("");
+      default:
+        return send("");
+    }
+  }
+
+  static std::string query(std::string_view packet) {
+    if (packet.starts_with("qSupported"))
+      return "PacketSize=1000;qXfer:features:read+;vContSupported+";
+    if (packet == "qAttached") return "1";
+    if (packet == "qC") return "QC1";
+    if (packet == "qfThreadInfo") return "m1";
+    if (packet == "qsThreadInfo") return "l";
+    constexpr std::string_view features = "qXfer:features:read:target.xml:";
+    if (packet.starts_with(features)) {
+      char* end = nullptr;
+      const std::string where(packet.substr(features.size()));
+      const size_t from = std::strtoul(where.c_str(), &end, 16);
+      const size_t size = *end ? std::strtoul(end + 1, nullptr, 16) : 0;
+      const std::string xml = description();
+      if (from >= xml.size()) return "l";
+      return (from + size < xml.size() ? "m" : "l") + xml.substr(from, size);
+    }
+    return "";
+  }
+
+  static std::string description() {
+    std::string xml =
+        "<?xml version=\"1.0\"?><!DOCTYPE target SYSTEM \"gdb-target.dtd\"><target>"
+        "<architecture>arm</architecture><feature name=\"org.gnu.gdb.arm.m-profile\">";
+    for (int k = 0; k < 13; ++k) xml += "<reg name=\"r" + std::to_string(k) + "\" bitsize=\"32\"/>";
+    xml +=
+        "<reg name=\"sp\" bitsize=\"32\" type=\"data_ptr\"/><reg name=\"lr\" bitsize=\"32\"/>"
+        "<reg name=\"pc\" bitsize=\"32\" type=\"code_ptr\"/><reg name=\"xpsr\" bitsize=\"32\"/>"
+        "</feature><feature name=\"org.gnu.gdb.arm.vfp\">";
+    for (int k = 0; k < DOUBLES; ++k)
+      xml += "<reg name=\"d" + std::to_string(k) + "\" bitsize=\"64\" type=\"ieee_double\"/>";
+    return xml +
+           "<reg name=\"fpscr\" bitsize=\"32\" type=\"int\" group=\"float\"/></feature></target>";
+  }
+
+  std::string one_register(size_t number) const {
+    std::string out;
+    if (number < REGISTERS) {
+      put_word(out, debugged_.get_register(static_cast<int>(number)));
+    } else if (number < REGISTERS + DOUBLES) {
+      const int first = static_cast<int>(REGISTERS + 2 * (number - REGISTERS));
+      put_word(out, debugged_.get_register(first));
+      put_word(out, debugged_.get_register(first + 1));
+    } else if (number == REGISTERS + DOUBLES) {
+      put_word(out, debugged_.get_register(49));
+    } else {
+      return "E01";
+    }
+    return out;
+  }
+
+  std::string all_registers() const {
+    std::string out;
+    for (size_t k = 0; k <= REGISTERS + DOUBLES; ++k) out += one_register(k);
+    return out;
+  }
+
+  void set_all(const char* text) {
+    const std::vector<uint8_t> bytes = take_bytes(text);
+    for (size_t k = 0; k + 4 <= bytes.size() && k / 4 < 50; k += 4)
+      debugged_.set_register(static_cast<int>(k / 4), word_of(&bytes[k]));
+    send("OK");
+  }
+
+  void set_one(const char* text) {
+    char* end = nullptr;
+    const size_t number = std::strtoul(text, &end, 16);
+    const std::vector<uint8_t> bytes = take_bytes(*end == '=' ? end + 1 : end);
+    const bool is_double = number >= REGISTERS && number < REGISTERS + DOUBLES;
+    if (number > REGISTERS + DOUBLES || bytes.size() != (is_double ? 8u : 4u)) return send("E01");
+    int first = static_cast<int>(number);
+    if (is_double) first = static_cast<int>(REGISTERS + 2 * (number - REGISTERS));
+    if (number == REGISTERS + DOUBLES) first = 49;
+    for (size_t k = 0; k < bytes.size() / 4; ++k)
+      debugged_.set_register(first + static_cast<int>(k), word_of(&bytes[4 * k]));
+    send("OK");
+  }
+
+  std::string memory(const char* text) const {
+    char* end = nullptr;
+    const uint32_t at = static_cast<uint32_t>(std::strtoul(text, &end, 16));
+    const size_t size = *end == ',' ? std::strtoul(end + 1, nullptr, 16) : 0;
+    std::string out;
+    for (uint32_t k = 0; k < std::min<size_t>(size, MOST / 2); ++k) {
+      uint8_t one = 0;
+      if (!debugged_.look(at + k, &one)) break;
+      put_byte(out, one);
+    }
+    return out.empty() && size ? "E01" : out;
+  }
+
+  bool set_memory(const char* text) {
+    char* end = nullptr;
+    const uint32_t at = static_cast<uint32_t>(std::strtoul(text, &end, 16));
+    if (*end != ',') return false;
+    const size_t size = std::strtoul(end + 1, &end, 16);
+    const std::vector<uint8_t> bytes = take_bytes(*end == ':' ? end + 1 : end);
+    if (bytes.size() != size) return false;
+    return bytes.empty() || debugged_.poke(at, bytes.data(), static_cast<uint32_t>(size));
+  }
+
+  std::string set_stop(bool on, const char* text) {
+    if ((*text != '0' && *text != '1') || text[1] != ',') return "";  // watchpoints are not known
+    const uint32_t at = static_cast<uint32_t>(std::strtoul(text + 2, nullptr, 16)) & ~1u;
+    if (on)
+      stops_.insert(at);
+    else
+      stops_.erase(at);
+    debugged_.set_stops({stops_.begin(), stops_.end()});
+    return "OK";
+  }
+
+  static int digit(int c) {
+    return c >= '0' && c <= '9'   ? c - '0'
+           : c >= 'a' && c <= 'f' ? c - 'a' + 10
+           : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                  : -1;
+  }
+  static void put_byte(std::string& out, uint8_t value) {
+    constexpr char DIGITS[] = "0123456789abcdef";
+    out += DIGITS[value >> 4];
+    out += DIGITS[value & 15];
+  }
+  static void put_word(std::string& out, uint32_t value) {
+    for (int k = 0; k < 4; ++k) put_byte(out, static_cast<uint8_t>(value >> 8 * k));
+  }
+  static uint32_t word_of(const uint8_t* bytes) {
+    return bytes[0] | bytes[1] << 8 | bytes[2] << 16 | static_cast<uint32_t>(bytes[3]) << 24;
+  }
+  static std::vector<uint8_t> take_bytes(const char* text) {
+    std::vector<uint8_t> bytes;
+    for (; digit(text[0]) >= 0 && digit(text[1]) >= 0; text += 2)
+      bytes.push_back(static_cast<uint8_t>(digit(text[0]) * 16 + digit(text[1])));
+    return bytes;
+  }
+
+  void send(const std::string& text) {
+    uint8_t sum = 0;
+    for (const char c : text) sum = static_cast<uint8_t>(sum + c);
+    std::string packet = "$" + text + "#";
+    put_byte(packet, sum);
+    raw(packet);
+  }
+  void raw(std::string_view text) {
+    while (!text.empty()) {
+      const ssize_t sent = ::send(client_, text.data(), text.size(), MSG_NOSIGNAL);
+      if (sent <= 0) return;
+      text.remove_prefix(static_cast<size_t>(sent));
+    }
+  }
+
+  static constexpr size_t MOST = 0x1000;
+
+  Debugged& debugged_;
+  int client_ = -1;
+  bool halted_ = true, killed_ = false, told_to_go_ = false;
+  bool stepping_ = false, stepped_ = false, moved_ = false;
+  int signal_ = 5;
+  std::set<uint32_t> stops_;
+  std::string held_;
+  size_t at_ = 0;
+};
+
+}  // namespace mcu

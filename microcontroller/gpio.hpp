@@ -1,0 +1,55 @@
+// Pins: output registers with their registers that set and clear bits, and what is wired to them.
+#pragma once
+
+#include "registers.hpp"
+#include "runner.h"
+
+namespace mcu {
+
+inline void add_port(const mcu_port& port, Registers& registers) {
+  uint32_t* output = &registers.word(port.output);
+  if (port.set_reset)
+    registers.on_write(port.set_reset, [output](uint32_t value, uint32_t) {
+      *output = (*output & ~(value >> 16)) | (value & 0xffff);
+      return 0u;
+    });
+  if (port.set)
+    registers.on_write(port.set, [output](uint32_t value, uint32_t) {
+      *output |= value;
+      return 0u;
+    });
+  if (port.clear)
+    registers.on_write(port.clear, [output](uint32_t value, uint32_t) {
+      *output &= ~value;
+      return 0u;
+    });
+}
+
+class Pin {
+ public:
+  Pin(const mcu_pin& told, Registers& registers) : told_(told), registers_(registers) {}
+
+  int kind() const { return told_.kind; }
+  bool is_of(int joint) const { return told_.joint < 0 || told_.joint == joint; }
+  bool is_output() const { return told_.kind == MCU_ENABLE || told_.kind == MCU_BRAKE; }
+
+  bool on() { return (registers_.word(told_.at) >> told_.bit & 1) != (told_.low != 0); }
+
+  void measure(const arm_measurement& measured, int joints) {
+    bool on = measured.powered;
+    if (told_.kind == MCU_FAULT) {
+      on = false;
+      for (int j = 0; j < joints; ++j)
+        if (is_of(j) && measured.joint[j].faults) on = true;
+    }
+    uint32_t& word = registers_.word(told_.at);
+    const uint32_t bit = 1u << told_.bit;
+    word = on != (told_.low != 0) ? word | bit : word & ~bit;
+  }
+
+ private:
+  mcu_pin told_;
+  Registers& registers_;
+};
+
+}  // namespace mcu

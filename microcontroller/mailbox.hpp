@@ -1,0 +1,30 @@
+// Joint targets in registers: a float per joint, and how often they have come.
+#pragma once
+
+#include <vector>
+
+#include "registers.hpp"
+#include "runner.h"
+
+namespace mcu {
+
+class Mailbox {
+ public:
+  Mailbox(const mcu_mailbox& told, int joints, Registers& registers)
+      : told_(told), at_(told.at, told.at + joints), registers_(registers) {}
+
+  int interrupt() const { return told_.interrupt; }
+
+  void put(const double* q) {
+    for (size_t j = 0; j < at_.size(); ++j)
+      if (at_[j]) registers_.put(at_[j], static_cast<float>(q[j]));
+    ++registers_.word(told_.count);
+  }
+
+ private:
+  mcu_mailbox told_;
+  std::vector<uint32_t> at_;
+  Registers& registers_;
+};
+
+}  // namespace mcu

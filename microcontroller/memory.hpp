@@ -1,0 +1,56 @@
+// Flash and RAM of the microcontroller: host memory that the processor works in directly.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <vector>
+
+namespace mcu {
+
+class Memory {
+ public:
+  struct Region {
+    uint32_t at, size;
+    bool writable, code;
+    std::unique_ptr<uint8_t[]> bytes;
+  };
+
+  void add(uint32_t at, uint32_t size, bool writable, bool code) {
+    regions_.push_back({at, size, writable, code, std::make_unique<uint8_t[]>(size)});
+  }
+
+  const std::vector<Region>& regions() const { return regions_; }
+
+  // The region of an address, or null.
+  const Region* region(uint32_t at) const {
+    for (const Region& region : regions_)
+      if (at - region.at < region.size) return &region;
+    return nullptr;
+  }
+
+  // Where so many bytes are, or null: they do not all lie in one region.
+  uint8_t* find(uint32_t at, uint64_t size) const {
+    for (const Region& region : regions_)
+      if (at >= region.at && at - region.at + size <= region.size)
+        return region.bytes.get() + (at - region.at);
+    return nullptr;
+  }
+
+  bool read(uint32_t at, void* out, uint64_t size) const {
+    const uint8_t* from = find(at, size);
+    if (from) std::memcpy(out, from, size);
+    return from;
+  }
+
+  bool write(uint32_t at, const void* bytes, uint64_t size) {
+    uint8_t* to = find(at, size);
+    if (to) std::memcpy(to, bytes, size);
+    return to;
+  }
+
+ private:
+  std::vector<Region> regions_;
+};
+
+}  // namespace mcu

@@ -1,0 +1,46 @@
+// Compare registers of a timer as the voltage of a motor's bridge.
+#pragma once
+
+#include "registers.hpp"
+#include "runner.h"
+
+namespace mcu {
+
+class Pwm {
+ public:
+  Pwm(const mcu_pwm& told, double supply, Registers& registers)
+      : told_(told), supply_(supply), registers_(registers) {}
+
+  int joint() const { return told_.joint; }
+
+  double voltage() {
+    switch (told_.kind) {
+      case MCU_BIPOLAR:
+        return runs() ? supply_ * (2 * duty(told_.compare) - 1) : 0;
+      case MCU_UNIPOLAR: {
+        const bool negative = registers_.word(told_.direction) >> told_.direction_bit & 1;
+        const double size = supply_ * duty(told_.compare);
+        return negative ? -size : size;
+      }
+      case MCU_PAIR:
+        return supply_ * (duty(told_.compare) - duty(told_.minus));
+      default:
+        return registers_.number(told_.compare);
+    }
+  }
+
+ private:
+  bool runs() { return registers_.word(told_.reload) != 0; }
+  double duty(uint32_t compare) {
+    if (!runs()) return 0;
+    const double top = registers_.word(told_.reload) + static_cast<double>(told_.counts_more);
+    const double share = registers_.word(compare) / top;
+    return share < 1 ? share : 1;
+  }
+
+  mcu_pwm told_;
+  double supply_;
+  Registers& registers_;
+};
+
+}  // namespace mcu

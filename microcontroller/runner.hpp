@@ -1,0 +1,389 @@
+// The microcontroller in the loop: per servo period measurements go into registers, the firmware
+// runs for as many cycles, and compare registers come out as voltages.
+#pragma once
+
+#include <cstdio>
+#include <cstring>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "adc.hpp"
+#include "clock.hpp"
+#include "cpu.hpp"
+#include "gdb_server.hpp"
+#include "gpio.hpp"
+#include "mailbox.hpp"
+#include "memory.hpp"
+#include "nvic.hpp"
+#include "pwm.hpp"
+#include "registers.hpp"
+#include "runner.h"
+#include "system_control.hpp"
+#include "systick.hpp"
+#include "timer_encoder.hpp"
+#include "uart.hpp"
+
+namespace mcu {
+
+class Runner : public Bus, public Debugged {
+ public:
+  explicit Runner(const mcu_board& board)
+      : board_(board),
+        cpu_(memory_, *this, board.cycles_per_instruction, board.cycles_per_branch),
+        nvic_(board.interrupts, board.priority_bits),
+        systick_(nvic_),
+        system_(nvic_, systick_, cpu_.now, board.vectors) {
+    for (int k = 0; k < board.regions; ++k) {
+      const mcu_region& one = board.region[k];
+      if (one.kind == MCU_REGISTERS)
+        registers_.add(one.at, one.size);
+      else
+        memory_.add(one.at, one.size, one.kind != MCU_FLASH, one.kind != MCU_RAM);
+    }
+    for (int k = 0; k < board.words; ++k) {
+      const mcu_word word = board.word[k];
+      registers_.word(word.at) = word.value;
+      if (word.fixed)
+        registers_.on_read(word.at, [word](uint32_t stored, bool) {
+          return (stored & ~word.fixed) | (word.value & word.fixed);
+        });
+    }
+    for (int k = 0; k < board.encoders; ++k) encoders_.emplace_back(board.encoder[k], registers_);
+    for (int k = 0; k < board.adcs; ++k) adcs_.emplace_back(board.adc[k], registers_);
+    for (int k = 0; k < board.channels; ++k)
+      adcs_[static_cast<size_t>(board.channel[k].adc)].add(board.channel[k]);
+    for (int k = 0; k < board.ports; ++k) add_port(board.port[k], registers_);
+    for (int k = 0; k < board.pins; ++k) pins_.emplace_back(board.pin[k], registers_);
+    for (int k = 0; k < board.pwms; ++k)
+      pwms_.emplace_back(board.pwm[k], board.supply_voltage, registers_);
+    for (int k = 0; k < board.uarts; ++k)
+      uarts_.emplace_back(board.uart[k], board.clock, cpu_.now, registers_);
+    if (board.mailbox) mailbox_.emplace(*board.mailbox, board.joints, registers_);
+  }
+
+  // Return null, or why it does not work.
+  const char* open() {
+    if (!cpu_.is_open()) return "Unicorn does not give a Cortex-M";
+    if (!cpu_.map_memory()) return "flash and RAM cannot be mapped";
+    for (int k = 0; k < board_.regions; ++k)
+      if (const mcu_region& one = board_.region[k]; one.kind == MCU_REGISTERS)
+        if (!cpu_.map_bus(one.at, one.size)) return "registers cannot be mapped";
+    if (!cpu_.map_bus(SystemControl::AT, SystemControl::SIZE)) return "registers cannot be mapped";
+    return nullptr;
+  }
+
+  bool load(uint32_t at, const void* bytes, uint64_t size) {
+    return memory_.write(at, bytes, size);
+  }
+
+  void debug(int socket) { debugger_ = std::make_unique<GdbServer>(*this, socket); }
+
+  void step(const firmware_input& in, firmware_output& out) {
+    if (stopped) return;
+    if (!begun_) {
+      begun_ = true;
+      measure(in, false);
+      reset();
+      boot_ = cycles_of(board_.boot);
+      run_until(boot_);
+      if (stopped) return;
+    }
+    if (board_.preload) command(out);
+    measure(in, true);
+    run_until(boot_ + cycles_of(static_cast<double>(in.time + board_.period) * 1e-9));
+    if (!board_.preload) command(out);
+  }
+
+  uint32_t read(uint32_t at, unsigned size) override {
+    if (at >= SystemControl::AT) return system_.read(at, size);
+    const uint32_t value = registers_.read(at, size);
+    if (registers_.special()) settle();
+    return value;
+  }
+  void write(uint32_t at, unsigned size, uint32_t value) override {
+    if (at >= SystemControl::AT) {
+      system_.write(at, size, value);
+      return cpu_.attend();
+    }
+    registers_.write(at, size, value);
+    if (registers_.special()) settle();
+  }
+
+  // What a debugger sees and changes.
+  uint32_t get_register(int number) override {
+    if (number == 15) return cpu_.pc;
+    if (number == 16) return cpu_.get(UC_ARM_REG_XPSR);
+    return cpu_.get(register_of(number));
+  }
+  void set_register(int number, uint32_t value) override {
+    if (number == 15)
+      cpu_.jump(value & ~1u);
+    else if (number != 16)
+      cpu_.set(register_of(number), value);
+  }
+  bool look(uint32_t at, uint8_t* out) override {
+    if (memory_.read(at, out, 1)) return true;
+    if (at - SystemControl::AT < SystemControl::SIZE)
+      *out = static_cast<uint8_t>(system_.read(at, 1, true));
+    else if (registers_.has(at & ~3u))
+      *out = static_cast<uint8_t>(registers_.read(at, 1, true));
+    else
+      return false;
+    return true;
+  }
+  bool poke(uint32_t at, const uint8_t* bytes, uint32_t size) override {
+    if (memory_.write(at, bytes, size)) {
+      cpu_.forget(at, size);
+      return true;
+    }
+    uint32_t value = 0;
+    if ((size != 1 && size != 2 && size != 4) || at % size) return false;
+    std::memcpy(&value, bytes, size);
+    if (at < SystemControl::AT && !registers_.has(at & ~3u)) return false;
+    write(at, size, value);
+    return true;
+  }
+  void set_stops(std::vector<uint32_t> stops) override { cpu_.stops = std::move(stops); }
+
+  mcu_fault fault{};
+  mcu_figures figures{};
+  int32_t stopped = 0;
+
+ private:
+  static constexpr uint64_t LONGEST_AWAKE = 200'000'000;  // instructions, where they take no time
+
+  static int register_of(int number) {
+    static constexpr int NAMES[] = {UC_ARM_REG_R0,  UC_ARM_REG_R1, UC_ARM_REG_R2,  UC_ARM_REG_R3,
+                                    UC_ARM_REG_R4,  UC_ARM_REG_R5, UC_ARM_REG_R6,  UC_ARM_REG_R7,
+                                    UC_ARM_REG_R8,  UC_ARM_REG_R9, UC_ARM_REG_R10, UC_ARM_REG_R11,
+                                    UC_ARM_REG_R12, UC_ARM_REG_SP, UC_ARM_REG_LR};
+    if (number < 15) return NAMES[number];
+    if (number < 49) return UC_ARM_REG_S0 + (number - 17);
+    return UC_ARM_REG_FPSCR;
+  }
+
+  Time cycles_of(double seconds) const {
+    return static_cast<Time>(seconds * board_.clock + 0.5) * CYCLE;
+  }
+
+  void reset() {
+    uint32_t table[2] = {};
+    if (!memory_.read(board_.vectors, table, 8))
+      return end("a vector table outside of memory", board_.vectors);
+    if (!(table[1] & 1)) return end("a reset vector that is no Thumb address", table[1]);
+    cpu_.reset(table[0], table[1]);
+  }
+
+  // What firmware has done to a device may ask for an interrupt, or for one sooner than was
+  // thought.
+  void settle() {
+    set_lines();
+    if (nvic_.changed() || next_event() < deadline_) cpu_.attend();
+  }
+
+  // Levels of interrupt lines follow what registers hold.
+  void set_lines() {
+    bool high[Nvic::MOST] = {};
+    for (const Adc& adc : adcs_)
+      if (adc.interrupt() >= 0) high[Nvic::EXTERNAL + adc.interrupt()] |= adc.asks();
+    for (const Uart& uart : uarts_)
+      if (uart.interrupt() >= 0) high[Nvic::EXTERNAL + uart.interrupt()] |= uart.asks();
+    for (const Adc& adc : adcs_) set_line(adc.interrupt(), high);
+    for (const Uart& uart : uarts_) set_line(uart.interrupt(), high);
+  }
+  void set_line(int interrupt, const bool* high) {
+    if (interrupt >= 0)
+      nvic_.set_line(Nvic::EXTERNAL + interrupt, high[Nvic::EXTERNAL + interrupt]);
+  }
+
+  void measure(const firmware_input& in, bool convert) {
+    for (TimerEncoder& encoder : encoders_) encoder.measure(*in.measured);
+    for (Pin& pin : pins_)
+      if (!pin.is_output()) pin.measure(*in.measured, board_.joints);
+    if (!convert) return;
+    for (Adc& adc : adcs_) adc.convert(*in.measured);
+    if (in.q_target) {
+      if (mailbox_) {
+        mailbox_->put(in.q_target);
+        if (mailbox_->interrupt() >= 0) nvic_.pend(Nvic::EXTERNAL + mailbox_->interrupt());
+      }
+      for (Uart& uart : uarts_)
+        if (uart.has_targets() && in.q_target != told_) uart.tell(in.q_target, board_.joints);
+      told_ = in.q_target;
+    }
+    for (Uart& uart : uarts_) uart.listen();
+  }
+
+  void command(firmware_output& out) {
+    for (Pwm& pwm : pwms_) out.joint[pwm.joint()].value = pwm.voltage();
+    for (int j = 0; j < board_.joints; ++j) {
+      uint32_t enable = ARM_ENABLED;
+      for (Pin& pin : pins_)
+        if (pin.is_of(j)) {
+          if (pin.kind() == MCU_ENABLE && !pin.on()) enable &= ~static_cast<uint32_t>(ARM_ENABLED);
+          if (pin.kind() == MCU_BRAKE && pin.on()) enable |= ARM_CLOSE_BRAKE;
+        }
+      out.joint[j].enable = enable;
+    }
+  }
+
+  Time next_event() const {
+    Time next = systick_.next();
+    for (const Uart& uart : uarts_) next = std::min(next, uart.next());
+    return next;
+  }
+
+  void run_until(Time limit) {
+    while (!stopped) {
+      if (!cpu_.inside()) {
+        const Time now = cpu_.now;
+        systick_.advance(now);
+        for (Uart& uart : uarts_) uart.advance(now);
+        set_lines();
+        if (now >= limit) break;
+        if (!take_exception()) return;
+        if (asleep_) {
+          if (!attend(false)) return;
+          sleep(std::min(limit, next_event()));
+          continue;
+        }
+      }
+      if (!attend(cpu_.stop_here()) || !advance(std::min(limit, next_event()))) return;
+    }
+    figures.instructions = cpu_.instructions;
+    figures.cycles = static_cast<uint64_t>(cpu_.now / CYCLE);
+  }
+
+  // Let a debugger have its say; false: it has ended the run.
+  bool attend(bool at_stop) {
+    if (debugger_ && !debugger_->attend(at_stop)) stopped = 1;
+    return !stopped;
+  }
+
+  void sleep(Time until) {
+    figures.asleep += static_cast<uint64_t>((until - cpu_.now) / CYCLE);
+    cpu_.now = until;
+    awake_from_ = cpu_.instructions;
+  }
+
+  // Let the exception in that goes first, if it may; false: the run has ended.
+  bool take_exception() {
+    cpu_.masked_wait = false;
+    nvic_.changed();
+    const int first = nvic_.first();
+    if (!first) return true;
+    const Masks masks = cpu_.masks();
+    if (asleep_ && nvic_.may_wake(first, masks)) asleep_ = false;
+    if (nvic_.may_enter(first, masks)) return enter(first);
+    cpu_.wait_for_masks(masks);
+    return true;
+  }
+
+  bool enter(int exception) {
+    if (!cpu_.enter(exception, system_.vectors)) return failed();
+    nvic_.enter(exception);
+    system_.active = static_cast<uint32_t>(exception);
+    event_ = true;
+    asleep_ = false;
+    ++figures.exceptions;
+    return true;
+  }
+
+  // Run for a while; false: the run has ended.
+  bool advance(Time deadline) {
+    deadline_ = deadline;
+    if (board_.cycles_per_instruction + board_.cycles_per_branch == 0)
+      cpu_.awake_until = awake_from_ + LONGEST_AWAKE;
+    const bool steps = debugger_ && (debugger_->steps() || cpu_.inside() || near_);
+    const Cpu::Stop stop = steps ? cpu_.step() : cpu_.run(deadline);
+    near_ = !steps && stop == Cpu::Stop::BETWEEN && cpu_.stop_near();
+    if (debugger_ && !near_) debugger_->moved();
+    switch (stop) {
+      case Cpu::Stop::CALL:
+        return call();
+      case Cpu::Stop::RETURN:
+        return leave();
+      case Cpu::Stop::FAULT:
+        return failed();
+      case Cpu::Stop::SLEEP:
+        asleep_ = true;
+        break;
+      case Cpu::Stop::EVENT:
+        asleep_ = !std::exchange(event_, false);
+        break;
+      default:
+        break;
+    }
+    if (system_.reset_asked) {
+      cpu_.fail("a reset that the firmware asked for");
+      return failed();
+    }
+    if (cpu_.instructions >= cpu_.awake_until) {
+      cpu_.fail("200 million instructions without sleep, and they take no time");
+      return failed();
+    }
+    return true;
+  }
+
+  bool call() {
+    nvic_.pend(Nvic::SVCALL);
+    if (nvic_.may_enter(Nvic::SVCALL, cpu_.masks())) return true;
+    cpu_.fail("hard fault: a supervisor call where its priority is masked");
+    return failed();
+  }
+
+  bool leave() {
+    const int exception = static_cast<int>(system_.active);
+    if (!nvic_.active(exception)) {
+      cpu_.fail("an exception return outside of handlers");
+      return failed();
+    }
+    if (!cpu_.leave(cpu_.pc)) return failed();
+    nvic_.leave(exception);
+    if (exception != Nvic::NMI) cpu_.set(UC_ARM_REG_FAULTMASK, 0);
+    system_.active = cpu_.get(UC_ARM_REG_XPSR) & 0x1ff;
+    event_ = true;
+    if (system_.sleep_on_exit && !system_.active) asleep_ = true;
+    return true;
+  }
+
+  bool failed() {
+    end(cpu_.fault.what ? cpu_.fault.what : "no reason", cpu_.fault.address,
+        cpu_.fault.has_address);
+    if (debugger_) debugger_->ended();
+    return false;
+  }
+
+  void end(const char* what, uint32_t address, bool has_address = true) {
+    char at[24] = "";
+    if (has_address) std::snprintf(at, sizeof at, " (0x%08x)", address);
+    std::snprintf(fault.what, sizeof fault.what, "%s%s", what, at);
+    fault.pc = cpu_.pc;
+    fault.address = address;
+    fault.time = static_cast<double>(cpu_.now) / CYCLE / board_.clock;
+    stopped = 1;
+  }
+
+  mcu_board board_;
+  Memory memory_;
+  Registers registers_;
+  Cpu cpu_;
+  Nvic nvic_;
+  SysTick systick_;
+  SystemControl system_;
+  std::deque<TimerEncoder> encoders_;  // registers keep pointers to them
+  std::deque<Adc> adcs_;
+  std::deque<Uart> uarts_;
+  std::vector<Pin> pins_;
+  std::vector<Pwm> pwms_;
+  std::optional<Mailbox> mailbox_;
+  std::unique_ptr<GdbServer> debugger_;
+  const double* told_ = nullptr;
+  uint64_t awake_from_ = 0;  // instructions
+  Time boot_ = 0, deadline_ = 0;
+  bool begun_ = false, asleep_ = false, event_ = false, near_ = false;
+};
+
+}  // namespace mcu

@@ -1,0 +1,196 @@
+// The processor's own registers, 0xe0000000 to 0xe00fffff: NVIC, SysTick, system control, cycle
+// counter.
+#pragma once
+
+#include <cstdint>
+#include <unordered_map>
+
+#include "clock.hpp"
+#include "nvic.hpp"
+#include "systick.hpp"
+
+namespace mcu {
+
+class SystemControl {
+ public:
+  static constexpr uint32_t AT = 0xe0000000, SIZE = 0x100000;
+
+  SystemControl(Nvic& nvic, SysTick& systick, const Time& now, uint32_t vectors)
+      : vectors(vectors), nvic_(nvic), systick_(systick), now_(now) {
+    words_[0xe000ef34] = 0xc0000000;  // FPCCR: registers of the FPU are kept
+  }
+
+  uint32_t vectors;            // VTOR
+  bool sleep_on_exit = false;  // SCR
+  bool reset_asked = false;    // AIRCR
+  uint32_t active = 0;         // exception number of the handler that runs
+
+  uint32_t read(uint32_t at, unsigned size, bool look = false) {
+    const uint32_t value = read_word(at & ~3u, look);
+    return size == 4 ? value : value >> 8 * (at & 3) & (size == 1 ? 0xff : 0xffff);
+  }
+
+  void write(uint32_t at, unsigned size, uint32_t value) {
+    const uint32_t whole = at & ~3u;
+    if (size < 4) {
+      const unsigned shift = 8 * (at & 3);
+      const uint32_t mask = (size == 1 ? 0xffu : 0xffffu) << shift;
+      value = value << shift & mask;
+      // Registers of which only the ones count keep the rest by zeros.
+      if (!(whole >= 0xe000e100 && whole < 0xe000e300)) value |= read_word(whole, true) & ~mask;
+    }
+    write_word(whole, value);
+  }
+
+ private:
+  template <class Bit>
+  uint32_t gather(uint32_t first, Bit bit) const {
+    uint32_t value = 0;
+    for (uint32_t k = 0; k < 32; ++k)
+      if (const int n = exception(first + k); n && bit(n)) value |= 1u << k;
+    return value;
+  }
+  template <class Do>
+  void spread(uint32_t first, uint32_t value, Do todo) {
+    for (uint32_t k = 0; k < 32; ++k)
+      if (const int n = exception(first + k); n && (value >> k & 1)) todo(n);
+  }
+  int exception(uint32_t interrupt) const {
+    const int n = static_cast<int>(Nvic::EXTERNAL + interrupt);
+    return n < nvic_.exceptions() ? n : 0;
+  }
+  uint32_t priorities(int first) const {
+    uint32_t value = 0;
+    for (int k = 0; k < 4; ++k)
+      if (first + k < nvic_.exceptions()) value |= nvic_.priority(first + k) << 8 * k;
+    return value;
+  }
+
+  uint32_t read_word(uint32_t at, bool look) {
+    const uint32_t bank = (at & 0x1f) * 8;
+    switch (at & ~0x1fu) {
+      case 0xe000e100:
+      case 0xe000e180:
+        return gather(bank, [&](int n) { return nvic_.enabled(n); });
+      case 0xe000e200:
+      case 0xe000e280:
+        return gather(bank, [&](int n) { return nvic_.pending(n); });
+      case 0xe000e300:
+        return gather(bank, [&](int n) { return nvic_.active(n); });
+    }
+    if (at >= 0xe000e400 && at < 0xe000e4f0)
+      return priorities(static_cast<int>(Nvic::EXTERNAL + at - 0xe000e400));
+    switch (at) {
+      case 0xe000e004:
+        return static_cast<uint32_t>((nvic_.exceptions() - 17) / 32);
+      case 0xe000e010:
+        return systick_.control(look);
+      case 0xe000e014:
+        return systick_.load();
+      case 0xe000e018:
+        return systick_.value(now_);
+      case 0xe000ed00:
+        return 0x410fc241;  // Cortex-M4 r0p1
+      case 0xe000ed04:
+        return interrupt_state();
+      case 0xe000ed08:
+        return vectors;
+      case 0xe000ed0c:
+        return 0xfa050000 | prigroup_ << 8;
+      case 0xe000ed10:
+        return sleep_control_;
+      case 0xe000ed18:
+      case 0xe000ed1c:
+      case 0xe000ed20:
+        return at == 0xe000ed18 ? 0 : priorities(at == 0xe000ed1c ? 8 : 12);
+      case 0xe0001004:
+        return static_cast<uint32_t>(now_ / CYCLE - cycles_from_);  // DWT CYCCNT
+    }
+    const auto found = words_.find(at);
+    return found == words_.end() ? 0 : found->second;
+  }
+
+  void write_word(uint32_t at, uint32_t value) {
+    const uint32_t bank = (at & 0x1f) * 8;
+    switch (at & ~0x1fu) {
+      case 0xe000e100:
+        return spread(bank, value, [&](int n) { nvic_.enable(n, true); });
+      case 0xe000e180:
+        return spread(bank, value, [&](int n) { nvic_.enable(n, false); });
+      case 0xe000e200:
+        return spread(bank, value, [&](int n) { nvic_.pend(n); });
+      case 0xe000e280:
+        return spread(bank, value, [&](int n) { nvic_.pend(n, false); });
+      case 0xe000e300:
+        return;
+    }
+    if (at >= 0xe000e400 && at < 0xe000e4f0)
+      return set_priorities(static_cast<int>(Nvic::EXTERNAL + at - 0xe000e400), value);
+    switch (at) {
+      case 0xe000e010:
+        return systick_.set_control(value, now_);
+      case 0xe000e014:
+        return systick_.set_load(value);
+      case 0xe000e018:
+        return systick_.clear_value(now_);
+      case 0xe000ed00:
+        return;
+      case 0xe000ed04:
+        return set_interrupt_state(value);
+      case 0xe000ed08:
+        vectors = value & ~0x7fu;
+        return;
+      case 0xe000ed0c:
+        if (value >> 16 != 0x05fa) return;
+        prigroup_ = value >> 8 & 7;
+        nvic_.set_group(prigroup_);
+        if (value & 4) reset_asked = true;
+        return;
+      case 0xe000ed10:
+        sleep_control_ = value & 0x16;
+        sleep_on_exit = value & 2;
+        return;
+      case 0xe000ed1c:
+        return set_priorities(8, value);
+      case 0xe000ed20:
+        return set_priorities(12, value);
+      case 0xe000ef00:
+        if (const int n = exception(value & 0x1ff)) nvic_.pend(n);  // STIR
+        return;
+      case 0xe0001004:
+        cycles_from_ = now_ / CYCLE - value;
+        return;
+    }
+    words_[at] = value;
+  }
+
+  void set_priorities(int first, uint32_t value) {
+    for (int k = 0; k < 4; ++k)
+      if (first + k >= Nvic::SVCALL) nvic_.set_priority(first + k, value >> 8 * k & 0xff);
+  }
+
+  uint32_t interrupt_state() const {  // ICSR
+    const int first = nvic_.first();
+    uint32_t value = active | static_cast<uint32_t>(first) << 12;
+    if (first >= Nvic::EXTERNAL) value |= 1u << 22;
+    if (nvic_.pending(Nvic::SYSTICK)) value |= 1u << 26;
+    if (nvic_.pending(Nvic::PENDSV)) value |= 1u << 28;
+    return value;
+  }
+  void set_interrupt_state(uint32_t value) {
+    if (value & 1u << 25) nvic_.pend(Nvic::SYSTICK, false);
+    if (value & 1u << 26) nvic_.pend(Nvic::SYSTICK);
+    if (value & 1u << 27) nvic_.pend(Nvic::PENDSV, false);
+    if (value & 1u << 28) nvic_.pend(Nvic::PENDSV);
+    if (value & 1u << 31) nvic_.pend(Nvic::NMI);
+  }
+
+  Nvic& nvic_;
+  SysTick& systick_;
+  const Time& now_;
+  uint32_t prigroup_ = 0, sleep_control_ = 0;
+  Time cycles_from_ = 0;
+  std::unordered_map<uint32_t, uint32_t> words_;
+};
+
+}  // namespace mcu
