@@ -51,7 +51,7 @@ class Fmu:
         binary: the loaded library.
     """
 
-    def __init__(self, file: Path, folder: Path) -> None:
+    def __init__(self, file: Path, folder: Path, mode: int = ctypes.DEFAULT_MODE) -> None:
         with zipfile.ZipFile(file) as archive:
             archive.extractall(folder)
         self.root = ET.parse(folder / "modelDescription.xml").getroot()
@@ -59,7 +59,7 @@ class Fmu:
         assert listed is not None, "variables are listed"
         self.variables = {one.attrib["name"]: one for one in listed}
         (library,) = (folder / "binaries" / "x86_64-linux").iterdir()
-        self.binary = ctypes.CDLL(str(library))
+        self.binary = ctypes.CDLL(str(library), mode)
         for name, arguments in _ARGUMENTS.items():
             function = getattr(self.binary, f"fmi3{name}")
             function.argtypes, function.restype = arguments, ctypes.c_int
