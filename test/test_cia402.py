@@ -283,12 +283,13 @@ def bring(drives: Drives, where: str) -> None:
         "switched on": (SHUTDOWN, SWITCH_ON),
         "operation enabled": (SHUTDOWN, SWITCH_ON, ENABLE),
         "quick stop": (SHUTDOWN, SWITCH_ON, ENABLE, 0x0B),
-        "fault": (SHUTDOWN,),
+        "fault": (SHUTDOWN, SWITCH_ON, ENABLE),
     }[where]
     for word in words:
         command(drives, word)
     if where == "fault":
         drives.lost()
+        drives.period(2)  # to a stand
     assert {state(drives, j) for j in range(N)} == {where}, "where the drives were brought"
 
 
@@ -303,10 +304,10 @@ def test_every_state_takes_every_command_as_the_table_says() -> None:
             if where == "fault":
                 command(drives, before)
                 if before:  # it was an edge: to the fault once more, with the bit set
-                    command(drives, before | SHUTDOWN)
+                    for step in (SHUTDOWN, SWITCH_ON, ENABLE):
+                        command(drives, before | step)
                     drives.lost()
-                    drives.write(0, CONTROL, before)
-                    drives.period()
+                    drives.period(2)
             told = command_of(word, before, where)
             drives.write(0, CONTROL, word)
             drives.period()
@@ -339,7 +340,9 @@ class Model:
 
     def lose_master(self) -> None:
         reaction = self.options[0x6007]
-        if reaction == 1:
+        if reaction and self.state in ("ready", "switched on"):
+            self.state = "switch on disabled"
+        elif reaction == 1 and self.state in ("operation enabled", "quick stop"):
             self.state = "fault"
         elif reaction == 2 and self.state != "fault":
             self.state = "switch on disabled"

@@ -185,15 +185,23 @@ class StateMachine {
       go(14, State::fault);
   }
 
-  // The master is gone: as if it had commanded that.
-  void command(Command command, const StopOptions& options) {
+  // The master is gone, with what 0x6007 says of that. A motor that is not controlled needs no
+  // reaction: its drive is back in Switch on disabled.
+  void lose_master(std::int64_t reaction, std::uint16_t error, const StopOptions& options,
+                   bool can_stop) {
+    constexpr std::int64_t fault = 1, disable = 2;
     opening_ = false;
-    if (command == Command::disable_voltage) {
-      if (state_ == State::ready) go(7, State::switch_on_disabled);
-      if (state_ == State::switched_on) go(10, State::switch_on_disabled);
-      if (state_ == State::quick_stop) go(12, State::switch_on_disabled);
-    }
-    if (state_ == State::operation_enabled) operate(command, options);
+    const bool moves = state_ == State::operation_enabled || state_ == State::quick_stop;
+    if (state_ == State::ready)
+      go(7, State::switch_on_disabled);
+    else if (state_ == State::switched_on)
+      go(10, State::switch_on_disabled);
+    else if (moves && reaction == fault)
+      fail(error, options, can_stop);
+    else if (state_ == State::quick_stop && reaction == disable)
+      go(12, State::switch_on_disabled);
+    else if (state_ == State::operation_enabled)
+      operate(reaction == disable ? Command::disable_voltage : Command::quick_stop, options);
   }
 
   // Bits 0 to 3, 5 and 6 of the statusword.

@@ -113,19 +113,11 @@ class Drive {
   }
   // The master is gone.
   void lost(std::uint16_t error) {
-    switch (values_.get<0x6007>()) {
-      case 1:
-        fail(error, true);
-        break;
-      case 2:
-        machine_.command(Command::disable_voltage, options());
-        break;
-      case 3:
-        machine_.command(Command::quick_stop, options());
-        break;
-      default:
-        return;
-    }
+    const std::int64_t reaction = values_.get<0x6007>();
+    if (!reaction) return;
+    const State before = machine_.state();
+    machine_.lose_master(reaction, error, options(), powered_);
+    note_failure(before);
     values_.set<0x6040>(0);
     lost_ = true;
     tell();
@@ -663,12 +655,17 @@ class Drive {
     const State before = machine_.state();
     machine_.fail(error, options(), can_stop && powered_);
     if (!can_stop) closing_ = false;
-    if (before == State::fault || before == State::fault_reaction) return;
-    halted_ = false;
-    stands_ = false;
+    note_failure(before);
+  }
+  // Keep the error that has led to a fault from another state.
+  void note_failure(State before) {
+    const auto failed = [](State one) {
+      return one == State::fault || one == State::fault_reaction;
+    };
+    if (failed(before) || !failed(machine_.state())) return;
+    halted_ = stands_ = false;
     stood_ = 0.0;
-    values_.add_error(error);
-    values_.set<0x603F>(error);
+    values_.add_error(machine_.error());
   }
 
   void watch() {
