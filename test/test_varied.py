@@ -61,7 +61,7 @@ def motion(plant: Plant, rows: np.ndarray, steps: int = 10) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("scheme", "threads"),
-    some([("rosenbrock", 1), ("extrapolated", 2), ("implicit", 1), ("paper", 1)], 2),
+    some([("extrapolated", 2), ("rosenbrock", 1), ("implicit", 1), ("paper", 1)], 1),
 )
 def test_varied_numbers_give_the_motion_of_constants(
     scheme: str, threads: int, tmp_path: Path
@@ -92,8 +92,8 @@ def test_varied_numbers_give_the_motion_of_constants(
 
 def test_one_library_serves_every_value(tmp_path: Path) -> None:
     # The arm of the test above, whose library is there.
-    rng, mass = np.random.default_rng([SCHEMES.index("rosenbrock"), 1]), "payload.mass"
-    file = random_arm(tmp_path, rng, "rosenbrock", 1)
+    rng, mass = np.random.default_rng([SCHEMES.index("extrapolated"), 2]), "payload.mass"
+    file = random_arm(tmp_path, rng, "extrapolated", 2)
     scene = load_scene(str(file), overrides={"varied": ALL})
     one, other = Plant(scene), Plant(scene)
     other.set_parameter(mass, 3.0)
@@ -156,8 +156,8 @@ def test_what_cannot_be_varied_is_refused(varied: object, rule: str, tmp_path: P
 
 def test_values_out_of_range_are_refused_and_change_nothing(tmp_path: Path) -> None:
     # The arm of the test above, whose library is there.
-    rng = np.random.default_rng([SCHEMES.index("rosenbrock"), 1])
-    file = random_arm(tmp_path, rng, "rosenbrock", 1)
+    rng = np.random.default_rng([SCHEMES.index("extrapolated"), 2])
+    file = random_arm(tmp_path, rng, "extrapolated", 2)
     plant = Plant(load_scene(str(file), overrides={"varied": ALL}))
     kept = plant.save()
     names = list(plant.parameters)
