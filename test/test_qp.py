@@ -83,7 +83,7 @@ def run(
 # Limits
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", some(range(8), 5))
 def test_limits_hold_whatever_is_asked(seed: int) -> None:
     """Targets near, far and nowhere, at any time, in mid-motion, also moving ones."""
     rng = np.random.default_rng(seed)
@@ -145,7 +145,8 @@ def test_a_stopping_speed_stops_within_its_distance_and_none_larger_does() -> No
 def test_reachable_poses_are_reached_and_not_passed(joints: int) -> None:
     rng = np.random.default_rng(joints)
     reached = 0
-    for _ in range(8):
+    arms = some(range(8), 4)
+    for _ in arms:
         arm = random_arm(rng, joints)
         start = drawn(rng, arm)
         end = np.clip(start + rng.normal(size=joints) * 0.3, arm.lower, arm.upper)
@@ -161,7 +162,8 @@ def test_reachable_poses_are_reached_and_not_passed(joints: int) -> None:
             assert max(left[there:]) < 1e-3, "it went past its target"
         else:
             assert any("unreachable" in words for words in controller.notices), "no word"
-    assert reached >= 7, f"{reached} of 8"  # a narrow joint limit may leave no way
+    # A narrow joint limit may leave no way.
+    assert reached >= len(arms) - 1, f"{reached} of {len(arms)}"
 
 
 def test_the_same_questions_have_the_same_answers_to_the_last_bit() -> None:
@@ -232,7 +234,7 @@ def test_robots_come_back_from_one_metre_beyond_reach_as_they_were(scene: str) -
     arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
     start = loaded.start
     rng = np.random.default_rng(4)
-    for _ in range(3):
+    for _ in some(range(3), 2):
         home = pose_of(arm, start)
         direction = home.p_WT + 0.3 * rng.normal(size=3)
         far = Pose(direction / np.linalg.norm(direction) * (arm.reach + 1.0), home.R_WT)
@@ -265,7 +267,7 @@ def test_a_line_through_the_wrists_singular_pose_is_gone() -> None:
     loaded = load_scene("ur5")
     arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
     rng, lines = np.random.default_rng(7), 0
-    while lines < 5:
+    while lines < len(some(range(5), 3)):
         singular = loaded.start + rng.uniform(-0.3, 0.3, 6)
         singular[4] = 0.0
         middle = pose_of(arm, singular)
@@ -294,7 +296,7 @@ def test_half_turns_are_made(scene: str) -> None:
     loaded = load_scene(scene)
     arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
     rng, home = np.random.default_rng(8), pose_of(arm, loaded.start)
-    for k in range(4):
+    for k in some([3, 2, 1, 0], 2):
         axis = np.eye(3)[k] if k < 3 else rng.normal(size=3)
         turn = Rotation.from_rotvec(math.pi * axis / np.linalg.norm(axis)).as_matrix()
         target = Pose(home.p_WT, turn @ home.R_WT)
@@ -342,7 +344,7 @@ def test_a_joint_limit_in_the_way_is_gone_round() -> None:
     )
     arm = Kinematics(urdf, NAMES, "tool")
     rng = np.random.default_rng(3)
-    for _ in range(10):
+    for _ in some(range(10), 5):
         start, end = (
             np.array([rng.uniform(-2.7, 2.7), rng.uniform(-1.5, 1.5), rng.uniform(0.3, 2.4)])
             for _ in range(2)
@@ -363,7 +365,7 @@ def test_a_joint_at_its_limit_goes_a_turn_back() -> None:
     )
     arm = Kinematics(urdf, NAMES, "tool")
     rng = np.random.default_rng(5)
-    for _ in range(10):
+    for _ in some(range(10), 4):
         side = rng.choice([-1.0, 1.0])
         bend = np.array([rng.uniform(0.2, 0.8), rng.uniform(0.3, 1.5)])
         start = np.array([side * rng.uniform(2.6, 3.0), *bend])
