@@ -33,11 +33,12 @@ def test_hard_case(case: Case) -> None:
     """The bounds stand in bench/hard_cases.py, each beside its truth and reason."""
     outcomes = list(case.run(not FULL))
     tried = {outcome.scheme for outcome in outcomes}
-    assert tried & {"rosenbrock", "extrapolated"} and len(tried) >= 2, f"tried: {tried}"
+    assert tried & {"rosenbrock", "extrapolated"}, f"tried: {tried}"
     verdicts = {(outcome.scheme, outcome.dt): outcome.verdict for outcome in outcomes}
     assert FAILED not in verdicts.values(), verdicts
     if case.run is spin:  # nothing is stiff there and nothing damps: no case for `implicit`
-        assert verdicts["rosenbrock", 1e-4] == verdicts["rosenbrock", 1e-5] == "held", verdicts
+        fine = [1e-4, 1e-5] if FULL else [1e-4]
+        assert {verdicts["rosenbrock", dt] for dt in fine} == {"held"}, verdicts
         return
     assert DRIFTS not in verdicts.values(), verdicts
     for scheme in set(SCHEMES) - {"paper"}:
@@ -62,6 +63,7 @@ def test_report_shows_every_outcome() -> None:
 # Bounded everywhere
 
 COMMON = {"servo_period": 1e-2, **SHARED}
+FASTEST: dict[tuple[str, float, str], float] = {}  # what was found, for tests with the same truth
 
 
 def corners() -> Iterator[Any]:
@@ -98,20 +100,24 @@ def fastest(scene: Scene) -> float:
     return reached
 
 
+def fastest_of(scheme: str, dt: float, **overrides: Any) -> float:
+    key = (scheme, dt, repr(overrides))
+    if key not in FASTEST:
+        own = {"integrator.scheme": scheme, "integrator.dt": dt, **COMMON}
+        FASTEST[key] = fastest(load_scene("three_axis", overrides={**own, **overrides}))
+    return FASTEST[key]
+
+
 @pytest.mark.parametrize("overrides", list(corners()))
 @pytest.mark.parametrize("scheme", ["implicit", "rosenbrock", "extrapolated"])
 def test_bounded_up_to_ten_milliseconds(scheme: str, overrides: dict[str, Any]) -> None:
     """No step up to 10 ms makes the arm faster than it is; the plant's own check stays silent."""
 
-    def at(scheme: str, dt: float) -> Scene:
-        own = {"integrator.scheme": scheme, "integrator.dt": dt, **COMMON}
-        return load_scene("three_axis", overrides={**own, **overrides})
-
-    truth = fastest(at(scheme, 2e-5))
+    truth = fastest_of("rosenbrock", 5e-5, **overrides)
     for dt in (1e-2, 2e-3, 1e-3, 1e-4):
         # At 48 V to and fro light links turn by 0.2 rad within a step of 10 ms, where the turning
         # of the links, taken explicitly, is wrong by a part like that.
-        reached = fastest(at(scheme, dt))
+        reached = fastest_of(scheme, dt, **overrides)
         assert reached < 1.5 * truth, f"at {dt} s it reaches {reached:.3g} of {truth:.3g} rad/s"
 
 

@@ -77,16 +77,17 @@ def drawn_arm(folder: Path, seed: int) -> Path:
     )
 
 
-def one_gear(folder: Path, scheme: str, dt: float, period: float = PERIOD, **keys: Any) -> Path:
-    """One link behind such a gear, all of whose numbers may be set."""
+def one_gear(folder: Path, scheme: str, dt: float, period: float = PERIOD) -> Path:
+    """One link behind such a gear, in gravity, all of whose numbers may be set."""
     rng = np.random.default_rng(1)
     joint = {
         "motor": drawn_motor(rng, inductance=True),
         "gear": drawn_gear(rng, torque=10.0) | {"ratio": 0.02},
     }
     return write_scene(
-        folder, one_link_urdf(), {"joint": joint}, servo_period=period, varied=["joints.*"],
-        integrator={"scheme": scheme, "dt": dt}, **keys,
+        folder, one_link_urdf(), {"joint": joint}, servo_period=period,
+        varied=["joints.*", "links.*"], gravity=[0.0, 0.0, -9.81],
+        integrator={"scheme": scheme, "dt": dt},
     )  # fmt: skip
 
 
@@ -155,6 +156,7 @@ def test_an_undamped_gear_swings_as_duffing_says(tmp_path: Path, scheme: str) ->
     for steps in (50, 100, 200, 400):
         file = one_gear(tmp_path, scheme, period / steps, period)
         plant = plant_with(file, motor=motor, gear=gear)
+        plant.set_parameter("links.joint_link.moment_x", 0.0)  # as without gravity
         plant.put("the gear", {"theta_m": [A / gear["ratio"]]})
         assert plant.energy == pytest.approx(stored, rel=1e-12), "energy of the wound gear"
         errors.append(float(np.abs(plant.run(np.zeros((rows, 1)), steps)[:, 0] - q).max()))
@@ -185,7 +187,7 @@ def test_energy_balances_with_the_order(tmp_path: Path, seed: int) -> None:
 def test_the_gear_is_wound_up_by_its_torque(tmp_path: Path) -> None:
     """At rest under gravity: torque, wind-up and Kg w + Kg3 w^3 agree."""
     rng = np.random.default_rng(8)
-    file = one_gear(tmp_path, "rosenbrock", 1e-4, gravity=[0.0, 0.0, -9.81])
+    file = one_gear(tmp_path, "rosenbrock", 1e-4)
     for _ in range(3):
         gear = drawn_gear(rng, torque=6.0) | {"damping": 5.0, "ratio": 0.02}
         motor = drawn_motor(rng, inductance=True)
@@ -236,7 +238,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
     """What a scheme does not damp never gives a wrong motion in silence."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 3])
     name, rows, outcomes = "joints.joint.gear.cubic_stiffness", 15, []
-    file = one_gear(tmp_path, scheme, 1e-3, gravity=[0.0, 0.0, -9.81])
+    file = one_gear(tmp_path, scheme, 1e-3)
     own = {"motor": drawn_motor(rng, inductance=True),
            "gear": drawn_gear(rng, torque=20.0) | {"damping": 1.0},
            "friction": {"viscous": 0.1}}  # fmt: skip
@@ -246,7 +248,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
         for key, value in keys.items()
         if key != "ratio"
     }
-    for Kg3 in 10.0 ** rng.permutation(np.arange(8.0, 16.0)):
+    for Kg3 in 10.0 ** rng.permutation(some([8.0, 10.0, 12.0, 14.0, 9.0, 11.0, 13.0, 15.0], 4)):
         voltages = rng.uniform(-20.0, 20.0, (rows, 1))
         plant = Plant(load_scene(file, numbers | {name: float(Kg3)}))
         try:
@@ -290,7 +292,7 @@ def test_limited_currents_move_the_gear_as_the_equations_say(tmp_path: Path, sch
         tmp_path, one_link_urdf(), {"joint": {"motor": motor, "gear": gear}}, servo_period=PERIOD
     )
     voltages = rng.uniform(-20.0, 20.0, (10, 1))
-    truth = reference_states(load_scene(file), voltages, PERIOD, 1e-11, method="Radau")
+    truth = reference_states(load_scene(file), voltages, PERIOD, 1e-9, method="Radau")
     assert (np.abs(truth[:, 2, 0]) > 1.0).any(), "the motor shall turn"
     errors = []
     for steps in (50, 500):
