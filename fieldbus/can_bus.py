@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -29,6 +30,7 @@ def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Any]:
     except ImportError:
         rule = "be installed (pip install python-can)"
         raise Refusal("canopen", "package python-can", rule, "none") from None
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # what matters is told below
     known = sorted(can.VALID_INTERFACES)
     if interface not in known:
         raise Refusal("canopen", "bus", "be one of python-can", interface, ", ".join(known))

@@ -128,7 +128,11 @@ class Node:
         return int.from_bytes(self._drives.upload(self._drive, index, sub), "little")
 
     def _set_defaults(self) -> None:
-        """Set what depends on the node-ID; targets go with SYNC, the controlword at once."""
+        """Set what depends on the node-ID; targets go with SYNC, the controlword at once.
+
+        The statusword comes when it changes, and at least every 10 ms: the masters of `canopen`
+        take one that has come twice for a periodic one, and wait for it.
+        """
         own = {(0x1014, 0): 0x80, (0x1200, 1): 0x600, (0x1200, 2): 0x580}
         for k in range(PDOS):
             own[0x1400 + k, 1] = 0x200 + 0x100 * k
@@ -136,6 +140,7 @@ class Node:
             if k:
                 self._drives.set(self._drive, 0x1400 + k, 1, 2)
                 self._drives.set(self._drive, 0x1800 + k, 1, 2)
+        self._drives.set(self._drive, 0x1800, 10, 5)
         for (index, sub), base in own.items():
             self._drives.set(self._drive, index, base + self.number, sub)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import random
 import struct
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ from draws import FULL
 from arm_emulator.gains import load_gains
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
+from fieldbus.can_bus import can_bus
 from fieldbus.canopen_node import Frame, State
 from fieldbus.canopen_segment import Segment
 from fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
@@ -493,6 +495,26 @@ def test_data_sheet_tells_every_entry(scene: Scene) -> None:
             value = sum(int(part, 0) for part in text.split("+"))
             raw = node.upload(one.index, one.sub)
             assert value == int.from_bytes(raw, "little", signed=value < 0), name
+
+
+def test_a_bus_that_cannot_be_opened_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "can", None)
+    with pytest.raises(Refusal, match=r"canopen: package python-can must be installed \(pip"):
+        with can_bus("virtual", "0", None):
+            pass
+    monkeypatch.undo()
+    pytest.importorskip("can", reason="python-can is not installed, see requirements-peers.txt")
+    for bus, channel, words in (
+        (
+            "carrier_pigeon",
+            "0",
+            r"bus must be one of python-can, got carrier_pigeon; valid: .*virtual",
+        ),
+        ("socketcan", "no_such_line", r"bus socketcan, channel no_such_line must open, got "),
+    ):
+        with pytest.raises(Refusal, match=words):
+            with can_bus(bus, channel, None):
+                pass
 
 
 @pytest.mark.parametrize("first", [0, 126, -1])
