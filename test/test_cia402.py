@@ -366,7 +366,7 @@ def test_random_commands_options_and_losses_lead_where_a_model_says(seed: int) -
         event = rng.random()
         if event < 0.05 and model.state not in ("operation enabled", "quick stop"):
             index = rng.choice(list(model.options))
-            model.options[index] = rng.randrange({0x605A: 8, 0x6007: 4}.get(index, 2))
+            model.options[index] = rng.randrange({0x605A: 9, 0x6007: 4}.get(index, 2))
             drives.write(0, index, model.options[index])
         elif 0.05 < event < 0.07:
             drives.lost(0)
@@ -756,7 +756,7 @@ def test_a_following_error_is_a_fault_after_its_time() -> None:
     assert state(drives) == "operation enabled", "enabled once more"
 
 
-@pytest.mark.parametrize("option", range(8))
+@pytest.mark.parametrize("option", range(9))
 @pytest.mark.parametrize("mode", [PP, CSP, CSV, CST])
 def test_a_quick_stop_ends_as_its_option_says(option: int, mode: int) -> None:
     drives = make()
@@ -1008,3 +1008,43 @@ def test_the_same_words_give_the_same_bits() -> None:
         return drives.plant.save(), told
 
     assert run() == run(), "the whole machine and what the drives tell"
+
+
+# ---------------------------------------------------------------------------------- documentation
+
+
+def dictionary_rows() -> list[str]:
+    """The dictionary as docs/drives.md lists it: objects of the buses, entries of the drive."""
+    drives = make()
+    rows = ["| index | object | sub-indices | on |", "|---|---|---|---|"]
+    for one in dictionary():
+        if one.index < 0x2000 and one.sub == 0:
+            on = {1: "EtherCAT", 2: "CANopen", 3: "both"}[one.buses]
+            rows.append(f"| 0x{one.index:04X} | {one.object} | {one.last_sub or ''} | {on} |")
+    rows += [
+        "",
+        "| index | entry | type | access | PDO | unit | at first | range |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for one in dictionary():
+        if one.index < 0x2000:
+            continue
+        where = f"0x{one.index:04X}" + (f":{one.sub}" if one.last_sub else "")
+        name = one.object if not one.sub else f"{one.object}: {one.name}"
+        pdo = " ".join(word for word, may in (("rx", one.rx), ("tx", one.tx)) if may)
+        value = drives.read(0, one.index, one.sub)
+        live = one.access == "ro" and one.tx
+        first = "" if live else str(one.standard) if value == one.standard else "scene"
+        signed = one.type.startswith("I")
+        whole = one.least == (-(1 << one.bits - 1) if signed else 0)
+        whole &= one.most == (1 << one.bits - signed) - 1
+        bounds = "" if whole or "w" not in one.access else f"{one.least} to {one.most}"
+        cells = (where, name, one.type, one.access, pdo, one.unit, first, bounds)
+        rows.append(f"| {' | '.join(cells)} |")
+    return rows
+
+
+def test_the_page_lists_the_dictionary() -> None:
+    page = (ROOT / "docs/drives.md").read_text()
+    rows = "\n".join(dictionary_rows())
+    assert page.endswith(f"\n{rows}\n"), f"the end of docs/drives.md; it should be\n{rows}"

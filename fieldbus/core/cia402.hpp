@@ -268,7 +268,7 @@ class StateMachine {
           go(12, State::switch_on_disabled);
         } else {
           const int way = options.quick_stop < 5 ? options.quick_stop : options.quick_stop - 4;
-          stop_ = static_cast<Stop>(way);
+          stop_ = way < 3 ? static_cast<Stop>(way) : Stop::torque_limit;
         }
         return;
     }

@@ -302,7 +302,7 @@ constexpr Table make_table() {
   t.add(0x603F, 0, "Error code", unsigned16, ro, tx);
   t.add(0x6040, 0, "Controlword", unsigned16, rw, rx);
   t.add(0x6041, 0, "Statusword", unsigned16, ro, tx);
-  t.add(0x605A, 0, "Quick stop option code", integer16, rw, no, "", 2).within(0, 7);
+  t.add(0x605A, 0, "Quick stop option code", integer16, rw, no, "", 2).within(0, 8);
   t.add(0x605B, 0, "Shutdown option code", integer16, rw, no, "", 0).within(0, 1);
   t.add(0x605C, 0, "Disable operation option code", integer16, rw, no, "", 1).within(0, 1);
   t.add(0x605D, 0, "Halt option code", integer16, rw, no, "", 1).within(1, 3);
