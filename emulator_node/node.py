@@ -385,6 +385,8 @@ class EmulatorNode(Node):
         self._show()
 
     def _show(self) -> None:
+        if not self._stream.open:
+            return
         session, state = self._session, self._session.state
         self._stream.offer(
             session.logical_ns,

@@ -138,6 +138,11 @@ class RerunStream:
         atexit.register(self.close)
 
     @property
+    def open(self) -> bool:
+        """Whether samples that are offered go anywhere."""
+        return self._open
+
+    @property
     def dropped(self) -> int:
         """Samples that were not shown, because the queue was full or Rerun refused them."""
         return self._queue.dropped + self._lost

@@ -18,6 +18,9 @@ from rclpy.node import Node
 # s, wall: how often new entities are looked for, and those served that are left to rclpy's own
 # executor (QoS events, clients, guard conditions).
 HOUSEKEEPING = 0.2
+# s, wall: how often timers and services are looked at while messages keep coming. To wait for some
+# twenty of them takes longer than the message of a tick does.
+REST = 2e-3
 
 
 class LeanExecutor:
@@ -50,6 +53,7 @@ class LeanExecutor:
             self._rest.spin_once(timeout_sec=0.0)
 
     def _serve(self, held: ExitStack, until: float) -> None:
+        """Wait for messages alone while they keep coming, and look at the rest now and then."""
         node = self._node
         subscriptions, timers, services = (
             [(one.handle.pointer, one) for one in many]
@@ -59,28 +63,44 @@ class LeanExecutor:
             held.enter_context(one.handle)
         context: Any = self._context.handle
         held.enter_context(context)
-        waiting: Any = rclpy_implementation.WaitSet(
+        wait_set = rclpy_implementation.WaitSet
+        all_of_them: Any = wait_set(
             len(subscriptions), 0, len(timers), 0, len(services), 0, context
         )
-        while (left := until - time.monotonic()) > 0.0:
-            waiting.clear_entities()
-            for _, subscription in subscriptions:
-                waiting.add_subscription(subscription.handle)
-            for _, timer in timers:
-                waiting.add_timer(timer.handle)
-            for _, service in services:
-                waiting.add_service(service.handle)
-            waiting.wait(int(left * 1e9))
-            if not self._context.ok():
-                raise ExternalShutdownException
-            for _, subscription in _ready(waiting, "subscription", subscriptions):
-                self._take_message(subscription)
-            for _, timer in _ready(waiting, "timer", timers):
-                if timer.handle.is_timer_ready():
-                    timer.handle.call_timer()
-                    timer.callback()
-            for _, service in _ready(waiting, "service", services):
-                self._take_request(service)
+        messages: Any = wait_set(len(subscriptions), 0, 0, 0, 0, 0, context)
+        quiet = True
+        look = time.monotonic()  # at the rest
+        while (now := time.monotonic()) < until:
+            if quiet or now >= look:
+                all_of_them.clear_entities()
+                for _, timer in timers:
+                    all_of_them.add_timer(timer.handle)
+                for _, service in services:
+                    all_of_them.add_service(service.handle)
+                taken = self._wait(all_of_them, subscriptions, until - now if quiet else 0.0)
+                for _, timer in _ready(all_of_them, "timer", timers):
+                    if timer.handle.is_timer_ready():
+                        timer.handle.call_timer()
+                        timer.callback()
+                for _, service in _ready(all_of_them, "service", services):
+                    self._take_request(service)
+                look = time.monotonic() + REST
+                quiet = quiet and not taken
+            else:
+                messages.clear_entities()
+                quiet = not self._wait(messages, subscriptions, look - now)
+
+    def _wait(self, waiting: Any, subscriptions: list[tuple[int, Any]], seconds: float) -> bool:
+        """Wait, and serve the messages that have come; whether there were any."""
+        for _, subscription in subscriptions:
+            waiting.add_subscription(subscription.handle)
+        waiting.wait(int(seconds * 1e9))
+        if not self._context.ok():
+            raise ExternalShutdownException
+        ready = _ready(waiting, "subscription", subscriptions)
+        for _, subscription in ready:
+            self._take_message(subscription)
+        return bool(ready)
 
     def _take_message(self, subscription: Any) -> None:
         taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
