@@ -16,6 +16,7 @@ from words.refusal import Refusal
 LOOK = 0.1  # s, after which a bus that is silent is looked at
 TELL_SILENCE = 5.0  # s
 LATEST = 100_000_000  # ns, beyond which periods are lost
+MOST_FRAMES = 200  # that are answered between two servo periods that are late
 
 
 @contextlib.contextmanager
@@ -92,19 +93,34 @@ class BusService:
                 due += lost * period
             due += period
             self._send(self._segment.pass_period())
-            self._take(0.0)
             self._tell_fault()
+            for _ in range(MOST_FRAMES):
+                if not self._take(0.0):
+                    break
 
-    def _take(self, timeout: float) -> None:
-        """Wait for a frame, and answer it; heartbeats that are due."""
-        message = self._bus.recv(timeout)
-        if message is not None and not (message.is_extended_id or message.is_error_frame):
+    def _take(self, timeout: float) -> bool:
+        """Wait for a frame, and answer it; send heartbeats that are due. Return whether one came.
+
+        Raises:
+            Refusal: the bus is gone.
+        """
+        import can
+
+        try:
+            message = self._bus.recv(timeout)
+        except (can.CanError, OSError) as error:
+            raise Refusal("canopen", "bus", "stay open", error) from None
+        usual = message is not None and not (
+            message.is_extended_id or message.is_error_frame or message.is_fd
+        )
+        if usual:
             frame = Frame(
                 message.arbitration_id, bytes(message.data), bool(message.is_remote_frame)
             )
             self._send(self._segment.receive(frame))
             self._tell_fault()
         self._send(self._segment.heartbeats(time.monotonic_ns()))
+        return message is not None
 
     def _send(self, frames: list[Frame]) -> None:
         import can

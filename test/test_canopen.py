@@ -7,13 +7,15 @@ import random
 import struct
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 from draws import FULL
 
+from arm_emulator.canopen import write_eds
 from arm_emulator.gains import load_gains
-from emulator_node.plant import Plant
+from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import Scene, load_scene
 from fieldbus.can_bus import can_bus
 from fieldbus.canopen_node import Frame, State
@@ -407,6 +409,29 @@ def test_a_stopped_node_and_a_lost_master_take_the_drives_off(scene: Scene) -> N
         assert node.upload(0x6041, 0)[0] & 0x4F == 0x08, "Fault, as 0x6007 says"
         assert node.upload(0x603F, 0) == code
         assert segment.nodes[1].upload(0x6041, 0)[0] & 0x6F == 0x27, "the others go on"
+
+
+def test_a_machine_that_diverged_stays_and_its_nodes_answer(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    segment = segment_of(scene, operational=True)
+    segment.receive(SYNC)
+    still = np.zeros(3)
+    gone = Diverged("waist", 0.001, scene, still, still, still, (still, still))
+
+    def diverge() -> None:
+        raise gone
+
+    monkeypatch.setattr(segment._drives, "period", diverge)
+    for _ in range(3):
+        assert sent(segment.receive(SYNC), 0x281), "SYNC is answered"
+    assert segment.fault is gone and segment.tick == 1
+    assert uploaded(segment, 1, 0x1000, 0) == b"\x92\x01\x02\0"
+
+
+def test_data_sheets_that_cannot_be_written_are_refused() -> None:
+    with pytest.raises(Refusal, match=r"canopen: file .* must be writable, got File exists"):
+        write_eds("three_axis", Path(__file__))
 
 
 def noise(draw: random.Random, numbers: Sequence[int]) -> Frame:

@@ -10,6 +10,7 @@ import signal
 import struct
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,10 +19,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import FULL
+from machines import one_link_urdf, write_scene
 
 from arm_emulator.modbus import modbus
 from emulator_node.scene import Scene, load_scene
-from emulator_node.session import Session
+from emulator_node.session import EndOfTime, Session
 from fieldbus import converter as registers
 from fieldbus.converter import Converter
 from fieldbus.modbus_line import ModbusLine
@@ -31,7 +33,7 @@ from words.refusal import Refusal
 
 NO_ERRORS = LineErrors(0.0, 0)
 FRAMES = 100_000 if FULL else 5_000
-MALFORMED = 100_000 if FULL else 5_000
+MALFORMED = 1_000_000 if FULL else 5_000
 
 
 @pytest.fixture(scope="module")
@@ -329,6 +331,15 @@ def test_reset_begins_anew(scene: Scene) -> None:
     assert master.read(2000, 4) == [1, 0, 0, 0] and master.read(1000, 3) == [1, 0, 0]
     master.write(2000, 0)
     assert master.read(1000, 1) == [0], "no power"
+    converter.session.fault = EndOfTime()
+    master.write(2000, 1)
+    assert master.read(1000, 1) == [registers.POWERED | registers.FAULT]
+    before = state_of(line, converter)
+    commands = struct.pack(">BHHB3H", 16, 2001, 3, 6, 1, 2, 3)
+    assert master.ask(commands) == bytes((0x90, Code.FAILURE))
+    assert state_of(line, converter) == before
+    master.write(2000, 5, 1, 2, 3)
+    assert master.read(1000, 3) == [registers.POWERED | registers.RUNNING, 0, 1]
 
 
 class Recorder:
@@ -424,7 +435,7 @@ def test_malformed_frames_change_nothing(scene: Scene, clock: str) -> None:
         struct.pack(">BBHH", 1, 4, 1000, 20),
         struct.pack(">BBHH", 1, 8, 0, 5),
     ]
-    refused = 0
+    refused, before = 0, state_of(line, converter)
     for _ in range(MALFORMED // 2):
         if draw.random() < 0.3:
             data = draw.randbytes(draw.randrange(0, 300))
@@ -443,15 +454,15 @@ def test_malformed_frames_change_nothing(scene: Scene, clock: str) -> None:
             data = bytes(spoiled)
         if draw.random() < 0.8:
             data = sound(data)
-        before, tick = state_of(line, converter), converter.session.tick
+        tick = converter.session.tick
         reply = line.bring(data) + line.silence()
-        after = state_of(line, converter)
+        was, before = before, state_of(line, converter)
         if clock == "line" and converter.session.tick != tick:
             continue  # time has passed while it was on the line
         done = (bool(reply) and reply[1] in (6, 16, 23)) or data[:1] == b"\0"
         if not done:
             refused += 1
-            assert after == before, data.hex()
+            assert before == was, data.hex()
         else:
             assert converter.session.fault is None
     assert refused > MALFORMED // 8
@@ -479,6 +490,21 @@ def test_what_cannot_be_is_refused(given: dict[str, object], line: str) -> None:
     )
     with pytest.raises(Refusal, match=line):
         modbus("three_axis", **{**usual, **given})  # type: ignore[arg-type]
+
+
+def test_full_scale_is_the_supply_or_the_limit_of_the_motor(tmp_path: Path) -> None:
+    for kind, numbers in (
+        ("torque", {"torque_limit": 7.5}),
+        ("current", {"current_limit": 12.0, "torque_constant": 0.1}),
+    ):
+        motor = {"kind": kind, "rotor_inertia": 1e-4, **numbers}
+        given = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
+        limit = numbers[f"{kind}_limit"]
+        assert registers.full_scale(given, given.joints[0]) == limit
+        del motor[f"{kind}_limit"]
+        without = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
+        with pytest.raises(Refusal, match=rf"joints.joint.motor.{kind}_limit must be given"):
+            registers.full_scale(without, without.joints[0])
 
 
 def test_requests_have_the_lengths_of_the_standard() -> None:
@@ -522,13 +548,24 @@ def ask(port: int, request: bytes, length: int) -> bytes:
 def test_port_serves_in_lockstep_and_ends_on_ctrl_c(tmp_path: Path, scene: Scene) -> None:
     line, _ = line_of(scene)
     draw = random.Random(1)
-    with served(tmp_path) as (port, _process):
+    with served(tmp_path) as (port, process):
         os.write(port, b"noise that is no frame")
         time.sleep(0.1)  # a pause; were it too short, the next request would be lost, and the test
         for _ in range(20):
             request = sound(b"\1" + read_write(1000, 15, 2001, draw.choices(range(3000), k=3)))
             expected = line.bring(request)
             assert ask(port, request, len(expected)) == expected
+        settings = termios.tcgetattr(port)
+        settings[4] = settings[5] = termios.B9600
+        termios.tcsetattr(port, termios.TCSANOW, settings)
+        os.write(port, request)
+        assert process.stderr is not None
+        told = "the master has set 9600 baud, this end has 115200: nothing gets through"
+        assert told in process.stderr.readline()
+        settings[4] = settings[5] = termios.B115200
+        termios.tcsetattr(port, termios.TCSANOW, settings)
+        expected = line.bring(request)
+        assert ask(port, request, len(expected)) == expected, "what was not heard changed nothing"
 
 
 def test_port_in_real_time_takes_the_time_of_the_line_and_watches(tmp_path: Path) -> None:

@@ -28,12 +28,12 @@ ENTRIES = [one for one in dictionary() if one.buses & CANOPEN]
 
 
 @contextmanager
-def network_of(segment: Segment, channel: str) -> Iterator[Any]:
+def network_of(segment: Segment, channel: str, period: int | None = None) -> Iterator[Any]:
     """Our nodes in a thread, and a network of the master's on the same virtual bus."""
     with can_bus("virtual", channel, None) as bus:
         goes_on = threading.Event()
         goes_on.set()
-        service = BusService(bus, segment, None)
+        service = BusService(bus, segment, period)
         network = canopen.Network()
         network.NOTIFIER_SHUTDOWN_TIMEOUT = 5.0
         network.connect(interface="virtual", channel=channel)
@@ -104,6 +104,31 @@ def test_heartbeat_and_emergency_reach_the_master(tmp_path: Path) -> None:
         network.subscribe(0x701, lambda _id, data, _time: beats.append(bytes(data)))
         remote.nmt.state = "RESET"
         wait_until(lambda: b"\0" in beats, "the node boots")
+
+
+def test_profile_position_in_real_time_by_sdo_alone(tmp_path: Path) -> None:
+    """Without SYNC, servo periods pass by the wall clock, never faster."""
+    segment = load_segment("three_axis", lockstep=False)
+    period = round(segment.scene.servo_period * 1e9)
+    write_eds("three_axis", tmp_path)
+    started = time.monotonic()
+    with network_of(segment, "clock", period) as network:
+        node = network.add_node(3, str(tmp_path / "three_axis_elbow.eds"))
+        status, control = node.sdo["Statusword"], node.sdo["Controlword"]
+        node.sdo["Modes of operation"].raw = 1
+        for word, reached in ((6, 0x21), (7, 0x23), (15, 0x27)):
+            control.raw = word
+            wait_until(lambda reached=reached: status.raw & 0x6F == reached, f"state {reached:x}")
+        target = node.sdo["Position actual value"].raw + 1500
+        node.sdo["Target position"].raw = target
+        control.raw = 0x3F
+        wait_until(lambda: status.raw & 0x1000, "the set-point is acknowledged")
+        control.raw = 0x2F
+        wait_until(lambda: status.raw & 0x400, "the target is reached")
+        assert abs(node.sdo["Position actual value"].raw - target) <= 10, "within its window"
+        passed = time.monotonic() - started
+        assert 0.1 < segment.now / 1e9 <= passed
+    assert segment.fault is None
 
 
 SECONDS = 60.0 if FULL else 6.0  # of the motion of ur5
