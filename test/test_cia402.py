@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import math
@@ -985,6 +986,48 @@ def test_touch_probes_store_the_position_of_index_pulses() -> None:
     drives.write(0, 0x60B8, 0)
     drives.period()
     assert drives.read(0, 0x60B9) == 0, "off"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
+    """Any value in any entry of the drive in motion: one state, no voltage unless it controls."""
+    rng = random.Random(seed)
+    drives = make(RICH if seed % 2 else PLAIN)
+    entries = [one for one in dictionary() if one.index >= 0x2000 and one.access == "rw"]
+    lively = [one for one in entries if one.rx and one.index != CONTROL]
+    likely = [
+        SHUTDOWN,
+        SWITCH_ON,
+        RESET,
+        0x0B,
+        *(ENABLE | bits for bits in (0, 0, 0x10, 0x30, HALT)),
+    ]
+    seen = set()
+    for k in range(1500):
+        for j in range(N):
+            if rng.random() < 0.05:
+                drives.write(j, CONTROL, rng.choice(likely))
+            one = rng.choice(lively if rng.random() < 0.8 else entries)
+            value = rng.choice((one.least, one.most, rng.randint(one.least, one.most), k % 128))
+            if one.index == TARGET:
+                value = drives.read(j, ACTUAL) + rng.randrange(-2000, 2000)
+            with contextlib.suppress(Aborted):
+                drives.download(j, one.index, one.sub, value.to_bytes(9, "little", signed=True)
+                                [: one.bits // 8])  # fmt: skip
+        if k % 100 == 0:
+            drives.lost(rng.randrange(-1, N))
+        drives.period()
+        for j in range(N):
+            now = state(drives, j)
+            seen.add(now)
+            # Where there are brakes, the motor is held while they open and close.
+            off = now in ("switch on disabled", "ready", "switched on", "fault")
+            if off and drives.plant.scene is PLAIN:
+                assert drives.plant.voltage[j] == 0.0, f"voltage in {now}, period {k}"
+            assert abs(drives.plant.voltage[j]) <= PLAIN.supply_voltage, f"voltage, period {k}"
+    assert len(seen) >= 4, f"states that were seen: {seen}"
+    assert "operation enabled" in seen, "it was enabled"
+    assert np.isfinite(drives.plant.state.q).all(), "the arm"
 
 
 def test_what_has_no_drive_is_refused_in_one_line() -> None:
