@@ -28,6 +28,8 @@ endif
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHONPATH
 unexport ROS_DISTRO VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
+# Hundreds of processes of the tests would translate our modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 # Nothing that runs from here talks to other machines unless asked to.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 

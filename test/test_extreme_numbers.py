@@ -52,7 +52,7 @@ def aim(nodes: InProcess) -> None:
     nodes.say("tool_target", target)
 
 
-@pytest.mark.parametrize("seed", some(range(3), 2))
+@pytest.mark.parametrize("seed", some(range(3), 1))
 def test_bad_messages_leave_every_bit_of_a_run(seed: int, reference: dict[int, bytes]) -> None:
     rng, said = random.Random(seed), dict.fromkeys(RECEIVER.values(), 0)
     with in_process() as nodes:
@@ -72,7 +72,7 @@ def test_bad_messages_leave_every_bit_of_a_run(seed: int, reference: dict[int, b
         assert_same_bits(nodes.states, reference, TICKS)
 
 
-@pytest.mark.parametrize("seed", some(range(3), 2))
+@pytest.mark.parametrize("seed", some(range(3), 1))
 def test_bad_messages_do_not_stop_a_run_in_real_time(seed: int) -> None:
     rng, said = random.Random(seed), dict.fromkeys(RECEIVER.values(), 0)
     with in_process("realtime") as nodes:
@@ -164,7 +164,7 @@ def test_the_motion_controller_forgets_its_targets_when_it_is_reset() -> None:
         assert_same_bits(nodes.states, still, TICKS)
 
 
-@pytest.mark.parametrize("seed", some(range(3), 2))
+@pytest.mark.parametrize("seed", some(range(3), 1))
 def test_after_any_messages_a_reset_gives_every_bit_of_a_run(
     seed: int, reference: dict[int, bytes]
 ) -> None:

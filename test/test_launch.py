@@ -24,11 +24,9 @@ from ros_shell.ros_domain import own_domain
 from words.config_files import find_config
 
 SERVO = ("servo_node.node", "--params-file", "config/servo/three_axis.yaml")
-# Module and arguments after --ros-args, and what is said.
+# Module and arguments after --ros-args, and what is said: first one of each kind.
 REFUSED_NODES = [
     (("emulator_node.node", "-p", "scene:=nonesuch"), "arm_emulator: file nonesuch must exist"),
-    (("emulator_node.node", "-p", "scene:=3"), "node emulator: parameter scene must be a text"),
-    (("emulator_node.node", "-p", "scene:=setup.py"), "setup.py: file must be "),
     (
         ("emulator_node.node", "-p", "clock:=sundial"),
         "node emulator: parameter clock must be known, got 'sundial'; valid: lockstep, realtime",
@@ -49,6 +47,12 @@ REFUSED_NODES = [
     ),
     ((*SERVO, "-p", "speed:=3.0"), "parameters of node servo: speed must be a known key"),
     (
+        ("motion_controller_node.node", "-p", "weight:=2.0"),
+        "node motion_controller: parameter weight must be a number from 1e-06 to 1.0, got 2.0",
+    ),
+    (("emulator_node.node", "-p", "scene:=3"), "node emulator: parameter scene must be a text"),
+    (("emulator_node.node", "-p", "scene:=setup.py"), "setup.py: file must be "),
+    (
         (*SERVO, "-p", "hold_after:=-3.0"),
         "parameters of node servo: hold_after must be a number > 0 s, got -3.0",
     ),
@@ -59,10 +63,6 @@ REFUSED_NODES = [
     (
         (*SERVO, "-p", "joints.knee.resistance:=1.0"),
         "parameters of node servo: joints.knee must be a known key",
-    ),
-    (
-        ("motion_controller_node.node", "-p", "weight:=2.0"),
-        "node motion_controller: parameter weight must be a number from 1e-06 to 1.0, got 2.0",
     ),
     (
         ("motion_controller_node.node", "-p", "weight:=half"),
@@ -113,9 +113,10 @@ def _heed_ctrl_c() -> None:
 def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
     file = find_config("three_axis", ".yaml", "servo")
     assert file.is_file(), f"{file} is what refusals name"
-    cases = [((module, "--ros-args", *more), words, 1) for (module, *more), words in REFUSED_NODES]
-    cases += [((one, "--ros-args", *more), words, 2) for (one, *more), words in REFUSED_BY_ROS]
-    cases += [(("arm_emulator", *command), words, 1) for command, words in REFUSED_COMMANDS]
+    nodes, ros, commands = some(REFUSED_NODES, 7), some(REFUSED_BY_ROS, 1), REFUSED_COMMANDS
+    cases = [((module, "--ros-args", *more), words, 1) for (module, *more), words in nodes]
+    cases += [((one, "--ros-args", *more), words, 2) for (one, *more), words in ros]
+    cases += [(("arm_emulator", *command), words, 1) for command, words in commands]
     with own_domain():
         started = [(start(*command), command, words, lines) for command, words, lines in cases]
         for process, command, words, lines in started:

@@ -36,13 +36,15 @@ NO_INDUCTANCE = {"joints.*.motor.inductance": None}
 VARIED = ["joints.*"]
 MACHINES: dict[str, dict[str, Any]] = {
     "everything": {},
-    "rigid gear": RIGID,
-    "no inductance": NO_INDUCTANCE,
     "rigid gear, no inductance": {**RIGID, **NO_INDUCTANCE},
     "gear without damping": {"joints.*.gear.damping": 0.0},
     "gravity and payload": {
-        "gravity": [0.0, 0.0, -9.81],
-        "payload": {"mass": 1.0, "com": [0.0, 0.02, 0.05]},
+        "gravity": [1.0, 2.0, -9.0],
+        "payload": {
+            "mass": 1.0,
+            "com": [0.01, 0.02, 0.05],
+            "inertia": [0.01, 0.02, 0.015, 0.001, 0.002, -0.003],
+        },
     },
     "no motors": {
         "joints.*.motor": None,
@@ -51,6 +53,8 @@ MACHINES: dict[str, dict[str, Any]] = {
         "gravity": [0.0, 0.0, -9.81],
     },
     "random chain": {},
+    "rigid gear": RIGID,
+    "no inductance": NO_INDUCTANCE,
 }
 
 
@@ -114,7 +118,7 @@ def error(machine: str, scheme: str, steps: int) -> float:
 def test_reference_by_two_methods() -> None:
     """Radau is implicit, DOP853 explicit: what they agree on is no matter of method."""
     one = scene("everything", "paper", 100)
-    rows = voltages(3)[:5]
+    rows = voltages(3)[:2]
     implicit, explicit = (reference(one, rows, PERIOD, method=m) for m in ("Radau", "DOP853"))
     # Each makes an error of 1e-11 per step at most, in some hundred steps that damping forgets.
     assert implicit == pytest.approx(explicit, abs=1e-11), "motions by Radau and by DOP853"
@@ -171,7 +175,7 @@ def test_reference_says_what_it_cannot_solve() -> None:
 
 # Orders
 
-# Every machine with both orders and every scheme on the machine that has all; then the others.
+# Every scheme on the machine that has all, a scheme on the others; then all of both orders.
 PAIRS = [
     *(("everything", scheme) for scheme in SCHEMES),
     *((machine, SCHEMES[(k + half) % 4])
@@ -179,7 +183,7 @@ PAIRS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("machine", "scheme"), some(PAIRS, 4 + (len(MACHINES) - 1)))
+@pytest.mark.parametrize(("machine", "scheme"), some(PAIRS, 4 + (len(MACHINES) - 3)))
 def test_orders(machine: str, scheme: str) -> None:
     coarse, fine = (error(machine, scheme, steps) for steps in (800, 1600))
     # The next term of the error's expansion is one order higher: at 12 us and below it is some per
@@ -194,7 +198,7 @@ def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
     one = scene("everything", "rosenbrock", 1)
     t = PERIOD * np.arange(100)[:, None]
     rows = 12.0 * np.sin(2.0 * np.pi * (0.5 + 0.3 * np.arange(3)) * t + np.arange(3))
-    exact = reference(one, rows, PERIOD, 1e-8)
+    exact = reference(one, rows, PERIOD, 1e-6)
     assert Plant(one).run(rows, 1)[-1] == pytest.approx(exact[-1], abs=5e-4), "arm after 1 s"
 
 
@@ -263,7 +267,7 @@ def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str,
 
 
 @pytest.mark.parametrize("machine", ["everything", "no inductance", "rigid gear"])
-@pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 2))
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 1))
 def test_no_current_exceeds_its_limit(machine: str, scheme: str) -> None:
     plant = Plant(scene(machine, scheme, 10, **{"joints.*.motor.current_limit": 3.0}))
     rng = np.random.default_rng(5)
@@ -276,19 +280,28 @@ def test_no_current_exceeds_its_limit(machine: str, scheme: str) -> None:
     assert reached == 3.0, "the largest current [A]"
 
 
-def sliding(folder: Path, scheme: str, dt: float, friction: dict[str, float], **keys: Any) -> Plant:
+def sliding(
+    folder: Path, scheme: str, dt: float, friction: dict[str, float], weight: bool = False
+) -> Plant:
+    """A level arm, with weight or without, that breaks away at twice the coulomb torque."""
     file = write_scene(
-        folder, one_link_urdf(), {"joint": {"friction": friction}}, varied=VARIED, **keys
-    )
-    return Plant(load_scene(file, overrides={"integrator.scheme": scheme, "integrator.dt": dt}))
+        folder, one_link_urdf(), {"joint": {"friction": friction}},
+        varied=[*VARIED, "links.*"], gravity=[0.0, 0.0, -9.81],
+    )  # fmt: skip
+    plant = Plant(load_scene(file, {"integrator.scheme": scheme, "integrator.dt": dt}))
+    if not weight:
+        plant.set_parameter("links.joint_link.moment_x", 0.0)
+        plant.reset()
+    return plant
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 3))
 @pytest.mark.parametrize("viscous", [0.0, 0.4])
 def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: float) -> None:
     """I dv/dt = -Dc - Dl v stops at t = I/Dl ln(1 + Dl v0/Dc), or I v0/Dc, and stays there."""
     dt, v0, Dc = 1e-4, 3.0, 0.7
-    plant = sliding(tmp_path, scheme, dt, {"viscous": viscous, "coulomb": Dc})
+    friction = {"viscous": viscous, "coulomb": Dc, "breakaway": 2.0 * Dc}
+    plant = sliding(tmp_path, scheme, dt, friction)
     if viscous:
         time = LINK_INERTIA / viscous * np.log(1.0 + viscous * v0 / Dc)
         distance = LINK_INERTIA / viscous * (v0 - Dc / viscous * np.log(1.0 + viscous * v0 / Dc))
@@ -315,11 +328,11 @@ def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: flo
 def test_a_joint_breaks_away_at_its_breakaway_torque(tmp_path: Path, scheme: str) -> None:
     """A level arm of 2 kg at 0.3 m pulls with m g c; friction a hair above or below that."""
     torque = 2.0 * 9.81 * 0.3
-    gravity = [0.0, 0.0, -9.81]
     # The torque is computed with a few roundings.
     for factor, moves in ((1.0 + 1e-12, False), (1.0 - 1e-12, True)):
-        friction = {"coulomb": 0.5 * torque * factor, "breakaway": torque * factor}
-        plant = sliding(tmp_path, scheme, 1e-3, friction, gravity=gravity)
+        dry = 0.5 * torque * factor
+        friction = {"coulomb": dry, "breakaway": 2.0 * dry}
+        plant = sliding(tmp_path, scheme, 1e-3, friction, weight=True)
         plant.advance([0.0], 1000)
         if not moves:
             held = plant.state.q[0] == 0.0 and plant.state.v[0] == 0.0
@@ -332,7 +345,7 @@ def test_a_joint_breaks_away_at_its_breakaway_torque(tmp_path: Path, scheme: str
         assert plant.state.v[0] == pytest.approx(speed, rel=1e-2), "speed after 10 ms [rad/s]"
 
 
-@pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 2))
+@pytest.mark.parametrize("scheme", some(["paper", "rosenbrock", "extrapolated", "implicit"], 1))
 def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
     """A thrown chain of four joints with dry friction alone loses energy till all of it is gone."""
     urdf = random_chain_urdf(np.random.default_rng(7), 4)
@@ -359,9 +372,8 @@ def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
 
 def test_the_reference_knows_the_payload_as_the_core_does() -> None:
     """The payload's weight at the tool, 0.9 m above the waist, by Pinocchio and by the core."""
-    payload = {"mass": 2.0, "com": [0.1, 0.2, 0.3], "inertia": [0.1, 0.2, 0.15, 0.01, 0.02, -0.03]}
-    one = scene("everything", "paper", 100, payload=payload, gravity=[1.0, 2.0, -9.0])
-    model = links_model(one, payload)
+    one = scene("gravity and payload", "rosenbrock", 100)
+    model = links_model(one, MACHINES["gravity and payload"]["payload"])
     q, v, tau = np.random.default_rng(2).normal(size=(3, 3))
     expected = pin.aba(model, model.createData(), q, v, tau)
     # As in test_dynamics.py.
