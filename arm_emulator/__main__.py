@@ -272,7 +272,7 @@ def _parser() -> argparse.ArgumentParser:
     header.add_argument("--out", type=Path, metavar="FILE", help="(default: the terminal)")
     header.set_defaults(run=_servo_header)
 
-    fmu = commands.add_parser("fmu", help="write the machine as a unit for simulators (FMI 3.0)")
+    fmu = commands.add_parser("fmu", help="write the machine as a unit for simulators (FMI)")
     fmu.add_argument("scene", help="scene file or name")
     fmu.add_argument("--out", type=Path, required=True, metavar="FILE", help="such as arm.fmu")
     fmu.add_argument(
@@ -285,6 +285,7 @@ def _parser() -> argparse.ArgumentParser:
         default="x86-64-v2",
         help="processors of its binary: a level (default: %(default)s), or native, this machine's",
     )
+    fmu.add_argument("--fmi", choices=("3", "2"), default="3", help="version (default: 3.0)")
     fmu.set_defaults(run=_fmu)
 
     compile_ = commands.add_parser("compile", help="compile a scene ahead of its first use")
@@ -535,7 +536,7 @@ def _fmu(arguments: argparse.Namespace) -> int:
 
     varied = arguments.varied
     names = None if varied is None else [one for one in varied.split(",") if one]
-    return write_fmu(arguments.scene, arguments.out, names, arguments.target)
+    return write_fmu(arguments.scene, arguments.out, names, arguments.target, arguments.fmi)
 
 
 def _compile(arguments: argparse.Namespace) -> int:

@@ -9,7 +9,9 @@ from emulator_node.scene import load_scene
 from fmu.export import export
 
 
-def write_fmu(scene_name: str, out: Path, varied: list[str] | None, target: str) -> int:
+def write_fmu(
+    scene_name: str, out: Path, varied: list[str] | None, target: str, version: str
+) -> int:
     """Write the unit, and say what it is.
 
     Args:
@@ -17,16 +19,17 @@ def write_fmu(scene_name: str, out: Path, varied: list[str] | None, target: str)
         out: the file.
         varied: names of numbers that become parameters, in place of those of the scene.
         target: which processors its binary is for.
+        version: of FMI.
 
     Raises:
         Refusal: a scene, a name, a target or a file that is not taken.
     """
     overrides: dict[str, Any] = {} if varied is None else {"varied": varied}
     scene = load_scene(scene_name, overrides)
-    export(scene, out, target)
+    export(scene, out, target, version)
     parameters = f", {len(scene.varied)} parameters" if scene.varied else ""
     print(
-        f"{out}: FMI 3.0 co-simulation, {len(scene.joints)} joints{parameters}; "
+        f"{out}: FMI {version}.0 co-simulation, {len(scene.joints)} joints{parameters}; "
         f"steps are multiples of {scene.servo_period:g} s"
     )
     return 0

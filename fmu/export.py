@@ -14,47 +14,55 @@ from compiled.unit import compiled_bytes, fingerprint
 from emulator_node.compiler import CORE
 from emulator_node.scene import Scene
 from fmu.model_description import build_description, model_description
+from fmu.model_description_2 import model_description_2
 from fmu.names import identifier
 from fmu.page import page
 from fmu.unit import FOLDER, unit_of
-from fmu.variables import variables
+from fmu.variables import scalars, variables
 from words.config_files import config_folder
 from words.refusal import Refusal
 
 TARGET = "x86-64-v2"  # that most machines have; "native" is faster, and gives other bits
-PLATFORM = "x86_64-linux"
+PLATFORMS = {"3": "x86_64-linux", "2": "linux64"}  # by the version of FMI
 _SOURCE = "unit.cpp"
 _DATE = (1980, 1, 1, 0, 0, 0)  # so that equal scenes make equal files
 
 
-def export(scene: Scene, out: Path, target: str = TARGET) -> None:
-    """Write a scene's machine as a unit of FMI 3.0 for co-simulation.
+def export(scene: Scene, out: Path, target: str = TARGET, version: str = "3") -> None:
+    """Write a scene's machine as a unit for co-simulation.
 
     Args:
         scene: the machine; its `varied` numbers become tunable parameters.
         out: the file, which ends in ``.fmu``.
         target: which processors its binary is for, see `compiled.unit.compile_units`.
+        version: of FMI, one of `unit.VERSIONS`; without arrays in FMI 2.
 
     Raises:
         Refusal: another ending, a file that cannot be written, or no compiler.
     """
     if out.suffix != ".fmu":
         raise Refusal("fmu", "--out", "end in .fmu", out.name)
-    listed = variables(scene)
-    unit, token = unit_of(scene, listed, "3.0")
+    listed = variables(scene) if version == "3" else scalars(scene)
+    unit, token = unit_of(scene, listed, version)
     library = compiled_bytes(unit, target)
     name = identifier(scene.name)
     options = shlex.join([*unit.flags, f"-march={target}"])
     definition = f"ARM_FINGERPRINT={fingerprint(unit, target)}"
     command = f"g++ {options} -I. -D{definition} {_SOURCE} -o {name}.so"
+    if version == "3":
+        own = {
+            "modelDescription.xml": model_description(scene, listed, token),
+            "sources/buildDescription.xml": build_description(scene, _SOURCE, options, definition),
+        }
+    else:
+        own = {"modelDescription.xml": model_description_2(scene, listed, token, _SOURCE)}
     files = {
-        "modelDescription.xml": model_description(scene, listed, token),
+        **own,
         "documentation/index.html": page(scene, listed, command),
         "documentation/licenses/license.txt": (config_folder().parent / "LICENSE").read_bytes(),
         f"sources/{_SOURCE}": unit.source.encode(),
-        "sources/buildDescription.xml": build_description(scene, _SOURCE, options, definition),
         **{f"sources/{name}": text.encode() for name, text in _included(unit.source).items()},
-        f"binaries/{PLATFORM}/{name}.so": library,
+        f"binaries/{PLATFORMS[version]}/{name}.so": library,
     }
     try:
         _write(out, files)

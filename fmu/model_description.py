@@ -29,17 +29,7 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
         token: that the binary expects.
     """
     naming = convention(one.name for one in variables)
-    root = ET.Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=plain_text(scene.name) or "arm",
-        instantiationToken=token,
-        description=f"{len(scene.joints)} joints with their drives, base to tool: "
-        + plain_text(", ".join(scene.joint_names)),
-        generationTool=TOOL,
-        variableNamingConvention=naming,
-    )
-    period = repr(scene.servo_period)
+    root = ET.Element("fmiModelDescription", fmiVersion="3.0", instantiationToken=token)
     ET.SubElement(
         root,
         "CoSimulation",
@@ -47,18 +37,65 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
         canHandleVariableCommunicationStepSize="true",
-        fixedInternalStepSize=period,
+        fixedInternalStepSize=repr(scene.servo_period),
+    )
+    header(root, scene, variables)
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, one in enumerate(variables):
+        element = ET.SubElement(listed, one.type, attributes_of(one, reference, naming))
+        for size in one.shape:
+            ET.SubElement(element, "Dimension", start=str(size))
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [str(k) for k, one in enumerate(variables) if one.role == "output"]
+    begin = " ".join(str(k) for k, one in enumerate(variables) if one.decides_on_start)
+    for k in outputs:
+        ET.SubElement(structure, "Output", valueReference=k, dependencies="")
+    for k in outputs:
+        ET.SubElement(structure, "InitialUnknown", valueReference=k, dependencies=begin)
+    return as_bytes(root)
+
+
+def header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
+    """Add to a description what is the same in all versions: whose it is, units, categories."""
+    joints = plain_text(", ".join(scene.joint_names))
+    root.attrib.update(
+        modelName=plain_text(scene.name) or "arm",
+        description=f"{len(scene.joints)} joints with their drives, base to tool: {joints}",
+        generationTool=TOOL,
+        variableNamingConvention=convention(one.name for one in variables),
     )
     root.append(_units(variables))
     categories = ET.SubElement(root, "LogCategories")
     for name, what in LOG_CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=what)
+    period = repr(scene.servo_period)
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=period)
-    listed = ET.SubElement(root, "ModelVariables")
-    for reference, one in enumerate(variables):
-        listed.append(_variable(one, reference, naming))
-    root.append(_structure(variables))
-    return as_bytes(root)
+
+
+def attributes_of(one: Variable, reference: int, naming: str) -> dict[str, str]:
+    """Return what is told of a variable, as attributes."""
+    continuous = one.type == "Float64"
+    attributes = {
+        "name": written(one.name, one.element, naming),
+        "valueReference": str(reference),
+        "description": plain_text(one.description),
+        "causality": _CAUSALITY.get(one.role, one.role),
+        "variability": "continuous" if continuous else "discrete",
+    }
+    if one.role in _CAUSALITY:
+        attributes["variability"] = one.role
+    if one.unit and continuous:
+        attributes["unit"] = one.unit
+        displayed = displayed_in(one.unit)
+        if displayed:
+            attributes["displayUnit"] = displayed
+    if one.bounds is not None:
+        attributes["min"], attributes["max"] = (repr(float(bound)) for bound in one.bounds)
+    if one.start is not None:
+        boolean = one.type == "Boolean"
+        texts = (str(bool(value)).lower() if boolean else repr(float(value)) for value in one.start)
+        attributes["start"] = " ".join(texts)
+    return attributes
 
 
 def build_description(scene: Scene, source: str, options: str, definition: str) -> bytes:
@@ -92,14 +129,6 @@ def as_bytes(root: ET.Element) -> bytes:
     return text + b"\n"
 
 
-def values(one: Variable) -> str:
-    """Return the start values of a variable as XML writes them."""
-    start = one.start or ()
-    if one.type == "Boolean":
-        return " ".join("true" if value else "false" for value in start)
-    return " ".join(repr(float(value)) for value in start)
-
-
 def _units(variables: Sequence[Variable]) -> ET.Element:
     root = ET.Element("UnitDefinitions")
     for name in dict.fromkeys(one.unit for one in variables if one.unit):
@@ -114,46 +143,4 @@ def _units(variables: Sequence[Variable]) -> ET.Element:
             ET.SubElement(
                 element, "DisplayUnit", name=displayed.name, factor=repr(displayed.factor)
             )
-    return root
-
-
-def _variable(one: Variable, reference: int, naming: str) -> ET.Element:
-    continuous = one.type == "Float64"
-    attributes = {
-        "name": written(one.name, one.element, naming),
-        "valueReference": str(reference),
-        "description": plain_text(one.description),
-        "causality": _CAUSALITY.get(one.role, one.role),
-        "variability": one.role
-        if one.role in _CAUSALITY
-        else ("continuous" if continuous else "discrete"),
-    }
-    if one.unit and continuous:
-        attributes["unit"] = one.unit
-        displayed = displayed_in(one.unit)
-        if displayed:
-            attributes["displayUnit"] = displayed
-    if one.bounds is not None:
-        attributes["min"], attributes["max"] = map(repr, one.bounds)
-    if one.start is not None:
-        attributes["start"] = values(one)
-    element = ET.Element(one.type, attributes)
-    for size in one.shape:
-        ET.SubElement(element, "Dimension", start=str(size))
-    return element
-
-
-def _structure(variables: Sequence[Variable]) -> ET.Element:
-    root = ET.Element("ModelStructure")
-    outputs = [k for k, one in enumerate(variables) if one.role == "output"]
-    # What decides on the start of the motion; other inputs decide on what comes after it.
-    begin = [
-        k for k, one in enumerate(variables) if one.role in _CAUSALITY or one.quantity == "power"
-    ]
-    for k in outputs:
-        ET.SubElement(root, "Output", valueReference=str(k), dependencies="")
-    for k in outputs:
-        ET.SubElement(
-            root, "InitialUnknown", valueReference=str(k), dependencies=" ".join(map(str, begin))
-        )
     return root

@@ -23,10 +23,7 @@ from words.bound import VELOCITY
 FOLDER = Path(__file__).resolve().parent
 # Several units may be loaded into one program, and each calls its own machine.
 FLAGS = ("-Wl,-Bsymbolic",)
-_CALLS: dict[str, Calls] = {
-    "3.0": {"fmi3GetVersion": (ctypes.c_char_p, [])},
-}
-_SOURCES = {"3.0": "fmi3.cpp"}
+VERSIONS = ("3", "2")  # of FMI
 
 
 def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[Unit, str]:
@@ -35,15 +32,16 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
     Args:
         scene: the machine.
         variables: of it, in the order of their value references.
-        version: of FMI.
+        version: of FMI, one of `VERSIONS`.
     """
     table = _table(scene, variables)
-    name = f"fmu{version[0]}"
-    bare = unit_with(scene, name, table, _CALLS[version], (FOLDER,))
+    name = f"fmu{version}"
+    calls: Calls = {f"fmi{version}GetVersion": (ctypes.c_char_p, [])}
+    bare = unit_with(scene, name, table, calls)
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {bare.source}')}}}"
     source = f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
-    source += f'#include "{_SOURCES[version]}"\n'
-    unit = unit_with(scene, name, source, _CALLS[version], (FOLDER,))
+    source += f'#include "fmi{version}.cpp"\n'
+    unit = unit_with(scene, name, source, calls, (FOLDER,))
     return replace(unit, flags=(*unit.flags, *FLAGS)), token
 
 

@@ -54,6 +54,11 @@ class Variable:
         return math.prod(self.shape)
 
     @property
+    def decides_on_start(self) -> bool:
+        """Whether outputs at the start depend on it; other inputs decide on what comes after."""
+        return self.role in ("fixed", "tunable") or self.quantity == "power"
+
+    @property
     def unit(self) -> str | None:
         """Of all its values; None where they have none, or differ."""
         return self.units[0] if len(set(self.units)) == 1 else None

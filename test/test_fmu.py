@@ -30,8 +30,9 @@ from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
 from fmu.export import export
 from fmu.model_description import model_description
+from fmu.model_description_2 import model_description_2
 from fmu.units import unit_of
-from fmu.variables import variables
+from fmu.variables import scalars, variables
 from words.refusal import Refusal
 
 TEST = Path(__file__).resolve().parent
@@ -441,6 +442,10 @@ def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
             size = math.prod(int(part.attrib["start"]) for part in one)
             start = one.attrib.get("start")
             assert start is None or len(start.split()) == size, "start values fit"
+        single = scalars(scene)
+        root = ET.fromstring(model_description_2(scene, single, "{token}", "unit.cpp"))
+        names = [one.attrib["name"] for one in root.iter("ScalarVariable")]
+        assert len(set(names)) == len(names) == sum(one.count for one in listed), "one per number"
 
 
 def test_units_are_powers_of_base_units() -> None:
@@ -466,7 +471,12 @@ def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -
     ({"out": Path("arm.zip")}, "--out must end in .fmu"),
 ])  # fmt: skip
 def test_what_is_not_taken_is_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
-    given = {"scene_name": "three_axis", "out": tmp_path / "arm.fmu", "varied": None}
+    given = {
+        "scene_name": "three_axis",
+        "out": tmp_path / "arm.fmu",
+        "varied": None,
+        "version": "3",
+    }
     with pytest.raises(Refusal, match=words):
         write_fmu(**{**given, "target": "native", **change})
     assert not (tmp_path / "arm.fmu").exists(), "nothing is written"

@@ -17,6 +17,15 @@ import pytest
 pytest.importorskip("fmpy", reason="fmpy is not installed: make test-peers")
 
 import fmpy
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import (
+    FMU2Slave,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+    fmi2Discard,
+    fmi2Error,
+    fmi2LastSuccessfulTime,
+)
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from fmu_client import OK, Fmu, Instance, rich_machine
@@ -30,7 +39,8 @@ from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
 from fmu.export import export
 from fmu.model_description import model_description
-from fmu.variables import variables
+from fmu.model_description_2 import model_description_2
+from fmu.variables import scalars, variables
 
 FMPY = Path(fmpy.__file__).parent
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,6 +60,14 @@ def unit(three_axis: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def unit_2(three_axis: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same for FMI 2.0."""
+    file = tmp_path_factory.mktemp("unit_2") / "three_axis.fmu"
+    export(three_axis, file, "native", "2")
+    return file
+
+
+@pytest.fixture(scope="module")
 def rich(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rich")
     names = "a", "b'\"<&>", "c"
@@ -64,10 +82,10 @@ def unpacked(unit: Path) -> Path:
     return unit.parent / "unpacked"
 
 
-def test_fmpy_finds_no_fault(unit: Path, rich: Path, tmp_path: Path) -> None:
+def test_fmpy_finds_no_fault(unit: Path, unit_2: Path, rich: Path, tmp_path: Path) -> None:
     ur5 = tmp_path / "ur5.fmu"
     export(load_scene("ur5", {"varied": ["joints.*.gear.stiffness"]}), ur5)
-    for file in (unit, rich, ur5):
+    for file in (unit, unit_2, rich, ur5):
         assert validate_fmu(str(file)) == [], file.name
 
 
@@ -75,12 +93,15 @@ def test_fmpy_finds_no_fault_in_the_description_of_any_scene(tmp_path: Path) -> 
     """50 random machines and scenes, whatever names they have."""
     found = scenes(tmp_path, 50)
     assert len(found) == 50, "so many are drawn"
-    for scene in found:
-        file = io.BytesIO()
-        with zipfile.ZipFile(file, "w") as archive:
-            text = model_description(scene, variables(scene), "{token}")
-            archive.writestr("modelDescription.xml", text)
-        assert validate_fmu(file) == [], (scene.name, scene.joint_names)
+    for number, scene in enumerate(found):
+        texts = [model_description(scene, variables(scene), "{token}")]
+        if number % 6 == 0:  # a name per number takes fmpy its time
+            texts.append(model_description_2(scene, scalars(scene), "{token}", "unit.cpp"))
+        for text in texts:
+            file = io.BytesIO()
+            with zipfile.ZipFile(file, "w") as archive:
+                archive.writestr("modelDescription.xml", text)
+            assert validate_fmu(file) == [], (scene.name, scene.joint_names)
 
 
 def test_a_simulation_by_fmpy_equals_plant_to_the_last_bit(three_axis: Scene, unit: Path) -> None:
@@ -106,6 +127,90 @@ def test_a_simulation_by_fmpy_equals_plant_to_the_last_bit(three_axis: Scene, un
         ):  # fmt: skip
             assert np.array_equal(row[name], value), (plant.t, name)
     assert len(told) == count + 1, "all of the simulation is compared"
+
+
+def test_a_simulation_of_fmi_2_equals_plant_to_the_last_bit(
+    three_axis: Scene, unit_2: Path
+) -> None:
+    count, rng, names = 1000, np.random.default_rng(3), three_axis.joint_names
+    commands = rng.normal(0.0, 5.0, (count + 1, 3))
+    fields = [("time", "f8"), *((f"command.{name}", "f8") for name in names)]
+    signals = np.zeros(count + 1, fields)
+    signals["time"] = PERIOD * np.arange(count + 1)
+    for name, row in zip(names, commands.T, strict=True):
+        signals[f"command.{name}"] = row
+    rows = [f"{what}.{name}" for what in ("encoder_counts", "truth.q") for name in names]
+    told = fmpy.simulate_fmu(
+        str(unit_2), stop_time=count * PERIOD, output_interval=PERIOD, input=signals,
+        start_values={"start.q.elbow": 0.9, "joints.elbow.gear.stiffness": 2e4}, output=rows,
+    )  # fmt: skip
+    plant = Plant(three_axis)
+    plant.set_parameter("joints.elbow.gear.stiffness", 2e4)
+    plant.reset([0.0, 0.5, 0.9])
+    for row, command in zip(told[1:], commands, strict=False):
+        plant.exchange(command)
+        got = [row[name] for name in rows]
+        wanted = [*plant.state.encoder_counts.astype(float), *plant.state.q]
+        assert np.array_equal(got, wanted), plant.t
+    assert len(told) == count + 1, "all of the simulation is compared"
+
+
+def test_fmi_2_saves_refuses_and_tells(unit_2: Path, tmp_path: Path) -> None:
+    """State in memory and as bytes; what is discarded changes nothing, errors are told."""
+    with zipfile.ZipFile(unit_2) as archive:
+        archive.extractall(tmp_path)
+    description = fmpy.read_model_description(tmp_path)
+    at = {v.name: v.valueReference for v in description.modelVariables}
+    said: list[bytes] = []
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(lambda *words: said.append(words[4]))
+    arguments = {
+        "guid": description.guid, "unzipDirectory": str(tmp_path), "instanceName": "one",
+        "modelIdentifier": description.coSimulation.modelIdentifier,
+    }  # fmt: skip
+    one, other = FMU2Slave(**arguments), FMU2Slave(**arguments)
+    for which in (one, other):
+        which.instantiate(callbacks=callbacks)
+        which.setupExperiment(startTime=0.0)
+        which.enterInitializationMode()
+        which.exitInitializationMode()
+    one.setReal([at["command.waist"]], [5.0])
+    one.doStep(0.0, 20 * PERIOD)
+    state = one.getFMUState()
+    saved = one.serializeFMUState(state)
+    told = at["truth.q.waist"], at["truth.v.waist"], at["encoder_counts.elbow"]
+
+    def discarded(call: Any, *arguments: Any) -> None:
+        before = one.serializeFMUState(one.getFMUState())
+        with pytest.raises(FMICallException) as caught:
+            call(*arguments)
+        assert caught.value.status == fmi2Discard, "it is discarded"
+        assert one.serializeFMUState(one.getFMUState()) == before, "nothing has changed"
+
+    discarded(one.setReal, [at["command.elbow"], at["command.waist"]], [1.0, np.nan])
+    discarded(one.setReal, [at["joints.elbow.gear.stiffness"]], [-1.0])
+    discarded(one.doStep, 20 * PERIOD, 1.5 * PERIOD)
+    assert one.getRealStatus(fmi2LastSuccessfulTime) == 20 * PERIOD, "where it stands"
+    one.doStep(20 * PERIOD, 20 * PERIOD)
+    wanted = one.getReal(told)
+    one.setFMUState(state)
+    one.doStep(20 * PERIOD, 20 * PERIOD)
+    assert one.getReal(told) == wanted, "from a state in memory"
+    other.setFMUState(other.deserializeFMUState(saved))
+    other.doStep(20 * PERIOD, 20 * PERIOD)
+    assert other.getReal(told) == wanted, "in another instance, from bytes"
+    for call, values in (
+        (other.getReal, ([10**6],)), (other.getInteger, ([at["command.waist"]],)),
+        (other.setReal, ([at["truth.q.waist"]], [0.0])), (other.setString, ([0], [""])),
+        (other.enterInitializationMode, ()),
+    ):  # fmt: skip
+        one.fmi2SetFMUstate(one.component, state)
+        with pytest.raises(FMICallException) as caught:
+            call(*values)
+        assert caught.value.status == fmi2Error, call.__name__
+    assert said, "errors are told though logging is off"
+    for which in (one, other):
+        which.freeInstance()
 
 
 def test_the_portable_binary_equals_the_portable_library(tmp_path: Path) -> None:
@@ -215,38 +320,75 @@ def test_the_description_of_the_build_is_that_of_the_schema(unpacked: Path) -> N
     schema.assertValid(etree.parse(str(unpacked / "sources" / "buildDescription.xml")))
 
 
-ENUMERATORS = (
-    *(f"fmi3{name}" for name in ("OK", "Warning", "Discard", "Error", "Fatal")),
-    *(f"fmi3{name}" for name in ("Independent", "Constant", "Fixed", "Tunable", "Discrete",
-                                 "Dependent")),
-    *(f"fmi3Interval{name}" for name in ("NotYetKnown", "Unchanged", "Changed")),
-)  # fmt: skip
+ENUMERATORS = {
+    3: (
+        *(f"fmi3{name}" for name in ("OK", "Warning", "Discard", "Error", "Fatal")),
+        *(f"fmi3{name}" for name in ("Independent", "Constant", "Fixed", "Tunable", "Discrete",
+                                     "Dependent")),
+        *(f"fmi3Interval{name}" for name in ("NotYetKnown", "Unchanged", "Changed")),
+    ),
+    2: (
+        *(f"fmi2{name}" for name in ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")),
+        *(f"fmi2{name}" for name in ("ModelExchange", "CoSimulation")),
+        *(f"fmi2{name}" for name in ("DoStepStatus", "PendingStatus", "LastSuccessfulTime",
+                                     "Terminated")),
+    ),
+}  # fmt: skip
+# Of FMI 2 for model exchange, which a unit for co-simulation need not have.
+MODEL_EXCHANGE = {
+    f"fmi2{name}"
+    for name in (
+        "EnterEventMode", "NewDiscreteStates", "EnterContinuousTimeMode", "CompletedIntegratorStep",
+        "SetTime", "SetContinuousStates", "GetDerivatives", "GetEventIndicators",
+        "GetContinuousStates", "GetNominalsOfContinuousStates",
+    )
+}  # fmt: skip
 
 
-def test_our_declarations_are_those_of_the_standard(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("version", "count"), [(3, 75), (2, 34)])
+def test_our_declarations_are_those_of_the_standard(
+    version: int, count: int, tmp_path: Path
+) -> None:
     """Every function of its headers is declared, with the same binary interface."""
-    official = (FMPY / "c-code" / "fmi3Functions.h").read_text()
-    names = re.findall(r"^FMI3_Export (fmi3\w+)TYPE\s+fmi3\w+;", official, re.M)
-    assert len(names) == 75, "the functions are found"
+    official = (FMPY / "c-code" / f"fmi{version}Functions.h").read_text()
+    names = re.findall(rf"^\s*FMI{version}_Export (fmi\w+)TYPE\s+fmi\w+;", official, re.M)
+    names = [name for name in names if name not in MODEL_EXCHANGE]
+    assert len(names) == count, "the functions are found"
     checks = [f"static_assert(kSame<official::{name}TYPE, decltype({name})>);" for name in names]
-    checks += [f"static_assert(int(official::{one}) == int({one}));" for one in ENUMERATORS]
+    checks += [
+        f"static_assert(int(official::{one}) == int({one}));" for one in ENUMERATORS[version]
+    ]
+    if version == 2:
+        for member in ("logger", "componentEnvironment"):
+            official_, ours = (f"offsetof({at}fmi2CallbackFunctions, {member})"
+                               for at in ("official::", ""))  # fmt: skip
+            checks.append(f"static_assert({official_} == {ours});")
     source = tmp_path / "same.cpp"
     source.write_text(
-        """\
+        f"""\
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <type_traits>
-namespace official {
-#include "fmi3FunctionTypes.h"
-}
-#include "fmi3.h"
+namespace official {{
+#include "fmi{version}FunctionTypes.h"
+}}
+#include "fmi{version}.h"
+"""
+        + SAME
+        + "\n".join(checks)
+    )
+    folders = [f"-I{FMPY / 'c-code'}", f"-I{ROOT / 'fmu'}"]
+    subprocess.run(["c++", "-std=c++20", "-fsyntax-only", *folders, str(source)], check=True)
 
-// Enumerations of the two headers are different types, of the same binary interface.
+
+# Enumerations and structs of the two headers are different types, of the same binary interface.
+SAME = """
 template <class A, class B>
-constexpr bool kEnums = std::is_enum_v<A> && std::is_enum_v<B> && sizeof(A) == sizeof(B);
+constexpr bool kAlike = (std::is_enum_v<A> && std::is_enum_v<B> && sizeof(A) == sizeof(B)) ||
+                        (std::is_class_v<A> && std::is_class_v<B> && sizeof(A) == sizeof(B));
 template <class A, class B>
-struct Same : std::bool_constant<std::is_same_v<A, B> || kEnums<A, B>> {};
+struct Same : std::bool_constant<std::is_same_v<A, B> || kAlike<A, B>> {};
 template <class A, class B>
 struct Same<A*, B*>
     : std::bool_constant<std::is_const_v<A> == std::is_const_v<B> &&
@@ -260,7 +402,3 @@ constexpr bool kSame = Same<A, B>::value;
 static_assert(!kSame<void(int*), void(const int*)> && !kSame<void(int), void(int, int)>);
 static_assert(!kSame<void(double*), void(float*)>);
 """
-        + "\n".join(checks)
-    )
-    folders = [f"-I{FMPY / 'c-code'}", f"-I{ROOT / 'fmu'}"]
-    subprocess.run(["c++", "-std=c++20", "-fsyntax-only", *folders, str(source)], check=True)
