@@ -225,8 +225,7 @@ class Node:
         if id_ == 0x600 + self.number:
             if self.state is State.STOPPED or self.state is State.BOOT:
                 return []
-            reply = self._sdo.answer(frame.data)
-            return [Frame(0x580 + self.number, reply)] if reply else []
+            return [Frame(0x580 + self.number, reply) for reply in self._sdo.answer(frame.data)]
         if id_ == 0x700 + self._watched[0] and self._watched[1]:
             self._heard_at = now
         if self.state is State.OPERATIONAL:

@@ -1,6 +1,6 @@
 """The server side of CANopen's service data objects: 8 bytes in, 8 bytes out (CiA 301, 7.2.4).
 
-Expedited and segmented transfers; block transfers are refused.
+Expedited and segmented transfers; those by blocks are in sdo_block.py.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ import struct
 from typing import Protocol
 
 from fieldbus.drives import Aborted
+from fieldbus.sdo_block import LARGEST_BLOCK, BlockDownload, BlockUpload
 
 LARGEST_VALUE = 256  # bytes, of a segmented download
 
-TOGGLE, TIMEOUT, COMMAND = 0x05030000, 0x05040000, 0x05040001
+TOGGLE, COMMAND = 0x05030000, 0x05040001
 MEMORY, WRONG_LENGTH = 0x05040005, 0x06070010
 
 
@@ -43,32 +44,72 @@ class SdoServer:
         self._taken: bytearray | None = None  # downloaded so far
         self._announced: int | None = None  # bytes of the download
         self._toggle = 0
+        self._blocks: BlockUpload | BlockDownload | None = None
 
-    def answer(self, request: bytes) -> bytes:
-        """Return the reply to a request, empty where none is due."""
+    def answer(self, request: bytes) -> list[bytes]:
+        """Return the replies to a request, if any are due."""
         if len(request) != 8:
-            return b""
-        command = request[0]
+            return []
         try:
-            match command >> 5:
-                case 0:
-                    return self._take_segment(command, request[1:])
-                case 1:
-                    return self._begin_download(request)
-                case 2:
-                    return self._begin_upload(request)
-                case 3:
-                    return self._give_segment(command)
-                case 4:  # the client has aborted
-                    self.reset()
-                    return b""
-            self.reset()
-            self._at = _multiplexer(request)
-            raise Aborted(*self._at, COMMAND)
+            if self._blocks is not None and request[0] != 0x80:
+                return self._go_on(self._blocks, request)
+            reply = self._serve(request)
         except Aborted as no:
-            at = self._at
+            reply = struct.pack("<BHBI", 0x80, *self._at, no.code)
             self.reset()
-            return struct.pack("<BHBI", 0x80, *at, no.code)
+        return [reply] if reply else []
+
+    def _serve(self, request: bytes) -> bytes:
+        command = request[0]
+        match command >> 5:
+            case 0:
+                return self._take_segment(command, request[1:])
+            case 1:
+                return self._begin_download(request)
+            case 2:
+                return self._begin_upload(request)
+            case 3:
+                return self._give_segment(command)
+            case 4:  # the client has aborted
+                self.reset()
+                return b""
+            case 5 if not command & 3:
+                return self._begin_block_upload(request)
+            case 6 if not command & 1:
+                return self._begin_block_download(request)
+        self.reset()
+        self._at = _multiplexer(request)
+        raise Aborted(*self._at, COMMAND)
+
+    def _begin_block_upload(self, request: bytes) -> bytes:
+        self.reset()
+        self._at = at = _multiplexer(request)
+        value, with_crc = self._dictionary.upload(*at), bool(request[0] & 4)
+        self._blocks = BlockUpload(value, request[4], with_crc, self._abort)
+        return struct.pack("<BHBI", 0xC6, *at, len(value))
+
+    def _begin_block_download(self, request: bytes) -> bytes:
+        self.reset()
+        self._at = at = _multiplexer(request)
+        announced = struct.unpack("<I", request[4:])[0] if request[0] & 2 else None
+        self._blocks = BlockDownload(
+            announced,
+            LARGEST_VALUE,
+            bool(request[0] & 4),
+            self._abort,
+            lambda value: self._dictionary.download(*at, value),
+        )
+        return struct.pack("<BHBB3x", 0xA4, *at, LARGEST_BLOCK)
+
+    def _go_on(self, blocks: BlockUpload | BlockDownload, request: bytes) -> list[bytes]:
+        replies = blocks.answer(request)
+        if replies is not None:
+            return replies
+        self.reset()
+        return [b"\xa1" + bytes(7)] if isinstance(blocks, BlockDownload) else []
+
+    def _abort(self, code: int) -> Aborted:
+        return Aborted(*self._at, code)
 
     def _begin_upload(self, request: bytes) -> bytes:
         self.reset()

@@ -234,10 +234,115 @@ def test_transfers_that_go_wrong_are_aborted(scene: Scene) -> None:
     sdo(segment, 1, struct.pack("<BHBI", 0x21, 0x607A, 0, 4))
     assert code(b"\x09\x01\x02\x03" + bytes(4)) == 0x06070010, "three bytes of four announced"
     assert code(struct.pack("<BHBI", 0x21, 0x607A, 0, 1 << 30)) == 0x05040005
-    assert code(b"\xc6" + struct.pack("<HBI", 0x607A, 0, 4)) == 0x05040001, "a block"
+    assert code(b"\xe0" + struct.pack("<HBI", 0x607A, 0, 4)) == 0x05040001, "no such command"
     assert segment.receive(Frame(0x601, b"\x80" + bytes(7))) == [], "the client's abort"
     assert segment.receive(Frame(0x601, ask[:7])) == [], "seven bytes"
     assert uploaded(segment, 1, 0x1008, 0) == scene.name.encode()
+
+
+def checksum(value: bytes) -> int:
+    """Of blocks, by its definition: x^16 + x^12 + x^5 + 1, from zero, a bit at a time."""
+    check = 0
+    for byte in value:
+        for k in range(7, -1, -1):
+            high = check >> 15 ^ byte >> k & 1
+            check = (check << 1 & 0xFFFF) ^ (0x1021 if high else 0)
+    return check
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_block_uploads_bring_every_entry_whatever_is_lost(scene: Scene, seed: int) -> None:
+    """A client that loses segments confirms those before, and gets the others once more."""
+    segment, draw = segment_of(scene), random.Random(seed)
+
+    def ask(request: bytes) -> list[bytes]:
+        return sent(segment.receive(Frame(0x601, request)), 0x581)
+
+    for one in [one for one in ENTRIES if not one.bits] + draw.sample(ENTRIES, 40):
+        size = draw.randint(1, 127)
+        (reply,) = ask(struct.pack("<BHBBB2x", 0xA4, one.index, one.sub, size, 0))
+        expected = segment.nodes[0].upload(one.index, one.sub)
+        assert reply == struct.pack("<BHBI", 0xC6, one.index, one.sub, len(expected))
+        value, segments = b"", ask(b"\xa3" + bytes(7))
+        while True:
+            assert [part[0] & 0x7F for part in segments] == list(range(1, len(segments) + 1))
+            assert len(segments) <= size
+            got = draw.randint(0, len(segments)) if draw.random() < 0.5 else len(segments)
+            value += b"".join(part[1:] for part in segments[:got])
+            last = got and segments[got - 1][0] & 0x80
+            size = draw.randint(1, 127)
+            segments = ask(bytes((0xA2, got, size)) + bytes(5))
+            if last:
+                break
+        (end,) = segments
+        assert end[0] & 0xE3 == 0xC1
+        value = value[: len(value) - (end[0] >> 2 & 7)]
+        assert value == expected and checksum(value) == end[1] | end[2] << 8
+        assert ask(b"\xa1" + bytes(7)) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_block_downloads_take_the_value_only_as_a_whole(scene: Scene, seed: int) -> None:
+    segment, draw = segment_of(scene), random.Random(seed)
+
+    def ask(request: bytes) -> list[bytes]:
+        return sent(segment.receive(Frame(0x601, request)), 0x581)
+
+    for _ in range(40):
+        before = uploaded(segment, 1, 0x607A, 0)
+        value = draw.randbytes(draw.choice([4, 4, 4, 3, 5, 30]))
+        sized, crc = draw.random() < 0.7, draw.random() < 0.9
+        head = 0xC0 | 4 * crc | 2 * sized
+        (reply,) = ask(struct.pack("<BHBI", head, 0x607A, 0, len(value) if sized else 0))
+        assert reply == struct.pack("<BHBB3x", 0xA4, 0x607A, 0, 127)
+        parts = [value[k : k + 7] for k in range(0, len(value), 7)]
+        at = 0
+        while at < len(parts):
+            lost = draw.randrange(10)  # the segment of this block that does not arrive, if any
+            replies = []
+            for number, part in enumerate(parts[at:], 1):
+                last = 0x80 * (at + number == len(parts))
+                if number - 1 != lost or last:  # without the last one both would wait
+                    replies += ask(bytes((number | last,)) + part.ljust(7, b"\0"))
+            (confirmed,) = replies
+            assert confirmed[0] == 0xA2 and confirmed[2] == 127
+            assert confirmed[1] == min(lost, len(parts) - at) or lost >= len(parts) - at - 1
+            at += confirmed[1]
+        check = checksum(value) ^ (draw.random() < 0.3)
+        unused = -len(value) % 7
+        (end,) = ask(struct.pack("<BH5x", 0xC1 | unused << 2, check))
+        wrong = crc and check != checksum(value)
+        if len(value) == 4 and not wrong:
+            assert end == b"\xa1" + bytes(7) and uploaded(segment, 1, 0x607A, 0) == value
+        else:
+            length = {3: 0x06070013}.get(len(value), 0x06070012)
+            assert end == struct.pack("<BHBI", 0x80, 0x607A, 0, 0x05040004 if wrong else length)
+            assert uploaded(segment, 1, 0x607A, 0) == before
+
+
+def test_block_transfers_that_go_wrong_are_aborted(scene: Scene) -> None:
+    segment = segment_of(scene)
+
+    def code(*requests: bytes) -> int:
+        for request in requests:
+            replies = sent(segment.receive(Frame(0x601, request)), 0x581)
+        (reply,) = replies
+        assert reply[:4] == struct.pack("<BHB", 0x80, 0x1008, 0)
+        return int(struct.unpack("<I", reply[4:])[0])
+
+    up = struct.pack("<BHBBB2x", 0xA4, 0x1008, 0, 1, 0)
+    down = struct.pack("<BHBI", 0xC6, 0x1008, 0, 5)
+    start, end = b"\xa3" + bytes(7), b"\xa1" + bytes(7)
+    assert code(struct.pack("<BHBBB2x", 0xA4, 0x1008, 0, 0, 0)) == 0x05040002
+    assert code(struct.pack("<BHBBB2x", 0xA4, 0x1008, 0, 128, 0)) == 0x05040002
+    assert code(up, end) == 0x05040001
+    assert code(up, start, b"\xa2\x02\x01" + bytes(5)) == 0x05040003, "two of one confirmed"
+    assert code(up, start, b"\xa2\x01\x00" + bytes(5)) == 0x05040002
+    assert code(struct.pack("<BHBI", 0xC6, 0x1008, 0, 1 << 20)) == 0x05040005
+    assert code(down, bytes(8)) == 0x05040003, "segment 0"
+    assert code(down, b"\x81" + bytes(7), bytes(8)) == 0x05040001, "no end where it is due"
+    assert code(down, b"\x81" + bytes(7), b"\xc9" + bytes(7)) == 0x06010002, "it is constant"
+    assert code(*[down, *(bytes((k,)) + bytes(7) for k in range(1, 39))]) == 0x05040005
 
 
 def test_receive_pdos_hold_from_the_next_sync_or_at_once(scene: Scene) -> None:
@@ -440,12 +545,14 @@ def noise(draw: random.Random, numbers: Sequence[int]) -> Frame:
     one = draw.choice(ENTRIES)
     match draw.randrange(8):
         case 0 | 1 | 2:  # SDO with an entry of the dictionary, any command
-            head = draw.choice([0x40, 0x2F, 0x2B, 0x23, 0x22, 0x21, 0x20, draw.randrange(256)])
+            head = draw.choice([0x40, 0x2F, 0x2B, 0x23, 0x21, 0xA4, 0xC6, draw.randrange(256)])
             raw = struct.pack("<BHB", head, one.index, one.sub)
             value = draw.choice([draw.randbytes(4), bytes(4), struct.pack("<I", draw.randrange(9))])
             return Frame(0x600 + number, raw + value)
         case 3:  # segments, and anything else
-            head = draw.choice([0x00, 0x10, 0x01, 0x60, 0x70, draw.randrange(256)])
+            head = draw.choice(
+                [0x00, 0x10, 0x01, 0x60, 0xA3, 0xA2, 0x81, 0xC1, draw.randrange(256)]
+            )
             return Frame(0x600 + number, bytes((head,)) + draw.randbytes(draw.choice([7, 7, 7, 3])))
         case 4:
             commands = [1, 1, 1, 128, 2, 129, 130, draw.randrange(256)]

@@ -75,6 +75,11 @@ def test_scan_and_upload_of_the_whole_dictionary(tmp_path: Path) -> None:
                 assert variable.od.name == one.name or one.sub == 0
                 if one.access == "const":
                     assert variable.raw == variable.od.default, one
+            with remote.sdo[0x1008].open("rb", block_transfer=True) as blocks:
+                assert blocks.read() == b"three_axis"
+            with remote.sdo[0x607A].open("wb", size=4, block_transfer=True) as blocks:
+                blocks.write(b"\1\2\3\4")
+            assert remote.sdo.upload(0x607A, 0) == b"\1\2\3\4"
             remote.nmt.state = "OPERATIONAL"
             assert remote.sdo["Device type"].raw == 0x00020192
             with pytest.raises(canopen.SdoAbortedError) as no:
