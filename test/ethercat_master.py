@@ -136,7 +136,6 @@ class Master:
         for k in range(self.slaves):
             status = self.safeop(k, 0x10000 + k * (self.out + self.into))
             assert status == (SAFEOP, 0), f"slave {k} does not reach SAFEOP: {status}"
-        self.exchange([bytes(self.out)] * self.slaves)
         for k in range(self.slaves):
             assert self.ask(k, OP) == (OP, 0), f"slave {k} does not reach OP"
 

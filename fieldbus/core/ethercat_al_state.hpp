@@ -41,7 +41,6 @@ class AlState {
     const bool acknowledges = control & 0x10;
     if (error() && !acknowledges) return;
     code = AlCode::NONE;
-    waits = false;
     const auto wanted = static_cast<State>(control & 0x0f);
     const auto now = static_cast<int>(state_), then = control & 0x0f;
     if (wanted == State::BOOT)
@@ -52,18 +51,13 @@ class AlState {
       code = AlCode::INVALID_CHANGE;
     else if (then != now)
       code = enter(wanted);
-    if (code == AlCode::NONE && !waits) state_ = wanted;
+    if (code == AlCode::NONE) state_ = wanted;
     tell();
   }
-  // The step to OP waits for the first outputs.
-  void wait() { waits = true; }
-  bool waiting() const { return waits; }
-
-  // Something went wrong, or the first outputs have come.
+  // Something went wrong.
   void set(State to, AlCode why) {
     state_ = to;
     code = why;
-    waits = false;
     tell();
   }
 
@@ -78,7 +72,6 @@ class AlState {
   Memory& memory;
   State state_ = State::INIT;
   AlCode code = AlCode::NONE;
-  bool waits = false;
 };
 
 }  // namespace ethercat

@@ -273,9 +273,8 @@ class Slave {
   }
 
   void outputs_came() {
-    written_ = came_ = true;
+    written_ = true;
     watchdog.trigger(now);
-    if (al.waiting()) al.set(State::OP, AlCode::NONE);
   }
 
   // ------------------------------------------------------------------------------------ states
@@ -284,7 +283,6 @@ class Slave {
     const State from = al.state();
     if (to == State::OP) {
       watchdog.trigger(now);
-      if (outputs.size() > 0 && !came_) al.wait();
       return AlCode::NONE;
     }
     if (to == State::SAFEOP && from == State::PREOP) return to_safeop();
@@ -306,7 +304,7 @@ class Slave {
     if (clock.sync0() && (clock.sync0_cycle() == 0 || clock.sync0_cycle() % period != 0))
       return AlCode::SYNC0_CYCLE;
     drives_lock_mapping(all, drive, 1);
-    written_ = read_ = came_ = false;
+    written_ = read_ = false;
     if (inputs.size() > 0) inputs.from_drive(managers.area(kInputs));
     return AlCode::NONE;
   }
@@ -382,7 +380,6 @@ class Slave {
   std::int64_t now = 0;                  // ns, time of the segment
   bool next = false;                     // a slave is connected behind this one
   bool written_ = false, read_ = false;  // since the last servo period
-  bool came_ = false;                    // outputs, since PREOP
   std::uint16_t errors_told = 0;
   int reset_letters = 0;
   std::int64_t expired_ = 0;
