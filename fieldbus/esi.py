@@ -37,7 +37,7 @@ def esi(drives: Drives) -> str:
     _add(group, "Name", "Servo drives")
     device = _add(_add(descriptions, "Devices"), "Device", Physics="YY")
     product, revision = (drives.read(0, 0x1018, sub) for sub in (2, 3))
-    _add(device, "Type", "CiA 402", ProductCode=_hex(product, 8), RevisionNo=_hex(revision, 8))
+    _add(device, "Type", DEVICE, ProductCode=_hex(product, 8), RevisionNo=_hex(revision, 8))
     _add(device, "Name", DEVICE)
     _add(device, "GroupType", "Drives")
     _profile(device, drives, objects)

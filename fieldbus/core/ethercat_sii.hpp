@@ -36,7 +36,7 @@ struct Pdo {
 
 struct Identity {
   std::uint32_t vendor, product, revision, serial;
-  std::string device, group, order;  // names
+  std::string device, group;  // names
 };
 
 inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::vector<Pdo>& pdos,
@@ -77,8 +77,7 @@ inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::
   std::vector<std::uint8_t> general(32, 0);
   const std::uint8_t device = word_of(identity.device);  // first, where some masters look for it
   general[0] = word_of(identity.group);
-  general[2] = word_of(identity.order);
-  general[3] = device;
+  general[2] = general[3] = device;  // masters show the order code or the name
   general[5] =
       0x2f;  // CoE: SDO, SDO information, PDO assignment and configuration, complete access
   put16(&general[0x10], 0x0011);  // ports 0 and 1: MII

@@ -154,13 +154,9 @@ class Slave {
 
  private:
   std::vector<std::uint8_t> image() const {
-    const Identity identity = {door.number(0x1018, 1),
-                               door.number(0x1018, 2),
-                               door.number(0x1018, 3),
-                               door.number(0x1018, 4),
-                               "arm_emulator drive",
-                               "Servo drives",
-                               "CiA 402"};
+    const Identity identity = {door.number(0x1018, 1), door.number(0x1018, 2),
+                               door.number(0x1018, 3), door.number(0x1018, 4),
+                               "arm_emulator drive",   "Servo drives"};
     std::vector<Pdo> pdos = outputs.all();
     for (Pdo& pdo : inputs.all()) pdos.push_back(std::move(pdo));
     return sii_image(identity, pdos, 0);

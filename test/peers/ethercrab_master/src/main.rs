@@ -75,8 +75,8 @@ fn main() -> Result<(), Error> {
         },
     );
     let line = tx_rx_task(&words[1], tx, rx).expect("interface");
-    std::thread::spawn(|| smol::block_on(line));
-    smol::block_on(async {
+    std::thread::spawn(|| async_io::block_on(line));
+    async_io::block_on(async {
         match words[2].as_str() {
             "scan" => scan(&master, &words[3]).await,
             _ => follow(&master, &words[3], &words[4]).await,
