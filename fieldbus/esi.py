@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from fieldbus.drives import ETHERCAT, Drives, Entry
 
 # As in core/ethercat_sii.hpp.
-MAILBOX = 128
-MAILBOX_OUT, MAILBOX_IN, OUTPUTS, INPUTS = 0x1000, 0x1080, 0x1100, 0x1400
+MAILBOX = 256
+MAILBOX_OUT, MAILBOX_IN, OUTPUTS, INPUTS = 0x1000, 0x1100, 0x1200, 0x1500
 VENDOR = "arm_emulator"
 DEVICE = "arm_emulator drive"
 

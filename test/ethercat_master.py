@@ -11,7 +11,7 @@ NOP, APRD, APWR, APRW, FPRD, FPWR, FPRW, BRD, BWR, BRW, LRD, LWR, LRW, ARMW, FRM
 INIT, PREOP, BOOT, SAFEOP, OP = 1, 2, 3, 4, 8
 ERROR = ACKNOWLEDGE = 0x10
 STATION = 0x1001  # of the first slave
-MAILBOX = 128
+MAILBOX = 128  # half of what slaves offer, so that there is more to cut into segments
 HEADER = bytes.fromhex("ffffffffffff 020000000001 88a4")
 
 
@@ -100,7 +100,7 @@ class Master:
         for k in range(4):
             self.guard(slave, k, 0, 0, 0, 0)
         self.guard(slave, 0, 0x1000, MAILBOX, 0x26)
-        self.guard(slave, 1, 0x1080, MAILBOX, 0x22)
+        self.guard(slave, 1, 0x1100, MAILBOX, 0x22)
         self._counter[slave] = 0
         return self.ask(slave, PREOP)
 
@@ -119,10 +119,10 @@ class Master:
     def safeop(self, slave: int, logical: int) -> tuple[int, int]:
         """Map outputs, then inputs, from a logical address on; ask for SAFEOP."""
         out, into = self.sizes(slave)
-        self.guard(slave, 2, 0x1100, out, 0x64)
-        self.guard(slave, 3, 0x1400, into, 0x20)
+        self.guard(slave, 2, 0x1200, out, 0x64)
+        self.guard(slave, 3, 0x1500, into, 0x20)
         for k, (start, size, place, way) in enumerate(
-            ((logical, out, 0x1100, 2), (logical + out, into, 0x1400, 1))
+            ((logical, out, 0x1200, 2), (logical + out, into, 0x1500, 1))
         ):
             unit = struct.pack("<IHBBHBBB3x", start, size, 0, 7, place, 0, way, 1)
             self.write(slave, 0x0600 + 16 * k, unit)
@@ -158,7 +158,7 @@ class Master:
     def fetch(self, slave: int) -> tuple[int, bytes] | None:
         """Kind and body of the next message, emergencies put aside; None: there is none."""
         while True:
-            data, count = self.one(FPRD, at(STATION + slave, 0x1080), bytes(MAILBOX))
+            data, count = self.one(FPRD, at(STATION + slave, 0x1100), bytes(MAILBOX))
             if count == 0:
                 return None
             size, kind = struct.unpack_from("<H", data)[0], data[5] & 15

@@ -165,7 +165,7 @@ def test_the_eeprom_tells_what_a_slave_is(master: Master) -> None:
     drives = master.segment.drives
     identity = struct.unpack_from("<4I", image, 16)
     assert identity == tuple(drives.read(0, 0x1018, k) for k in (1, 2, 3, 4)), "as object 0x1018"
-    assert struct.unpack_from("<5H", image, 0x30) == (0x1000, 128, 0x1080, 128, 4), "mailboxes, CoE"
+    assert struct.unpack_from("<5H", image, 0x30) == (0x1000, 256, 0x1100, 256, 4), "mailboxes, CoE"
     place, found = 0x80, {}
     while (kind := struct.unpack_from("<H", image, place)[0]) != 0xFFFF:
         size = 2 * struct.unpack_from("<H", image, place + 2)[0]
@@ -174,7 +174,7 @@ def test_the_eeprom_tells_what_a_slave_is(master: Master) -> None:
     assert set(found) == {10, 30, 40, 41, 50, 51, 60}, "strings, general, FMMU, SM, PDOs, DC"
     assert found[10][2:].startswith(b"arm_emulator drive"), "the first string is the name"
     bits = sum(found[51][k] for k in range(13, 8 + 8 * found[51][2], 8))
-    assert struct.unpack_from("<HH", found[41], 16) == (0x1100, bits // 8), "outputs as mapped"
+    assert struct.unpack_from("<HH", found[41], 16) == (0x1200, bits // 8), "outputs as mapped"
 
 
 def test_the_eeprom_is_written_only_with_permission(master: Master) -> None:
@@ -217,7 +217,7 @@ def test_process_data_that_do_not_fit_are_refused(
 ) -> None:
     master.preop(0)
     sizes = master.sizes(0)
-    settings = [[0x1100, sizes[0], 0x64], [0x1400, sizes[1], 0x20]]
+    settings = [[0x1200, sizes[0], 0x64], [0x1500, sizes[1], 0x20]]
     start, size, control = settings[way]
     settings[way] = [start + change[0], size + change[1], control ^ change[2]]
     for k, (start, size, control) in enumerate(settings):
@@ -401,15 +401,15 @@ def test_mail_that_is_none_is_answered_with_its_error(
 
 def test_a_mailbox_holds_one_message_and_repeats_it(master: Master) -> None:
     master.preop(0)
-    assert master.one(FPRD, at(STATION, 0x1080), bytes(128))[1] == 0, "nothing to read"
+    assert master.one(FPRD, at(STATION, 0x1100), bytes(128))[1] == 0, "nothing to read"
     request = b"\0\x20" + bytes.fromhex("40 00 10 00") + bytes(4)
     assert master.mail(0, request) == 1, "a request"
     assert master.read(0, 0x080D, 1)[0] & 8, "the answer is there"
-    first = master.read(0, 0x1080, 128)
+    first = master.read(0, 0x1100, 128)
     assert master.read(0, 0x080D, 1)[0] & 8 == 0, "and is taken"
     master.write(0, 0x080E, b"\x03")  # the master has not got it
     assert master.read(0, 0x080F, 1)[0] & 2, "acknowledged"
-    assert master.read(0, 0x1080, 128) == first, "once more"
+    assert master.read(0, 0x1100, 128) == first, "once more"
     master._counter[0] -= 1
     assert master.mail(0, request) == 1, "the same request with the same counter"
     assert master.fetch(0) is None, "is not carried out twice"
@@ -461,7 +461,7 @@ def test_single_bits_are_mapped_where_they_shall_be(master: Master, shift: int) 
     master.preop(0)
     out, into = master.sizes(0)
     master.safeop(0, 0)
-    for k, (logical, size, place, way) in enumerate(((0, out, 0x1100, 2), (64, into, 0x1400, 1))):
+    for k, (logical, size, place, way) in enumerate(((0, out, 0x1200, 2), (64, into, 0x1500, 1))):
         unit = struct.pack("<IHBBHBBB3x", logical, size + 1, shift, shift - 1, place, 0, way, 1)
         master.write(0, 0x0600 + 16 * k, unit)
     rng = np.random.default_rng(shift)
@@ -469,10 +469,10 @@ def test_single_bits_are_mapped_where_they_shall_be(master: Master, shift: int) 
     data = (value << shift).to_bytes(64, "little") + bytes(into + 1)
     back, count = master.one(LRW, 0, data)
     assert count == 3, "read and written"
-    assert master.segment.memory(0)[0x1100 : 0x1100 + out] == value.to_bytes(out, "little"), (
+    assert master.segment.memory(0)[0x1200 : 0x1200 + out] == value.to_bytes(out, "little"), (
         "outputs"
     )
-    expected = master.segment.memory(0)[0x1400 : 0x1400 + into]
+    expected = master.segment.memory(0)[0x1500 : 0x1500 + into]
     # The frame tells inputs as they were before the servo period that it set off.
     got = int.from_bytes(back[64:], "little") >> shift
     told = got.to_bytes(into + 1, "little")[:into]
@@ -615,7 +615,7 @@ def test_malformed_frames_change_nothing_and_are_counted(master: Master) -> None
     counted = 300
     for _ in range(counted):
         command = int(rng.integers(1, 15))
-        place = at(int(rng.choice([0, STATION])), int(rng.choice([0x120, 0x800, 0x1000, 0x1100])))
+        place = at(int(rng.choice([0, STATION])), int(rng.choice([0x120, 0x800, 0x1000, 0x1200])))
         sound = frame((command, place, rng.bytes(int(rng.integers(1, 200)))))
         assert master.segment.frame(bad_frame(rng, sound)) == b"", "nothing comes back"
     figures = master.segment.figures
@@ -653,7 +653,7 @@ def test_the_description_agrees_with_what_the_slaves_tell(master: Master, tmp_pa
     assert device is not None
     master.preop(0)
     sizes = [int(one.get("DefaultSize", "0")) for one in device.findall("Sm")]
-    assert sizes == [128, 128, *master.sizes(0)], "sync managers"
+    assert sizes == [256, 256, *master.sizes(0)], "sync managers"
     told = {int(one.findtext("Index", "")[2:], 16) for one in device.findall(".//Objects/Object")}
     raw = master.information(0, 1, struct.pack("<H", 1))
     assert told == set(struct.unpack(f"<{len(raw) // 2}H", raw)[1:]), "objects"

@@ -11,9 +11,9 @@ namespace ethercat {
 
 // Where a slave's mailboxes and buffers of process data lie.
 namespace area {
-constexpr std::uint16_t kMailbox = 128;  // bytes of each
-constexpr std::uint16_t kMailboxOut = 0x1000, kMailboxIn = 0x1080, kOutputs = 0x1100,
-                        kInputs = 0x1400;
+constexpr std::uint16_t kMailbox = 256;  // bytes of each
+constexpr std::uint16_t kMailboxOut = 0x1000, kMailboxIn = 0x1100, kOutputs = 0x1200,
+                        kInputs = 0x1500;
 constexpr std::uint8_t kMailboxOutControl = 0x26, kMailboxInControl = 0x22, kOutputsControl = 0x64,
                        kInputsControl = 0x20;
 }  // namespace area

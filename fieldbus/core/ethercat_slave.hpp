@@ -296,7 +296,7 @@ class Slave {
     if (!inputs.compile()) return AlCode::INPUT_MAPPING;
     if (!fits(kOutputs, area::kOutputs, area::kInputs, outputs.size(), true))
       return AlCode::OUTPUTS;
-    if (!fits(kInputs, area::kInputs, 0x1c00, inputs.size(), false)) return AlCode::INPUTS;
+    if (!fits(kInputs, area::kInputs, 0x1800, inputs.size(), false)) return AlCode::INPUTS;
     if (clock.sync0() && (clock.sync0_cycle() == 0 || clock.sync0_cycle() % period != 0))
       return AlCode::SYNC0_CYCLE;
     drives_lock_mapping(all, drive, 1);
@@ -339,7 +339,7 @@ class Slave {
     }
     if (!exchanges()) return;
     const bool out = fits(kOutputs, area::kOutputs, area::kInputs, outputs.size(), true);
-    if (out && fits(kInputs, area::kInputs, 0x1c00, inputs.size(), false)) return;
+    if (out && fits(kInputs, area::kInputs, 0x1800, inputs.size(), false)) return;
     leave(state, State::PREOP);
     al.set(State::PREOP, out ? AlCode::INPUTS : AlCode::OUTPUTS);
   }

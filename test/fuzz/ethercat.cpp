@@ -121,7 +121,7 @@ class Fuzzer {
       write(k, 0x0800, off, 64);
       write(k, 0x0980, off, 4);
       const std::uint8_t guards[16] = {0x00, 0x10, 128, 0, 0x26, 0, 1, 0,
-                                       0x80, 0x10, 128, 0, 0x22, 0, 1, 0};
+                                       0x00, 0x11, 128, 0, 0x22, 0, 1, 0};
       write(k, 0x0800, guards, 16);
       if (draw(8) == 0) continue;  // now and then it stays in INIT
       write16(k, 0x0120, 2);
@@ -129,7 +129,7 @@ class Fuzzer {
       for (const bool outputs : {true, false}) {
         const auto bytes = static_cast<std::uint8_t>(mapped(k, outputs));
         const std::uint8_t guard[8] = {0,
-                                       static_cast<std::uint8_t>(outputs ? 0x11 : 0x14),
+                                       static_cast<std::uint8_t>(outputs ? 0x12 : 0x15),
                                        bytes,
                                        0,
                                        static_cast<std::uint8_t>(outputs ? 0x64 : 0x20),
@@ -220,8 +220,8 @@ class Fuzzer {
         0x0000, 0x0010, 0x0040, 0x0100, 0x0103, 0x0110, 0x0120, 0x0130, 0x0200, 0x0210,
         0x0300, 0x0400, 0x0420, 0x0440, 0x0500, 0x0502, 0x0508, 0x0600, 0x0610, 0x0620,
         0x0800, 0x0805, 0x0806, 0x0808, 0x080e, 0x0810, 0x0818, 0x0820, 0x0900, 0x0910,
-        0x0920, 0x092c, 0x0980, 0x0990, 0x09a0, 0x0f80, 0x0fff, 0x1000, 0x107f, 0x1080,
-        0x10ff, 0x1100, 0x1400, 0x2fff, 0x3000, 0xffff};
+        0x0920, 0x092c, 0x0980, 0x0990, 0x09a0, 0x0f80, 0x0fff, 0x1000, 0x107f, 0x1100,
+        0x10ff, 0x117f, 0x1200, 0x1500, 0x2fff, 0x3000, 0xffff};
     std::uint8_t data[300];
     for (std::uint8_t& byte : data) byte = static_cast<std::uint8_t>(draw(3) ? random() : draw(16));
     const std::size_t length = draw(20) ? draw(20) : draw(sizeof data);
@@ -256,7 +256,7 @@ class Fuzzer {
     const int slave = static_cast<int>(draw(slaves));
     std::uint8_t answer[128] = {};
     add(5, at(0x1001 + slave, 0x1000), message, 128);
-    if (draw(8)) add(4, at(0x1001 + slave, 0x1080), answer, 128);
+    if (draw(8)) add(4, at(0x1001 + slave, 0x1100), answer, 128);
   }
 
   ethercat_segment* segment;

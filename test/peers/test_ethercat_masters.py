@@ -151,9 +151,7 @@ def test_a_master_finds_the_drives_and_uploads_the_whole_dictionary(
     with emulator(cable):
         told = MASTERS[name](cable, "scan", str(tmp_path / "entries"))
     assert [one[0] for one in told["slaves"]] == ["arm_emulator drive"] * DRIVES, "slaves by name"
-    assert {int(one) for one in told["objects"]} == {one.index for one in entries}, (
-        "objects"
-    )
+    assert {int(one) for one in told["objects"]} == {one.index for one in entries}, "objects"
     read = {key: bytes.fromhex(value) for key, value in told["values"].items()}
     for one in entries:
         value = drives.upload(0, one.index, one.sub)
