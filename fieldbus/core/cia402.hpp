@@ -57,8 +57,7 @@ inline constexpr std::uint16_t ready = 1 << 0, switched_on = 1 << 1, operation_e
 namespace error_code {
 inline constexpr std::uint16_t undervoltage = 0x3220, too_hot = 0x4310, software = 0x6100,
                                communication = 0x8100, heartbeat = 0x8130,
-                               sync_manager_watchdog = 0x821B, following_error = 0x8611,
-                               homing = 0x8613;
+                               sync_manager_watchdog = 0x821B, following_error = 0x8611;
 }  // namespace error_code
 
 // What bits 0 to 3 of a controlword ask for.

@@ -754,7 +754,7 @@ class Drive {
       case 4:
         return 0x09;
       case 8:
-        return error == error_code::following_error || error == error_code::homing ? 0x21 : 0x11;
+        return error == error_code::following_error ? 0x21 : 0x11;
       default:
         return 0x01;
     }
