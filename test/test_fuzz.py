@@ -78,7 +78,7 @@ def test_any_message_is_taken_or_refused(
 
 @pytest.mark.parametrize("clock", ["lockstep", "realtime"])
 def test_a_network_survives_random_messages(clock: str, tmp_path: Path) -> None:
-    number = 480 if FULL else 120
+    number = 480 if FULL else 60
     count = messages.fuzz(0, clock, number, tmp_path)
     assert count["refused"] > number // 5, f"of bad messages, hardly one was refused: {count}"
 

@@ -92,7 +92,7 @@ def with_steps(file: Path, steps: int, scheme: str = "rosenbrock") -> Plant:
     return Plant(load_scene(file, {"integrator": {"scheme": scheme, "dt": PERIOD / steps}}))
 
 
-@pytest.mark.parametrize("scheme", some(SCHEMES, 2))
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 1))
 def test_every_scheme_keeps_its_order(
     drawn_machine: tuple[Path, dict[str, Any]], scheme: str
 ) -> None:

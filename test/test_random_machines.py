@@ -10,7 +10,7 @@ from emulator_node.advice import ORDERS
 
 
 # 10 and 31 have progressive gears, limits and dry friction.
-@pytest.mark.parametrize("seed", some([0, 1, 10, 31, 2, 3, 4], 3))
+@pytest.mark.parametrize("seed", some([10, 1, 0, 31, 2, 3, 4], 2))
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
     (verdict,) = judge(seed, (LOCATED[seed % 2],))
@@ -23,7 +23,7 @@ def test_error_and_energy_follow_the_order(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "scheme"), some([(20, "implicit"), (14, "paper"), (21, "paper"), (14, "implicit")], 2)
+    ("seed", "scheme"), some([(20, "implicit"), (14, "paper"), (21, "paper"), (14, "implicit")], 1)
 )
 def test_first_order_remains_without_location(seed: int, scheme: str) -> None:
     assert ORDERS[scheme] == 1

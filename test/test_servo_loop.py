@@ -309,7 +309,7 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
 # Encoders
 
 
-@pytest.mark.parametrize("counts", some([16, 64, 1024], 2))
+@pytest.mark.parametrize("counts", some([64, 16, 1024], 1))
 @pytest.mark.parametrize("seed", range(1))
 def test_how_still_a_link_stands_is_predicted(seed: int, counts: int) -> None:
     """By a joint alone, against a whole arm in gravity; ur5's gears and limits.
