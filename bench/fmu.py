@@ -1,0 +1,108 @@
+"""What a step through FMI 3.0 costs beside `arm_exchange`, from C.
+
+    python -m bench.fmu [SCENE ...]
+
+Each servo period commands are set and encoder counts are got, as an importer does it. Nothing
+moves: the commands are 0. Told are medians of interleaved repetitions, of the same binary.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import tempfile
+import time
+import xml.etree.ElementTree as ET
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from compiled.c_flags import C_FLAGS
+from compiled.unit import Calls, Unit, declare, library
+from emulator_node.compiler import CORE
+from emulator_node.core_calls import ARM_CALLS
+from emulator_node.plant import Plant
+from emulator_node.scene import load_scene
+from fmu.export import export
+from fmu.unit import FOLDER
+
+PERIODS = 20_000  # of a repetition
+_p, _i64, _f64, _u32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double, ctypes.c_uint32
+CALLS: Calls = {
+    "run_fmi": (_f64, [_p] * 4 + [_f64, _f64, _i64, _i64, _u32, _p, _u32, _p, ctypes.c_size_t]),
+    "run_arm": (ctypes.c_int, [_p] * 4 + [_i64]),
+}
+
+
+def cost(name: str) -> dict[str, float]:
+    """Return the median time of a servo period by what was timed [ns]."""
+    scene = load_scene(name)
+    source = (Path(__file__).parent / "fmu_loop.c").read_text(encoding="utf-8")
+    unit = Unit("fmu_loop", source, C_FLAGS, (CORE, FOLDER), CALLS, "bench", "a loop", "fmu_loop.c")
+    loop = library(unit)
+    with tempfile.TemporaryDirectory() as scratch:
+        file = Path(scratch) / "arm.fmu"
+        export(scene, file, "native")
+        with zipfile.ZipFile(file) as archive:
+            archive.extractall(scratch)
+        (binary,) = Path(scratch, "binaries", "x86_64-linux").iterdir()
+        core = declare(ctypes.CDLL(str(binary)), ARM_CALLS)
+        root = ET.parse(Path(scratch) / "modelDescription.xml").getroot()
+    listed = {one.attrib["name"]: one.attrib for one in root.iterfind("ModelVariables/*")}
+    command, encoder = (int(listed[n]["valueReference"]) for n in ("command", "encoder_counts"))
+    make = core.fmi3InstantiateCoSimulation
+    make.restype = _p
+    make.argtypes = [ctypes.c_char_p] * 3 + [ctypes.c_bool] * 4 + [_p, ctypes.c_size_t] + [_p] * 3
+    words = root.attrib["instantiationToken"].encode()
+    instance = make(b"arm", words, None, False, False, False, False, None, 0, None, None, None)
+    for call, arguments in (
+        ("EnterInitializationMode", [_p, ctypes.c_bool, _f64, _f64, ctypes.c_bool, _f64]),
+        ("ExitInitializationMode", [_p]),
+    ):
+        function = getattr(core, f"fmi3{call}")
+        function.argtypes = arguments
+        function(instance, *[0] * (len(arguments) - 1))
+    plant = Plant(scene, core=core)
+    plant.exchange(np.zeros(len(scene.joints)))
+    values, counts = np.zeros(len(scene.joints)), np.zeros(len(scene.joints), np.int64)
+    functions = [core.fmi3SetFloat64, core.fmi3DoStep, core.fmi3GetInt64]
+    at = 0.0
+
+    def by_fmi(periods: int) -> None:
+        nonlocal at
+        at = loop.run_fmi(
+            *functions, instance, at, scene.servo_period, periods, PERIODS // periods, command,
+            values.ctypes.data, encoder, counts.ctypes.data, len(values),
+        )  # fmt: skip
+        assert at >= 0.0, "every step is taken"
+
+    def by_arm() -> None:
+        pointers = ctypes.byref(plant.command), ctypes.byref(plant.measurement)
+        assert loop.run_arm(core.arm_exchange, plant.machine, *pointers, PERIODS) == 0, "taken"
+
+    ways = {
+        "arm_exchange": by_arm,
+        "set, fmi3DoStep, get": lambda: by_fmi(1),
+        "the same, steps of 10 periods": lambda: by_fmi(10),
+    }
+    times: dict[str, list[float]] = {way: [] for way in ways}
+    for _ in range(15):
+        for way, work in ways.items():
+            started = time.perf_counter()
+            work()
+            times[way].append((time.perf_counter() - started) / PERIODS * 1e9)
+    core.fmi3FreeInstance.argtypes = [_p]
+    core.fmi3FreeInstance(instance)
+    return {way: float(np.median(some[1:])) for way, some in times.items()}
+
+
+def main() -> None:
+    """Print a line per way."""
+    for name in sys.argv[1:] or ("three_axis", "ur5"):
+        for way, ns in cost(name).items():
+            print(f"{name:12} {way:32} {ns:8.0f} ns per servo period")
+
+
+if __name__ == "__main__":
+    main()
