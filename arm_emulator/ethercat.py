@@ -34,7 +34,8 @@ def serve(scene_name: str, interface: str, lockstep: bool) -> int:
         with contextlib.suppress(PermissionError):  # the figures at the end tell what it was worth
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
     clock = "lockstep" if lockstep else "realtime"
-    print(f"ethercat: scene {scene.name} ({len(scene.joints)} drives), clock {clock}")
+    print(f"ethercat: scene {scene.name}, clock {clock}")
+    print(f"ethercat: slaves: {', '.join(scene.joint_names)}")
     print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
     try:
         while not segment.figures.diverged:

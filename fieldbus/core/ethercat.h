@@ -55,8 +55,8 @@ const uint8_t* ethercat_memory(const ethercat_segment* segment, int32_t slave);
 /* Open a network interface for `ethercat_serve`: a descriptor, or -errno. */
 int ethercat_open(const char* interface);
 /* Serve frames of that descriptor for `duration` [ns], until a signal, or until the machine
- * diverges. While the interface is down, servo periods pass by the clock in lock-step, too. Returns
- * 0, or -errno. */
+ * diverges. While the interface is down and slaves are in SAFEOP or OP, servo periods pass by the
+ * clock in lock-step, too. Returns 0, or -errno. */
 int ethercat_serve(ethercat_segment* segment, int descriptor, int64_t duration);
 
 #ifdef __cplusplus

@@ -63,7 +63,7 @@ class Port {
     bool up = true;
     for (std::int64_t now; (now = monotonic()) < end;) {
       if (segment.diverged()) return 0;
-      const bool paced = !segment.lockstep() || !up;
+      const bool paced = !segment.lockstep() || (!up && segment.exchanges());
       if (!paced) due = now + segment.period_ns();
       if (paced && now >= due) {
         const std::int64_t late = (now - due) / segment.period_ns();

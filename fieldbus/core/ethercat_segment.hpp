@@ -81,6 +81,12 @@ class Segment {
     logical += arm.period;
     return step(arm.lockstep ? logical : now);
   }
+  // Whether process data are exchanged, or were before an error.
+  bool exchanges() const {
+    for (const auto& slave : slaves)
+      if (slave->exchanges()) return true;
+    return false;
+  }
   // Servo periods that the host was too late for.
   void count_late(std::int64_t periods) { figures_.late_periods += periods; }
 
