@@ -298,6 +298,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     compile_.add_argument("--into", type=Path, help="folder for the library (default: the cache)")
     compile_.add_argument("--fleet", action="store_true", help="also many arms side by side")
+    compile_.add_argument("--fieldbus", action="store_true", help="also what field buses need")
     compile_.set_defaults(run=_compile)
 
     cache = commands.add_parser("cache", help="list the compiled scenes that are kept")
@@ -550,6 +551,11 @@ def _compile(arguments: argparse.Namespace) -> int:
     scene = load_scene(arguments.scene)
     of_scene = compile_ahead(scene, arguments.target, arguments.into, fleet=arguments.fleet)
     code = [servo_unit(), servo_step_unit(), firmware_loop_unit()]
+    if arguments.fieldbus:
+        from fieldbus.drives import drives_unit
+        from fieldbus.ethercat import ethercat_unit
+
+        code += [drives_unit(), ethercat_unit()]
     for library in [*of_scene, *compile_units(code, arguments.target, arguments.into)]:
         print(library)
     return 0

@@ -60,36 +60,45 @@ DRIVES_CALLS: Calls = {
 }
 
 
-def drives_library_with(name: str, source: str, calls: Calls, about: str) -> ctypes.CDLL:
-    """Return the drives compiled with a bus in the same unit, for every scene the same.
+def drives_unit(
+    name: str = "drives",
+    source: str = "",
+    calls: Calls | None = None,
+    about: str = "the drives behind field buses",
+) -> Unit:
+    """Return the drives, with a bus in the same unit, as what is compiled, for all scenes the same.
 
     Args:
         name: of the library.
         source: C++ that comes behind core/drives.hpp.
         calls: the functions that it adds.
         about: what the user is told while it is compiled.
+    """
+    return Unit(
+        name,
+        SOURCE + source,
+        DRIVES_FLAGS,
+        (DRIVES_CORE, FOLDER, CORE),
+        {**DRIVES_CALLS, **(calls or {})},
+        "fieldbus",
+        about,
+        "drives.hpp",
+    )
+
+
+def drives_library_with(name: str, source: str, calls: Calls, about: str) -> ctypes.CDLL:
+    """Return the drives compiled with a bus, see `drives_unit`.
 
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    return library(
-        Unit(
-            name,
-            SOURCE + source,
-            DRIVES_FLAGS,
-            (DRIVES_CORE, FOLDER, CORE),
-            {**DRIVES_CALLS, **calls},
-            "fieldbus",
-            about,
-            "drives.hpp",
-        )
-    )
+    return library(drives_unit(name, source, calls, about))
 
 
 @cache
 def drives_library() -> ctypes.CDLL:
     """Return the drives compiled, see `drives_library_with`."""
-    return drives_library_with("drives", "", {}, "the drives behind field buses")
+    return library(drives_unit())
 
 
 # ``drives_joint``.
@@ -338,10 +347,15 @@ class Drives:
         """Write a number to an entry, in as many bytes as it has.
 
         Raises:
-            Aborted: see `download`.
+            Aborted: see `download`; or a number that so many bytes do not hold.
         """
-        one = self._entries[index, sub]
-        raw = value.to_bytes(one.bits // 8, "little", signed=one.type in _SIGNED)
+        one = self._entries.get((index, sub))
+        try:
+            raw = (
+                value.to_bytes(one.bits // 8, "little", signed=one.type in _SIGNED) if one else b""
+            )
+        except OverflowError:
+            raise Aborted(index, sub, 0x06090030) from None
         self.download(drive, index, sub, raw)
 
     def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:

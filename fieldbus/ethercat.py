@@ -7,10 +7,10 @@ import errno
 import os
 from functools import cache
 
-from compiled.unit import Calls
+from compiled.unit import Calls, Unit, library
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene
-from fieldbus.drives import ETHERCAT, Drives, drives_library_with
+from fieldbus.drives import ETHERCAT, Drives, drives_unit
 from servo_node.servo_config import ServoConfig
 from words.refusal import Refusal
 
@@ -73,9 +73,12 @@ def ethercat_library() -> ctypes.CDLL:
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    return drives_library_with(
-        "ethercat", '#include "ethercat.cpp"\n', CALLS, "the EtherCAT segment"
-    )
+    return library(ethercat_unit())
+
+
+def ethercat_unit() -> Unit:
+    """Return drives and segment as what is compiled."""
+    return drives_unit("ethercat", '#include "ethercat.cpp"\n', CALLS, "the EtherCAT segment")
 
 
 class Segment:

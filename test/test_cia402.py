@@ -7,12 +7,14 @@ import dataclasses
 import itertools
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from arm_emulator.__main__ import main
+from compiled.unit import Unit
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import Scene, load_scene
 from fieldbus.drives import CANOPEN, ETHERCAT, Aborted, Drives, Entry, dictionary
@@ -1075,6 +1077,23 @@ def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
     assert len(seen) >= 4, f"states that were seen: {seen}"
     assert "operation enabled" in seen, "it was enabled"
     assert np.isfinite(drives.plant.state.q).all(), "the arm"
+
+
+def test_what_field_buses_need_is_compiled_ahead_on_request(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    units: list[str] = []
+
+    def note(some: Iterable[Unit], *_: object) -> list[Path]:
+        units.extend(unit.name for unit in some)
+        return []
+
+    monkeypatch.setattr("compiled.unit.compile_units", note)
+    monkeypatch.setattr("sys.argv", ["arm_emulator", "compile", "three_axis", "--fieldbus"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 0, "exit code"
+    assert {"drives", "ethercat"} < set(units), "what is compiled"
 
 
 def test_what_has_no_drive_is_refused_in_one_line() -> None:
