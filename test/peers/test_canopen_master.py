@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
 import threading
 import time
 from collections.abc import Iterator
@@ -24,6 +30,7 @@ from words.config_files import find_scene
 canopen: Any = pytest.importorskip("canopen")
 pytest.importorskip("can")
 
+ROOT = Path(__file__).resolve().parents[2]
 ENTRIES = [one for one in dictionary() if one.buses & CANOPEN]
 
 
@@ -134,6 +141,40 @@ def test_profile_position_in_real_time_by_sdo_alone(tmp_path: Path) -> None:
         passed = time.monotonic() - started
         assert 0.1 < segment.now / 1e9 <= passed
     assert segment.fault is None
+
+
+def test_page_shows_what_happens(tmp_path: Path) -> None:
+    """The master of docs/canopen.md, in another process than the nodes."""
+    page = (ROOT / "docs" / "canopen.md").read_text()
+    blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)
+    (place,) = [k for k, block in enumerate(blocks) if "import canopen" in block]
+    shown = textwrap.dedent(blocks[place]).strip()
+    script, _, said = shown.rpartition("\n\n")
+    channel = f"239.74.164.{os.getpid() % 250 + 1}"  # not that of another run
+    assert "239.74.163.2" in script
+    write_eds("three_axis", tmp_path / "eds")
+    command = [sys.executable, "-m", "arm_emulator", "canopen", "three_axis", "--channel", channel]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as nodes:
+        try:
+            assert nodes.stdout is not None and nodes.stderr is not None
+            line = nodes.stdout.readline()
+            if not line and "socket" in (why := nodes.stderr.read()):
+                pytest.skip(f"no multicast here: {why}")
+            while line and "ready" not in line:
+                line = nodes.stdout.readline()
+            master = subprocess.run(
+                [sys.executable, "-c", script.replace("239.74.163.2", channel)],
+                cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+            )  # fmt: skip
+            assert master.returncode == 0, master.stderr
+            assert master.stdout.strip() == said
+            nodes.send_signal(signal.SIGINT)
+            assert nodes.wait(timeout=30) == 0
+            assert "Traceback" not in nodes.stderr.read()
+        finally:
+            nodes.kill()
 
 
 SECONDS = 60.0 if FULL else 6.0  # of the motion of ur5

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import struct
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +22,9 @@ from emulator_node.session import Session
 client = pytest.importorskip("pymodbus.client")
 pytest.importorskip("serial")
 ModbusException: Any = pytest.importorskip("pymodbus.exceptions").ModbusException
+
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @contextmanager
@@ -101,3 +106,19 @@ def test_wrong_requests_are_answered_with_exceptions(tmp_path: Path) -> None:
         assert master.read_coils(0, count=1).exception_code == 1
         assert master.diag_query_data(b"\x12\x34").message == b"\x12\x34"
         assert master.read_input_registers(1000, count=3).registers == [1, 0, 0]
+
+
+def test_page_shows_what_happens(tmp_path: Path) -> None:
+    """The master of docs/modbus.md."""
+    page = (ROOT / "docs" / "modbus.md").read_text()
+    blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)
+    (shown,) = [textwrap.dedent(block).strip() for block in blocks if "import Modbus" in block]
+    script, _, said = shown.rpartition("\n\n")
+    with master_of(tmp_path) as master:
+        master.close()  # the port is for one
+        script = script.replace("/tmp/arm", str(tmp_path / "port"))
+        ran = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert ran.returncode == 0, ran.stderr
+        assert ran.stdout.strip() == said
