@@ -45,7 +45,7 @@ def test_limited_motors_without_inductance_move_as_the_equations_say(seed: int) 
     """Rotors that start within a step: near at 1 ms, of second order where steps resolve them."""
     period = 0.02
     scene, voltages = drawn_three_axis(seed, "rosenbrock", 1e-3)
-    truth = reference(scene, voltages, period, 1e-8, method="Radau")
+    truth = reference(scene, voltages, period, 1e-10, method="LSODA")
     errors = []
     for dt in (1e-3, 1e-4, 1e-5):
         scene, _ = drawn_three_axis(seed, "rosenbrock", dt)

@@ -127,7 +127,7 @@ def test_currents_at_limits_follow_the_closed_form_with_order_two(
 def test_motors_far_faster_than_a_step_are_followed_where_events_are_located(seed: int) -> None:
     """Light rotors without inductance that reach and leave their limits within one step."""
     scene, voltages = drawn_three_axis(seed, "rosenbrock", 1e-3)
-    truth = reference(scene, voltages, 0.02, 1e-8, method="Radau")
+    truth = reference(scene, voltages, 0.02, 1e-10, method="LSODA")
     scene, _ = drawn_three_axis(seed, "rosenbrock", 1e-3, events="located")
     q = Plant(scene).run(voltages, 20)
     # As for steps that are not cut, test_limits.py.

@@ -77,7 +77,7 @@ def truth(lugre: dict[str, float], side: str, voltages: Array) -> Array:
 
     x, out = np.zeros(3), []
     for (V,) in voltages:
-        x = solve_ivp(rates, (0.0, PERIOD), x, "Radau", rtol=1e-10, atol=1e-13, args=(V,)).y[:, -1]
+        x = solve_ivp(rates, (0.0, PERIOD), x, "LSODA", rtol=1e-10, atol=1e-13, args=(V,)).y[:, -1]
         out.append(x)
     return np.array(out)
 
