@@ -30,9 +30,9 @@ def serve(scene_name: str, interface: str, lockstep: bool) -> int:
     """
     scene, segment = _segment(scene_name, lockstep)
     descriptor = segment.open(interface)
-    if not lockstep:
-        with contextlib.suppress(PermissionError):  # the figures at the end tell what it was worth
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+    # Masters give a frame some milliseconds, which a busy host may take before it wakes us.
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
     clock = "lockstep" if lockstep else "realtime"
     print(f"ethercat: scene {scene.name}, clock {clock}")
     print(f"ethercat: slaves: {', '.join(scene.joint_names)}")
