@@ -226,7 +226,7 @@ def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
     """The recorder starts in one or two seconds: some moments about there."""
     draw = random.Random(6)
     with own_domain():
-        for case in some(range(6), 3):
+        for case in some(range(6), 2):
             bag = tmp_path / f"bag{case}"
             with recorder(bag) as process:
                 moment = draw.uniform(0.0, 2.5)

@@ -116,7 +116,7 @@ def error(machine: str, scheme: str, steps: int) -> float:
 
 
 def test_reference_by_three_methods() -> None:
-    """Radau is implicit, DOP853 explicit, LSODA multistep: what they agree on is no matter of method."""
+    """Implicit, explicit and of many steps: what they agree on is no matter of method."""
     one = scene("everything", "paper", 100)
     rows = voltages(3)[:2]
     explicit = reference(one, rows, PERIOD, 1e-9, method="DOP853")
