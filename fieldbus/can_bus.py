@@ -91,6 +91,7 @@ class BusService:
                 lost = late // period
                 self.lost_periods += lost
                 due += lost * period
+                _say(f"{late / 1e9:.1f} s late: {self.lost_periods} servo periods lost so far")
             due += period
             self._send(self._segment.pass_period())
             self._tell_fault()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import enum
 import struct
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
@@ -152,7 +151,7 @@ class Node:
         if index in (0x1005, 0x1014) or (_is_communication(index) and sub == 1):
             if new & (EXTENDED | 0x1FFFF800) or (index == 0x1005 and new >> 29):
                 raise Aborted(index, sub, OUT_OF_RANGE)
-            if not new & INVALID and _is_restricted(new & 0x7FF, index):
+            if not new & INVALID and _is_restricted(new & 0x7FF):
                 raise Aborted(index, sub, OUT_OF_RANGE)
             now = self._number(index, sub)
             moved = (new ^ now) & ~(INVALID | NO_REMOTE)
@@ -189,11 +188,13 @@ class Node:
     def _pdo(self, communication: int, mapping: int) -> _Pdo:
         cob = self._number(communication, 1)
         words = (self._number(mapping, k + 1) for k in range(self._number(mapping, 0)))
+        places = [(word >> 16, word >> 8 & 0xFF, (word & 0xFF) // 8) for word in words]
+        is_used = places and not cob & INVALID
         pdo = _Pdo(
-            -1 if cob & INVALID else cob & 0x7FF,
+            cob & 0x7FF if is_used else -1,
             not cob & NO_REMOTE,
             self._number(communication, 2),
-            [(word >> 16, word >> 8 & 0xFF, (word & 0xFF) // 8) for word in words],
+            places,
         )
         if communication >= 0x1800:
             pdo.inhibit = self._number(communication, 3) * 100_000
@@ -311,7 +312,7 @@ class Node:
 
     def _begin_anew(self) -> list[Frame]:
         self._configure()
-        self._bad_pdo = False
+        self._error, self._bad_pdo = 0, False
         return self.boot()
 
     def _stop(self) -> None:
@@ -427,13 +428,16 @@ def _is_mapping(index: int) -> bool:
     return 0x1600 <= index < 0x1800 or 0x1A00 <= index < 0x1C00
 
 
-def _is_restricted(id_: int, index: int) -> bool:
-    """Return whether an object may not have an identifier, which CiA 301 keeps for others."""
-    if index in (0x1005, 0x1014):
-        return id_ == 0 or _is_in(id_, ((0x01, 0x7F), (0x581, 0x5FF), (0x601, 0x67F)))
-    kept = ((0x00, 0x7F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF))
-    return _is_in(id_, (*kept, (0x701, 0x7FF)))
+# Identifiers that CiA 301 keeps: no object may be given one of these.
+_RESTRICTED = (
+    (0x000, 0x07F),
+    (0x101, 0x180),
+    (0x581, 0x5FF),
+    (0x601, 0x67F),
+    (0x6E0, 0x6FF),
+    (0x701, 0x7FF),
+)
 
 
-def _is_in(id_: int, ranges: Iterable[tuple[int, int]]) -> bool:
-    return any(low <= id_ <= high for low, high in ranges)
+def _is_restricted(id_: int) -> bool:
+    return any(low <= id_ <= high for low, high in _RESTRICTED)

@@ -186,6 +186,7 @@ def drives_of_one(drives: Drives, index: int, sub: int, raw: bytes) -> int:
         (0x1005, 0, 1 << 29 | 0x80, 4, 0x06090030),  # 29 bits
         (0x1005, 0, 0, 4, 0x06090030),  # the identifier of NMT
         (0x1014, 0, 0x601, 4, 0x06090030),  # that of an SDO
+        (0x1005, 0, 0x712, 4, 0x06090030),  # that of a heartbeat
         (0x1016, 1, 200 << 16 | 5, 4, 0x06090030),  # node-ID 200
         (0x1400, 1, 0x333, 4, 0x08000022),  # another identifier while it is in use
         (0x1400, 1, 0x80000000, 4, 0),
@@ -402,6 +403,9 @@ def test_mapping_is_changed_as_the_standard_says(scene: Scene) -> None:
     assert refused(segment, 1, 0x1A01, 0, 0, 1) == 0x08000022, "operational, and in use"
     put(segment, 1, 0x1801, 1, 0x80000281, 4)
     put(segment, 1, 0x1A01, 0, 0, 1)
+    put(segment, 1, 0x1801, 1, 0x281, 4)
+    assert not sent(segment.receive(SYNC), 0x281), "nothing is mapped"
+    put(segment, 1, 0x1801, 1, 0x80000281, 4)
     assert refused(segment, 1, 0x1A01, 1, 0x607A0020, 4) == 0x06040041, "it cannot transmit that"
     put(segment, 1, 0x1A01, 1, 0x60640020, 4)
     put(segment, 1, 0x1A01, 2, 0x606C0020, 4)
@@ -514,6 +518,9 @@ def test_a_stopped_node_and_a_lost_master_take_the_drives_off(scene: Scene) -> N
         assert node.upload(0x6041, 0)[0] & 0x4F == 0x08, "Fault, as 0x6007 says"
         assert node.upload(0x603F, 0) == code
         assert segment.nodes[1].upload(0x6041, 0)[0] & 0x6F == 0x27, "the others go on"
+        segment.receive(Frame(0, b"\x81\1"))
+        assert not sent(segment.receive(SYNC), 0x81), "a reset node has nothing to tell"
+        assert node.upload(0x6041, 0)[0] & 0x4F == 0x40, "Switch on disabled"
 
 
 def test_a_machine_that_diverged_stays_and_its_nodes_answer(
