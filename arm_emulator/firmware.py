@@ -48,6 +48,8 @@ def run(
     if seconds is None:
         seconds = (table.seconds if table else None) or 10.0
     ticks = ticks_of(seconds, scene)
+    if gdb is not None and not 0 < gdb < 65536:
+        raise Refusal("firmware", "--gdb", "be a port from 1 to 65535", gdb)
     with contextlib.ExitStack() as open_:
         lines = open_.enter_context(_lines(board, uarts))
         chip = Microcontroller(board, ElfImage(elf), scene, lines)
@@ -72,8 +74,6 @@ def run(
 
 
 def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:
-    if not 0 < port < 65536:
-        raise Refusal("firmware", "--gdb", "be a port from 1 to 65535", port)
     with socket.socket() as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -2,7 +2,8 @@
 // lives in the thread that runs the firmware; while it is halted nothing else goes on.
 #pragma once
 
-#include <poll.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -33,6 +34,8 @@ class GdbServer {
   // `socket` listens; this waits until somebody comes.
   GdbServer(Debugged& debugged, int socket) : debugged_(debugged) {
     client_ = ::accept(socket, nullptr, nullptr);
+    const int at_once = 1;  // answers are short, and each is waited for
+    ::setsockopt(client_, IPPROTO_TCP, TCP_NODELAY, &at_once, sizeof at_once);
   }
   GdbServer(const GdbServer&) = delete;
   GdbServer& operator=(const GdbServer&) = delete;
@@ -99,23 +102,24 @@ class GdbServer {
     return reply;
   }
 
+  // Whether Ctrl-C was pressed; while it runs, gdb sends nothing else that counts.
   bool interrupt_comes() {
-    char one;
-    while (::recv(client_, &one, 1, MSG_DONTWAIT | MSG_PEEK) == 1) {
-      ::recv(client_, &one, 1, 0);
-      if (one == 3) return true;
-    }
+    while (at_ < held_.size() || fill(MSG_DONTWAIT))
+      if (held_[at_++] == 3) return true;
     return false;
   }
 
+  bool fill(int how) {
+    char some[4096];
+    const ssize_t size = ::recv(client_, some, sizeof some, how);
+    if (size <= 0) return false;
+    held_.assign(some, static_cast<size_t>(size));
+    at_ = 0;
+    return true;
+  }
+
   int byte() {
-    if (at_ == held_.size()) {
-      char some[4096];
-      const ssize_t size = ::recv(client_, some, sizeof some, 0);
-      if (size <= 0) return -1;
-      held_.assign(some, static_cast<size_t>(size));
-      at_ = 0;
-    }
+    if (at_ == held_.size() && !fill(0)) return -1;
     return static_cast<uint8_t>(held_[at_++]);
   }
 

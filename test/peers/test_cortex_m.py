@@ -1,0 +1,702 @@
+"""Unmodified firmware of a Cortex-M4F, built with a cross compiler, in the loop with a machine."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("unicorn", reason="no unicorn")
+pytest.importorskip("elftools", reason="no pyelftools")
+if shutil.which("arm-none-eabi-gcc") is None:
+    pytest.skip("no arm-none-eabi-gcc", allow_module_level=True)
+
+from arm_emulator.gains import load_gains
+from arm_emulator.servo_header import servo_header
+from arm_emulator.table_run import TableRun
+from arm_emulator.target_table import TargetTable
+from compiled.c_flags import C_FLAGS
+from compiled.cxx import find_compiler
+from emulator_node.compiler import CORE
+from emulator_node.firmware import Firmware
+from emulator_node.scene import Scene, load_scene
+from firmware import FOLDER as SERVO
+from microcontroller import FOLDER
+from microcontroller.board import load_board
+from microcontroller.elf_image import ElfImage
+from microcontroller.microcontroller import FirmwareEnd, Microcontroller
+from words.config_files import find_scene
+
+EXAMPLE = FOLDER / "examples/stm32f4_like"
+CROSS = (
+    "arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -std=gnu99 -g"
+    " -ffp-contract=off -ffreestanding -fno-strict-aliasing -Wall -Wextra -Werror"
+    " -nostartfiles --specs=nosys.specs -Wl,--no-warn-rwx-segments"
+).split()
+SCENE = load_scene("three_axis")
+
+# What small programs are made of: registers, a serial line, and a handler that may be defined.
+TINY = """
+#include <stdint.h>
+#define REGISTER(at) (*(volatile uint32_t*)(at))
+#define UART_SR REGISTER(0x40004400)
+#define UART_DR REGISTER(0x40004404)
+#define UART_CR REGISTER(0x4000440c)
+#define ISER(n) REGISTER(0xe000e100 + 4 * ((n) / 32))
+#define ISPR(n) REGISTER(0xe000e200 + 4 * ((n) / 32))
+#define PRIORITY(n) (*(volatile uint8_t*)(0xe000e400 + (n)))
+#define SHPR(n) (*(volatile uint8_t*)(0xe000ed14 + (n)))
+#define ICSR REGISTER(0xe000ed04)
+#define SYSTICK_CTRL REGISTER(0xe000e010)
+#define SYSTICK_LOAD REGISTER(0xe000e014)
+static inline void put(uint8_t byte) {
+  while (!(UART_SR & 0x80)) continue;
+  UART_DR = byte;
+}
+static inline void put_word(uint32_t word) {
+  for (int k = 0; k < 4; ++k) put(word >> 8 * k);
+}
+static inline void sleep(void) { __asm__ volatile("wfi"); }
+"""
+
+
+def cross(out: Path, *words: str, level: str = "-O2") -> Path:
+    """Build firmware, and fail on any warning."""
+    command = [*CROSS, level, f"-I{EXAMPLE}", f"-I{SERVO}", f"-I{out.parent}", *words]
+    command += ["-T", str(EXAMPLE / "link.ld"), "-o", str(out), "-lc", "-lgcc"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), f"the cross compiler: {done.stderr}"
+    return out
+
+
+def tiny(folder: Path, text: str, level: str = "-O2") -> Path:
+    """Build a small program."""
+    source = folder / "tiny.c"
+    source.write_text(TINY + text)
+    return cross(folder / "tiny.elf", str(EXAMPLE / "startup.c"), str(source), level=level)
+
+
+def write_board(folder: Path, **more: object) -> Path:
+    """Write a board for three_axis: floats at the converters, a serial line that is fast."""
+    names = SCENE.joint_names
+    board: dict[str, object] = {
+        "clock": 168e6,
+        "interrupts": 82,
+        "memory": {
+            "flash": {"at": 0x08000000, "size": 1 << 20},
+            "ram": {"at": 0x20000000, "size": 1 << 17},
+        },
+        "registers": {"all": {"at": 0x40000000, "size": 0x8000}},
+        "encoders": {name: {"at": 0x40000000 + 4 * k, "bits": 16} for k, name in enumerate(names)},
+        "pwm": {
+            name: {"kind": "float", "compare": 0x40000100 + 4 * k} for k, name in enumerate(names)
+        },
+        "uart": {
+            "line": {
+                "status": 0x40004400,
+                "data": 0x40004404,
+                "control": 0x4000440C,
+                "interrupt": 38,
+                "baud": 1e7,
+            }
+        },
+        **more,
+    }
+    file = folder / "board.yaml"
+    file.write_text(yaml.safe_dump(board))
+    return file
+
+
+def run_firmware(board: Path, elf: Path, ticks: int = 3) -> bytes:
+    """Run firmware with three_axis, and return what it has written to its serial line."""
+    ours, theirs = os.pipe()
+    heard = bytearray()
+
+    def listen() -> None:
+        while piece := os.read(ours, 4096):
+            heard.extend(piece)
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    try:
+        lines = {"line": (theirs, -1)}
+        read = load_board(board, SCENE.joint_names)
+        one = TableRun(SCENE, None, Microcontroller(read, ElfImage(elf), SCENE, lines))
+        one.advance(ticks)
+    finally:
+        os.close(theirs)
+        listener.join()
+        os.close(ours)
+    return bytes(heard)
+
+
+def words_of(heard: bytes) -> list[int]:
+    return np.frombuffer(heard, "<u4").tolist()
+
+
+# The example, and the same code as a library
+
+
+@pytest.fixture(scope="module")
+def ur5() -> Scene:
+    return load_scene("ur5")
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory, ur5: Scene) -> Callable[..., Path]:
+    folder = tmp_path_factory.mktemp("example")
+    servo = load_gains(find_scene("ur5")).servo
+    (folder / "servo_joints.h").write_text(servo_header("ur5", ur5.joint_names, servo))
+
+    def build(name: str, *flags: str, level: str = "-O2") -> Path:
+        sources = [EXAMPLE / "startup.c", EXAMPLE / "main.c", EXAMPLE / "control.c"]
+        words = [*map(str, sources), str(SERVO / "servo.c"), "-DSERVO_FLOAT", *flags]
+        return cross(folder / name, *words, level=level)
+
+    return build
+
+
+def random_table(rng: np.random.Generator, scene: Scene, ticks: int) -> TargetTable:
+    start = np.asarray(scene.start)
+    t = np.sort(rng.choice(ticks, 4, replace=False)) * scene.servo_period
+    return TargetTable(t, start + rng.uniform(-0.1, 0.1, (4, len(start))))
+
+
+def states(one: TableRun, ticks: int) -> list[bytes]:
+    """Go on tick by tick; return the machine's whole state at each."""
+    saved = []
+    for _ in range(ticks):
+        one.advance(1)
+        saved.append(one.session.plant.save())
+    return saved
+
+
+def chip_of(scene: Scene, elf: Path, board: Path = EXAMPLE / "board.yaml") -> Microcontroller:
+    return Microcontroller(load_board(board, scene.joint_names), ElfImage(elf), scene)
+
+
+def library_of_example(folder: Path) -> Firmware:
+    """The example's control code as a user's library, behind converters by the formulas of docs."""
+    (folder / "host.c").write_text(
+        """
+#include <math.h>
+#include "firmware.h"
+#include "control.h"
+#include "servo_joints.h"
+static const char* start(const firmware_machine* machine) {
+  (void)machine;
+  control_start();
+  return 0;
+}
+static void step(const firmware_input* in, firmware_output* out) {
+  int64_t encoder[SERVO_JOINTS];
+  uint32_t adc[SERVO_JOINTS], compare[SERVO_JOINTS];
+  float q[SERVO_JOINTS];
+  for (int j = 0; j < SERVO_JOINTS; ++j) {
+    encoder[j] = in->measured->joint[j].encoder;
+    double counts = floor(in->measured->joint[j].current * (j < 3 ? 40 : 160) + 2048 + 0.5);
+    adc[j] = (uint32_t)fmin(fmax(counts, 0), 4095);
+    q[j] = (float)in->q_target[j];
+  }
+  control_step(encoder, adc, q, 1, compare);
+  for (int j = 0; j < SERVO_JOINTS; ++j) out->joint[j].value = 48 * (2 * (compare[j] / 8400.0) - 1);
+}
+const firmware* arm_firmware(void) {
+  static const firmware mine = {FIRMWARE_VERSION, 0, start, step};
+  return &mine;
+}
+"""
+    )
+    folders = [f"-I{one}" for one in (SERVO, CORE, EXAMPLE, folder)]
+    objects = []
+    for source in (folder / "host.c", EXAMPLE / "control.c", SERVO / "servo.c"):
+        objects.append(str(folder / f"{source.stem}.o"))
+        host_cc(*C_FLAGS, "-DSERVO_FLOAT", *folders, "-c", str(source), "-o", objects[-1])
+    host_cc("-shared", *objects, "-lm", "-o", str(folder / "host.so"))
+    return Firmware(folder / "host.so")
+
+
+def host_cc(*words: str) -> None:
+    done = subprocess.run([*find_compiler(), *words], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), "exit code and words of the compiler"
+
+
+def test_firmware_moves_the_arm_as_the_same_code_in_a_library(
+    built: Callable[..., Path], ur5: Scene
+) -> None:
+    """Other compilers, levels and processors, asleep or not, one motion to the last bit."""
+    elf = built("asleep.elf")
+    rng = np.random.default_rng(1)
+    table = random_table(rng, ur5, 300)
+    wanted = states(TableRun(ur5, table, library_of_example(elf.parent)), 300)
+    assert len({*wanted}) == 300, "states of a machine that moves"
+    for name, level in (("asleep.elf", "-O2"), ("small.elf", "-Os")):
+        one = TableRun(ur5, table, chip_of(ur5, built(name, level=level)))
+        assert states(one, 300) == wanted, f"the machine at each tick with {level}"
+    awake = TableRun(ur5, table, chip_of(ur5, built("awake.elf", "-DAWAKE")))
+    assert states(awake, 100) == wanted[:100], "the machine at each tick, never asleep"
+
+
+def test_ten_runs_are_equal(built: Callable[..., Path], ur5: Scene) -> None:
+    """To the last bit of the machine, and to the last instruction of the processor."""
+    elf = built("asleep.elf")
+    table = random_table(np.random.default_rng(2), ur5, 100)
+    seen = set()
+    for _ in range(10):
+        chip = chip_of(ur5, elf)
+        one = TableRun(ur5, table, chip)
+        one.advance(200)
+        figures = chip.figures
+        seen.add((one.session.plant.save(), figures.instructions, figures.cycles, figures.asleep))
+    assert len(seen) == 1, "states, instructions and cycles of ten runs"
+
+
+def test_two_chips_know_nothing_of_each_other(built: Callable[..., Path], ur5: Scene) -> None:
+    elf = built("asleep.elf")
+    table = random_table(np.random.default_rng(3), ur5, 50)
+    alone = states(TableRun(ur5, table, chip_of(ur5, elf)), 60)
+    one, other = (TableRun(ur5, table, chip_of(ur5, elf)) for _ in range(2))
+    for tick in range(60):
+        one.advance(1)
+        other.advance(1)
+        assert one.session.plant.save() == other.session.plant.save() == alone[tick], tick
+
+
+# Debugging
+
+
+class Debugger:
+    """gdb's end of its remote protocol."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=20.0)
+        self._stream = self._socket.makefile("rb")
+
+    def send(self, raw: bytes) -> None:
+        self._socket.sendall(raw)
+
+    def ask(self, text: bytes) -> bytes:
+        self.send(b"$" + text + b"#%02x" % (sum(text) % 256))
+        return self.hear()
+
+    def hear(self) -> bytes:
+        """Return the next packet."""
+        while (one := self._stream.read(1)) != b"$":
+            assert one, "an open connection"
+        text = b""
+        while (one := self._stream.read(1)) != b"#":
+            text += one
+        self._stream.read(2)
+        return text
+
+    def __enter__(self) -> Debugger:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+        self._socket.close()
+
+
+def address_of(elf: Path, function: str) -> int:
+    command = ["arm-none-eabi-nm", str(elf)]
+    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    return next(int(line.split()[0], 16) for line in lines if line.split()[-1] == function) & ~1
+
+
+def debugged(
+    chip: Microcontroller, scene: Scene, table: TargetTable | None, ticks: int,
+    debugger: Callable[[int], None],
+) -> list[bytes]:  # fmt: skip
+    """Return the states of a run beside which a debugger works at a port."""
+    failed: list[BaseException] = []
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen(1)
+        port = listening.getsockname()[1]
+
+        def work() -> None:
+            try:
+                debugger(port)
+            except BaseException as error:
+                failed.append(error)
+
+        worker = threading.Thread(target=work)
+        worker.start()
+        chip.debug(listening)
+    try:
+        return states(TableRun(scene, table, chip), ticks)
+    finally:
+        worker.join()
+        assert not failed, failed
+
+
+@pytest.mark.skipif(shutil.which("gdb-multiarch") is None, reason="no gdb-multiarch")
+@pytest.mark.parametrize("kind", ["asleep", "awake"])
+def test_halting_in_gdb_changes_no_bit(
+    built: Callable[..., Path], ur5: Scene, kind: str, tmp_path: Path
+) -> None:
+    """Breakpoints at functions and at any instruction, single steps, long halts."""
+    elf = built(f"{kind}.elf", *(["-DAWAKE"] if kind == "awake" else []))
+    rng = np.random.default_rng(4)
+    ticks = 30 if kind == "asleep" else 6
+    table = random_table(rng, ur5, 20)
+    free = states(TableRun(ur5, table, chip_of(ur5, elf)), ticks)
+    lines = ["set pagination off", "break control_step", "continue", "print *encoder", "backtrace"]
+    for _ in range(6):
+        what = rng.choice(["stepi", "next", "continue", "middle"])
+        if what == "stepi":
+            lines.append(f"stepi {rng.integers(1, 60)}")
+        elif what == "middle":
+            lines += [f"tbreak *(servo_voltage+{4 * rng.integers(1, 12)})", "continue"]
+        else:
+            lines.append(str(what))
+        lines += [
+            "info registers",
+            "print $d3",
+            "x/8xw $sp",
+            "x/4xw 0x40012000",
+            "shell sleep 0.05",
+        ]
+    lines += ["delete", "detach"]
+    script = tmp_path / "script"
+    script.write_text("\n".join(lines) + "\n")
+    said = []
+
+    def gdb(port: int) -> None:
+        command = ["gdb-multiarch", "-nx", "-batch", str(elf)]
+        command += ["-ex", f"target remote :{port}", "-x", str(script)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        said.append(done.stdout + done.stderr)
+
+    halted = debugged(chip_of(ur5, elf), ur5, table, ticks, gdb)
+    assert "Breakpoint 1, control_step" in said[0] and "ADC_Handler" in said[0], said[0]
+    assert halted == free, f"the machine at each tick, debugged and free\n{said[0]}"
+
+
+def test_every_step_and_any_packet_of_a_debugger_change_no_bit(
+    built: Callable[..., Path], ur5: Scene
+) -> None:
+    """Walking through a whole period, interrupts from the terminal, packets that are none."""
+    elf = built("asleep.elf")
+    rng = np.random.default_rng(5)
+    table = random_table(rng, ur5, 8)
+    free = states(TableRun(ur5, table, chip_of(ur5, elf)), 300)
+    handler = address_of(elf, "ADC_Handler")
+
+    def work(port: int) -> None:
+        with Debugger(port) as gdb:
+            assert gdb.ask(b"?") == b"S05", "why it stands"
+            assert gdb.ask(b"Z0,%x,2" % handler) == b"OK", "a breakpoint"
+            for _ in range(2):
+                assert gdb.ask(b"c") == b"S05", "at a breakpoint"
+            for _ in range(900):
+                assert gdb.ask(b"s") == b"S05", "after a step"
+            assert gdb.ask(b"z0,%x,2" % handler) == b"OK", "no breakpoint"
+            for _ in range(60):
+                size = int(rng.integers(0, 30))
+                text = bytes(rng.choice([*b"?gpmqvHTZz012345,;:ae\x00\xff"], size).astype(np.uint8))
+                gdb.ask(b"m" + text if text[:1] in b"MGPcsDkZzv" else text)
+            gdb.send(b"$m20000000,4#00+++\x01\x02$#00")
+            gdb.hear()
+            for _ in range(3):
+                gdb.send(b"$c#63\x03")
+                assert gdb.hear() == b"S02", "halted by Ctrl-C"
+            gdb.send(b"$c#63")
+
+    assert debugged(chip_of(ur5, elf), ur5, table, 300, work) == free, "the machine at each tick"
+
+
+def test_a_debugger_ends_a_run(built: Callable[..., Path], ur5: Scene) -> None:
+    elf = built("asleep.elf")
+
+    def kill(port: int) -> None:
+        with Debugger(port) as gdb:
+            gdb.send(b"$k#6b")
+
+    with pytest.raises(FirmwareEnd, match=r"^asleep\.elf: ended by the debugger$"):
+        debugged(chip_of(ur5, elf), ur5, None, 3, kill)
+
+
+# Faults
+
+CULPRITS = {
+    "read": ("(void)*(volatile uint32_t*){address:#x};", "read of an address where nothing is"),
+    "write": ("*(volatile uint8_t*){address:#x} = 1;", "write to an address where nothing is"),
+    "flash": ("*(volatile uint32_t*)({flash:#x}) = 1;", "write to flash"),
+    "jump": ("((void (*)(void))({address:#x} | 1))();", "instructions from an address where none"),
+    "ram": (
+        "((void (*)(void))0x20000101)();",
+        "instructions from RAM that is not of kind code_ram",
+    ),
+    "undefined": ('__asm__ volatile("udf #{number}");', "an undefined instruction"),
+    "breakpoint": ('__asm__ volatile("bkpt #{number}");', "a breakpoint instruction"),
+    "call": ('__asm__ volatile("cpsid i\\n svc #{number}");', "hard fault"),
+    "reset": ("REGISTER(0xe000ed0c) = 0x05fa0004;", "a reset that the firmware asked for"),
+    "recursion": ("again(k + 1);", "where nothing is"),
+}
+
+
+@pytest.mark.parametrize("kind", CULPRITS)
+def test_a_fault_ends_the_run_in_one_line_with_its_function(kind: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng([6, *kind.encode()])
+    text, what = CULPRITS[kind]
+    hole = int(rng.choice([0, 0x1000, 0x08200000, 0x30000000, 0x90000000])) + 4 * int(
+        rng.integers(99)
+    )
+    numbers = {
+        "flash": 0x08000000 + 4 * int(rng.integers(1 << 18)),
+        "number": int(rng.integers(200)),
+    }
+    body = text.format(address=hole, **numbers)
+    elf = tiny(
+        tmp_path,
+        f"""
+void culprit(volatile int k);
+void (*volatile again)(volatile int) = culprit;
+__attribute__((noinline)) void culprit(volatile int k) {{ (void)k; {body} sleep(); }}
+int main(void) {{ sleep(); culprit(0); for (;;) sleep(); }}
+""",
+        "-O1",
+    )
+    board = write_board(tmp_path)
+    with pytest.raises(FirmwareEnd) as end:
+        run_firmware(board, tiny_awake(elf, tmp_path), 3)
+    line = str(end.value)
+    assert what in line and "\n" not in line, line
+    if kind in ("read", "write"):
+        assert f"({hole:#010x})" in line, line
+    if kind not in ("jump", "ram"):
+        assert "in culprit" in line, line
+
+
+def tiny_awake(elf: Path, folder: Path) -> Path:
+    """Return firmware the first sleep of which ends: its SysTick runs."""
+    text = (folder / "tiny.c").read_text()
+    text = text.replace(
+        "int main(void) {", "int main(void) { SYSTICK_LOAD = 999; SYSTICK_CTRL = 7;"
+    )
+    (folder / "tiny.c").write_text(text + "void SysTick_Handler(void) {}\n")
+    sources = [str(EXAMPLE / "startup.c"), str(folder / "tiny.c")]
+    return cross(elf, *sources, level="-O1")
+
+
+# Exceptions
+
+
+class Model:
+    """Which handler runs when, by the rules of ARMv7-M (B1.5), each a few lines of Python.
+
+    Args:
+        priorities: of interrupts.
+        chains: what each handler pends, at its first run, its second, ...
+        mask: of a priority that decides on preemption.
+    """
+
+    def __init__(self, priorities: list[int], chains: list[list[int]], mask: int) -> None:
+        self.priorities, self.mask = priorities, mask
+        self.chains = [list(chain) for chain in chains]
+        self.pending: set[int] = set()
+        self.active: list[int] = []
+        self.basepri = 0
+        self.log: list[int] = []
+
+    def level(self) -> int:
+        levels = [self.priorities[n] & self.mask for n in self.active]
+        return min([256, *levels, *([self.basepri & self.mask] if self.basepri else [])])
+
+    def dispatch(self) -> None:
+        while self.pending:
+            first = min(self.pending, key=lambda n: (self.priorities[n], n))
+            if self.priorities[first] & self.mask >= self.level():
+                return
+            self.pending.remove(first)
+            self.active.append(first)
+            self.log.append(first)
+            if self.chains[first]:
+                self.pending.add(self.chains[first].pop(0))
+                self.dispatch()
+            self.log.append(first | 0x80)
+            self.active.pop()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_handlers_nest_as_their_priorities_say(seed: int, tmp_path: Path) -> None:
+    """Priorities, groups, BASEPRI, PRIMASK, and handlers that pend others: drawn at random."""
+    rng = np.random.default_rng([7, seed])
+    K = 6
+    numbers = sorted(rng.choice(82, K, replace=False).tolist())
+    bits = int(rng.choice([3, 4, 8]))
+    shift = 8 - bits
+    priorities = [int(rng.integers(0, 1 << bits)) << shift for _ in range(K)]
+    group = int(rng.integers(0, 8))
+    chains = [rng.integers(0, K, int(rng.integers(0, 4))).tolist() for _ in range(K)]
+    first = [k for k in range(K) if rng.random() < 0.6] or [0]
+    basepri = int(rng.integers(1, 1 << bits)) << shift
+    model = Model(priorities, chains, 0xFF & ~((2 << group) - 1))
+    model.basepri = basepri
+    model.pending = set(first)
+    model.dispatch()
+    model.log.append(0xEE)
+    model.basepri = 0
+    model.dispatch()
+    rows = ", ".join(
+        "{" + ", ".join(map(str, [*chain, *[0xFF] * (4 - len(chain))])) + "}" for chain in chains
+    )
+    vectors = "\n".join(f"[16 + {number}] = handler," for number in numbers)
+    startup = (EXAMPLE / "startup.c").read_text().replace("[16 + 18] = ADC_Handler,", vectors)
+    startup = startup.replace("typedef void (*handler)(void);", "typedef void (*handle)(void);")
+    startup = startup.replace("const handler vectors", "const handle vectors")
+    startup = startup.replace("(handler)&stack_top", "(handle)&stack_top")
+    startup = startup.replace(
+        "typedef void (*handle)", "void handler(void);\ntypedef void (*handle)"
+    )
+    (tmp_path / "startup.c").write_text(startup)
+    (tmp_path / "main.c").write_text(
+        f"""{TINY}
+static const uint8_t numbers[{K}] = {{{", ".join(map(str, numbers))}}};
+static const uint8_t priorities[{K}] = {{{", ".join(map(str, priorities))}}};
+static const uint8_t chains[{K}][4] = {{{rows}}};
+static volatile uint8_t next[{K}], log[512];
+static volatile uint32_t count;
+void handler(void) {{
+  uint32_t ipsr, k = 0;
+  __asm__ volatile("mrs %0, ipsr" : "=r"(ipsr));
+  while (numbers[k] + 16u != ipsr) ++k;
+  log[count++] = k;
+  if (next[k] < 4 && chains[k][next[k]] != 0xff) {{
+    const uint32_t other = numbers[chains[k][next[k]++]];
+    ISPR(other) = 1u << other % 32;
+    __asm__ volatile("dsb\\n isb" ::: "memory");
+  }}
+  log[count++] = k | 0x80;
+}}
+int main(void) {{
+  __asm__ volatile("cpsid i" ::: "memory");
+  REGISTER(0xe000ed0c) = 0x05fa0000 | {group} << 8;
+  for (int k = 0; k < {K}; ++k) {{
+    PRIORITY(numbers[k]) = priorities[k];
+    ISER(numbers[k]) = 1u << numbers[k] % 32;
+  }}
+  {" ".join(f"ISPR(numbers[{k}]) = 1u << numbers[{k}] % 32;" for k in first)}
+  __asm__ volatile("msr basepri, %0\\n cpsie i\\n isb" ::"r"({basepri}) : "memory");
+  log[count++] = 0xee;
+  __asm__ volatile("msr basepri, %0\\n isb" ::"r"(0) : "memory");
+  for (uint32_t k = 0; k < count; ++k) put(log[k]);
+  for (;;) sleep();
+}}
+"""
+    )
+    sources = [str(tmp_path / "startup.c"), str(tmp_path / "main.c")]
+    elf = cross(tmp_path / "nest.elf", *sources, level=str(rng.choice(["-O0", "-O2", "-Os"])))
+    heard = run_firmware(write_board(tmp_path, priority_bits=bits), elf)
+    assert list(heard) == model.log, "handlers as they began (n) and ended (n + 128)"
+
+
+SWITCH = """
+static float sums[2][4];
+static volatile uint32_t done, switches;
+static uint32_t stacks[2][512];
+static uint32_t* volatile tops[2];
+static volatile uint32_t current;
+static __attribute__((noinline)) void work(int n, int rounds) {
+  float a = 1.0f + n, b = 0.5f, c = 0.25f, d = 3.0f;
+  for (int k = 1; k <= rounds; ++k) {
+    a = a * 0.999f + b / (float)k;
+    b = b + c * a - d * 0.001f;
+    c = c * 0.99f + 0.01f * (a > b ? a : -b);
+    d = d - 0.125f * c / (1.0f + (float)(k % 7));
+  }
+  sums[n][0] = a, sums[n][1] = b, sums[n][2] = c, sums[n][3] = d;
+}
+"""
+
+# Two tasks, switched as the kernels of operating systems do it: SVC begins, SysTick asks, PendSV
+# switches, each task on a stack of its own and with registers of the FPU.
+TASKS = """
+static void task(int n) { work(n, ROUNDS); done |= 1u << n; for (;;) sleep(); }
+static uint32_t* begin(int n) {
+  uint32_t* top = &stacks[n][512] - 17;
+  for (int k = 0; k < 17; ++k) top[k] = 0;
+  top[8] = 0xfffffffd;
+  top[9] = n;
+  top[15] = (uint32_t)task;
+  top[16] = 1u << 24;
+  return top;
+}
+uint32_t* switch_task(uint32_t* top);
+uint32_t* switch_task(uint32_t* top) {
+  tops[current] = top;
+  current ^= 1;
+  ++switches;
+  return tops[current];
+}
+__attribute__((naked)) void PendSV_Handler(void) {
+  __asm__ volatile(
+      "mrs r0, psp\\n isb\\n tst lr, #0x10\\n it eq\\n vstmdbeq r0!, {s16-s31}\\n"
+      "stmdb r0!, {r4-r11, lr}\\n mov r4, #0x40\\n msr basepri, r4\\n dsb\\n isb\\n"
+      "bl switch_task\\n mov r4, #0\\n msr basepri, r4\\n"
+      "ldmia r0!, {r4-r11, lr}\\n tst lr, #0x10\\n it eq\\n vldmiaeq r0!, {s16-s31}\\n"
+      "msr psp, r0\\n isb\\n bx lr");
+}
+__attribute__((naked)) void SVC_Handler(void) {
+  __asm__ volatile(
+      "ldr r0, =first\\n ldr r0, [r0]\\n ldmia r0!, {r4-r11, lr}\\n msr psp, r0\\n isb\\n bx lr");
+}
+uint32_t* first;
+static volatile float noise;
+void SysTick_Handler(void) {
+  noise = noise * 0.5f + 1.0f;
+  ICSR = 1u << 28;
+}
+int main(void) {
+  tops[0] = begin(0), tops[1] = begin(1);
+  first = tops[0];
+  SHPR(10) = 0xf0, SHPR(11) = 0x80, SHPR(7) = 0x20;
+  UART_CR = 0;
+  SYSTICK_LOAD = LOAD, REGISTER(0xe000e018) = 0, SYSTICK_CTRL = 7;
+  ISER(38) = 1u << 38 % 32;
+  PRIORITY(38) = 0xe0;
+  __asm__ volatile("cpsie i\\n svc 0\\n nop");
+  for (;;) continue;
+}
+void report(void);
+void report(void) {
+  for (int n = 0; n < 2; ++n)
+    for (int k = 0; k < 4; ++k) put_word(*(uint32_t*)&sums[n][k]);
+  put_word(switches > 20);
+}
+"""
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_tasks_are_switched_as_operating_systems_do_it(seed: int, tmp_path: Path) -> None:
+    """What two tasks compute with floats does not change when they are torn apart anywhere."""
+    rng = np.random.default_rng([8, seed])
+    load, rounds = int(rng.integers(700, 3000)), 3000
+    plain = f"""{SWITCH}
+int main(void) {{
+  (void)done, (void)switches, (void)stacks, (void)tops, (void)current;
+  work(0, {rounds});
+  work(1, {rounds});
+  for (int n = 0; n < 2; ++n)
+    for (int k = 0; k < 4; ++k) put_word(*(uint32_t*)&sums[n][k]);
+  put_word(1);
+  for (;;) sleep();
+}}
+"""
+    wanted = words_of(run_firmware(write_board(tmp_path), tiny(tmp_path, plain), 10))
+    assert len(wanted) == 9, "words of both tasks, one after the other"
+    tasks = SWITCH + TASKS.replace("ROUNDS", str(rounds)).replace("LOAD,", f"{load},")
+    tasks = tasks.replace(
+        "done |= 1u << n;", "done |= 1u << n; if (n == 0) { while (done != 3) continue; report(); }"
+    ).replace("static void task", "void report(void);\nstatic void task", 1)
+    elf = tiny(tmp_path, tasks, str(rng.choice(["-O1", "-O2"])))
+    assert words_of(run_firmware(write_board(tmp_path), elf, 20)) == wanted, "words of both tasks"
