@@ -173,7 +173,7 @@ bench: setup .venv/.robots .venv/.bench
 CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h *.c) arm_emulator/*.c \
   fieldbus/core/*.[ch]pp fieldbus/core/*.h fmu/*.[ch]pp fmu/*.h microcontroller/*.[ch]pp microcontroller/*.[ch] microcontroller/examples/*/*.[ch] \
   firmware/*.[ch] \
-  firmware/template/*.c test/*.c test/*.cpp bench/*.cpp bench/*.c)
+  firmware/template/*.c test/*.c test/*.cpp test/fuzz/*.cpp bench/*.cpp bench/*.c)
 
 lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some
+from draws import FULL, some
 from ethercat_master import (
     ACKNOWLEDGE,
     APRD,
@@ -40,6 +42,7 @@ from ethercat_master import (
     datagram,
     frame,
 )  # fmt: skip
+from fuzz import cores
 
 from arm_emulator.gains import load_gains
 from emulator_node.scene import load_scene
@@ -643,6 +646,16 @@ def test_frames_of_any_shape_do_no_harm(master: Master) -> None:
         assert back == b"" or len(back) == len(one), "a frame keeps its length"
     for k in range(master.slaves):
         assert master.segment.memory(k)[0x0130] & 15 in (INIT, PREOP, SAFEOP, OP), "a state"
+
+
+@pytest.mark.skipif(not FULL, reason="takes minutes: make test-in-full, make fuzz")
+def test_a_million_frames_under_sanitizers(tmp_path: Path) -> None:
+    code = "from fuzz import frames; [frames.case(1, k) for k in range(100)]"
+    environment = {**cores.environment(tmp_path), "PYTHONPATH": ":".join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-5000:]
 
 
 def test_the_description_agrees_with_what_the_slaves_tell(master: Master, tmp_path: Path) -> None:
