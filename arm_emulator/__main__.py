@@ -282,8 +282,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     fmu.add_argument(
         "--target",
-        default="x86-64-v2",
-        help="processors of its binary: a level (default: %(default)s), or native, this machine's",
+        help="processors of its binary: a level (default: x86-64-v2), or native, this machine's",
     )
     fmu.add_argument("--fmi", choices=("3", "2"), default="3", help="version (default: 3.0)")
     fmu.set_defaults(run=_fmu)

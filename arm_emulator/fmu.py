@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator_node.scene import load_scene
-from fmu.export import export
+from fmu.export import TARGET, export
 
 
 def write_fmu(
@@ -18,7 +18,7 @@ def write_fmu(
         scene_name: scene file or name.
         out: the file.
         varied: names of numbers that become parameters, in place of those of the scene.
-        target: which processors its binary is for.
+        target: which processors its binary is for; None: most.
         version: of FMI.
 
     Raises:
@@ -26,7 +26,7 @@ def write_fmu(
     """
     overrides: dict[str, Any] = {} if varied is None else {"varied": varied}
     scene = load_scene(scene_name, overrides)
-    export(scene, out, target, version)
+    export(scene, out, target or TARGET, version)
     parameters = f", {len(scene.varied)} parameters" if scene.varied else ""
     print(
         f"{out}: FMI {version}.0 co-simulation, {len(scene.joints)} joints{parameters}; "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import shlex
 import tempfile
@@ -22,9 +23,14 @@ from fmu.variables import scalars, variables
 from words.config_files import config_folder
 from words.refusal import Refusal
 
-TARGET = "x86-64-v2"  # that most machines have; "native" is faster, and gives other bits
-PLATFORMS = {"3": "x86_64-linux", "2": "linux64"}  # by the version of FMI
+# That most machines have; "native" is faster, and gives other bits.
+TARGET = "x86-64-v2" if platform.machine() == "x86_64" else "native"
+PLATFORMS = {"3": f"{platform.machine()}-linux", "2": "linux64"}  # by the version of FMI
 _SOURCE = "unit.cpp"
+_NEEDED = b"""\
+The binary for Linux needs libc, libm, libgcc_s and libstdc++ of GCC 7 or later, as every Linux with
+programs in C++ has them.
+"""
 _DATE = (1980, 1, 1, 0, 0, 0)  # so that equal scenes make equal files
 
 
@@ -60,6 +66,7 @@ def export(scene: Scene, out: Path, target: str = TARGET, version: str = "3") ->
         **own,
         "documentation/index.html": page(scene, listed, command),
         "documentation/licenses/license.txt": (config_folder().parent / "LICENSE").read_bytes(),
+        "documentation/externalDependencies.txt": _NEEDED,
         f"sources/{_SOURCE}": unit.source.encode(),
         **{f"sources/{name}": text.encode() for name, text in _included(unit.source).items()},
         f"binaries/{PLATFORMS[version]}/{name}.so": library,

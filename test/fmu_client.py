@@ -247,7 +247,8 @@ def abuse(rng: np.random.Generator, fmu: Fmu, calls: int) -> dict[int, int]:
 _STRANGE = (math.nan, math.inf, -math.inf, 1e308, -1e9, 5e-324, 0.0, -0.0, 1e18, 1e6)
 
 
-def _number(rng: np.random.Generator) -> float:
+def strange_number(rng: np.random.Generator) -> float:
+    """A number, now and then one that no machine takes."""
     return float(rng.choice(_STRANGE) if rng.random() < 0.1 else rng.normal(0.0, 10.0))
 
 
@@ -258,7 +259,7 @@ def _call(rng: np.random.Generator, one: Instance, pair: tuple[Instance, ...]) -
         return "Reset", one.call("Reset")
     if kind < 0.06:
         stop = float(rng.choice([1e9, 0.01, math.nan, -1.0]))
-        start = 0.0 if rng.random() < 0.9 else _number(rng)
+        start = 0.0 if rng.random() < 0.9 else strange_number(rng)
         given = bool(rng.random() < 0.3)
         one.time = start
         name = "EnterInitializationMode"
@@ -267,8 +268,8 @@ def _call(rng: np.random.Generator, one: Instance, pair: tuple[Instance, ...]) -
         return "ExitInitializationMode", one.call("ExitInitializationMode")
     if kind < 0.4:
         if rng.random() < 0.05:
-            one.time = _number(rng)
-        step = 1e-3 * float(rng.integers(1, 4)) if rng.random() < 0.9 else _number(rng)
+            one.time = strange_number(rng)
+        step = 1e-3 * float(rng.integers(1, 4)) if rng.random() < 0.9 else strange_number(rng)
         if step > 1.0:  # or it takes its time
             step = 1e300
         if rng.random() < 0.03:
@@ -288,7 +289,7 @@ def _call(rng: np.random.Generator, one: Instance, pair: tuple[Instance, ...]) -
         array = (ctypes.c_char_p * len(some))(*some)
         return name, one.call(name, bool(rng.integers(2)), len(some), array if some else None)
     if name == "SetTime":
-        return name, one.call(name, _number(rng))
+        return name, one.call(name, strange_number(rng))
     return name, one.call(name, *[None if kind is POINTER else 0 for kind in _ARGUMENTS[name][1:]])
 
 
@@ -310,7 +311,7 @@ def _values(rng: np.random.Generator, one: Instance) -> tuple[str, int]:
     c_type = KINDS.get(kind, ctypes.c_void_p)
     array = (c_type * size)()
     if kind == "Float64":
-        array[:] = [_number(rng) for _ in range(size)]
+        array[:] = [strange_number(rng) for _ in range(size)]
     elif kind == "Boolean":
         ctypes.memset(array, int(rng.integers(256)), ctypes.sizeof(array))
     name = f"{'Get' if rng.random() < 0.4 else 'Set'}{kind}"

@@ -1,6 +1,7 @@
 """Units of FMI that watch themselves, called in any order: see `fuzz.cores`.
 
-python -m fuzz.units SEED CALLS FOLDER: so many calls, on a machine that is compiled in a folder.
+python -m fuzz.units SEED CALLS FOLDER: so many calls to units of FMI 3.0 and 2.0 of a machine that
+is compiled in a folder.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from fmu_2_client import Fmu2, abuse_2
 from fmu_client import Fmu, abuse, rich_machine
 
 from emulator_node.scene import load_scene
@@ -20,10 +22,13 @@ def main() -> None:
     """Make calls, and tell how many."""
     seed, calls, folder = int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
     scene = load_scene(rich_machine(folder, ("turns", "slides", "swings")))
-    export(scene, folder / "unit.fmu", "native")
-    fmu = Fmu(folder / "unit.fmu", folder / "unpacked")
-    statuses = abuse(np.random.default_rng(seed), fmu, calls)
-    tell(outcome=TAKEN, count=sum(statuses.values()))
+    for version in ("3", "2"):
+        export(scene, folder / f"{version}.fmu", "native", version)
+    files = [(folder / f"{version}.fmu", folder / version) for version in ("3", "2")]
+    rng = np.random.default_rng(seed)
+    three = abuse(rng, Fmu(*files[0]), calls)
+    two = abuse_2(rng, Fmu2(*files[1]), calls)
+    tell(outcome=TAKEN, count=sum(three.values()) + sum(two.values()), statuses=[three, two])
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import html
 import io
 import re
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from fmu_client import OK, Fmu, Instance, rich_machine
 from lxml import etree
+from machines import DC, GANTRY, gantry_urdf, write_scene
 from test_fmu import scenes
 
 from compiled.unit import declare
@@ -230,6 +232,33 @@ def test_the_portable_binary_equals_the_portable_library(tmp_path: Path) -> None
     assert np.array_equal(one.get("truth.current"), plant.state.current), "equal bits"
 
 
+def test_motors_take_torque_current_or_voltage_side_by_side(tmp_path: Path) -> None:
+    """In a machine of two threads; commands beyond the motors' limits, too."""
+    torque = {"kind": "torque", "rotor_inertia": 1e-4, "torque_limit": 3.0}
+    current = {"kind": "current", "rotor_inertia": 1e-4, "torque_constant": 0.05}
+    joints = {
+        name: {"motor": motor, "gear": {"ratio": 0.01}}
+        for name, motor in zip(GANTRY, (torque, {**current, "current_limit": 4.0}, DC), strict=True)
+    }
+    integrator = {"scheme": "extrapolated", "dt": PERIOD}
+    file = write_scene(tmp_path, gantry_urdf(), joints, integrator=integrator, threads=2)
+    scene = load_scene(file)
+    export(scene, tmp_path / "unit.fmu", "native")
+    fmu = Fmu(tmp_path / "unit.fmu", tmp_path / "unpacked")
+    command = fmu.variables["command"].attrib
+    assert "x [N m], y [A], z [V]" in command["description"] and "unit" not in command, command
+    one, rng = Instance(fmu), np.random.default_rng(0)
+    plant = Plant(scene, core=declare(ctypes.CDLL(fmu.binary._name), ARM_CALLS))
+    one.start()
+    for _ in range(100):
+        row = rng.normal(0.0, 5.0, 3)
+        assert one.set("command", row) == OK, one.said
+        assert one.step(PERIOD) == OK, one.said
+        plant.exchange(row)
+        assert np.array_equal(one.get("truth.q"), plant.state.q), plant.t
+        assert np.array_equal(one.get("applied"), plant.voltage), plant.t
+
+
 def slave(unpacked: Path, name: str) -> tuple[Any, dict[str, Any]]:
     description = fmpy.read_model_description(unpacked)
     one = FMU3Slave(
@@ -273,6 +302,12 @@ def test_fmpy_saves_restores_and_goes_on_with_equal_bits(unpacked: Path) -> None
     for which in (one, other):
         which.terminate()
         which.freeInstance()
+
+
+def test_the_servo_of_the_page_moves_the_arm(unit: Path) -> None:
+    command = [sys.executable, str(ROOT / "docs" / "examples" / "simulate_fmu.py"), str(unit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "q [rad]: [0.2 0.5 0.8]", done.stdout
 
 
 def test_units_of_two_scenes_live_in_one_program(unit: Path, rich: Path, tmp_path: Path) -> None:
