@@ -154,6 +154,8 @@ class Segment:
         if -descriptor in (errno.EPERM, errno.EACCES):
             rule = "be open to this user (root, or the capability CAP_NET_RAW)"
             raise Refusal("ethercat", "--interface", rule, interface)
+        if -descriptor == errno.EPFNOSUPPORT:
+            raise Refusal("ethercat", "--interface", "be an Ethernet interface", interface)
         rule = "be a network interface that is there (`ip link` lists them)"
         raise Refusal("ethercat", "--interface", rule, interface)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import subprocess
 import sys
@@ -46,7 +47,8 @@ from fuzz import cores
 
 from arm_emulator.gains import load_gains
 from emulator_node.scene import load_scene
-from fieldbus.drives import ETHERCAT
+from fieldbus.drives import ETHERCAT, Entry
+from fieldbus.drives import Aborted as DictionaryAborted
 from fieldbus.esi import esi
 from fieldbus.ethercat import Segment
 from words.config_files import find_scene
@@ -418,6 +420,21 @@ def test_a_mailbox_holds_one_message_and_repeats_it(master: Master) -> None:
     assert master.fetch(0) is None, "is not carried out twice"
 
 
+def test_datagrams_tell_events_that_the_master_has_asked_for(master: Master) -> None:
+    def events() -> int:
+        back = master.segment.frame(frame((NOP, 0, b"")))
+        return int(struct.unpack_from("<H", back, 24)[0])
+
+    master.preop(0)
+    master.mail(0, b"\0\x20" + bytes.fromhex("40 00 10 00") + bytes(4))
+    assert events() == 0, "none as long as the mask is empty"
+    master.write(0, 0x0200, struct.pack("<H", 0x0020))
+    assert events() == 0x0020, "the mailbox has a message"
+    assert master.word(0, 0x0210) & 0x0020, "as the register says"
+    master.fetch(0)
+    assert events() == 0, "until it is read"
+
+
 def test_a_mailbox_keeps_what_it_has_no_room_to_answer(master: Master) -> None:
     master.preop(0)
     sent = 0
@@ -456,6 +473,72 @@ def test_one_servo_period_passes_per_exchange_with_all_drives(master: Master) ->
     master.one(LRD, 0x10000, bytes(3 * each))
     assert tick() == start + 12, "with inputs it is whole"
     assert master.segment.figures.exchanges == tick(), "and all are counted"
+
+
+def random_mapping(rng: np.random.Generator, entries: list[Entry]) -> list[list[int]]:
+    """Up to three objects, each with some entries and gaps between them."""
+    out = []
+    for _ in range(rng.integers(0, 4)):
+        chosen = rng.choice(len(entries), int(rng.integers(1, 6)), replace=False)
+        words = []
+        for one in (entries[k] for k in chosen):
+            if rng.random() < 0.3:
+                words.append(int(rng.choice([8, 16])))  # a gap
+            words.append(one.index << 16 | one.sub << 8 | one.bits)
+        out.append(words)
+    return out
+
+
+@pytest.mark.parametrize("seed", some(range(30), 6))
+def test_any_mapping_carries_what_it_names(master: Master, seed: int) -> None:
+    """What process data do to drives is what the same values do to them by their dictionaries."""
+    rng = np.random.default_rng(seed)
+    twin, drives = segment().drives, master.segment.drives
+    master.slaves = 1
+    master.preop(0)
+    there = [one for one in drives.entries if one.buses & ETHERCAT and one.bits]
+    ways = []
+    for assignment, first, entries in (
+        (0x1C12, 0x1600, [one for one in there if one.rx]),
+        (0x1C13, 0x1A00, [one for one in there if one.tx]),
+    ):
+        mapping = random_mapping(rng, entries)
+        master.download(0, assignment, 0, b"\0")
+        for k, words in enumerate(mapping):
+            data = struct.pack(f"<BB{len(words)}I", len(words), 0, *words)
+            master.download(0, first + k, 0, data, complete=True)
+        data = struct.pack(
+            f"<BB{len(mapping)}H", len(mapping), 0, *range(first, first + len(mapping))
+        )
+        master.download(0, assignment, 0, data, complete=True)
+        ways.append([word for words in mapping for word in words])
+    out, into = master.sizes(0)
+    status = master.safeop(0, 0x10000)
+    assert status == (SAFEOP, 0), f"{out} and {into} bytes: {status}"
+    assert master.ask(0, OP) == (OP, 0), "in OP"
+    for _ in range(5):
+        expected = b"".join(
+            twin.upload(0, word >> 16, word >> 8 & 0xFF) if word >> 16 else bytes(word // 8)
+            for word in ways[1]
+        )
+        sent = rng.bytes(out)
+        place = 0
+        for word in ways[0]:
+            size = (word & 0xFF) // 8
+            if word >> 16:
+                with contextlib.suppress(DictionaryAborted):  # a value out of its range
+                    twin.download(0, word >> 16, word >> 8 & 0xFF, sent[place : place + size])
+            place += size
+        back, count = master.one(LRW, 0x10000, sent + bytes(into))
+        assert count == 2 * bool(out) + bool(into), "written and read"
+        assert back[out:] == expected, "inputs are the values that the drive had"
+        if out or into:
+            twin.period()
+        assert drives.tick == twin.tick, "as many servo periods"
+        for one in there:
+            if not 0x1600 <= one.index <= 0x1C13:
+                value = drives.upload(0, one.index, one.sub)
+                assert value == twin.upload(0, one.index, one.sub), f"{one.index:#x}:{one.sub}"
 
 
 @pytest.mark.parametrize("shift", range(1, 8))

@@ -5,6 +5,7 @@
 #include <linux/if_packet.h>
 #include <net/ethernet.h>
 #include <net/if.h>
+#include <net/if_arp.h>
 #include <poll.h>
 #include <sys/ioctl.h>
 #include <sys/socket.h>
@@ -35,6 +36,13 @@ inline int open_interface(const char* name) {
   address.sll_protocol = htons(kEtherType);
   address.sll_ifindex = static_cast<int>(if_nametoindex(name));
   if (address.sll_ifindex == 0) return no();
+  ifreq request = {};
+  std::strncpy(request.ifr_name, name, sizeof request.ifr_name - 1);
+  if (ioctl(descriptor, SIOCGIFHWADDR, &request) < 0) return no();
+  if (request.ifr_hwaddr.sa_family != ARPHRD_ETHER) {  // on lo, our replies would come back to us
+    close(descriptor);
+    return -EPFNOSUPPORT;
+  }
   const int one = 1;
   setsockopt(descriptor, SOL_PACKET, PACKET_IGNORE_OUTGOING, &one, sizeof one);
   packet_mreq all = {};

@@ -61,9 +61,8 @@ class Slave {
     return memory.get16(reg::kStation) == station ||
            (alias && memory.get16(reg::kAlias) == station);
   }
-  std::uint16_t events() const {
-    return memory.get16(reg::kEvents) & memory.get16(reg::kEventMask);
-  }
+  // Events that the master has asked to be told in each datagram.
+  std::uint16_t events() const { return all_events() & memory.get16(reg::kEventMask); }
 
   // Read memory into `out`, by bits added to what is there if `add`; whether it was permitted.
   bool read(std::size_t address, std::span<std::uint8_t> out, bool add) {
@@ -217,12 +216,13 @@ class Slave {
       memory.put16(reg::kDlStatus, static_cast<std::uint16_t>(0x5217 | (next ? 0x20 : 0) |
                                                               (closed ? 0x0400 : 0x0800)));
     }
-    if (overlap(address, size, reg::kEvents, 2)) {
-      unsigned events = memory.get16(reg::kEvents) & 0x000fu;
-      for (int k = 0; k < ethercat::kSyncManagers; ++k)
-        if (managers.full(k)) events |= event::kSyncManager0 << k;
-      memory.put16(reg::kEvents, static_cast<std::uint16_t>(events));
-    }
+    if (overlap(address, size, reg::kEvents, 2)) memory.put16(reg::kEvents, all_events());
+  }
+  std::uint16_t all_events() const {
+    unsigned events = memory.get16(reg::kEvents) & 0x000fu;
+    for (int k = 0; k < ethercat::kSyncManagers; ++k)
+      if (managers.full(k)) events |= static_cast<unsigned>(event::kSyncManager0) << k;
+    return static_cast<std::uint16_t>(events);
   }
   void after_read(std::size_t address, std::size_t size) {
     managers.close(address, size, [this](int k) {
