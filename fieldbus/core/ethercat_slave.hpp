@@ -112,8 +112,11 @@ class Slave {
 
   // ---------------------------------------------------------------------------- servo periods
 
-  // In OP or SAFEOP, it takes part in the exchange of process data.
-  bool exchanges() const { return al.state() == State::SAFEOP || al.state() == State::OP; }
+  // Whether it takes part in the exchange of process data.
+  bool exchanges() const {
+    const bool any = outputs.size() + inputs.size() > 0;
+    return any && (al.state() == State::SAFEOP || operational());
+  }
   bool operational() const { return al.state() == State::OP; }
   // Whether a frame has brought outputs and taken inputs since the last servo period.
   bool exchanged() const {
