@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import some
 
 from arm_emulator.__main__ import main
 from arm_emulator.choose_joints import LEAST_ARM, MOST_FINGER, choose_joints
@@ -283,7 +284,7 @@ def test_a_robot_that_cannot_be_emulated_is_refused_by_name(
     assert not (tmp_path / "o").exists()
 
 
-@pytest.mark.parametrize("name", ["telescopic", "tilted"])
+@pytest.mark.parametrize("name", some(["telescopic", "tilted"], 1))
 def test_a_new_arm_goes_where_it_is_sent(name: str, tmp_path: Path) -> None:
     """A few of the moves of `python -m bench.any_arm`."""
     file = tmp_path / f"{name}.urdf"

@@ -125,7 +125,7 @@ def with_fixed_links(folder: Path, count: int, in_a_row: bool) -> Path:
     return write(folder, URDF.replace("</robot>", "".join(parts) + "</robot>"))
 
 
-@pytest.mark.parametrize("in_a_row", [False, True])
+@pytest.mark.parametrize("in_a_row", some([True, False], 1))
 def test_twenty_thousand_fixed_links_take_little_time(tmp_path: Path, in_a_row: bool) -> None:
     """In emulator and motion controller: 2 s on an idle machine, and no more per link than few.
 
