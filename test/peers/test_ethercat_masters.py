@@ -245,6 +245,23 @@ def test_a_master_moves_the_arm_as_the_plant_predicts(
     assert result["exchanges_per_s"] > 5000 or not FULL, f"{result['exchanges_per_s']} exchanges/s"
 
 
+# ------------------------------------------------------------------------------------------ clocks
+
+
+@pytest.mark.parametrize("clock", ["--lockstep", "--realtime"])
+def test_clocks_are_aligned_and_exchanges_keep_step_with_sync0(clock: str, cable: Cable) -> None:
+    with emulator(cable, clock) as told:
+        result = ethercrab(cable, "clocks")
+    assert result["delays"] == [500 * k for k in range(DRIVES)], "ns from slave to slave"
+    assert max(result["differences"]) < 100, f"ns between the clocks: {result['differences']}"
+    assert result["in_op"], "all drives reach OP"
+    assert max(result["waits"]) <= 2_000_000, "ns until the next exchange"
+    if clock == "--lockstep":
+        assert told["exchanges"] == 500, "every exchange"
+        # Logical time goes by whole periods: every exchange has the same place in its cycle.
+        assert len(set(result["waits"][1:])) == 1, "ns until the next exchange, in lock-step"
+
+
 # ------------------------------------------------------------------------------------- pulled cable
 
 

@@ -1,4 +1,4 @@
-//! A master by ethercrab: ethercrab_master INTERFACE scan ENTRIES | move MOTION LOG.
+//! A master by ethercrab: ethercrab_master INTERFACE scan ENTRIES | move MOTION LOG | clocks.
 //!
 //! Run in a network namespace of its own by test_ethercat_masters.py, which says what the files hold.
 //! Prints one line of JSON.
@@ -8,7 +8,11 @@ use std::{env, fs};
 
 use ethercrab::error::Error;
 use ethercrab::std::{ethercat_now, tx_rx_task};
-use ethercrab::{MainDevice, MainDeviceConfig, ObjectDescriptionListQuery, PduStorage, Timeouts};
+use ethercrab::subdevice_group::DcConfiguration;
+use ethercrab::{
+    DcSync, MainDevice, MainDeviceConfig, ObjectDescriptionListQuery, PduStorage, RegisterAddress,
+    Timeouts,
+};
 
 const DRIVES: usize = 8; // a power of 2, at least as many as there are
 const BYTES: usize = 14; // process data of a drive, each way
@@ -79,6 +83,7 @@ fn main() -> Result<(), Error> {
     async_io::block_on(async {
         match words[2].as_str() {
             "scan" => scan(&master, &words[3]).await,
+            "clocks" => clocks(&master).await,
             _ => follow(&master, &words[3], &words[4]).await,
         }
     })
@@ -112,6 +117,47 @@ async fn scan(master: &MainDevice<'_>, entries: &str) -> Result<(), Error> {
         names.join(", "),
         indices.join(", "),
         values.join(", ")
+    );
+    Ok(())
+}
+
+/// Aligns the clocks, switches SYNC0 on at 1 kHz, and exchanges process data in step with it.
+async fn clocks(master: &MainDevice<'_>) -> Result<(), Error> {
+    let mut group = master.init_single_group::<DRIVES, PDI>(ethercat_now).await?;
+    let period = Duration::from_millis(1);
+    for mut one in group.iter_mut(master) {
+        one.set_dc_sync(DcSync::Sync0);
+    }
+    let group = group.into_pre_op_pdi(master).await?;
+    for _ in 0..200 {
+        group.tx_rx_sync_system_time(master).await?;
+    }
+    let (mut differences, mut delays) = (Vec::new(), Vec::new());
+    for one in group.iter(master) {
+        let sign_and_size: u32 = one.register_read(RegisterAddress::DcSystemTimeDifference).await?;
+        differences.push((sign_and_size & 0x7fff_ffff).to_string());
+        delays.push(one.propagation_delay().to_string());
+    }
+    let settings = DcConfiguration {
+        start_delay: Duration::from_millis(10),
+        sync0_period: period,
+        sync0_shift: period / 2,
+    };
+    let group = group.configure_dc_sync(master, settings).await?;
+    let group = group.into_safe_op(master).await?.request_into_op(master).await?;
+    let (mut in_op, mut waits) = (false, Vec::new());
+    for _ in 0..500 {
+        let began = Instant::now();
+        let answer = group.tx_rx_dc(master).await?;
+        in_op = in_op || answer.all_op();
+        waits.push(answer.extra.next_cycle_wait.as_nanos().to_string());
+        async_io::Timer::at(began + answer.extra.next_cycle_wait).await;
+    }
+    println!(
+        "{{\"differences\": [{}], \"delays\": [{}], \"in_op\": {in_op}, \"waits\": [{}]}}",
+        differences.join(", "),
+        delays.join(", "),
+        waits.join(", ")
     );
     Ok(())
 }
