@@ -454,34 +454,61 @@ def enable(segment: Segment, mode: int) -> None:
         assert uploaded(segment, node.number, 0x6041, 0)[0] & 0x6F == 0x27, "Operation enabled"
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_motion_by_frames_is_that_of_the_drives(scene: Scene, seed: int) -> None:
-    """Cyclic positions by PDOs, SYNC by SYNC: equal bits, and followed."""
-    rng = np.random.default_rng(seed)
+# Mode, identifier of the RPDO with its target, of the TPDO with what became of it; their entries.
+CYCLIC = [
+    (8, 0x300, 0x280, "<Hi", 0x607A, 0x6064),
+    (9, 0x400, 0x380, "<Hi", 0x60FF, 0x606C),
+    (10, 0x500, 0x480, "<Hh", 0x6071, 0x6077),
+]
+
+
+@pytest.mark.parametrize(("mode", "rx", "tx", "layout", "target", "actual"), CYCLIC)
+def test_a_motion_by_frames_is_that_of_the_drives(
+    scene: Scene, mode: int, rx: int, tx: int, layout: str, target: int, actual: int
+) -> None:
+    """Cyclic positions, speeds and torques by PDOs: equal bits, and positions are followed."""
+    rng = np.random.default_rng(mode)
     segment, drives = segment_of(scene, 3), drives_of(scene)
-    enable(segment, CSP)
+    enable(segment, mode)
     for word in (6, 7, 15):
         for k in range(3):
-            drives.write(k, 0x6060, CSP)
+            drives.write(k, 0x6060, mode)
             drives.write(k, 0x6040, word)
         drives.period()
     start = [drives.read(k, 0x6064) for k in range(3)]
     counts = 0.3 * 1024 / (2 * np.pi) / scene.gear_ratios  # 0.3 rad
-    hertz = rng.uniform(0.3, 1.0, 3)
+    turning = 2 * np.pi * rng.uniform(0.3, 1.0, 3)
     for tick in range(800):
-        way = counts * (1 - np.cos(2 * np.pi * hertz * tick * 1e-3)) / 2
-        targets = [at + round(step) for at, step in zip(start, way.tolist(), strict=True)]
-        for k, target in enumerate(targets):
-            segment.receive(Frame(0x300 + 3 + k, struct.pack("<Hi", 15, target)))
+        angle = turning * tick * 1e-3
+        wanted = {
+            8: np.array(start) + counts * (1 - np.cos(angle)) / 2,
+            9: counts * turning * np.sin(angle) / 2,
+            10: 40 * np.sin(angle),  # 4 % of the rated torque
+        }[mode]
+        targets = np.rint(wanted).astype(int).tolist()
+        for k, one in enumerate(targets):
+            segment.receive(Frame(rx + 3 + k, struct.pack(layout, 15, one)))
         frames = segment.receive(SYNC)
-        for k, target in enumerate(targets):
-            told = struct.unpack("<Hi", sent(frames, 0x280 + 3 + k)[0])
-            assert told == (drives.read(k, 0x6041), drives.read(k, 0x6064)), f"at SYNC {tick}"
+        for k, one in enumerate(targets):
+            told = struct.unpack(layout, sent(frames, tx + 3 + k)[0])
+            assert told == (drives.read(k, 0x6041), drives.read(k, actual)), f"at SYNC {tick}"
             drives.write(k, 0x6040, 15)
-            drives.write(k, 0x607A, target)
+            drives.write(k, target, one)
         drives.period()
-        assert all(abs(drives.read(k, 0x6064) - targets[k]) < 60 for k in range(3)), "followed"
+        if mode == 8:  # 0.004 rad at the link, some periods' way
+            assert all(abs(drives.read(k, actual) - targets[k]) < 60 for k in range(3))
     assert segment._drives.plant.save() == drives.plant.save()
+    moved = [abs(drives.read(k, 0x6064) - start[k]) for k in range(3)]
+    assert min(moved) > 100, "the arm has moved"
+
+
+def test_a_cycle_is_as_long_as_the_interpolation_time_of_all_drives(scene: Scene) -> None:
+    segment = segment_of(scene)
+    for number, passed in ((1, 1), (2, 1), (3, 4)):
+        put(segment, number, 0x60C2, 1, 4, 1)
+        before = segment.tick
+        segment.receive(SYNC)
+        assert segment.tick - before == passed, f"4 ms set at {number} of three drives"
 
 
 def test_a_fault_is_told_with_its_code(scene: Scene) -> None:
