@@ -356,11 +356,29 @@ class Cpu {
       cpu.pc |= 1;
       return cpu.tell(Stop::RETURN);
     }
-    cpu.fault.what = number == 7   ? "a breakpoint instruction"
-                     : number == 3 ? "instructions from where none can be"
-                     : number == 4 ? "an access that memory refuses"
-                                   : "an exception of the processor";
+    cpu.fault.what = reason_of(number);
     cpu.tell(Stop::FAULT);
+  }
+
+  static const char* reason_of(uint32_t number) {
+    switch (number) {  // of Unicorn's
+      case 3:
+        return "instructions from where none can be";
+      case 4:
+        return "an access that memory refuses";
+      case 7:
+        return "a breakpoint instruction";
+      case 17:
+        return "an instruction for a coprocessor that is not there";
+      case 18:
+        return "a branch to Arm instructions, which a Cortex-M does not have";
+      case 20:
+        return "an exclusive access that memory refuses";
+      case 22:
+        return "an unaligned access by an instruction that cannot do it";
+      default:
+        return "an exception of the processor";
+    }
   }
 
   static bool no_instruction(uc_engine*, void* self) {
