@@ -45,6 +45,7 @@ from ethercat_master import (
 )  # fmt: skip
 from fuzz import cores
 
+from arm_emulator.ethercat import write_esi
 from arm_emulator.gains import load_gains
 from emulator_node.scene import load_scene
 from fieldbus.drives import ETHERCAT, Entry
@@ -52,6 +53,7 @@ from fieldbus.drives import Aborted as DictionaryAborted
 from fieldbus.esi import esi
 from fieldbus.ethercat import Segment
 from words.config_files import find_scene
+from words.refusal import Refusal
 
 PERIOD = 1_000_000  # ns
 
@@ -592,6 +594,65 @@ def test_a_watchdog_that_runs_out_takes_the_slave_to_safeop() -> None:
     assert master.word(0, 0x0440) == 1, "the status of the watchdog"
 
 
+ON = {0x40: 6, 0x60: 6, 0x21: 7, 0x23: 15, 0x27: 15, 0x08: 0x80, 0x28: 0x80}  # by the statusword
+
+
+def enable(master: Master, mode: int = 8) -> list[tuple[int, int]]:
+    """Exchange until all drives are in Operation enabled; their statuswords and positions."""
+    told = [(0, 0)] * master.slaves
+    for _ in range(5000):
+        outputs = [
+            struct.pack("<HiihbB", ON.get(status & 0x6F, 0), position, 0, 0, mode, 0)
+            for status, position in told
+        ]
+        told = [struct.unpack_from("<Hi", one) for one in master.exchange(outputs)]
+        if not master.segment.lockstep:
+            master.now += PERIOD
+            master.segment.period(master.now)
+        if all(status & 0x6F == 0x27 for status, _ in told):
+            return told
+    raise AssertionError(f"drives are not enabled: {[hex(status) for status, _ in told]}")
+
+
+def test_a_lost_master_faults_the_drives_until_they_are_reset() -> None:
+    master = Master(segment(lockstep=False))
+    master.bring_up()
+    enable(master)
+    for _ in range(200):
+        master.now += PERIOD
+        master.segment.period(master.now)
+    for k in range(master.slaves):
+        assert (master.word(k, 0x0130), master.word(k, 0x0134)) == (SAFEOP | ERROR, 0x1B), "lost"
+        assert master.number(k, 0x603F) == 0x821B, "the drive's error: its sync manager's watchdog"
+        assert master.number(k, 0x6041) & 0x4F == 0x08, "Fault"
+    assert [(one.slave, one.code) for one in master.emergencies] == [
+        (k, 0x821B) for k in range(master.slaves)
+    ], "an emergency of each"
+    for k in range(master.slaves):
+        assert master.ask(k, OP | ACKNOWLEDGE) == (OP, 0), "up again"
+    enable(master)
+    for k in range(master.slaves):
+        assert master.fetch(k) is None, "no more messages"
+    assert [one.code for one in master.emergencies[master.slaves :]] == [0] * master.slaves, "over"
+
+
+def test_a_target_out_of_reach_is_a_following_error_that_is_told_and_reset(master: Master) -> None:
+    master.bring_up()
+    told = enable(master)
+    far = [position + (10_000_000 if k == 1 else 0) for k, (_, position) in enumerate(told)]
+    words: list[int] = []
+    for _ in range(2000):
+        outputs = [struct.pack("<HiihbB", 15, one, 0, 0, 8, 0) for one in far]
+        words = [struct.unpack_from("<H", one)[0] for one in master.exchange(outputs)]
+        if words[1] & 0x4F == 0x08:
+            break
+    assert [word & 0x4F == 0x08 for word in words] == [False, True, False], "one in Fault"
+    assert master.fetch(1) is None, "no message but the emergency"
+    assert [(one.slave, one.code) for one in master.emergencies] == [(1, 0x8611)], "following error"
+    assert master.word(1, 0x0130) == OP, "the bus goes on"
+    enable(master)
+
+
 def test_lost_cycles_are_counted_by_the_clock() -> None:
     master = Master(segment(lockstep=False))
     master.bring_up()
@@ -729,6 +790,14 @@ def test_frames_of_any_shape_do_no_harm(master: Master) -> None:
         assert back == b"" or len(back) == len(one), "a frame keeps its length"
     for k in range(master.slaves):
         assert master.segment.memory(k)[0x0130] & 15 in (INIT, PREOP, SAFEOP, OP), "a state"
+
+
+def test_what_cannot_be_opened_or_written_is_refused(master: Master, tmp_path: Path) -> None:
+    for name in ("", "no_such_thing", "lo", "x" * 300):
+        with pytest.raises(Refusal, match="--interface must be"):
+            master.segment.open(name)
+    with pytest.raises(Refusal, match="be writable"):
+        write_esi("three_axis", tmp_path / "nowhere" / "file.xml")
 
 
 @pytest.mark.skipif(not FULL, reason="takes minutes: make test-in-full, make fuzz")
