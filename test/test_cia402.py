@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import FULL
 
 from arm_emulator.__main__ import main
 from compiled.unit import Unit
@@ -160,7 +161,10 @@ SPECIAL = {0x1003, 0x1010, 0x1011, 0x1C12, 0x1C13, MODE, 0x6098, *range(0x1600, 
 
 
 def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None:
-    """100 000 reads and writes: codes by the rules of CiA 301, values as a model has them."""
+    """100 000 reads and writes: codes by the rules of CiA 301, values as a model has them.
+
+    Of these, 20 000 in the tests of every day.
+    """
     rng = random.Random(402)
     drives = make()
     known = {(one.index, one.sub): one for one in dictionary() if one.buses & ETHERCAT}
@@ -168,7 +172,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
     model = {key: drives.upload(0, *key) for key in known}
     writable = [key for key, one in known.items() if one.access == "rw"]
     keys, taken, refused = list(known), 0, 0
-    for k in range(100_000):
+    for k in range(100_000 if FULL else 20_000):
         key = rng.choice(writable if rng.random() < 0.5 else keys)
         if rng.random() < 0.1:
             key = (rng.choice((key[0], rng.randrange(0x10000))), rng.randrange(256))
@@ -203,7 +207,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
         if k % 5000 == 0:
             assert {key: drives.upload(0, *key) for key in known} == model, "the whole dictionary"
     assert {key: drives.upload(0, *key) for key in known} == model, "the whole dictionary"
-    assert min(taken, refused) > 10_000, f"{taken} taken, {refused} refused"
+    assert min(taken, refused) > 2_000, f"{taken} taken, {refused} refused"
     # Whatever was set, the drive goes on.
     drives.period(100)
 

@@ -339,11 +339,11 @@ constexpr Table make_table() {
   t.begin(0x607D, Code::array, "Software position limit", 2);
   t.sub("Min position limit", integer32, rw, no, "counts", -largest - 1);
   t.sub("Max position limit", integer32, rw, no, "counts", largest);
-  t.add(0x607E, 0, "Polarity", unsigned8, c);
+  t.add(0x607E, 0, "Polarity", unsigned8, rw).within(0, 0);
   t.add(0x607F, 0, "Max profile velocity", unsigned32, rw, rx, "counts/s").within(0, largest);
   t.add(0x6080, 0, "Max motor speed", unsigned32, rw, rx, "rpm");
   t.add(0x6081, 0, "Profile velocity", unsigned32, rw, rx, "counts/s").within(1, largest);
-  t.add(0x6082, 0, "End velocity", unsigned32, c, no, "counts/s");
+  t.add(0x6082, 0, "End velocity", unsigned32, rw, no, "counts/s").within(0, 0);
   t.add(0x6083, 0, "Profile acceleration", unsigned32, rw, rx, "counts/s2").within(1, 4294967295);
   t.add(0x6084, 0, "Profile deceleration", unsigned32, rw, rx, "counts/s2").within(1, 4294967295);
   t.add(0x6085, 0, "Quick stop deceleration", unsigned32, rw, rx, "counts/s2")
@@ -384,7 +384,7 @@ constexpr Table make_table() {
   for (const char* name : {"Method 1", "Method 2", "Method 3", "Method 4", "Method 5", "Method 6",
                            "Method 7", "Method 8", "Method 9", "Method 10"})
     t.sub(name, integer8, ro);
-  t.add(0x60F2, 0, "Positioning option code", unsigned16, c);
+  t.add(0x60F2, 0, "Positioning option code", unsigned16, rw).within(0, 0);
   t.add(0x60F4, 0, "Following error actual value", integer32, ro, tx, "counts");
   t.add(0x60FC, 0, "Position demand internal value", integer32, ro, tx, "counts");
   t.add(0x60FD, 0, "Digital inputs", unsigned32, ro, tx);
