@@ -59,8 +59,9 @@ class Emergency:
 class Master:
     """A master of a segment whose slaves it finds at once."""
 
-    def __init__(self, segment: Segment) -> None:
+    def __init__(self, segment: Segment, mailbox: int = MAILBOX) -> None:
         self.segment = segment
+        self.mailbox = mailbox  # bytes
         self.now = 0  # ns, of its clock
         self.slaves = self.one(BRD, 0, bytes(1))[1]
         for k in range(self.slaves):
@@ -99,8 +100,8 @@ class Master:
         self.ask(slave, INIT | ACKNOWLEDGE)
         for k in range(4):
             self.guard(slave, k, 0, 0, 0, 0)
-        self.guard(slave, 0, 0x1000, MAILBOX, 0x26)
-        self.guard(slave, 1, 0x1100, MAILBOX, 0x22)
+        self.guard(slave, 0, 0x1000, self.mailbox, 0x26)
+        self.guard(slave, 1, 0x1100, self.mailbox, 0x22)
         self._counter[slave] = 0
         return self.ask(slave, PREOP)
 
@@ -153,12 +154,12 @@ class Master:
         self._counter[slave] = self._counter[slave] % 7 + 1
         size = len(body) if size is None else size
         head = struct.pack("<HHBB", size, 0, 0, kind | self._counter[slave] << 4)
-        return self.write(slave, 0x1000, (head + body).ljust(MAILBOX, b"\0"))
+        return self.write(slave, 0x1000, (head + body).ljust(self.mailbox, b"\0"))
 
     def fetch(self, slave: int) -> tuple[int, bytes] | None:
         """Kind and body of the next message, emergencies put aside; None: there is none."""
         while True:
-            data, count = self.one(FPRD, at(STATION + slave, 0x1100), bytes(MAILBOX))
+            data, count = self.one(FPRD, at(STATION + slave, 0x1100), bytes(self.mailbox))
             if count == 0:
                 return None
             size, kind = struct.unpack_from("<H", data)[0], data[5] & 15

@@ -321,6 +321,24 @@ def test_the_dictionary_describes_itself(master: Master) -> None:
             assert told[10 + 3 * size :].decode() == one.name + unit, "name and unit"
 
 
+@pytest.mark.parametrize("mailbox", [34, 35, 40, 41, 64, 256])
+def test_mailboxes_of_any_size_tell_the_same(mailbox: int) -> None:
+    """The smaller they are, the more segments and fragments there are."""
+    master = Master(segment(), mailbox)
+    assert master.preop(0) == (PREOP, 0), "the slave takes the size"
+    drives = master.segment.drives
+    mapped = [0x60400010, 0x607A0020, 0x60FF0020, 0x60710010, 0x60600008, *range(8, 57, 8)]
+    master.download(0, 0x1C12, 0, b"\0")
+    data = struct.pack(f"<BB{len(mapped)}I", len(mapped), 0, *mapped)
+    master.download(0, 0x1600, 0, data, complete=True, part=mailbox - 16)
+    assert master.upload(0, 0x1600, 0, complete=True) == data, "a mapping in segments"
+    for index in (0x1008, 0x1009, 0x100A):
+        assert master.upload(0, index) == drives.upload(0, index), "texts"
+    objects = sorted({one.index for one in drives.entries if one.buses & ETHERCAT})
+    raw = master.information(0, 1, struct.pack("<H", 1))
+    assert list(struct.unpack(f"<{len(raw) // 2}H", raw))[1:] == objects, "a list in fragments"
+
+
 @pytest.mark.parametrize("part", [0, 1, 7, 8, 112])
 def test_segments_of_any_length_bring_the_same(master: Master, part: int) -> None:
     """Complete access to a mapping of 7 objects, 30 bytes, in segments of `part` bytes."""
