@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from words.refusal import Refusal
@@ -55,27 +56,29 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
     Raises:
         Refusal: it cannot be run, fails, is killed, or does not come to an end.
     """
+    process: subprocess.Popen[bytes] | None = None
     try:
-        # In a session of its own, so that it can be ended with all that it has started.
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-    except OSError as error:
-        raise _failure(where, part, command, error.strerror or str(error)) from None
-    try:
+        with _signals_held_back():  # or one that comes now would leave it behind
+            # In a session of its own, so that it can be ended with all that it has started.
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
         words = _listen(process)
     except TimeoutError:
         raise _failure(where, part, command, f"no end within {LONGEST_RUN:g} s") from None
+    except OSError as error:
+        raise _failure(where, part, command, error.strerror or str(error)) from None
     finally:
-        if process.returncode is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-        assert process.stdout is not None
-        process.stdout.close()
+        if process is not None:
+            if process.returncode is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+            assert process.stdout is not None
+            process.stdout.close()
     if process.returncode == 0:
         return
     if process.returncode < 0:
@@ -88,6 +91,16 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
     lines = [line for line in text.splitlines() if line.strip()]
     reasons = [line for line in lines if "error" in line.lower()] or lines
     raise _failure(where, part, command, ": ".join([end, *reasons[:1]]))
+
+
+@contextlib.contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Have Ctrl-C and SIGTERM come at the end of this."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _listen(process: subprocess.Popen[bytes]) -> bytes:
