@@ -180,6 +180,17 @@ def test_the_eeprom_tells_what_a_slave_is(master: Master) -> None:
         place += 4 + size
     assert set(found) == {10, 30, 40, 41, 50, 51, 60}, "strings, general, FMMU, SM, PDOs, DC"
     assert found[10][2:].startswith(b"arm_emulator drive"), "the first string is the name"
+    texts, at_ = [b""], 1
+    for _ in range(found[10][0]):
+        texts.append(found[10][at_ + 1 : at_ + 1 + found[10][at_]])
+        at_ += 1 + found[10][at_]
+    assert all(texts[1:]), "no empty texts"
+    assert [texts[found[60][k + 0x12]] for k in (0, 24)] == [b"FreeRun", b"DC SYNC0"], "clocks"
+    pdo = [found[51][k : k + 8] for k in range(8, 8 + 8 * found[51][2], 8)]
+    names = {(one.index, one.sub): one.name for one in drives.entries}
+    for entry in pdo:
+        index, sub, name = struct.unpack_from("<HBB", entry)
+        assert texts[name].decode() == names.get((index, sub), ""), f"the name of {index:#x}"
     bits = sum(found[51][k] for k in range(13, 8 + 8 * found[51][2], 8))
     assert struct.unpack_from("<HH", found[41], 16) == (0x1200, bits // 8), "outputs as mapped"
 

@@ -59,6 +59,7 @@ inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::
 
   std::vector<std::string> strings;
   const auto word_of = [&strings](const std::string& text) {
+    if (text.empty()) return std::uint8_t{0};
     for (std::size_t k = 0; k < strings.size(); ++k)
       if (strings[k] == text) return static_cast<std::uint8_t>(k + 1);
     strings.push_back(text.substr(0, 255));
@@ -79,7 +80,8 @@ inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::
   general[0] = word_of(identity.group);
   general[2] = general[3] = device;  // masters show the order code or the name
   general[5] =
-      0x2f;  // CoE: SDO, SDO information, PDO assignment and configuration, complete access
+      0x2f;        // CoE: SDO, SDO information, PDO assignment and configuration, complete access
+  general[9] = 1;  // axes after CiA 402
   put16(&general[0x10], 0x0011);  // ports 0 and 1: MII
   category(30, general);
   category(40, {1, 2, 3, 0});  // FMMUs: outputs, inputs, state of the mailbox
@@ -126,9 +128,10 @@ inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::
     if (!body.empty()) category(kind, body);
   }
   std::vector<std::uint8_t> clocks(48, 0);  // free run, and SYNC0
-  clocks[0x14] = word_of("FreeRun");
-  clocks[24 + 0x14] = word_of("DC SYNC0");
-  put16(&clocks[24 + 0x0e], 0x0300);
+  clocks[0x12] = word_of("FreeRun");
+  put16(&clocks[24 + 0x0e], 0x0300);  // what 0x0980 is to hold
+  put16(&clocks[24 + 0x10], 1);       // SYNC0's cycle is that of the process data
+  clocks[24 + 0x12] = word_of("DC SYNC0");
   category(60, clocks);
 
   std::vector<std::uint8_t> words = {static_cast<std::uint8_t>(strings.size())};
