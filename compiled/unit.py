@@ -39,6 +39,8 @@ class Unit:
         where: what a refusal names.
         about: what the user is told while it is compiled.
         part: what a refusal says that a compiler must compile.
+        beside: a further source, compiled apart in the same command: what a compiler makes of
+            `source` does not depend on it, to the last bit of what that computes.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Unit:
     where: str
     about: str
     part: str
+    beside: str = ""
 
 
 def library(unit: Unit) -> ctypes.CDLL:
@@ -174,6 +177,10 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
             command = [*compiler, *unit.flags, f"-march={target}"]
             command += [f"-I{folder}" for folder in unit.folders]
             command.append(f"-DARM_FINGERPRINT={fingerprint(unit, target)}")
+            if unit.beside:
+                beside = scratch / "beside.cpp"
+                beside.write_text(unit.beside, encoding="utf-8")
+                command.append(str(beside))
             run_compiler([*command, str(source), "-o", str(built)], scratch, unit.where, unit.part)
             library_cache.store(library, _built(built, compiler[0], unit), scratch)
             library_cache.make_room(library, largest)
@@ -214,7 +221,8 @@ def _digest(unit: Unit, target: str) -> str:
     for folder in unit.folders:
         digest.update(_digest_of(folder))
     processor = _processor() if target == "native" else ""
-    for part in (unit.source, " ".join(unit.flags), target, processor):
+    sources = (unit.source, unit.beside) if unit.beside else (unit.source,)
+    for part in (*sources, " ".join(unit.flags), target, processor):
         digest.update(part.encode())
         digest.update(b"\0")
     return digest.hexdigest()

@@ -27,7 +27,13 @@ def library_of(scene: Scene) -> ctypes.CDLL:
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    return library(_unit_of(scene))
+    return library(machine_unit(scene))
+
+
+def machine_unit(scene: Scene) -> Unit:
+    """Return what the library of `library_of` is compiled of."""
+    about = f"scene {scene.name} ({len(scene.joints)} joints)"
+    return _unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
 
 
 def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.CDLL:
@@ -39,29 +45,15 @@ def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.C
         source: C++ that may use core/arm.h.
         calls: the functions that it adds.
     """
-    return library(unit_with(scene, name, source, calls))
-
-
-def unit_with(
-    scene: Scene, name: str, source: str, calls: Calls, folders: tuple[Path, ...] = ()
-) -> Unit:
-    """Return the unit of `library_with`.
-
-    Args:
-        scene: see there.
-        name: see there.
-        source: see there.
-        calls: see there.
-        folders: where it includes further files from.
-    """
-    unit = _unit_of(scene)
-    return replace(
-        unit,
-        name=f"{scene.name}-{name}",
-        source=unit.source + source,
-        folders=(*unit.folders, *folders),
-        calls={**unit.calls, **calls},
-        about=f"{unit.about} with {name}",
+    unit = machine_unit(scene)
+    return library(
+        replace(
+            unit,
+            name=f"{scene.name}-{name}",
+            source=unit.source + source,
+            calls={**unit.calls, **calls},
+            about=f"{unit.about} with {name}",
+        )
     )
 
 
@@ -89,13 +81,8 @@ def compile_ahead(
     Raises:
         Refusal: see there.
     """
-    units = [_unit_of(scene), _real_time_unit(), *([_fleet_unit_of(scene)] if fleet else [])]
+    units = [machine_unit(scene), _real_time_unit(), *([_fleet_unit_of(scene)] if fleet else [])]
     return compile_units(units, target, folder)
-
-
-def _unit_of(scene: Scene) -> Unit:
-    about = f"scene {scene.name} ({len(scene.joints)} joints)"
-    return _unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
 
 
 def _fleet_unit_of(scene: Scene) -> Unit:

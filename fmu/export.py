@@ -26,7 +26,7 @@ from words.refusal import Refusal
 # That most machines have; "native" is faster, and gives other bits.
 TARGET = "x86-64-v2" if platform.machine() == "x86_64" else "native"
 PLATFORMS = {"3": f"{platform.machine()}-linux", "2": "linux64"}  # by the version of FMI
-_SOURCE = "unit.cpp"
+_SOURCES = ("machine.cpp", "unit.cpp")
 _NEEDED = b"""\
 The binary for Linux needs libc, libm, libgcc_s and libstdc++ of GCC 7 or later, as every Linux with
 programs in C++ has them.
@@ -54,21 +54,22 @@ def export(scene: Scene, out: Path, target: str = TARGET, version: str = "3") ->
     name = identifier(scene.name)
     options = shlex.join([*unit.flags, f"-march={target}"])
     definition = f"ARM_FINGERPRINT={fingerprint(unit, target)}"
-    command = f"g++ {options} -I. -D{definition} {_SOURCE} -o {name}.so"
+    command = f"g++ {options} -I. -D{definition} {' '.join(_SOURCES)} -o {name}.so"
+    sources = dict(zip(_SOURCES, (unit.source, unit.beside), strict=True))
+    sources |= _included(*sources.values())
     if version == "3":
         own = {
             "modelDescription.xml": model_description(scene, listed, token),
-            "sources/buildDescription.xml": build_description(scene, _SOURCE, options, definition),
+            "sources/buildDescription.xml": build_description(scene, _SOURCES, options, definition),
         }
     else:
-        own = {"modelDescription.xml": model_description_2(scene, listed, token, _SOURCE)}
+        own = {"modelDescription.xml": model_description_2(scene, listed, token, _SOURCES)}
     files = {
         **own,
         "documentation/index.html": page(scene, listed, command),
         "documentation/licenses/license.txt": (config_folder().parent / "LICENSE").read_bytes(),
         "documentation/externalDependencies.txt": _NEEDED,
-        f"sources/{_SOURCE}": unit.source.encode(),
-        **{f"sources/{name}": text.encode() for name, text in _included(unit.source).items()},
+        **{f"sources/{file}": text.encode() for file, text in sources.items()},
         f"binaries/{PLATFORMS[version]}/{name}.so": library,
     }
     try:
@@ -77,10 +78,10 @@ def export(scene: Scene, out: Path, target: str = TARGET, version: str = "3") ->
         raise Refusal("fmu", f"file {out}", "be writable", error.strerror) from None
 
 
-def _included(source: str) -> dict[str, str]:
-    """Return the files that a source includes, and those that they include, by name."""
+def _included(*sources: str) -> dict[str, str]:
+    """Return the files that sources include, and those that they include, by name."""
     found: dict[str, str] = {}
-    left = [source]
+    left = list(sources)
     while left:
         for name in re.findall(r'^ *# *include "([^"]+)"', left.pop(), re.M):
             if name not in found:

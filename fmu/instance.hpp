@@ -3,7 +3,7 @@
 //
 // Inputs act at the next step and are held over it, so no output depends on an input of now.
 //
-// Included in a unit after the scene's machine and the table of variables (unit.py).
+// Included after the table of variables (unit.py). The machine is a source of its own.
 #pragma once
 
 #include <cstdarg>
@@ -12,7 +12,9 @@
 #include <cstring>
 #include <new>
 
+#pragma GCC visibility push(default)
 #include "arm.h"
+#pragma GCC visibility pop
 #include "finite.hpp"
 #include "variable.hpp"
 

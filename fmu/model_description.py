@@ -98,12 +98,12 @@ def attributes_of(one: Variable, reference: int, naming: str) -> dict[str, str]:
     return attributes
 
 
-def build_description(scene: Scene, source: str, options: str, definition: str) -> bytes:
+def build_description(scene: Scene, sources: Sequence[str], options: str, definition: str) -> bytes:
     """Return sources/buildDescription.xml.
 
     Args:
         scene: the machine.
-        source: the file to compile.
+        sources: the files to compile.
         options: of the compiler.
         definition: of its preprocessor, ``NAME=VALUE``.
     """
@@ -114,7 +114,8 @@ def build_description(scene: Scene, source: str, options: str, definition: str) 
     files = ET.SubElement(
         configuration, "SourceFileSet", language="C++20", compiler="gcc", compilerOptions=options
     )
-    ET.SubElement(files, "SourceFile", name=source)
+    for source in sources:
+        ET.SubElement(files, "SourceFile", name=source)
     name, _, value = definition.partition("=")
     ET.SubElement(files, "PreprocessorDefinition", name=name, value=value)
     ET.SubElement(files, "IncludeDirectory", name=".")

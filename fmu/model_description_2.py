@@ -16,7 +16,7 @@ _ATTRIBUTES = ("unit", "displayUnit", "min", "max", "start")  # that stand besid
 
 
 def model_description_2(
-    scene: Scene, variables: Sequence[Variable], token: str, source: str
+    scene: Scene, variables: Sequence[Variable], token: str, sources: Sequence[str]
 ) -> bytes:
     """Return modelDescription.xml.
 
@@ -24,7 +24,7 @@ def model_description_2(
         scene: the machine.
         variables: of it, single numbers, in the order of their value references.
         token: that the binary expects.
-        source: the file to compile.
+        sources: the files to compile.
     """
     naming = convention(one.name for one in variables)
     root = ET.Element("fmiModelDescription", fmiVersion="2.0", guid=token)
@@ -36,7 +36,9 @@ def model_description_2(
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
     )
-    ET.SubElement(ET.SubElement(coupled, "SourceFiles"), "File", name=source)
+    files = ET.SubElement(coupled, "SourceFiles")
+    for source in sources:
+        ET.SubElement(files, "File", name=source)
     header(root, scene, variables)
     listed = ET.SubElement(root, "ModelVariables")
     for reference, one in enumerate(variables):

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from compiled.unit import Calls, Unit
-from emulator_node.compiler import unit_with
+from compiled.unit import Unit
+from emulator_node.compiler import machine_unit
 from emulator_node.core_calls import MODES
 from emulator_node.cxx_literals import number
 from emulator_node.plant import largest_position
@@ -29,20 +29,27 @@ VERSIONS = ("3", "2")  # of FMI
 def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[Unit, str]:
     """Return the unit, and the token that its binary expects.
 
+    The functions of FMI are compiled beside the machine, and so leave it its bits.
+
     Args:
         scene: the machine.
         variables: of it, in the order of their value references.
         version: of FMI, one of `VERSIONS`.
     """
+    machine = machine_unit(scene)
     table = _table(scene, variables)
-    name = f"fmu{version}"
-    calls: Calls = {f"fmi{version}GetVersion": (ctypes.c_char_p, [])}
-    bare = unit_with(scene, name, table, calls)
-    token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {bare.source}')}}}"
-    source = f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
-    source += f'#include "fmi{version}.cpp"\n'
-    unit = unit_with(scene, name, source, calls, (FOLDER,))
-    return replace(unit, flags=(*unit.flags, *FLAGS)), token
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {machine.source} {table}')}}}"
+    unit = replace(
+        machine,
+        name=f"{scene.name}-fmu{version}",
+        beside=f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
+        f'#include "fmi{version}.cpp"\n',
+        flags=(*machine.flags, *FLAGS),
+        folders=(*machine.folders, FOLDER),
+        calls={**machine.calls, f"fmi{version}GetVersion": (ctypes.c_char_p, [])},
+        about=f"{machine.about} for FMI {version}.0",
+    )
+    return unit, token
 
 
 def _table(scene: Scene, variables: Sequence[Variable]) -> str:
@@ -54,7 +61,7 @@ def _table(scene: Scene, variables: Sequence[Variable]) -> str:
     )
     modes = ", ".join(str(MODES[joint.command]) for joint in scene.joints)
     parameters = _numbers([*(one.value for one in scene.varied), 0.0])
-    return f"""
+    return f"""\
 #include "variable.hpp"
 
 namespace fmu {{

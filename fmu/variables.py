@@ -71,9 +71,12 @@ def variables(scene: Scene) -> tuple[Variable, ...]:
 
 
 def scalars(scene: Scene) -> tuple[Variable, ...]:
-    """Return the same without arrays, for FMI 2: a variable per joint, named after it."""
+    """Return the same without arrays, for FMI 2: a variable per joint, named after it.
+
+    Time is no variable there, for some importers miss a start value of it, which it must not have.
+    """
     found: list[Variable] = []
-    for array in variables(scene):
+    for array in variables(scene)[1:]:
         rows = _of_joints(array, scene) if array.per_joint else [array]
         for row in rows:
             found += _elements(row) if row.shape else [row]

@@ -14,6 +14,11 @@ import numpy as np
 from machines import DC, PMSM, write_scene
 
 from bench.random_chain import LINK
+from compiled.unit import compile_units, declare
+from emulator_node.compiler import machine_unit
+from emulator_node.core_calls import ARM_CALLS
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 KINDS = {"Float64": ctypes.c_double, "Int64": ctypes.c_int64, "Int32": ctypes.c_int32}
@@ -163,6 +168,12 @@ class Instance:
         if status == OK:
             self.time = float(self.get("time")[0])
         return status
+
+
+def plant_for(scene: Scene, target: str) -> Plant:
+    """A plant whose library is for a target, whatever else the cache has."""
+    (file,) = compile_units([machine_unit(scene)], target, None)
+    return Plant(scene, core=declare(ctypes.CDLL(str(file)), ARM_CALLS))
 
 
 def rich_machine(folder: Path, names: tuple[str, ...], **keys: Any) -> Path:

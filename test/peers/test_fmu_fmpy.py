@@ -29,15 +29,11 @@ from fmpy.fmi2 import (
 )
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
-from fmu_client import OK, Fmu, Instance, rich_machine
+from fmu_client import OK, Fmu, Instance, plant_for, rich_machine
 from lxml import etree
 from machines import DC, GANTRY, gantry_urdf, write_scene
 from test_fmu import scenes
 
-from compiled.unit import declare
-from emulator_node.compiler import compile_ahead
-from emulator_node.core_calls import ARM_CALLS
-from emulator_node.plant import Plant
 from emulator_node.scene import Scene, load_scene
 from fmu.export import export
 from fmu.model_description import model_description
@@ -98,7 +94,7 @@ def test_fmpy_finds_no_fault_in_the_description_of_any_scene(tmp_path: Path) -> 
     for number, scene in enumerate(found):
         texts = [model_description(scene, variables(scene), "{token}")]
         if number % 6 == 0:  # a name per number takes fmpy its time
-            texts.append(model_description_2(scene, scalars(scene), "{token}", "unit.cpp"))
+            texts.append(model_description_2(scene, scalars(scene), "{token}", ["unit.cpp"]))
         for text in texts:
             file = io.BytesIO()
             with zipfile.ZipFile(file, "w") as archive:
@@ -118,7 +114,7 @@ def test_a_simulation_by_fmpy_equals_plant_to_the_last_bit(three_axis: Scene, un
         str(unit), stop_time=count * PERIOD, output_interval=PERIOD, input=signals,
         start_values={"start.q": start}, output=["encoder_counts", "current", "truth.q", "truth.v"],
     )  # fmt: skip
-    plant = Plant(three_axis)
+    plant = plant_for(three_axis, "native")
     plant.reset(start)
     for row, command in zip(told[1:], signals["command"], strict=False):
         plant.exchange(command)
@@ -146,7 +142,7 @@ def test_a_simulation_of_fmi_2_equals_plant_to_the_last_bit(
         str(unit_2), stop_time=count * PERIOD, output_interval=PERIOD, input=signals,
         start_values={"start.q.elbow": 0.9, "joints.elbow.gear.stiffness": 2e4}, output=rows,
     )  # fmt: skip
-    plant = Plant(three_axis)
+    plant = plant_for(three_axis, "native")
     plant.set_parameter("joints.elbow.gear.stiffness", 2e4)
     plant.reset([0.0, 0.5, 0.9])
     for row, command in zip(told[1:], commands, strict=False):
@@ -219,8 +215,7 @@ def test_the_portable_binary_equals_the_portable_library(tmp_path: Path) -> None
     scene = load_scene("three_axis")
     export(scene, tmp_path / "arm.fmu")
     one = Instance(Fmu(tmp_path / "arm.fmu", tmp_path / "unpacked"))
-    library = compile_ahead(scene, "x86-64-v2", tmp_path / "lib")[0]
-    plant = Plant(scene, core=declare(ctypes.CDLL(str(library)), ARM_CALLS))
+    plant = plant_for(scene, "x86-64-v2")
     one.start()
     rng = np.random.default_rng(1)
     for _ in range(200):
@@ -248,7 +243,7 @@ def test_motors_take_torque_current_or_voltage_side_by_side(tmp_path: Path) -> N
     command = fmu.variables["command"].attrib
     assert "x [N m], y [A], z [V]" in command["description"] and "unit" not in command, command
     one, rng = Instance(fmu), np.random.default_rng(0)
-    plant = Plant(scene, core=declare(ctypes.CDLL(fmu.binary._name), ARM_CALLS))
+    plant = plant_for(scene, "native")
     one.start()
     for _ in range(100):
         row = rng.normal(0.0, 5.0, 3)
