@@ -63,7 +63,7 @@ def export(scene: Scene, out: Path, target: str = TARGET, version: str = "3") ->
             "sources/buildDescription.xml": build_description(scene, _SOURCES, options, definition),
         }
     else:
-        own = {"modelDescription.xml": model_description_2(scene, listed, token, _SOURCES)}
+        own = {"modelDescription.xml": model_description_2(scene, listed, token)}
     files = {
         **own,
         "documentation/index.html": page(scene, listed, command),

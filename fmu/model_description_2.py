@@ -1,4 +1,8 @@
-"""modelDescription.xml of FMI 2.0."""
+"""modelDescription.xml of FMI 2.0.
+
+It does not list the sources: importers take those for C, or for C++ of another year. They are there
+for people.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +19,17 @@ _TYPES = {"Float64": "Real", "Int64": "Real", "Int32": "Integer", "Boolean": "Bo
 _ATTRIBUTES = ("unit", "displayUnit", "min", "max", "start")  # that stand beside the type
 
 
-def model_description_2(
-    scene: Scene, variables: Sequence[Variable], token: str, sources: Sequence[str]
-) -> bytes:
+def model_description_2(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
     """Return modelDescription.xml.
 
     Args:
         scene: the machine.
         variables: of it, single numbers, in the order of their value references.
         token: that the binary expects.
-        sources: the files to compile.
     """
     naming = convention(one.name for one in variables)
     root = ET.Element("fmiModelDescription", fmiVersion="2.0", guid=token)
-    coupled = ET.SubElement(
+    ET.SubElement(
         root,
         "CoSimulation",
         modelIdentifier=identifier(scene.name),
@@ -36,9 +37,6 @@ def model_description_2(
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
     )
-    files = ET.SubElement(coupled, "SourceFiles")
-    for source in sources:
-        ET.SubElement(files, "File", name=source)
     header(root, scene, variables)
     listed = ET.SubElement(root, "ModelVariables")
     for reference, one in enumerate(variables):

@@ -462,7 +462,7 @@ def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
             start = one.attrib.get("start")
             assert start is None or len(start.split()) == size, "start values fit"
         single = scalars(scene)
-        root = ET.fromstring(model_description_2(scene, single, "{token}", ["unit.cpp"]))
+        root = ET.fromstring(model_description_2(scene, single, "{token}"))
         names = [one.attrib["name"] for one in root.iter("ScalarVariable")]
         assert len(set(names)) == len(names), "names differ"
         assert len(names) == sum(one.count for one in listed[1:]), "one per number, but for time"
