@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bitset>
 #include <cstdint>
 #include <utility>
 
@@ -74,6 +75,7 @@ class Nvic {
   // The exception that goes first of those that wait, 0: none.
   int first() const {
     int best = 0;
+    if (pending_.none()) return best;
     for (int n = 1; n < exceptions_; ++n)
       if (pending_[n] && enabled_[n] && (!best || order(n) < order(best))) best = n;
     return best;
@@ -81,6 +83,7 @@ class Nvic {
 
   int running() const {
     int least = LOWEST;
+    if (active_.none()) return least;
     for (int n = 1; n < exceptions_; ++n)
       if (active_[n]) least = std::min(least, group(n));
     return least;
@@ -115,7 +118,7 @@ class Nvic {
   uint32_t kept_bits_;
   int group_mask_ = 0xff;
   bool changed_ = false;
-  std::array<bool, MOST> enabled_{}, pending_{}, active_{}, line_{};
+  std::bitset<MOST> enabled_, pending_, active_, line_;
   std::array<int, MOST> priority_{};
 };
 

@@ -18,60 +18,78 @@ class Registers {
   using Write = std::function<uint32_t(uint32_t value, uint32_t stored)>;
 
   // Both are multiples of 1024.
-  void add(uint32_t at, uint32_t size) { blocks_.push_back({at, std::vector<uint32_t>(size / 4)}); }
+  void add(uint32_t at, uint32_t size) {
+    blocks_.push_back({at, std::vector<uint32_t>(size / 4), std::vector<bool>(size / 4)});
+  }
 
-  bool has(uint32_t at) const { return const_cast<Registers*>(this)->find(at); }
+  bool has(uint32_t at) { return find(at).block; }
   // The stored word of a register that is there.
-  uint32_t& word(uint32_t at) { return *find(at); }
+  uint32_t& word(uint32_t at) { return find(at).word(); }
   float number(uint32_t at) { return std::bit_cast<float>(word(at)); }
   void put(uint32_t at, float number) { word(at) = std::bit_cast<uint32_t>(number); }
 
   // Whether one that does more was read or written since it was asked last.
   bool special() { return std::exchange(special_, false); }
 
-  void on_read(uint32_t at, Read read) { reads_[at] = std::move(read); }
-  void on_write(uint32_t at, Write write) { writes_[at] = std::move(write); }
+  void on_read(uint32_t at, Read read) {
+    reads_[at] = std::move(read);
+    find(at).does_more() = true;
+  }
+  void on_write(uint32_t at, Write write) {
+    writes_[at] = std::move(write);
+    find(at).does_more() = true;
+  }
 
   uint32_t read(uint32_t at, unsigned size, bool look = false) {
     const uint32_t whole = at & ~3u;
-    const uint32_t* stored = find(whole);
-    if (!stored) return 0;
-    uint32_t value = *stored;
-    if (const auto one = reads_.find(whole); one != reads_.end()) {
-      value = one->second(value, look);
-      special_ = true;
-    }
+    const Place place = find(whole);
+    if (!place.block) return 0;
+    uint32_t value = place.word();
+    if (place.does_more())
+      if (const auto one = reads_.find(whole); one != reads_.end()) {
+        value = one->second(value, look);
+        special_ = true;
+      }
     return size == 4 ? value : value >> 8 * (at & 3) & mask_of(size);
   }
 
   void write(uint32_t at, unsigned size, uint32_t value) {
     const uint32_t whole = at & ~3u;
-    uint32_t* stored = find(whole);
-    if (!stored) return;
+    const Place place = find(whole);
+    if (!place.block) return;
     if (size < 4) {
       const unsigned shift = 8 * (at & 3);
       const uint32_t mask = mask_of(size) << shift;
-      value = (*stored & ~mask) | (value << shift & mask);
+      value = (place.word() & ~mask) | (value << shift & mask);
     }
-    if (const auto one = writes_.find(whole); one != writes_.end()) {
-      value = one->second(value, *stored);
-      special_ = true;
-    }
-    *stored = value;
+    if (place.does_more())
+      if (const auto one = writes_.find(whole); one != writes_.end()) {
+        value = one->second(value, place.word());
+        special_ = true;
+      }
+    place.word() = value;
   }
 
  private:
   struct Block {
     uint32_t at;
     std::vector<uint32_t> words;
+    std::vector<bool> does_more;
+  };
+  struct Place {
+    Block* block;
+    size_t index;
+
+    uint32_t& word() const { return block->words[index]; }
+    std::vector<bool>::reference does_more() const { return block->does_more[index]; }
   };
 
   static uint32_t mask_of(unsigned size) { return size == 1 ? 0xffu : 0xffffu; }
 
-  uint32_t* find(uint32_t at) {
+  Place find(uint32_t at) {
     for (Block& block : blocks_)
-      if (at - block.at < 4 * block.words.size()) return &block.words[(at - block.at) / 4];
-    return nullptr;
+      if (at - block.at < 4 * block.words.size()) return {&block, (at - block.at) / 4};
+    return {nullptr, 0};
   }
 
   std::vector<Block> blocks_;

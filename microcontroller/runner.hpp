@@ -7,6 +7,7 @@
 #include <deque>
 #include <memory>
 #include <optional>
+#include <set>
 #include <vector>
 
 #include "adc.hpp"
@@ -60,6 +61,10 @@ class Runner : public Bus, public Debugged {
       pwms_.emplace_back(board.pwm[k], board.supply_voltage, registers_);
     for (int k = 0; k < board.uarts; ++k)
       uarts_.emplace_back(board.uart[k], board.clock, cpu_.now, registers_);
+    for (const Adc& adc : adcs_)
+      if (adc.interrupt() >= 0) lines_.insert(adc.interrupt());
+    for (const Uart& uart : uarts_)
+      if (uart.interrupt() >= 0) lines_.insert(uart.interrupt());
     if (board.mailbox) mailbox_.emplace(*board.mailbox, board.joints, registers_);
   }
 
@@ -185,17 +190,12 @@ class Runner : public Bus, public Debugged {
 
   // Levels of interrupt lines follow what registers hold.
   void set_lines() {
-    bool high[Nvic::MOST] = {};
-    for (const Adc& adc : adcs_)
-      if (adc.interrupt() >= 0) high[Nvic::EXTERNAL + adc.interrupt()] |= adc.asks();
-    for (const Uart& uart : uarts_)
-      if (uart.interrupt() >= 0) high[Nvic::EXTERNAL + uart.interrupt()] |= uart.asks();
-    for (const Adc& adc : adcs_) set_line(adc.interrupt(), high);
-    for (const Uart& uart : uarts_) set_line(uart.interrupt(), high);
-  }
-  void set_line(int interrupt, const bool* high) {
-    if (interrupt >= 0)
-      nvic_.set_line(Nvic::EXTERNAL + interrupt, high[Nvic::EXTERNAL + interrupt]);
+    for (const int interrupt : lines_) {
+      bool high = false;
+      for (const Adc& adc : adcs_) high |= adc.interrupt() == interrupt && adc.asks();
+      for (const Uart& uart : uarts_) high |= uart.interrupt() == interrupt && uart.asks();
+      nvic_.set_line(Nvic::EXTERNAL + interrupt, high);
+    }
   }
 
   void measure(const firmware_input& in, bool convert) {
@@ -379,6 +379,7 @@ class Runner : public Bus, public Debugged {
   std::vector<Pin> pins_;
   std::vector<Pwm> pwms_;
   std::optional<Mailbox> mailbox_;
+  std::set<int> lines_;  // interrupts that devices ask for
   std::unique_ptr<GdbServer> debugger_;
   const double* told_ = nullptr;
   uint64_t awake_from_ = 0;  // instructions
