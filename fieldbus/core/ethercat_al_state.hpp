@@ -21,9 +21,6 @@ enum class AlCode : std::uint16_t {
   WATCHDOG = 0x001b,
   OUTPUTS = 0x001d,
   INPUTS = 0x001e,
-  WATCHDOG_SETTING = 0x001f,
-  INPUT_MAPPING = 0x0024,
-  OUTPUT_MAPPING = 0x0025,
   SYNC0_CYCLE = 0x0036
 };
 

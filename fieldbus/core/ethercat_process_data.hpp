@@ -18,24 +18,20 @@ class ProcessData {
   ProcessData(const Objects& objects, const Door& door, Way way)
       : objects(objects), door(door), way(way) {}
 
-  // Takes over the mapping as it is now; false: it names something that cannot be mapped.
-  bool compile() {
+  // Takes over the mapping as it is now. The dictionary has seen to it that all of it can be
+  // mapped, in whole bytes.
+  void compile() {
     items.clear();
-    bits = 0;
-    bool sound = true;
+    bytes = 0;
     for (const Pdo& pdo : assigned())
       for (const PdoEntry& entry : pdo.entries) {
-        const drives_entry* const one = objects.entry(entry.index, entry.subindex);
-        const bool gap = entry.index == 0;
-        if (!gap && (!one || one->bits != entry.bits || entry.bits % 8 != 0)) sound = false;
-        if (!gap) items.push_back({entry.index, entry.subindex, bits / 8, entry.bits / 8u});
-        if (!gap && bits % 8 != 0) sound = false;  // only whole bytes can be mapped
-        bits += entry.bits;
+        const std::size_t here = entry.bits / 8u;
+        if (entry.index != 0)
+          items.push_back({entry.index, entry.subindex, bytes, here});  // no gap
+        bytes += here;
       }
-    if (!sound) items.clear();
-    return sound;
   }
-  std::size_t size() const { return (bits + 7) / 8; }
+  std::size_t size() const { return bytes; }
 
   void to_drive(const std::uint8_t* buffer) const {
     for (const Item& item : items) door.write(item.index, item.sub, {buffer + item.at, item.size});
@@ -102,7 +98,7 @@ class ProcessData {
   const Door& door;
   Way way;
   std::vector<Item> items;
-  std::size_t bits = 0;
+  std::size_t bytes = 0;
 };
 
 }  // namespace ethercat

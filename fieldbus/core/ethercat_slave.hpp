@@ -295,8 +295,8 @@ class Slave {
     return AlCode::NONE;
   }
   AlCode to_safeop() {
-    if (!outputs.compile()) return AlCode::OUTPUT_MAPPING;
-    if (!inputs.compile()) return AlCode::INPUT_MAPPING;
+    outputs.compile();
+    inputs.compile();
     if (!fits(kOutputs, area::kOutputs, area::kInputs, outputs.size(), true))
       return AlCode::OUTPUTS;
     if (!fits(kInputs, area::kInputs, 0x1800, inputs.size(), false)) return AlCode::INPUTS;
