@@ -36,6 +36,10 @@ def serve(scene_name: str, interface: str, lockstep: bool) -> int:
     clock = "lockstep" if lockstep else "realtime"
     print(f"ethercat: scene {scene.name}, clock {clock}")
     print(f"ethercat: slaves: {', '.join(scene.joint_names)}")
+    with contextlib.suppress(OSError, ValueError):
+        flags = int(Path(f"/sys/class/net/{interface}/flags").read_text(), 16)
+        if not flags & 1:
+            print(f"ethercat: {interface} is down: ip link set {interface} up", file=sys.stderr)
     print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
     try:
         while not segment.figures.diverged:
