@@ -126,6 +126,8 @@ class Cpu {
 
   // Run one instruction (a whole IT block is one), within a block or at the beginning of one.
   Stop step() {
+    // What was translated for a run does not stop within blocks.
+    if (!stepping_) uc_ctl_flush_tb(uc_);
     stepping_ = true;
     until_ = ALWAYS;
     const uint32_t before = pc;

@@ -327,6 +327,18 @@ class Debugger:
         self._socket.close()
 
 
+def course(
+    chip: Microcontroller, scene: Scene, table: TargetTable | None, ticks: int
+) -> list[tuple[bytes, int, int, int]]:
+    """Go on tick by tick; return the machine's state and what the processor has done at each."""
+    one, seen = TableRun(scene, table, chip), []
+    for _ in range(ticks):
+        one.advance(1)
+        done = chip.figures
+        seen.append((one.session.plant.save(), done.instructions, done.asleep, done.exceptions))
+    return seen
+
+
 def address_of(elf: Path, function: str) -> int:
     command = ["arm-none-eabi-nm", str(elf)]
     lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
@@ -336,8 +348,8 @@ def address_of(elf: Path, function: str) -> int:
 def debugged(
     chip: Microcontroller, scene: Scene, table: TargetTable | None, ticks: int,
     debugger: Callable[[int], None],
-) -> list[bytes]:  # fmt: skip
-    """Return the states of a run beside which a debugger works at a port."""
+) -> list[tuple[bytes, int, int, int]]:  # fmt: skip
+    """Return the course of a run beside which a debugger works at a port."""
     failed: list[BaseException] = []
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
@@ -354,7 +366,7 @@ def debugged(
         worker.start()
         chip.debug(listening)
     try:
-        return states(TableRun(scene, table, chip), ticks)
+        return course(chip, scene, table, ticks)
     finally:
         worker.join()
         assert not failed, failed
@@ -370,7 +382,7 @@ def test_halting_in_gdb_changes_no_bit(
     rng = np.random.default_rng(4)
     ticks = 30 if kind == "asleep" else 6
     table = random_table(rng, ur5, 20)
-    free = states(TableRun(ur5, table, chip_of(ur5, elf)), ticks)
+    free = course(chip_of(ur5, elf), ur5, table, ticks)
     lines = ["set pagination off", "break control_step", "continue", "print *encoder", "backtrace"]
     for _ in range(6):
         what = rng.choice(["stepi", "next", "continue", "middle"])
@@ -410,7 +422,7 @@ def test_every_step_and_any_packet_of_a_debugger_change_no_bit(
     elf = built("asleep.elf")
     rng = np.random.default_rng(5)
     table = random_table(rng, ur5, 8)
-    free = states(TableRun(ur5, table, chip_of(ur5, elf)), 300)
+    free = course(chip_of(ur5, elf), ur5, table, 300)
     handler = address_of(elf, "ADC_Handler")
 
     def work(port: int) -> None:
@@ -419,6 +431,11 @@ def test_every_step_and_any_packet_of_a_debugger_change_no_bit(
             assert gdb.ask(b"Z0,%x,2" % handler) == b"OK", "a breakpoint"
             for _ in range(2):
                 assert gdb.ask(b"c") == b"S05", "at a breakpoint"
+            pc = handler
+            for _ in range(6):
+                assert gdb.ask(b"s") == b"S05", "after a step"
+                before, pc = pc, int.from_bytes(bytes.fromhex(gdb.ask(b"p f").decode()), "little")
+                assert pc - before in (2, 4), "bytes of one instruction at the handler's beginning"
             for _ in range(900):
                 assert gdb.ask(b"s") == b"S05", "after a step"
             assert gdb.ask(b"z0,%x,2" % handler) == b"OK", "no breakpoint"
