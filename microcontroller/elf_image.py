@@ -26,11 +26,6 @@ class ElfImage:
     """
 
     def __init__(self, file: Path) -> None:
-        package_folder("elftools", "pyelftools")
-        from elftools.common.exceptions import ELFError
-        from elftools.elf.elffile import ELFFile
-        from elftools.elf.sections import SymbolTableSection
-
         self.name = file.name
         content = read_bytes(file, LARGEST)
         if content[:4] != b"\x7fELF":
@@ -38,6 +33,11 @@ class ElfImage:
         if content[4:6] != b"\x01\x01" or content[18:20] != ARM.to_bytes(2, "little"):
             rule = "be built for a little-endian 32-bit Arm"
             raise Refusal(self.name, "file", rule, "for another processor")
+        package_folder("elftools", "pyelftools")
+        from elftools.common.exceptions import ELFError
+        from elftools.elf.elffile import ELFFile
+        from elftools.elf.sections import SymbolTableSection
+
         try:
             elf = ELFFile(io.BytesIO(content))
             self.pieces = [

@@ -270,9 +270,10 @@ def elf_file() -> bytes:
     return header + b"".join(value.to_bytes(4, "little") for value in segment) + b"code"
 
 
-def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """In one line, with what to install."""
     find = importlib.util.find_spec
+    (tmp_path / "firmware.elf").write_bytes(elf_file())
     for missing, package in (("elftools", "pyelftools"), ("unicorn", "unicorn")):
         monkeypatch.setattr(
             importlib.util,
@@ -281,7 +282,7 @@ def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, capsys:
         )
         with pytest.raises(Refusal, match=f"pip install {package}$"):
             if missing == "elftools":
-                ElfImage(Path("any.elf"))
+                ElfImage(tmp_path / "firmware.elf")
             else:
                 from microcontroller.unicorn_library import unicorn_headers
 
