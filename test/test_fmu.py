@@ -20,6 +20,7 @@ import pytest
 from draws import FULL, some
 from fmu_client import DISCARD, ERROR, OK, Fmu, Instance, abuse, rich_machine
 from fuzz.cores import environment, random_machine
+from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
 
 from arm_emulator.fmu import write_fmu
@@ -426,6 +427,12 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
         assert min(statuses[str(status)] for status in (OK, DISCARD, ERROR)) > 200, statuses
 
 
+# Of joints: in URDFs, whose XML has no other control characters than those.
+ODD = [one for one in ODD_NAMES if one and not set(one) & set("\0\x1b\r\n\t")]
+
+ODDER = [one for one in ODD if not one.isascii() or set(one) & set("'\"\\<>&")]
+
+
 def scenes(folder: Path, count: int) -> list[Scene]:
     """Scenes that are taken, of any names and numbers."""
     found: list[Scene] = []
@@ -433,10 +440,15 @@ def scenes(folder: Path, count: int) -> list[Scene]:
         rng = np.random.default_rng([11, number])
         at = folder / str(number)
         try:
-            if number % 2:
+            if number % 3 == 0:
                 path = random_machine(rng, at, int(rng.integers(1, 7)))
-            else:
+            elif number % 3 == 1:
                 path = draw(rng, at)
+            else:
+                at.mkdir()
+                known = ODD if rng.random() < 0.5 else ODDER
+                names = rng.choice(known, int(rng.integers(1, 4)), replace=False)
+                path = rich_machine(at, tuple(map(str, names)))
             found.append(load_scene(path, {} if number % 5 else {"varied": ["*"]}))
         except Refusal:
             continue
@@ -447,7 +459,8 @@ def scenes(folder: Path, count: int) -> list[Scene]:
 
 def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
     """Its names differ, its references lead somewhere, its start values fit."""
-    for scene in scenes(tmp_path, 50 if FULL else 12):
+    conventions = set()
+    for scene in scenes(tmp_path, 50 if FULL else 16):
         listed = variables(scene)
         root = ET.fromstring(model_description(scene, listed, "{token}"))
         elements = root.find("ModelVariables")
@@ -463,9 +476,11 @@ def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
             assert start is None or len(start.split()) == size, "start values fit"
         single = scalars(scene)
         root = ET.fromstring(model_description_2(scene, single, "{token}"))
+        conventions.add(root.attrib["variableNamingConvention"])
         names = [one.attrib["name"] for one in root.iter("ScalarVariable")]
         assert len(set(names)) == len(names), "names differ"
         assert len(names) == sum(one.count for one in listed[1:]), "one per number, but for time"
+    assert conventions == {"structured", "flat"}, "names of both kinds are drawn"
 
 
 def test_units_are_powers_of_base_units() -> None:
