@@ -6,6 +6,7 @@
 
 struct ethercat_segment : ethercat::Segment {
   using Segment::Segment;
+  ethercat::Port port{*this};
 };
 
 #pragma GCC visibility push(default)
@@ -31,7 +32,7 @@ const uint8_t* ethercat_memory(const ethercat_segment* segment, int32_t slave) {
 }
 int ethercat_open(const char* interface) { return ethercat::open_interface(interface); }
 int ethercat_serve(ethercat_segment* segment, int descriptor, int64_t duration) {
-  return ethercat::Port(*segment).serve(descriptor, duration);
+  return segment->port.serve(descriptor, duration);
 }
 
 #pragma GCC visibility pop

@@ -67,8 +67,7 @@ class Port {
 
   int serve(int descriptor, std::int64_t duration) {
     const std::int64_t end = monotonic() + duration;
-    std::int64_t due = monotonic() + segment.period_ns();
-    bool up = true;
+    if (due == 0) due = monotonic() + segment.period_ns();
     for (std::int64_t now; (now = monotonic()) < end;) {
       if (segment.diverged()) return 0;
       const bool paced = !segment.lockstep() || (!up && segment.exchanges());
@@ -85,6 +84,7 @@ class Port {
       const timespec limit = {left / 1'000'000'000, left % 1'000'000'000};
       const int found = ppoll(&wait, 1, &limit, nullptr);
       if (found < 0) return errno == EINTR ? 0 : -errno;
+      if (found == 0 && !segment.lockstep()) continue;  // a period is over
       if (found == 0 || wait.revents & (POLLERR | POLLHUP)) {
         clear_error(descriptor);
         const int flags = flags_of(descriptor);
@@ -129,6 +129,8 @@ class Port {
   }
 
   Segment& segment;
+  std::int64_t due = 0;  // when the next servo period by the clock ends, ns
+  bool up = true;
   std::uint8_t buffer[2048];
 };
 
