@@ -22,7 +22,6 @@ enum class MailboxError : std::uint16_t {
   NONE = 0,
   PROTOCOL = 2,
   SERVICE = 4,
-  HEADER = 5,
   TOO_SHORT = 6,
   SIZE = 8
 };
@@ -126,7 +125,7 @@ class Coe {
         begin();
         return 0;  // the master has given up
       default:
-        return abort_code::kCommand;
+        return abort_code::command;
     }
   }
 
@@ -158,8 +157,8 @@ class Coe {
 
   std::uint32_t next_upload(std::span<const std::uint8_t> sdo, std::size_t room,
                             std::vector<Bytes>& out) {
-    if (!upload) return abort_code::kCommand;
-    if (((sdo[0] >> 4) & 1) != (upload->toggle ? 1 : 0)) return abort_code::kToggle;
+    if (!upload) return abort_code::command;
+    if (((sdo[0] >> 4) & 1) != (upload->toggle ? 1 : 0)) return abort_code::toggle;
     const std::size_t now = std::min(upload->data.size() - upload->sent, room - 1);
     const bool last = upload->sent + now == upload->data.size();
     const std::size_t unused = now < 7 ? 7 - now : 0;
@@ -187,13 +186,13 @@ class Coe {
       if (!sized && entry && entry->bits > 0 && entry->bits <= 32) size = (entry->bits + 7u) / 8;
       abort = store(index, sub, complete, sdo.subspan(4, size));
     } else {
-      if (!sized) return abort_code::kCommand;
+      if (!sized) return abort_code::command;
       const std::size_t size = get32(&sdo[4]), here = sdo.size() - 8;
-      if (size > kLargest) return abort_code::kMemory;
-      if (here > size) return abort_code::kWrongLength;
+      if (size > kLargest) return abort_code::memory;
+      if (here > size) return abort_code::wrong_length;
       const auto data = sdo.subspan(8);
       if (here < size) {
-        if (objects.object(index).empty()) return abort_code::kNoObject;
+        if (objects.object(index).empty()) return abort_code::no_object;
         download = Download{index, sub, complete, size, Bytes(data.begin(), data.end()), false};
       } else {
         abort = store(index, sub, complete, data);
@@ -206,18 +205,18 @@ class Coe {
   }
 
   std::uint32_t next_download(std::span<const std::uint8_t> sdo, std::vector<Bytes>& out) {
-    if (!download) return abort_code::kCommand;
+    if (!download) return abort_code::command;
     const std::uint8_t command = sdo[0];
-    if (((command >> 4) & 1) != (download->toggle ? 1 : 0)) return abort_code::kToggle;
+    if (((command >> 4) & 1) != (download->toggle ? 1 : 0)) return abort_code::toggle;
     const std::size_t unused = sdo.size() == 8 ? (command >> 1) & 7u : 0;
     const auto data = sdo.subspan(1, sdo.size() - 1 - unused);
-    if (download->data.size() + data.size() > download->size) return abort_code::kWrongLength;
+    if (download->data.size() + data.size() > download->size) return abort_code::wrong_length;
     download->data.insert(download->data.end(), data.begin(), data.end());
     download->toggle = !download->toggle;
     if (command & 1) {
       const Download whole = std::move(*download);
       download.reset();
-      if (whole.data.size() != whole.size) return abort_code::kWrongLength;
+      if (whole.data.size() != whole.size) return abort_code::wrong_length;
       const std::uint32_t abort = store(whole.index, whole.sub, whole.complete, whole.data);
       if (abort != 0) {
         // The abort names the object, not the segment.
@@ -255,9 +254,9 @@ class Coe {
 
   std::uint32_t read_all(std::uint16_t index, std::uint8_t from, Bytes& out) const {
     const auto object = objects.object(index);
-    if (object.empty()) return abort_code::kNoObject;
-    if (from > 1) return abort_code::kUnsupported;
-    if (object.size() == 1) return from == 0 ? read(index, 0, out) : abort_code::kNoSub;
+    if (object.empty()) return abort_code::no_object;
+    if (from > 1) return abort_code::unsupported;
+    if (object.size() == 1) return from == 0 ? read(index, 0, out) : abort_code::no_sub;
     const std::size_t count = subs(object);
     if (from == 0) {
       out.push_back(static_cast<std::uint8_t>(count));
@@ -274,9 +273,9 @@ class Coe {
   std::uint32_t write_all(std::uint16_t index, std::uint8_t from,
                           std::span<const std::uint8_t> data) {
     const auto object = objects.object(index);
-    if (object.empty()) return abort_code::kNoObject;
-    if (from > 1) return abort_code::kUnsupported;
-    if (object.size() == 1) return from == 0 ? door.write(index, 0, data) : abort_code::kNoSub;
+    if (object.empty()) return abort_code::no_object;
+    if (from > 1) return abort_code::unsupported;
+    if (object.size() == 1) return from == 0 ? door.write(index, 0, data) : abort_code::no_sub;
     const bool counted = writable(object[0]);  // mapping, assignment: sub 0 is 0 meanwhile
     std::vector<Bytes> before(object.size());
     for (std::size_t sub = 0; sub < object.size(); ++sub)
@@ -296,7 +295,7 @@ class Coe {
     const std::uint16_t index = object[0].index;
     std::uint8_t count = static_cast<std::uint8_t>(door.number(index, 0));
     if (from == 0) {
-      if (data.empty()) return abort_code::kTooShort;
+      if (data.empty()) return abort_code::too_short;
       if (counted) count = data[0];
       data = data.subspan(std::min<std::size_t>(2, data.size()));
     }
@@ -304,13 +303,13 @@ class Coe {
     std::uint32_t abort = counted ? door.write(index, 0, none) : 0;
     for (std::size_t sub = 1; abort == 0 && sub < object.size() && !data.empty(); ++sub) {
       const std::size_t size = (object[sub].bits + 7u) / 8;
-      if (size == 0) return abort_code::kUnsupported;  // a text has no place of its own
-      if (data.size() < size) return abort_code::kTooShort;
+      if (size == 0) return abort_code::unsupported;  // a text has no place of its own
+      if (data.size() < size) return abort_code::too_short;
       if (writable(object[sub]))
         abort = door.write(index, static_cast<std::uint8_t>(sub), data.first(size));
       data = data.subspan(size);
     }
-    if (abort == 0 && !data.empty()) return abort_code::kWrongLength;
+    if (abort == 0 && !data.empty()) return abort_code::wrong_length;
     return abort == 0 && counted ? door.write(index, 0, total) : abort;
   }
 
@@ -321,14 +320,14 @@ class Coe {
     const std::span<const std::uint8_t> data = request.subspan(4);
     switch (request[0] & 0x7f) {
       case 1:
-        return data.size() < 2 ? abort_code::kCommand : list(get16(data.data()), room, out);
+        return data.size() < 2 ? abort_code::command : list(get16(data.data()), room, out);
       case 3:
-        return data.size() < 2 ? abort_code::kCommand : describe(get16(data.data()), room, out);
+        return data.size() < 2 ? abort_code::command : describe(get16(data.data()), room, out);
       case 5:
-        return data.size() < 4 ? abort_code::kCommand
+        return data.size() < 4 ? abort_code::command
                                : describe_entry(get16(data.data()), data[2], data[3], room, out);
       default:
-        return abort_code::kUnsupported;
+        return abort_code::unsupported;
     }
   }
 
@@ -367,7 +366,7 @@ class Coe {
     return out;
   }
   std::uint32_t list(std::uint16_t kind, std::size_t room, std::vector<Bytes>& out) const {
-    if (kind > 5) return abort_code::kUnsupported;
+    if (kind > 5) return abort_code::unsupported;
     Bytes body;
     append16(body, kind);
     if (kind == 0) {
@@ -382,7 +381,7 @@ class Coe {
   }
   std::uint32_t describe(std::uint16_t index, std::size_t room, std::vector<Bytes>& out) const {
     const auto object = objects.object(index);
-    if (object.empty()) return abort_code::kNoObject;
+    if (object.empty()) return abort_code::no_object;
     const drives_entry& first = object[0];
     Bytes body;
     append16(body, index);
@@ -396,8 +395,8 @@ class Coe {
   std::uint32_t describe_entry(std::uint16_t index, std::uint8_t sub, std::uint8_t wanted,
                                std::size_t room, std::vector<Bytes>& out) const {
     const auto object = objects.object(index);
-    if (object.empty()) return abort_code::kNoObject;
-    if (sub >= object.size()) return abort_code::kNoSub;
+    if (object.empty()) return abort_code::no_object;
+    if (sub >= object.size()) return abort_code::no_sub;
     const drives_entry& entry = object[sub];
     const std::size_t size = (entry.bits + 7u) / 8;
     // Default, least and most, where asked for; units stand in the name.

@@ -9,15 +9,11 @@
 #include <vector>
 
 #include "drives.h"
+#include "object_dictionary.hpp"
 
 namespace ethercat {
 
-// Why an access is refused, as SDO servers say it (CiA 301, table 22).
-namespace abort_code {
-constexpr std::uint32_t kToggle = 0x05030000, kCommand = 0x05040001, kMemory = 0x05040005,
-                        kUnsupported = 0x06010000, kReadOnly = 0x06010002, kNoObject = 0x06020000,
-                        kWrongLength = 0x06070010, kTooShort = 0x06070013, kNoSub = 0x06090011;
-}  // namespace abort_code
+namespace abort_code = fieldbus::abort_code;
 
 class Objects {
  public:
