@@ -557,11 +557,13 @@ def test_a_network_changed_by_hand_is_recorded_and_checked(clock: str, tmp_path:
     assert check(tmp_path / "own", "three_axis") == 0, "the emulator's own record"
     events = [bytes(event.state) for event in events_of(tmp_path / "own")]
     assert len(events) > 8, "changes"
-    # A recorder in real time may miss states, and says so; events are reliable once it listens.
+    # A recorder in real time may miss states, and says so; events come without a gap from where it
+    # listens to where it ends, which may be behind the machine.
     heard = [bytes(event.state) for event in events_of(tmp_path / "recorder")]
     unheard = len(events) - len(heard)
     assert clock == "realtime" or not unheard, "lock-step waits for its recorder"
-    assert len(heard) > 8 and heard == events[unheard:], "changes that the recorder heard"
+    runs = [events[first : first + len(heard)] for first in range(unheard + 1)]
+    assert len(heard) > 8 and heard in runs, "changes that the recorder heard"
     states = [
         deserialize_message(m.data, MotorState).tick
         for m in Bag(tmp_path / "recorder").messages(["/motor_states"])
