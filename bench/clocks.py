@@ -17,6 +17,7 @@ from arm_emulator.table_run import TableRun
 from arm_emulator.target_table import TargetTable
 from bench.busy import busy_processes
 from bench.measure import progress
+from emulator_node.chain import Array
 from emulator_node.scene import load_scene
 from ros_shell.ros_domain import own_domain
 from servo_node.drives import Drives
@@ -149,25 +150,24 @@ def _from_table(scene_name: str) -> dict[str, Any]:
     then from where steps of a sixteenth lead them [rad], which is so for the shipped step, too.
     """
     period = load_scene(scene_name).servo_period
-    ways = {"shipped": None, "one step": period, "fine": period / 16}
-    tracks, factors = {}, {}
-    for way, step in ways.items():
-        one = _table_run(scene_name, step)
-        tracks[way] = []
-        for _ in range(TRACKED):
-            one.advance(round(1.0 / period))
-            tracks[way].append(one.session.state.q)
+    fine = _track(scene_name, period / 16)
+    figures: dict[str, Any] = {}
+    for way, step in (("shipped", None), ("one step", period)):
+        off = float(np.abs(_track(scene_name, step) - fine).max())
         one = _table_run(scene_name, step)
         started = time.perf_counter()
         one.advance(round(TABLE_SECONDS / period))
-        factors[way] = TABLE_SECONDS / (time.perf_counter() - started)
-    return {
-        way: {
-            "factor": factors[way],
-            "off": float(np.abs(np.subtract(tracks[way], tracks["fine"])).max()),
-        }
-        for way in ("shipped", "one step")
-    }
+        figures[way] = {"factor": TABLE_SECONDS / (time.perf_counter() - started), "off": off}
+    return figures
+
+
+def _track(scene_name: str, step: float | None) -> Array:
+    """Return where the links are at each look (TRACKED, N) [rad]."""
+    one, track = _table_run(scene_name, step), []
+    for _ in range(TRACKED):
+        one.advance(round(1.0 / one.session.scene.servo_period))
+        track.append(one.session.state.q)
+    return np.array(track)
 
 
 def _table_run(scene_name: str, step: float | None) -> TableRun:
