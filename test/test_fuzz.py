@@ -110,10 +110,19 @@ def test_the_core_is_clean_under_its_sanitizers(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr[-5000:]
 
 
-def test_the_sanitizers_find_what_they_look_for(tmp_path: Path) -> None:
-    """The compiler that is used is one that would tell."""
+@pytest.mark.parametrize(
+    "source",
+    [
+        'extern "C" int f(int i) { int a[3] = {1, 2, 3}; return a[i]; }',
+        "struct A { int n = 0, a[1] = {}; }; struct B { A a; int after[4] = {}; } b; "
+        'extern "C" int f(int i) { return b.a.a[i]; }',
+    ],
+    ids=["array", "last of a struct"],
+)
+def test_the_sanitizers_find_what_they_look_for(source: str, tmp_path: Path) -> None:
+    """The compiler that is used is one that would tell, of an array within a struct, too."""
     unit, library = tmp_path / "unit.cpp", tmp_path / "unit.so"
-    unit.write_text('extern "C" int f(int i) { int a[3] = {1, 2, 3}; return a[i]; }')
+    unit.write_text(source)
     environment = cores.environment(tmp_path)
     command = [environment["CXX"], "-shared", "-fPIC", str(unit), "-o", str(library)]
     subprocess.run(command, check=True)

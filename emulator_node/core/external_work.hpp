@@ -14,7 +14,8 @@ class ExternalWork {
   static constexpr int N = S::N;
 
   void reset(const State<S>& x) {
-    for (int j = 0; j < N; ++j) q[j] = x.q[j];
+    if constexpr (S::external_wrench)
+      for (int j = 0; j < N; ++j) q[j] = x.q[j];
   }
 
   // From the state before, or the reset, to x.
