@@ -9,18 +9,25 @@ static const servo_real FARTHEST = (servo_real)1e6;
 static const servo_real HALF = (servo_real)0.5;
 static const servo_real NANOSECONDS = (servo_real)1e9;
 
-static servo_real clip(servo_real value, servo_real limit) {
+/* What every joint takes in every period is compiled into its callers: calls cost as much. */
+#ifdef __GNUC__
+#define SERVO_INLINE static inline __attribute__((always_inline))
+#else
+#define SERVO_INLINE static inline
+#endif
+
+SERVO_INLINE servo_real clip(servo_real value, servo_real limit) {
   return value < -limit ? -limit : value > limit ? limit : value;
 }
 
-static servo_real bound(servo_real value, servo_real least, servo_real most) {
+SERVO_INLINE servo_real bound(servo_real value, servo_real least, servo_real most) {
   return value < least ? least : value > most ? most : value;
 }
 
-static int is_finite(servo_real value) { return value - value == 0; }
+SERVO_INLINE int is_finite(servo_real value) { return value - value == 0; }
 
-static servo_real sum_of(const servo_sum* sum, servo_real current, servo_real speed,
-                         servo_real voltage, servo_real load) {
+SERVO_INLINE servo_real sum_of(const servo_sum* sum, servo_real current, servo_real speed,
+                               servo_real voltage, servo_real load) {
   return sum->current * current + sum->speed * speed + sum->voltage * voltage + sum->load * load;
 }
 
@@ -56,18 +63,11 @@ static int64_t unwrapped(const servo_joint* joint, servo_state* state, int64_t w
   return state->counts += turned - half;
 }
 
-void servo_joint_observe(const servo_joint* joint, servo_state* state, int64_t counts,
-                         servo_real current, servo_real voltage) {
-  if (joint->wrap) counts = unwrapped(joint, state, counts);
-  servo_joint_take(joint, state, ((servo_real)counts + HALF) * joint->count_angle, current,
-                   voltage);
-}
-
 /* Predict over the past period, take what the measured current adds to that, then correct by the
  * encoder. A plain difference of counts would step by a whole count per period (6 rad/s at 1024
  * counts and 1 ms). */
-void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,
-                      servo_real current, servo_real voltage) {
+SERVO_INLINE void take_angle(const servo_joint* joint, servo_state* state, servo_real theta,
+                             servo_real current, servo_real voltage) {
   state->theta_measured = theta;
   if (!state->known) {
     start(joint, state, current);
@@ -75,28 +75,35 @@ void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real t
   }
   const servo_real i = state->current, omega = state->omega, load = state->load;
   const servo_real surplus = current - sum_of(&joint->end_current, i, omega, voltage, load);
-  state->unknown_voltage = joint->voltage_per_surplus * surplus;
-  state->theta += sum_of(&joint->turn, i, omega, voltage, load) + joint->turn_per_surplus * surplus;
-  state->omega =
+  const servo_real predicted_theta = state->theta + (sum_of(&joint->turn, i, omega, voltage, load) +
+                                                     joint->turn_per_surplus * surplus);
+  const servo_real predicted_omega =
       sum_of(&joint->end_speed, i, omega, voltage, load) + joint->speed_per_surplus * surplus;
-  const servo_real innovation = theta - state->theta;
-  state->theta += joint->theta_gain * innovation;
-  state->omega += joint->omega_gain * innovation;
-  state->load += joint->load_gain * innovation;
+  const servo_real innovation = theta - predicted_theta;
+  state->theta = predicted_theta + joint->theta_gain * innovation;
+  state->omega = predicted_omega + joint->omega_gain * innovation;
+  state->load = load + joint->load_gain * innovation;
+  state->unknown_voltage = joint->voltage_per_surplus * surplus;
   state->current = current;
 }
 
-servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
-                               servo_real v_target, servo_real tau) {
-  servo_wish wish;
-  servo_wish_within(joint, &wish);
-  wish.q_target = q_target;
-  wish.v_target = v_target;
-  wish.tau = tau;
-  return servo_joint_drive(joint, state, &wish);
+void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,
+                      servo_real current, servo_real voltage) {
+  take_angle(joint, state, theta, current, voltage);
 }
 
-void servo_wish_within(const servo_joint* joint, servo_wish* wish) {
+SERVO_INLINE void observe(const servo_joint* joint, servo_state* state, int64_t counts,
+                          servo_real current, servo_real voltage) {
+  if (joint->wrap) counts = unwrapped(joint, state, counts);
+  take_angle(joint, state, ((servo_real)counts + HALF) * joint->count_angle, current, voltage);
+}
+
+void servo_joint_observe(const servo_joint* joint, servo_state* state, int64_t counts,
+                         servo_real current, servo_real voltage) {
+  observe(joint, state, counts, current, voltage);
+}
+
+SERVO_INLINE void wish_within(const servo_joint* joint, servo_wish* wish) {
   wish->wants = SERVO_POSITION;
   wish->limited = 0;
   wish->q_target = wish->v_target = wish->tau = 0;
@@ -107,21 +114,24 @@ void servo_wish_within(const servo_joint* joint, servo_wish* wish) {
   wish->most_current = joint->current_limit;
 }
 
-static servo_real position_stage(const servo_joint* joint, const servo_state* state,
-                                 servo_wish* wish) {
-  const servo_real theta_target = wish->q_target / joint->ratio;
+void servo_wish_within(const servo_joint* joint, servo_wish* wish) { wish_within(joint, wish); }
+
+SERVO_INLINE servo_real position_stage(const servo_joint* joint, const servo_state* state,
+                                       servo_wish* wish) {
+  const servo_real theta_target = wish->q_target * joint->motor_turns;
   const servo_real off = theta_target - state->theta_measured;
   const int within_count = (off < 0 ? -off : off) <= HALF * joint->count_angle;
   const servo_real error = within_count ? 0 : theta_target - state->theta;
-  return wish->v_target / joint->ratio + joint->position_gain * error;
+  return wish->v_target * joint->motor_turns + joint->position_gain * error;
 }
 
-static servo_real current_stage(const servo_joint* joint, servo_state* state, servo_wish* wish,
-                                servo_real* i_ref) {
+SERVO_INLINE servo_real current_stage(const servo_joint* joint, servo_state* state,
+                                      servo_wish* wish, servo_real* i_ref) {
   const servo_real current = state->current, memory = joint->current_memory;
   const servo_sum* mean = &joint->mean_current;
   const servo_real at_no_voltage = sum_of(mean, current, state->omega, 0, state->load);
-  const servo_real wanted = (*i_ref - memory * (*i_ref - current) - at_no_voltage) / mean->voltage;
+  const servo_real wanted =
+      (*i_ref - memory * (*i_ref - current) - at_no_voltage) * joint->voltage_per_current;
   /* No voltage that lets the current beyond its limit within the period. What the model did not
    * know in the last period, an observed speed that lags for one, counts here: the winding turns a
    * few volts into many amperes. */
@@ -138,9 +148,9 @@ static servo_real current_stage(const servo_joint* joint, servo_state* state, se
   return voltage;
 }
 
-servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo_wish* wish) {
+SERVO_INLINE servo_real drive(const servo_joint* joint, servo_state* state, servo_wish* wish) {
   const servo_real feedforward =
-      wish->wants == SERVO_CURRENT ? 0 : wish->tau * joint->ratio / joint->torque_constant;
+      wish->wants == SERVO_CURRENT ? 0 : wish->tau * joint->current_per_tau;
   servo_real i_ref, asked;
   wish->limited = 0;
   if (wish->wants == SERVO_CURRENT) {
@@ -166,6 +176,25 @@ servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo
   else
     state->integral += joint->reset_rate * (i_ref - feedforward - state->integral);
   return state->voltage;
+}
+
+servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo_wish* wish) {
+  return drive(joint, state, wish);
+}
+
+SERVO_INLINE servo_real follow(const servo_joint* joint, servo_state* state, servo_real q_target,
+                               servo_real v_target, servo_real tau) {
+  servo_wish wish;
+  wish_within(joint, &wish);
+  wish.q_target = q_target;
+  wish.v_target = v_target;
+  wish.tau = tau;
+  return drive(joint, state, &wish);
+}
+
+servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
+                               servo_real v_target, servo_real tau) {
+  return follow(joint, state, q_target, v_target, tau);
 }
 
 /* ------------------------------------------------------------------------------- the watchdog */
@@ -226,26 +255,25 @@ void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
                    const servo_real* voltage) {
   for (int32_t j = 0; j < arm->joints; ++j) {
     servo_state* state = &arm->state[j];
-    servo_joint_observe(&arm->joint[j], state, counts[j], current[j],
-                        voltage ? voltage[j] : state->voltage);
+    observe(&arm->joint[j], state, counts[j], current[j], voltage ? voltage[j] : state->voltage);
     if (!is_finite(state->theta + state->omega + state->load + state->unknown_voltage))
       begin_anew(arm, j);
   }
 }
 
-static servo_real sound(servo* arm, int32_t j, servo_real voltage) {
+SERVO_INLINE servo_real sound(servo* arm, int32_t j, servo_real voltage) {
   servo_state* state = &arm->state[j];
   if (is_finite(voltage + state->integral)) return voltage;
   begin_anew(arm, j);
   return state->voltage = 0;
 }
 
-static servo_real control(servo* arm, int32_t j, servo_real q, servo_real v, servo_real tau) {
-  return sound(arm, j, servo_joint_control(&arm->joint[j], &arm->state[j], q, v, tau));
+SERVO_INLINE servo_real control(servo* arm, int32_t j, servo_real q, servo_real v, servo_real tau) {
+  return sound(arm, j, follow(&arm->joint[j], &arm->state[j], q, v, tau));
 }
 
 servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish) {
-  return sound(arm, j, servo_joint_drive(&arm->joint[j], &arm->state[j], wish));
+  return sound(arm, j, drive(&arm->joint[j], &arm->state[j], wish));
 }
 
 void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
@@ -299,13 +327,10 @@ void servo_voltage(servo* arm, int32_t powered, servo_real* voltage) {
   const servo_real ahead = ahead_of(arm);
   for (int32_t j = 0; j < arm->joints; ++j) {
     servo_state* state = &arm->state[j];
-    if (follows) {
-      const servo_real q = clip(state->q_target + ahead * state->v_target, FARTHEST);
-      voltage[j] = control(arm, j, q, state->v_target, state->tau);
-    } else {
-      if (!arm->holding) state->q_hold = state->theta_measured * arm->joint[j].ratio;
-      voltage[j] = control(arm, j, state->q_hold, 0, 0);
-    }
+    if (!follows && !arm->holding) state->q_hold = state->theta_measured * arm->joint[j].ratio;
+    const servo_real q =
+        follows ? clip(state->q_target + ahead * state->v_target, FARTHEST) : state->q_hold;
+    voltage[j] = control(arm, j, q, follows ? state->v_target : 0, follows ? state->tau : 0);
   }
   arm->holding = !follows;
 }

@@ -54,7 +54,9 @@ typedef struct servo_joint {
   int64_t wrap;               /* counts of an absolute encoder's word; 0: they go on */
   servo_real count_angle;     /* rad at the motor */
   servo_real ratio;           /* link turns per motor turn; negative: the other way */
+  servo_real motor_turns;     /* 1 / ratio */
   servo_real torque_constant; /* N m/A */
+  servo_real current_per_tau; /* ratio / torque_constant, A per N m of the link */
   servo_real emf;             /* V s/rad */
   servo_real omega_limit;     /* rad/s, of the motor, as all that follows */
   servo_real current_limit;   /* A */
@@ -64,6 +66,7 @@ typedef struct servo_joint {
   servo_real reset_rate;      /* period / integral time */
   /* The motor over a period, voltage and load held. */
   servo_sum end_current, end_speed, turn, mean_current;
+  servo_real voltage_per_current; /* 1 / mean_current.voltage */
   /* By current above its prediction: what another voltage has done, and how much it was. */
   servo_real speed_per_surplus, turn_per_surplus, voltage_per_surplus;
   servo_real current_memory;  /* share of a current error that is left in the mean */

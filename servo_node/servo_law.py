@@ -47,10 +47,11 @@ def _reals(*names: str) -> list[tuple[str, str]]:
 # ``servo_joint`` and ``servo_state``, for arrays of numpy with an entry per joint.
 JOINT: list[Any] = [
     ("wrap", "i8"),
-    *_reals("count_angle", "ratio", "torque_constant", "emf"),
+    *_reals("count_angle", "ratio", "motor_turns", "torque_constant", "current_per_tau", "emf"),
     *_reals("omega_limit", "current_limit", "voltage_limit"),
     *_reals("position_gain", "velocity_gain", "reset_rate"),
     *map(_sum, ("end_current", "end_speed", "turn", "mean_current")),
+    *_reals("voltage_per_current"),
     *_reals("speed_per_surplus", "turn_per_surplus", "voltage_per_surplus"),
     *_reals("current_memory", "winding", "current_voltage"),
     *_reals("theta_gain", "omega_gain", "load_gain"),

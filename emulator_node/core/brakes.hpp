@@ -16,9 +16,10 @@ class Brakes {
 
   Brakes() { put(false); }
 
+  // Whether brake k is wanted closed.
+  bool wants(int k) const { return wanted[k] != 0; }
   // Want brake k to be closed, or open, `delay` steps after step `now`.
   void want(int k, bool closed, bool is_closed, std::int64_t now, std::int64_t delay) {
-    if (wanted[k] == closed) return;
     wanted[k] = closed;
     at[k] = closed == is_closed ? never : now + delay;
   }

@@ -78,7 +78,7 @@ class Course {
     }
   }
 
-  const std::int64_t steps;  // of a row
+  std::int64_t steps;  // of a row
 
  private:
   // Rows of many machines lie far apart: those to come are fetched so many ahead.

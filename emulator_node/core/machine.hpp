@@ -108,6 +108,7 @@ class Machine {
 
   // Want brake k closed, or open. It follows after its delay, in whole steps.
   void want_brake(int k, bool closed) {
+    if (brakes.wants(k) == closed) return;
     brakes.want(k, closed, brake_closed(k), steps_taken, delay[k][closed ? 0 : 1]);
     follow_brakes();
   }
@@ -180,15 +181,10 @@ class Machine {
     while (count > 0) {
       const int due = steps_to_check(steps_taken);
       int chunk = count < due ? static_cast<int>(count) : due;
+      [[maybe_unused]] const std::int64_t to_brakes = steps_to_brakes();
       if constexpr (S::brakes > 0)
-        if (steps_to_brakes() < chunk) chunk = static_cast<int>(steps_to_brakes());
-      const Instant before = instant();
-      const Course course_before = course;
-      run(course, chunk);
-      if (joint_out_of_bounds(x) >= 0) {
-        go_back(before);
-        return fault = creep_to_the_fault(course_before, chunk);
-      }
+        if (to_brakes < chunk) chunk = static_cast<int>(to_brakes);
+      if (run(course, chunk) >= 0) return fault = creep_to_the_fault(course, chunk);
       count -= chunk;
       if (chunk == due) {
         account_for_work();
@@ -200,7 +196,7 @@ class Machine {
         checked = instant();
       }
       if constexpr (S::brakes > 0) {
-        if (steps_to_brakes() > 0) continue;
+        if (to_brakes > chunk) continue;
         threads.end();
         follow_brakes();
         threads.begin(count, x);
@@ -376,19 +372,31 @@ class Machine {
 
   static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
 
-  // Neither inlined nor cloned: every step, however it is asked for, runs the same instructions and
-  // gives the same bits.
-  __attribute__((noinline, noclone)) void run(Course& course, int count) {
+  // Take `count` steps. Returns -1, or the joint that went out of bounds: then nothing has
+  // happened. Neither inlined nor cloned: every step, however it is asked for, runs the same
+  // instructions and gives the same bits.
+  __attribute__((noinline, noclone)) int run(Course& course, int count) {
+    const typename Threads::Memory past = threads.memory();
+    Course there = course;
     State<S> y = x;  // here, as what follows, where the compiler may keep it in registers
     alignas(64) double u[Stepper::row];
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied[j];
     double most = balance.most();
-    if (is_check(steps_taken)) power = EnergyBalance<S>::largest_power(numbers, y, u);
-    course.march(numbers, threads, h, count, y, u, power, most);
+    double given = is_check(steps_taken) ? EnergyBalance<S>::largest_power(numbers, y, u) : power;
+    there.march(numbers, threads, h, count, y, u, given, most);
+    const int joint = joint_out_of_bounds(y);
+    if (joint >= 0) {
+      threads.end();
+      threads.restore(past);
+      return joint;
+    }
+    course = there;
     x = y;
     for (int j = 0; j < Stepper::row; ++j) applied[j] = u[j];
+    power = given;
     balance.allow(most);
     steps_taken += count;
+    return -1;
   }
 
   ARM_ONCE void go_back(const Instant& to) {
@@ -403,17 +411,11 @@ class Machine {
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
-  ARM_ONCE int creep_to_the_fault(const Course& from, int chunk) {
-    Course course = from;
+  ARM_ONCE int creep_to_the_fault(Course& course, int chunk) {
     for (int s = 0; s < chunk; ++s) {
-      const Instant before = instant();
       threads.begin(1, x);
-      run(course, 1);
-      const int joint = joint_out_of_bounds(x);
-      if (joint >= 0) {
-        go_back(before);
-        return joint;
-      }
+      const int joint = run(course, 1);
+      if (joint >= 0) return joint;
       threads.end();
     }
     __builtin_unreachable();  // the same steps as before end at the same fault
