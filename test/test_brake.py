@@ -26,10 +26,11 @@ BRAKE = {"torque": 0.6, "close_delay": CLOSE, "release_delay": RELEASE}
 
 
 def braked_scene(folder: Path) -> Path:
-    """The three-axis arm under gravity, with a brake on each motor."""
+    """The three-axis arm under gravity, with a brake on each motor; two steps per servo period."""
     shutil.copytree(CONFIG / "urdf", folder / "urdf", dirs_exist_ok=True)
     data = yaml.safe_load((CONFIG / "three_axis.yaml").read_text())
     data["gravity"], data["energy_flow"] = [0.0, 0.0, -9.81], True
+    data["integrator"]["dt"] = 0.5 * data["servo_period"]
     for joint in data["joints"].values():
         joint["brake"] = BRAKE
     (folder / "three_axis.yaml").write_text(yaml.safe_dump(data))
