@@ -177,15 +177,19 @@ class InProcess:
 
 @contextmanager
 def in_process(
-    clock: str = "lockstep", scene: str = "three_axis", file: Path | None = None
+    clock: str = "lockstep",
+    scene: str = "three_axis",
+    file: Path | None = None,
+    servo: Path | None = None,
 ) -> Iterator[InProcess]:
     """Run the three nodes of a scene in this process, from the first answer on.
 
-    Of a scene that is another one only in its numbers, `file` may be given.
+    Of a scene that is another one only in its numbers, `file` may be given, and for the gains that
+    belong to the scene those of another file, `servo`.
     """
-    arguments = ["--ros-args"]
-    for kind in ("servo", "motion"):
-        arguments += ["--params-file", str(find_config(scene, ".yaml", kind))]
+    gains = servo or find_config(scene, ".yaml", "servo")
+    motion = find_config(scene, ".yaml", "motion")
+    arguments = ["--ros-args", "--params-file", str(gains), "--params-file", str(motion)]
     for node, name, value in (
         ("emulator", "scene", file or scene),
         ("emulator", "start", "first_answer"),

@@ -5,16 +5,32 @@ from __future__ import annotations
 import os
 import random
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
-from network import PATIENCE, User, assert_same_bits, network, node, offline_states
+import pytest
+from in_process import in_process
+from network import JOINTS, PATIENCE, User, assert_same_bits, network, node, offline_states
 from test_network import go, pause_at
 
+from arm_emulator.bringup import Bringup
 from arm_emulator.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
 from words.config_files import find_config
 
 TICKS = 400
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("log")
+
+
+@pytest.fixture(scope="module")
+def three_nodes(log: Path) -> Iterator[tuple[User, Bringup]]:
+    """Paused at first; the last test leaves another emulator than it found."""
+    with network(log) as running:
+        yield running
 
 
 def started(user: User, name: str) -> int:
@@ -25,101 +41,104 @@ def started(user: User, name: str) -> int:
 SILENT = "silent until it ends: another emulator was started before on /motor_states, "
 
 
-def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(tmp_path: Path) -> None:
+def test_two_servos_and_two_motion_controllers_are_named(
+    three_nodes: tuple[User, Bringup],
+) -> None:
+    kinds = {"servo": "servo", "motion_controller": "motion controller"}
+    servo, motion = (str(find_config("three_axis", ".yaml", kind)) for kind in ("servo", "motion"))
+    user, nodes = three_nodes
+    seen: dict[str, set[str]] = {name: set() for name in kinds}
+
+    def named() -> dict[str, set[str]]:
+        """Collect the processes that the two nodes of each name have named so far."""
+        for name, kind in kinds.items():
+            if words := user.value(name, f"another {kind}"):
+                seen[name].add(words.rsplit(" ", 1)[1])
+        return seen
+
+    with (
+        node("servo_node.node", "--params-file", servo) as second_servo,
+        node("motion_controller_node.node", "--params-file", motion) as second_motion,
+    ):
+        expected = {
+            "servo": {str(second_servo.pid), str(nodes.process("servo").pid)},
+            "motion_controller": {
+                str(second_motion.pid),
+                str(nodes.process("motion_controller").pid),
+            },
+        }
+        user.wait("both sides to name the other", lambda: named() == expected)
+    for name, kind in kinds.items():
+        gone = f"another {kind}"
+        user.wait("it to be gone", lambda n=name, g=gone: not user.value(n, g))
+
+
+def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
+    three_nodes: tuple[User, Bringup], log: Path
+) -> None:
     """It comes at a random moment of a run, with another scene, and with another start."""
     rng = random.Random(os.environ.get("SEED", "2"))
     start = rng.choice(["free_run", "first_answer"])
     second = ("-p", "scene:=three_axis", "-p", f"start:={start}", "-r", "__node:=emulator_2")
-    with network(tmp_path) as (user, nodes):
-        go(user)
-        start_at = rng.randint(1, 100)
-        user.wait("the run", lambda: user.tick >= start_at)
-        # On a busy machine the second may speak before it finds the first; the servo knows better.
-        user.machine = started(user, "emulator")
-        first = nodes.process("emulator")
-        with node("emulator_node.node", *second) as other:
-            user.wait("the silence", lambda: user.said("emulator_2", SILENT))
-            words = user.said("emulator_2", SILENT)[0]
-            assert f"node /emulator on host {os.uname().nodename}, process {first.pid}" in words
-            assert user.value("emulator_2", "another emulator").endswith(f"process {first.pid}")
-            user.wait("the first to know", lambda: user.value("emulator", "another emulator"))
-            named = user.value("emulator", "another emulator")
-            assert named == f"node /emulator_2 on host {os.uname().nodename}, process {other.pid}"
-            tick = user.tick
-            user.wait("the run to go on", lambda: user.tick >= tick + TICKS)
-            assert not user.said("servo", "the emulator began anew"), user.words["servo"]
-            end = pause_at(user, user.tick)
-            # Neither its states nor its commands are others': not a bit has changed.
+    user, nodes = three_nodes
+    go(user)
+    start_at = rng.randint(1, 100)
+    user.wait("the run", lambda: user.tick >= start_at)
+    # On a busy machine the second may speak before it finds the first; the servo knows better.
+    user.machine = started(user, "emulator")
+    first = nodes.process("emulator")
+    with node("emulator_node.node", *second) as other:
+        user.wait("the silence", lambda: user.said("emulator_2", SILENT))
+        words = user.said("emulator_2", SILENT)[0]
+        assert f"node /emulator on host {os.uname().nodename}, process {first.pid}" in words
+        assert user.value("emulator_2", "another emulator").endswith(f"process {first.pid}")
+        user.wait("the first to know", lambda: user.value("emulator", "another emulator"))
+        named = user.value("emulator", "another emulator")
+        assert named == f"node /emulator_2 on host {os.uname().nodename}, process {other.pid}"
+        tick = user.tick
+        user.wait("the run to go on", lambda: user.tick >= tick + TICKS)
+        assert not user.said("servo", "the emulator began anew"), user.words["servo"]
+        end = pause_at(user, user.tick)
+        # Neither its states nor its commands are others': not a bit has changed.
+        run = load_offline_run("three_axis")
+        assert_same_bits(user.motor_states(), offline_states(run, end), end)
+        said = (log / "emulator.log").read_text()
+        # Once; twice if it had to begin again.
+        named = said.count("another emulator is on /motor_states, started after")
+        assert named in (1, 2), said
+
+        # The first ends; the second begins at tick 0 with the partners that are there.
+        user.forget()
+        user.machine = started(user, "emulator_2")
+        first.send_signal(signal.SIGKILL)
+        first.wait(PATIENCE)
+        user.forget_listeners("emulator")
+        user.wait("its run", lambda: user.tick >= TICKS)
+        assert user.said("servo", "the emulator began anew")
+        if start == "first_answer":
             run = load_offline_run("three_axis")
-            assert_same_bits(user.motor_states(), offline_states(run, end), end)
-            said = (tmp_path / "emulator.log").read_text()
-            # Once; twice if it had to begin again.
-            named = said.count("another emulator is on /motor_states, started after")
-            assert named in (1, 2), said
-
-            # The first ends; the second begins at tick 0 with the partners that are there.
-            user.forget()
-            user.machine = started(user, "emulator_2")
-            first.send_signal(signal.SIGKILL)
-            first.wait(PATIENCE)
-            user.forget_listeners("emulator")
-            user.wait("its run", lambda: user.tick >= TICKS)
-            assert user.said("servo", "the emulator began anew")
-            if start == "first_answer":
-                run = load_offline_run("three_axis")
-                assert_same_bits(user.motor_states(), offline_states(run, TICKS), TICKS)
-            user.wait("no more words", lambda: not user.value("emulator_2", "another emulator"))
-            nodes.start("emulator")  # for the ending; now this one is second
-            user.wait("the third to be silent", lambda: user.said("emulator", SILENT))
+            assert_same_bits(user.motor_states(), offline_states(run, TICKS), TICKS)
+        user.wait("no more words", lambda: not user.value("emulator_2", "another emulator"))
+        nodes.start("emulator")  # for the ending; now this one is second
+        user.wait("the third to be silent", lambda: user.said("emulator", SILENT))
 
 
-def test_a_command_for_another_emulator_is_not_taken(tmp_path: Path) -> None:
+def test_a_command_for_another_emulator_is_not_taken() -> None:
     """Seeded identities; 0, of a servo that knows of one emulator only, is taken."""
     rng = random.Random(3)
-    with network(tmp_path, only=("emulator",), start="first_answer") as (user, _):
-        user.wait("tick 0", lambda: user.tick == 0)
-        names, zero = user.joint_names, [0.0] * 3
-        others = [
-            rng.getrandbits(64) or 1 for _ in range(8)
-        ]  # fewer than the emulator reads at once
-        for machine in others:
-            foreign = MotorCommand(tick=0, joint_names=names, voltage=zero, machine=machine)
-            user.publish(user.commands, foreign)
-        counted = "motor_commands for another emulator"
-        user.wait("the count", lambda: user.value("emulator", counted) == "8")
-        user.wait("the status", lambda: user.status)
-        assert user.tick == 0 and user.status.tick == 0 and user.status.commands_refused == 0
-        assert user.status.phase == EmulatorStatus.PHASE_WAITING
-        user.publish(user.commands, MotorCommand(tick=0, joint_names=names, voltage=zero))
-        user.wait("tick 1", lambda: user.tick == 1)
-
-
-def test_two_servos_and_two_motion_controllers_are_named(tmp_path: Path) -> None:
-    kinds = {"servo": "servo", "motion_controller": "motion controller"}
-    servo, motion = (str(find_config("three_axis", ".yaml", kind)) for kind in ("servo", "motion"))
-    with network(tmp_path) as (user, nodes):
-        go(user)
-        seen: dict[str, set[str]] = {name: set() for name in kinds}
-
-        def named() -> dict[str, set[str]]:
-            """Collect the processes that the two nodes of each name have named so far."""
-            for name, kind in kinds.items():
-                if words := user.value(name, f"another {kind}"):
-                    seen[name].add(words.rsplit(" ", 1)[1])
-            return seen
-
-        with (
-            node("servo_node.node", "--params-file", servo) as second_servo,
-            node("motion_controller_node.node", "--params-file", motion) as second_motion,
-        ):
-            expected = {
-                "servo": {str(second_servo.pid), str(nodes.process("servo").pid)},
-                "motion_controller": {
-                    str(second_motion.pid),
-                    str(nodes.process("motion_controller").pid),
-                },
-            }
-            user.wait("both sides to name the other", lambda: named() == expected)
-        for name, kind in kinds.items():
-            gone = f"another {kind}"
-            user.wait("it to be gone", lambda n=name, g=gone: not user.value(n, g))
+    with in_process() as one:
+        emulator = one.nodes["emulator"]
+        for count in range(1, 9):
+            foreign = MotorCommand(
+                tick=0, joint_names=JOINTS, voltage=[0.0] * 3, machine=rng.getrandbits(64) or 1
+            )
+            one.say("motor_commands", foreign)
+            counted = emulator._diagnostics.values["motor_commands for another emulator"]
+            assert counted == count, "commands that are counted as others'"
+        emulator._say_status()
+        status = one.newest("emulator/status")
+        assert status.tick == one.newest("motor_states").tick == 0, "the machine has moved"
+        assert status.phase == EmulatorStatus.PHASE_WAITING, "for its own command"
+        assert status.commands_refused == one.refused("emulator") == 0, "they are no fault"
+        one.say("motor_commands", MotorCommand(tick=0, joint_names=JOINTS, voltage=[0.0] * 3))
+        assert one.newest("motor_states").tick == 1, "a command for any emulator is taken"

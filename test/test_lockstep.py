@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from in_process import in_process
 from network import (
     JOINTS,
     SharedNetwork,
@@ -118,19 +120,47 @@ def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
     in_order = "joint_names: [waist, shoulder, elbow]"
     assert in_order in gains
     turned.write_text(gains.replace(in_order, "joint_names: [elbow, waist, shoulder]"))
-    others = ("emulator", "motion_controller")
-    with (
-        network(tmp_path / "log", only=others) as (user, _),
-        node("servo_node.node", "--params-file", str(turned)),
-    ):
-        begin(user, target_of("three_axis"))
-        user.wait("the run", lambda: user.tick >= 300)
-        assert list(user.joint_states.name) == ["elbow", "waist", "shoulder"]
-        assert_same_bits(user.motor_states(), offline("three_axis"), 300)
+    target, expected = target_of("three_axis"), offline("three_axis")
+    with in_process(servo=turned) as one:
+        aim = PoseStamped()
+        aim.header.stamp = stamp(round(TARGET_AT * NANOSECONDS))
+        p, o = aim.pose.position, aim.pose.orientation
+        p.x, p.y, p.z = map(float, target.p_WT)
+        o.x, o.y, o.z, o.w = map(float, target.quaternion())
+        one.say("tool_target", aim)
+        one.run_to(300)
+        assert list(one.newest("joint_states").name) == ["elbow", "waist", "shoulder"]
+        assert_same_bits(one.states, expected, 300)
     scene, motion = load_scene("three_axis"), find_config("three_axis", ".yaml", "motion")
     run = OfflineRun(scene, load_servo_config(turned), load_motion_config(motion))
-    run.instructor.add(round(TARGET_AT * 1e9), target_of("three_axis"))
-    assert offline_states(run, 300) == {k: v for k, v in offline("three_axis").items() if k <= 300}
+    run.instructor.add(round(TARGET_AT * 1e9), target)
+    assert offline_states(run, 300) == {k: v for k, v in expected.items() if k <= 300}
+
+
+def test_two_servos_at_once(three_nodes: SharedNetwork) -> None:
+    """Every tick is answered by both: the second answer repeats the first, or comes too late."""
+    with three_nodes() as (user, nodes):
+        begin(user, target_of("three_axis"))
+        user.wait("the run", lambda: user.tick >= 60)
+        first = nodes.process("servo")
+        nodes.start("servo")
+        second = nodes.process("servo")
+        user.wait("the second", lambda: user.value("servo", "another servo"))
+
+        def second_answers() -> int:
+            refused = user.refused("emulator", "motor_commands")
+            return refused + int(user.value("emulator", "motor_commands repeated") or 0)
+
+        before = second_answers()
+        user.wait("two answers", lambda: second_answers() >= before + 100)
+        tick = user.tick
+        user.wait("the run to go on", lambda: user.tick >= tick + 200)
+        first.kill()
+        first.wait()
+        user.forget_listeners("servo")
+        tick = user.tick
+        user.wait("the run to go on", lambda: user.tick >= tick + 200)
+        assert second.poll() is None
 
 
 def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(three_nodes: SharedNetwork) -> None:
@@ -242,24 +272,6 @@ def test_a_reset_while_the_servo_waits_for_targets(
         answer(0.0)
         user.wait("t = 0.05", lambda: user.tick == 50)
         assert_same_bits(user.motor_states(), first, 50)
-
-
-def test_two_servos_at_once(tmp_path: Path) -> None:
-    with network(tmp_path) as (user, nodes):
-        begin(user, target_of("three_axis"))
-        user.wait("the run", lambda: user.tick >= 60)
-        before = user.refused("emulator", "motor_commands")
-        first = nodes.process("servo")
-        nodes.start("servo")
-        second = nodes.process("servo")
-        user.wait("two answers", lambda: user.refused("emulator", "motor_commands") > before)
-        tick = user.tick
-        user.wait("the run to go on", lambda: user.tick >= tick + 200)
-        first.kill()
-        first.wait()
-        tick = user.tick
-        user.wait("the run to go on", lambda: user.tick >= tick + 200)
-        assert second.poll() is None
 
 
 def test_free_run_ends_with_the_first_answer(tmp_path: Path) -> None:
