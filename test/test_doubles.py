@@ -118,6 +118,7 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
         if start == "first_answer":
             run = load_offline_run("three_axis")
             assert_same_bits(user.motor_states(), offline_states(run, TICKS), TICKS)
+        assert user.call("emulator_2/pause", True).success
         user.wait("no more words", lambda: not user.value("emulator_2", "another emulator"))
         nodes.start("emulator")  # for the ending; now this one is second
         user.wait("the third to be silent", lambda: user.said("emulator", SILENT))

@@ -40,7 +40,7 @@ from words.config_files import find_config
 from words.refusal import Refusal
 
 TARGET_AT = 0.1  # s
-TICKS = {"three_axis": 600, "ur5": 300}
+TICKS = {"three_axis": 400, "ur5": 300}
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,15 @@ import random
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
+from draws import some
 from geometry_msgs.msg import PoseStamped
+from in_process import in_process
 from network import (
     ASK_AGAIN,
     JOINTS,
@@ -22,7 +23,6 @@ from network import (
     SharedNetwork,
     User,
     assert_same_bits,
-    network,
     node,
     offline_states,
 )
@@ -155,6 +155,8 @@ BAD: dict[str, list[tuple[Maker, str]]] = {
 MAY_GET_LOST = ("motor_states", "joint_states")
 # Topics of different receivers.
 TOGETHER = [("motor_commands", "joint_targets", "tool_target"), ("motor_states", "joint_states")]
+# Of which a node tells every second what it has refused; in one process all are tried.
+SENT = {topic: some(bad, 2) for topic, bad in BAD.items()}
 
 
 def publishers(user: User) -> dict[str, Any]:
@@ -173,9 +175,13 @@ def assert_all_refused(user: User, bad: dict[str, tuple[Any, str]], tick: int) -
     for topic, (message, _) in bad.items():
         user.publish(publishers(user)[topic], message)
     for topic, (message, words) in bad.items():
-        words = words.replace("{k}", f"{tick}")
-        words = words.replace("{k-1}", f"{tick - 1}").replace("{k+1}", f"{tick + 1}")
-        await_refusal(user, topic, message, before[topic], f"{topic}: {words}")
+        await_refusal(user, topic, message, before[topic], f"{topic}: {at_tick(words, tick)}")
+
+
+def at_tick(words: str, tick: int) -> str:
+    """Return the beginning of a refusal with the ticks that it tells of."""
+    words = words.replace("{k}", f"{tick}")
+    return words.replace("{k-1}", f"{tick - 1}").replace("{k+1}", f"{tick + 1}")
 
 
 def await_refusal(user: User, topic: str, message: Any, before: int, words: str) -> None:
@@ -217,21 +223,38 @@ def test_bad_messages_are_refused_counted_and_change_nothing(lockstep: SharedNet
         go(user)
         tick = pause_at(user, 120)
         before, taken = refusals(user), tool_targets(user)
-        commands_refused = user.status.commands_refused + len(BAD["motor_commands"])
+        commands_refused = user.status.commands_refused + len(SENT["motor_commands"])
         # One bad message per node and turn, so that each one's words are seen.
         for topics in TOGETHER:
-            for turn in range(max(len(BAD[topic]) for topic in topics)):
-                bad = {topic: BAD[topic][turn] for topic in topics if turn < len(BAD[topic])}
+            for turn in range(max(len(SENT[topic]) for topic in topics)):
+                bad = {topic: SENT[topic][turn] for topic in topics if turn < len(SENT[topic])}
                 made = {topic: (make(tick), words) for topic, (make, words) in bad.items()}
                 assert_all_refused(user, made, tick)
         user.wait("the count", lambda: user.status.commands_refused == commands_refused)
         for topic in set(BAD) - set(MAY_GET_LOST):
             refused = user.refused(RECEIVER[topic], topic) - before[topic]
-            assert refused == len(BAD[topic]), f"{topic} refused {refused} times"
+            assert refused == len(SENT[topic]), f"{topic} refused {refused} times"
         assert tool_targets(user) == taken, "a bad tool target was taken"
         assert user.call("emulator/pause", False).success
         user.wait("the run", lambda: user.tick >= TICKS)
         assert_same_bits(user.motor_states(), reference(), TICKS)
+
+
+def test_every_bad_message_is_refused_in_its_words() -> None:
+    """As above, in one process."""
+    with in_process() as one:
+        one.run_to(120)
+        for topic, bad in BAD.items():
+            node = one.nodes[RECEIVER[topic]]
+            for make, words in bad:
+                before = one.refused(RECEIVER[topic])
+                one.say(topic, make(one.tick))
+                assert one.refused(RECEIVER[topic]) == before + 1, f"{topic}: {words}"
+                told = node._diagnostics._newest_refusal
+                assert told.startswith(f"{topic}: {at_tick(words, one.tick)}"), told
+                assert "\n" not in told, told
+        one.run_to(TICKS)
+        assert_same_bits(one.states, reference(), TICKS)
 
 
 def test_garbage_and_huge_messages_change_nothing(lockstep: SharedNetwork) -> None:
@@ -263,15 +286,18 @@ def test_garbage_and_huge_messages_change_nothing(lockstep: SharedNetwork) -> No
             "joint_states": joint_state(10**18, values, names),
             "tool_target": pose(ZERO, [0.0, 0.0, 0.0, 1.0], "x" * 100_000),
         }
-        for topic, message in huge.items():
-            before = user.refused(RECEIVER[topic], topic)
+        before, waiting = refusals(user), set(huge)
 
-            def refused(topic: str = topic, message: Any = message, before: int = before) -> bool:
-                user.publish(publish[topic], message)  # again: states are read as best effort
-                return user.refused(RECEIVER[topic], topic) > before
+        def refused() -> bool:
+            for topic in list(waiting):
+                if user.refused(RECEIVER[topic], topic) > before[topic]:
+                    waiting.remove(topic)
+                    assert len(user.value(RECEIVER[topic], "newest refusal")) < 300
+                else:
+                    user.publish(publish[topic], huge[topic])  # again: states may get lost
+            return not waiting
 
-            user.wait(f"the refusal on {topic}", refused)
-            assert len(user.value(RECEIVER[topic], "newest refusal")) < 300
+        user.wait("the refusals of huge messages", refused)
         assert user.call("emulator/pause", False).success
         user.wait("the run", lambda: user.tick >= TICKS)
         assert_same_bits(user.motor_states(), reference(), TICKS)
@@ -362,6 +388,41 @@ def test_services_in_lock_step(lockstep: SharedNetwork) -> None:
         assert_same_bits(user.motor_states(), reference(), TICKS)
 
 
+def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
+    """One of ours beside the others, which commands another arm, and one of the test's."""
+    renamed = ("-r", "__node:=other", "-r", "joint_targets:=other_targets")
+    with (
+        lockstep() as (user, _),
+        node("motion_controller_node.node", "-p", "use_sim_time:=true", *renamed),
+    ):
+        user.wait("words of it", lambda: "other" in user.diagnostics)
+        follower = rclpy.create_node(
+            "follower",
+            context=user.node.context,
+            parameter_overrides=[Parameter("use_sim_time", value=True)],
+        )
+        user.add(follower)
+        go(user)
+        tick = pause_at(user, 1100)
+        # The clock is said every 10 ticks, and nodes read it with best effort: 100 ms are left for
+        # what gets lost.
+        expected = tick // 10 * 10 * 1_000_000
+
+        def now() -> int:
+            return int(follower.get_clock().now().nanoseconds)
+
+        user.wait("the time", lambda: expected - 100_000_000 <= now() <= expected)
+        assert now() % 10_000_000 == 0
+        # Diagnostics carry the node's own time: since 0 here, since 1970 in a node without.
+        user.wait("words at 1 s", lambda: user.stamps.get("other", 0) >= NANOSECONDS)
+        assert user.stamps["other"] <= expected
+        assert user.stamps["servo"] > 10**9 * NANOSECONDS
+        # They go on while logical time stands still.
+        del user.diagnostics["other"]
+        user.wait("words at a standstill", lambda: "other" in user.diagnostics)
+        follower.destroy_node()
+
+
 def test_services_in_real_time(real_time: SharedNetwork) -> None:
     with real_time() as (user, _):
         go(user)
@@ -450,40 +511,6 @@ def test_real_time_is_real_time(real_time: SharedNetwork) -> None:
         # counts of 2 pi / 1024 * 0.01 rad.
         start = {"waist": 0.0, "shoulder": 0.5, "elbow": 0.8}
         assert held == pytest.approx(start, abs=2 * 6.2e-5)
-
-
-def test_nodes_follow_the_emulators_clock(tmp_path: Path) -> None:
-    gains = str(find_config("three_axis", ".yaml", "motion"))
-    sim_time = ("-p", "use_sim_time:=true")
-    with (
-        network(tmp_path, only=("emulator", "servo")) as (user, _),
-        node("motion_controller_node.node", "--params-file", gains, *sim_time),
-    ):
-        follower = rclpy.create_node(
-            "follower",
-            context=user.node.context,
-            parameter_overrides=[Parameter("use_sim_time", value=True)],
-        )
-        user.add(follower)
-        go(user)
-        tick = pause_at(user, 1100)
-        # The clock is said every 10 ticks, and nodes read it with best effort: 100 ms are left for
-        # what gets lost.
-        expected = tick // 10 * 10 * 1_000_000
-
-        def now() -> int:
-            return int(follower.get_clock().now().nanoseconds)
-
-        user.wait("the time", lambda: expected - 100_000_000 <= now() <= expected)
-        assert now() % 10_000_000 == 0
-        # Diagnostics carry the node's own time: since 0 here, since 1970 in a node without.
-        user.wait("words at 1 s", lambda: user.stamps.get("motion_controller", 0) >= NANOSECONDS)
-        assert user.stamps["motion_controller"] <= expected
-        assert user.stamps["servo"] > 10**9 * NANOSECONDS
-        # They go on while logical time stands still.
-        del user.diagnostics["motion_controller"]
-        user.wait("words at a standstill", lambda: "motion_controller" in user.diagnostics)
-        follower.destroy_node()
 
 
 def test_the_nodes_live_in_a_namespace() -> None:

@@ -6,11 +6,13 @@ import dataclasses
 import math
 import os
 import random
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
-from network import User, assert_same_bits, network, offline_states
+import pytest
+from network import SharedNetwork, User, assert_same_bits, offline_states
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
@@ -61,12 +63,20 @@ class Parameters:
         return list(self._answer(self._client(node).list_parameters()).result.names)
 
 
-def test_parameters_are_set_as_a_whole_between_two_ticks_or_refused(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def three_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNetwork]:
+    with closing(SharedNetwork(tmp_path_factory.mktemp("three_nodes"))) as shared:
+        yield shared
+
+
+def test_parameters_are_set_as_a_whole_between_two_ticks_or_refused(
+    three_nodes: SharedNetwork,
+) -> None:
     rng = random.Random(os.environ.get("SEED", "4"))
     run = load_offline_run("three_axis")
     R_WT, p_WT = run.controller.kinematics.forward(run.session.scene.start)
     target = Pose(np.add(p_WT, [0.0, 0.01, 0.0]), R_WT)
-    with network(tmp_path) as (user, _):
+    with three_nodes() as (user, _):
         parameters = Parameters(user)
         x, y, z, w = map(float, target.quaternion())
         user.send_tool_target(tuple(map(float, target.p_WT)), 0.1, (x, y, z, w))
@@ -127,9 +137,9 @@ def refused_bad_values(parameters: Parameters, rng: random.Random) -> None:
         assert "read-only" in parameters.set(node, **{name: value})
 
 
-def test_every_number_has_a_range_and_words(tmp_path: Path) -> None:
+def test_every_number_has_a_range_and_words(three_nodes: SharedNetwork) -> None:
     floats, wholes = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER
-    with network(tmp_path, start="paused") as (user, _):
+    with three_nodes() as (user, _):
         parameters = Parameters(user)
         for node in ("emulator", "servo", "motion_controller"):
             names = [n for n in parameters.names(node) if not n.startswith("qos_")]
