@@ -11,6 +11,7 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from draws import some
 
 from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.offline import load_offline_run
@@ -52,7 +53,7 @@ def times_of(recording: Path, entity: str) -> set[int]:
     return times
 
 
-@pytest.mark.parametrize("scene", ["three_axis", pytest.param("ur5", marks=needs_robots)])
+@pytest.mark.parametrize("scene", some(["three_axis", pytest.param("ur5", marks=needs_robots)], 1))
 def test_demo(scene: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "arm_emulator", "demo", scene, "--out", str(tmp_path)]
     with own_domain():

@@ -232,16 +232,22 @@ def test_scenes_that_have_no_lanes_move_as_well(keys: dict[str, Any], tmp_path: 
 def test_processors_with_narrower_registers_have_fewer_lanes(
     target: str, lanes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A joint that sticks and meets its limit, alone and in lanes, both compiled for the target."""
     rng = np.random.default_rng(12)
-    scene = mixture(tmp_path, 16)
-    rows = rng.uniform(-20.0, 20.0, (20, 5, len(scene.joints)))
-    expected = Fleet(scene, 5).run(rows, STEPS)
+    scene = mixture(tmp_path, 34)
+    values, rows = drawn(scene, rng, 5), rng.uniform(-20.0, 20.0, (20, 5, len(scene.joints)))
+    q, v = rng.uniform(-1.0, 1.0, (5, len(scene.joints))), np.zeros((5, len(scene.joints)))
     cache = tmp_path / "cache"
     monkeypatch.setenv(CACHE_VARIABLE, str(cache))
     assert len(compile_ahead(scene, target, None, fleet=True)) == 3, "machine, real time, fleet"
-    narrow = Fleet(scene, 5)
+    narrow = Fleet(scene, 5, varied=values, q=q, v=v)
     assert narrow.lanes == lanes, "lanes"
-    np.testing.assert_allclose(narrow.run(rows, STEPS), expected, rtol=0.0, atol=1e-12)
+    moved = narrow.run(rows, STEPS)
+    for arm in range(5):
+        plant = alone(scene, values, arm, q, v)
+        expected = plant.run(rows[:, arm], STEPS)
+        np.testing.assert_allclose(moved[:, arm], expected, rtol=0.0, atol=1e-12, err_msg=f"{arm}")
+    assert len(list(cache.glob("*.so"))) == 3, "libraries that were used, of that target alone"
 
 
 def refusals() -> Iterator[tuple[str, Any, str]]:
