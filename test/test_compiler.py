@@ -89,7 +89,7 @@ def test_the_step_is_no_part_of_the_library_but_physics_is(
             ("implicit", 2, 14), ("rosenbrock", 1, 4), ("extrapolated", 2, 4), ("paper", 1, 4),
             ("extrapolated", 1, 14), ("paper", 1, 14), ("implicit", 2, 4), ("rosenbrock", 1, 14),
             ("extrapolated", 2, 14), ("extrapolated", 1, 4),
-        ], 3,
+        ], 2,
     ),
 )  # fmt: skip
 def test_the_core_compiles_without_a_warning(

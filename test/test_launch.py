@@ -16,17 +16,36 @@ from pathlib import Path
 
 import psutil
 import pytest
+import rclpy
 from draws import some
 from network import PATIENCE, User
 from rclpy.parameter_client import AsyncParameterClient
 
+from emulator_node.node import EmulatorNode
+from motion_controller_node.node import MotionControllerNode
 from ros_shell.ros_domain import own_domain
+from servo_node.node import ServoNode
 from words.config_files import find_config
+from words.refusal import Refusal
 
 SERVO = ("servo_node.node", "--params-file", "config/servo/three_axis.yaml")
-# Module and arguments after --ros-args, and what is said: first one of each kind.
+NODES = {
+    "emulator_node.node": EmulatorNode,
+    "servo_node.node": ServoNode,
+    "motion_controller_node.node": MotionControllerNode,
+}
+# Module and arguments after --ros-args, and what is said: first one of each node.
 REFUSED_NODES = [
     (("emulator_node.node", "-p", "scene:=nonesuch"), "arm_emulator: file nonesuch must exist"),
+    (
+        ("servo_node.node",),
+        "node servo: its parameters must come from a file, got no file; valid: --ros-args "
+        "--params-file config/servo/three_axis.yaml",
+    ),
+    (
+        ("motion_controller_node.node", "-p", "weight:=2.0"),
+        "node motion_controller: parameter weight must be a number from 1e-06 to 1.0, got 2.0",
+    ),
     (
         ("emulator_node.node", "-p", "clock:=sundial"),
         "node emulator: parameter clock must be known, got 'sundial'; valid: lockstep, realtime",
@@ -40,16 +59,7 @@ REFUSED_NODES = [
         "node emulator: parameter timout must be a known one, got an unknown one, "
         "perhaps for timeout; valid: scene, ",
     ),
-    (
-        ("servo_node.node",),
-        "node servo: its parameters must come from a file, got no file; valid: --ros-args "
-        "--params-file config/servo/three_axis.yaml",
-    ),
     ((*SERVO, "-p", "speed:=3.0"), "parameters of node servo: speed must be a known key"),
-    (
-        ("motion_controller_node.node", "-p", "weight:=2.0"),
-        "node motion_controller: parameter weight must be a number from 1e-06 to 1.0, got 2.0",
-    ),
     (("emulator_node.node", "-p", "scene:=3"), "node emulator: parameter scene must be a text"),
     (("emulator_node.node", "-p", "scene:=setup.py"), "setup.py: file must be "),
     (
@@ -110,10 +120,24 @@ def _heed_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+def test_what_nodes_do_not_take_is_refused_in_these_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(Path(__file__).resolve().parents[1])
+    with own_domain():
+        for (module, *more), words in REFUSED_NODES:
+            rclpy.init(args=["--ros-args", *more])
+            try:
+                with pytest.raises(Refusal) as refusal:
+                    NODES[module]()
+            finally:
+                rclpy.shutdown()
+            said = str(refusal.value)
+            assert said.startswith(words) and "\n" not in said, said
+
+
 def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
     file = find_config("three_axis", ".yaml", "servo")
     assert file.is_file(), f"{file} is what refusals name"
-    nodes, ros, commands = some(REFUSED_NODES, 7), some(REFUSED_BY_ROS, 1), REFUSED_COMMANDS
+    nodes, ros, commands = some(REFUSED_NODES, 3), some(REFUSED_BY_ROS, 1), REFUSED_COMMANDS
     cases = [((module, "--ros-args", *more), words, 1) for (module, *more), words in nodes]
     cases += [((one, "--ros-args", *more), words, 2) for (one, *more), words in ros]
     cases += [(("arm_emulator", *command), words, 1) for command, words in commands]

@@ -70,7 +70,7 @@ def belt_truth(
 
 @pytest.mark.parametrize(
     ("seed", "scheme"),
-    some([(0, "rosenbrock"), (1, "extrapolated"), (0, "extrapolated"), (1, "rosenbrock")], 2),
+    some([(0, "rosenbrock"), (1, "extrapolated"), (0, "extrapolated"), (1, "rosenbrock")], 1),
 )
 def test_sticking_and_slipping_follow_the_closed_form_with_order_two(
     tmp_path: Path, seed: int, scheme: str
@@ -100,7 +100,7 @@ def test_sticking_and_slipping_follow_the_closed_form_with_order_two(
     assert orders == pytest.approx(2.0, abs=0.15), errors
 
 
-@pytest.mark.parametrize("scheme", SECOND_ORDER)
+@pytest.mark.parametrize("scheme", some(SECOND_ORDER[::-1], 1))
 @pytest.mark.parametrize("seed", range(2))
 def test_currents_at_limits_follow_the_closed_form_with_order_two(
     tmp_path: Path, seed: int, scheme: str

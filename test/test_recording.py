@@ -109,12 +109,12 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
         # As late as a busy machine may make them; the machine must not leave tick 0 before.
         for process in (slow, killed):
             process.send_signal(signal.SIGSTOP)
-        time.sleep(draw.uniform(3.0, 5.0))
+        time.sleep(draw.uniform(2.0, 3.0))
         for process in (slow, killed):
             process.send_signal(signal.SIGCONT)
         one.wait("the run", lambda: one.tick > 100)
         for _ in range(3):
-            away(slow, draw.uniform(1.0, 4.0))
+            away(slow, draw.uniform(0.5, 2.0))
             await_ticks(one, 50)
         killed.kill()
         await_ticks(one, 300)

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
+from draws import FULL
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -25,7 +26,7 @@ from ros_shell.bag import Bag, BagWriter, Topic, repair
 from ros_shell.message_types import definition_of
 from words.refusal import Refusal
 
-CUTS = 60
+CUTS = 60 if FULL else 20
 
 
 def talk(folder: Path, words: int, seed: int = 0) -> None:

@@ -86,11 +86,14 @@ def let_go(plant: Plant, angle: float) -> None:
     plant.put("test", {"theta_m": [angle], "omega_m": [0.0]})
 
 
-# The last of them is of another library: its breakaway torque is another multiple.
+# Seed 3 is of another library: its breakaway torque is another multiple.
 @pytest.mark.parametrize(
     ("seed", "scheme"),
-    some([(seed, scheme) for scheme in ("rosenbrock", "extrapolated") for seed in range(4)], 7),
-)
+    some(
+        [(0, "rosenbrock"), (1, "rosenbrock"), (2, "rosenbrock"), (3, "extrapolated"),
+         (0, "extrapolated"), (1, "extrapolated"), (2, "extrapolated"), (3, "rosenbrock")], 4,
+    ),
+)  # fmt: skip
 def test_a_rotor_swings_and_sticks_as_the_closed_form_says_with_order_two(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
