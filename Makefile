@@ -146,12 +146,13 @@ ROBOTS := $(if $(shell grep -s '^urdf: *.\?example-robot-data:' '$(SCENE_FILE)')
 demo: setup $(ROBOTS)
 	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
 
-# Two files at a time: many tests wait for a compiler or for processes.
+# Two files at a time, since many tests wait for a compiler or for processes; in the order of
+# test/conftest.py.
 test: setup .venv/.robots
-	@$(RUN) && pytest -n 2 --dist loadfile $(ARGS)
+	@$(RUN) && pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 test-in-full: setup .venv/.robots
-	@$(RUN) && FULL=1 pytest -n 2 --dist loadfile $(ARGS)
+	@$(RUN) && FULL=1 pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 # What it needs beside Python's packages is installed where that is possible, else named in a line; the
 # tests that want it are then skipped.

@@ -19,3 +19,43 @@ pytest.register_assert_rewrite(
     "random_scenes",
     "stick_slip",
 )
+
+# Files that take longest, in turns those that wait for processes and those that wait for a
+# compiler: one that comes late would leave the other half of the machine idle.
+LONGEST = [
+    "test_lockstep",
+    "test_hard_cases",
+    "test_network",
+    "test_lanes",
+    "test_recording",
+    "test_fleet",
+    "test_launch",
+    "test_threads",
+    "test_fuzz",
+    "test_schemes",
+    "test_by_hand",
+    "test_servo_loop",
+    "test_new",
+    "test_sensors",
+    "test_examples",
+    "test_identification",
+    "test_doubles",
+    "test_external_wrench",
+    "test_advice",
+    "test_documents",
+    "test_compiler",
+    "test_located",
+    "test_bags",
+    "test_extreme_numbers",
+    "test_demo",
+    "test_random_machines",
+    "test_negative_ratio",
+    "test_varied",
+    "test_winding",
+]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest."""
+    turn = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: turn.get(item.path.stem, len(turn)))

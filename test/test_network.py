@@ -435,7 +435,7 @@ def test_services_in_real_time(real_time: SharedNetwork) -> None:
             assert user.call("emulator/step").message == f"at tick {first + more}"
         user.wait("the status", lambda: user.status.tick == first + 3)
         assert user.status.phase == EmulatorStatus.PHASE_PAUSED
-        for _ in range(20):  # in a row, with ticks on their way
+        for _ in range(10):  # in a row, with ticks on their way
             assert user.call("emulator/pause", False).success
             paused, stepped = user.calls(("emulator/pause", True), ("emulator/step", None))
             tick = int(paused.message.removeprefix("paused at tick "))
