@@ -44,6 +44,7 @@ from emulator_node.rerun_stream import RerunStream
 from emulator_node.scene import example_robot_data, load_scene
 from emulator_node.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Session
 from ros_shell.doubles import STARTED, Doubles
+from ros_shell.fixed_layout import FixedLayout, taking
 from ros_shell.node_shell import (
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
@@ -147,10 +148,8 @@ class EmulatorNode(Node):
         self._report_ticks = max(1, round(self._config.report_period / scene.servo_period))
 
         names = list(scene.joint_names)
-        self._motor_state = MotorState(
-            joint_names=names, machine=STARTED, imu_names=[one.name for one in scene.imus]
-        )
-        self._more_sensors = {name: MORE_SENSORS[name] for name in told_by(scene)}
+        self._more_sensors = told_by(scene)
+        self._motor_state = FixedLayout(self._empty_motor_state())
         self._truth = JointState(name=names)
         self._motor_states = self.create_publisher(MotorState, "motor_states", STATE_PUB_QOS)
         self._truths = self.create_publisher(JointState, "emulator/joint_states", STATE_PUB_QOS)
@@ -161,7 +160,9 @@ class EmulatorNode(Node):
         self._changes = 0  # by hand
         self._saved: dict[str, bytes] = {}  # machines by name
 
-        self.create_subscription(MotorCommand, "motor_commands", self._on_command, COMMAND_SUB_QOS)
+        refuse = self._diagnostics.refuse
+        take = taking("motor_commands", MotorCommand, self._on_command, refuse)
+        self.create_subscription(MotorCommand, "motor_commands", take, COMMAND_SUB_QOS, raw=True)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
         for topic, axes in EXTERNAL_WRENCHES.items():
             push = partial(self._on_external_wrench, topic, axes)
@@ -226,7 +227,7 @@ class EmulatorNode(Node):
 
     # Time
 
-    def _on_command(self, command: MotorCommand) -> None:
+    def _on_command(self, command: Any, data: bytes) -> None:
         with self._lock:
             if command.machine not in (0, STARTED):
                 self._diagnostics.count("motor_commands for another emulator")
@@ -240,7 +241,7 @@ class EmulatorNode(Node):
                 self._diagnostics.refuse("motor_commands", reason)
                 return
             if self._record is not None:
-                self._record.put(self._commands, serialize_message(command))
+                self._record.put(self._commands, data)
             if self._session.lockstep:
                 self._go_on()
 
@@ -350,11 +351,11 @@ class EmulatorNode(Node):
         self._diagnostics.say = partial(self._publish, self._diagnostics.publisher)
 
     def _publish(self, publisher: Publisher, message: Any) -> None:
-        """Publish a message, and write it into the emulator's own record."""
+        """Publish a message, or the bytes of one, and write it into the emulator's own record."""
         if self._record is None and self._teller is None:
             publisher.publish(message)
             return
-        data = serialize_message(message)
+        data = message if isinstance(message, bytes) else serialize_message(message)
         if self._record is not None:
             self._record.put(publisher.topic_name, data)
         if threading.current_thread() is not self._teller:
@@ -406,21 +407,38 @@ class EmulatorNode(Node):
         truth.effort = array("d", state.gear_torque.tobytes())
         self._publish(self._truths, truth)
 
+    def _empty_motor_state(self) -> MotorState:
+        """Return a motor state with all its names and lengths."""
+        scene, measured = self._session.scene, self._session.measured
+        zeros = bytes(8 * len(scene.joints))
+        message = MotorState(
+            joint_names=list(scene.joint_names),
+            machine=STARTED,
+            imu_names=[one.name for one in scene.imus],
+            encoder_counts=array("q", zeros),
+            current=array("d", zeros),
+            voltage=array("d", zeros),
+        )
+        for name in self._more_sensors:
+            setattr(message, name, array(MORE_SENSORS[name], getattr(measured, name).tobytes()))
+        return message
+
     def _say_motor_state(self) -> None:
-        session, message = self._session, self._motor_state
-        message.header.stamp = stamp(session.logical_ns)
+        session, message = self._session, self._motor_state.message
+        sec, nanosec = divmod(session.logical_ns, NANOSECONDS)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
         message.tick = session.tick
         message.powered = session.powered
         measured = session.measured
-        message.encoder_counts = array("q", measured.encoder_counts.tobytes())
-        message.current = array("d", measured.current.tobytes())
-        message.voltage = array("d", session.voltage.tobytes())
-        for name, kind in self._more_sensors.items():
-            setattr(message, name, array(kind, getattr(measured, name).tobytes()))
+        message.encoder_counts[:] = measured.encoder_counts
+        message.current[:] = measured.current
+        message.voltage[:] = session.voltage
+        for name in self._more_sensors:
+            getattr(message, name)[:] = getattr(measured, name).ravel()
         self._recorders.published += 1
         if self._record is not None:
             self._record.count(session.tick)
-        self._publish(self._motor_states, message)
+        self._publish(self._motor_states, self._motor_state.data())
 
     def _on_repeat(self) -> None:
         """Publish an unanswered state again; report a partner that stays silent."""

@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 from ros_shell.doubles import Doubles
+from ros_shell.fixed_layout import FixedLayout, taking
 from ros_shell.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
@@ -130,11 +131,13 @@ class ServoNode(Node):
         self._machine = 0  # which emulator is served, 0 for any
         self._start_over()
 
-        self._command = MotorCommand(joint_names=names)
+        command = MotorCommand(joint_names=names, voltage=array("d", bytes(8 * len(names))))
+        self._command = FixedLayout(command)
         self._joint_state = JointState(name=names)
         self._commands = self.create_publisher(MotorCommand, "motor_commands", COMMAND_QOS)
         self._joint_states = self.create_publisher(JointState, "joint_states", STATE_PUB_QOS)
-        self.create_subscription(MotorState, "motor_states", self._on_state, STATE_SUB_QOS)
+        take = taking("motor_states", MotorState, self._on_state, self._diagnostics.refuse)
+        self.create_subscription(MotorState, "motor_states", take, STATE_SUB_QOS, raw=True)
         self.create_subscription(JointState, "joint_targets", self._on_target, COMMAND_SUB_QOS)
         self.create_service(Trigger, "~/reset", self._on_reset)
         wall_timer(self, SILENCE_CHECK, self._on_silence_check)
@@ -169,7 +172,7 @@ class ServoNode(Node):
 
     # Topics
 
-    def _on_state(self, message: MotorState) -> None:
+    def _on_state(self, message: Any, _: bytes) -> None:
         names = message.joint_names
         try:
             self._check_time(message)
@@ -179,7 +182,7 @@ class ServoNode(Node):
                 self._states_order.arrange(names, message.encoder_counts, self._counts),
                 self._states_order.arrange(names, message.current, CURRENT),
                 self._states_order.arrange(names, message.voltage, VOLTAGE)
-                if message.voltage
+                if len(message.voltage)
                 else None,
                 bool(message.powered),
             )
@@ -229,7 +232,7 @@ class ServoNode(Node):
             self._start_over()
         self._machine = machine
 
-    def _check_time(self, message: MotorState) -> None:
+    def _check_time(self, message: Any) -> None:
         time_ns, tick = time_of("motor_states", message.header.stamp), int(message.tick)
         if time_ns != tick * self._period_ns:
             raise Refusal(
@@ -285,12 +288,13 @@ class ServoNode(Node):
             self._diagnostics.warn(f"holding: {drives.reason}")
         else:
             self._diagnostics.error(drives.reason)
-        command = self._command
-        command.header.stamp = stamp(now.time_ns)
+        command = self._command.message
+        sec, nanosec = divmod(now.time_ns, NANOSECONDS)
+        command.header.stamp.sec, command.header.stamp.nanosec = sec, nanosec
         command.tick = now.tick
         command.machine = self._machine
-        command.voltage = array("d", voltage.tobytes())
-        self._commands.publish(command)
+        command.voltage[:] = voltage
+        self._commands.publish(self._command.data())
 
     # Publishing
 
@@ -312,7 +316,7 @@ class ServoNode(Node):
                 f"waiting for the joint targets that answer t = {self._cycle_ns / NANOSECONDS:g} s"
             )
         else:
-            self._commands.publish(self._command)
+            self._commands.publish(self._command.data())
 
     def _on_silence_check(self) -> None:
         """Cut the power when a running machine falls silent.
@@ -325,8 +329,8 @@ class ServoNode(Node):
         self._diagnostics.warn(f"no motor state for {silence:.0f} s")
         if not self._lockstep and not self._silent:
             self._silent = True
-            self._command.voltage = array("d", bytes(8 * len(self._config.joint_names)))
-            self._commands.publish(self._command)
+            self._command.message.voltage[:] = 0.0
+            self._commands.publish(self._command.data())
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._start_over()

@@ -31,7 +31,7 @@ class Wires:
 
     def __init__(self) -> None:
         self.waiting: deque[tuple[str, type, bytes]] = deque()  # said, not delivered yet
-        self.listeners: dict[str, list[Callable[[Any], None]]] = defaultdict(list)
+        self.listeners: dict[str, list[Callable[[bytes], None]]] = defaultdict(list)
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
         self.timers: list[Callable[[], None]] = []
         self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was said last on each topic
@@ -50,7 +50,8 @@ class Wires:
             def create_subscription(
                 self, kind: type, topic: str, callback: Any, *more: Any, **named: Any
             ) -> None:
-                wires.listeners[topic].append(callback)
+                take = callback if named.get("raw") else _as_message(kind, callback)
+                wires.listeners[topic].append(take)
 
             def create_service(self, kind: type, name: str, callback: Any, **named: Any) -> Any:
                 if not name.startswith("~/"):  # rclpy's own
@@ -62,6 +63,10 @@ class Wires:
                 wires.timers.append(callback)
 
         return Wired()
+
+
+def _as_message(kind: type, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
+    return lambda data: callback(deserialize_message(data, kind))
 
 
 class Publisher:
@@ -96,7 +101,8 @@ class InProcess:
         self._wires = Wires()
         self.states: dict[int, bytes] = {}
         self.tick = -1
-        self._wires.listeners["motor_states"].append(self._on_state)
+        self._heard = _as_message(MotorState, self._on_state)
+        self._wires.listeners["motor_states"].append(self._heard)
         # The emulator last: it says tick 0, and its description, at once.
         kinds = {"servo": ServoNode, "motion_controller": MotionControllerNode}
         self.nodes = {name: self._wires.join(kind) for name, kind in kinds.items()}
@@ -111,9 +117,9 @@ class InProcess:
         """Deliver the message that was said first; False if there is none."""
         if not self._wires.waiting:
             return False
-        topic, kind, data = self._wires.waiting.popleft()
+        topic, _, data = self._wires.waiting.popleft()
         for listener in self._wires.listeners[topic]:
-            listener(deserialize_message(data, kind))
+            listener(data)
         return True
 
     def run_to(self, tick: int, between: Callable[[], None] = lambda: None) -> None:
@@ -126,8 +132,8 @@ class InProcess:
         """Deliver a message of one's own at once, to the nodes alone."""
         data = serialize_message(message)
         for listener in self._wires.listeners[topic]:
-            if listener != self._on_state:
-                listener(deserialize_message(data, type(message)))
+            if listener != self._heard:
+                listener(data)
 
     def forget(self) -> None:
         """Begin a new recording."""
