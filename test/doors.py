@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from emulator_node.node import EmulatorNode
@@ -49,7 +50,7 @@ class Doors:
         listener = next(
             one for one in self.nodes[node].subscriptions if one.topic_name == f"/{topic}"
         )
-        listener.callback(message)
+        listener.callback(serialize_message(message) if listener.raw else message)
 
     def refused(self, node: str) -> int:
         """Return how many messages a node has refused so far."""
