@@ -207,7 +207,7 @@ class EmulatorNode(Node):
             )
             self._teller.start()
         else:
-            wall_timer(self, scene.servo_period, self._on_free_run)
+            self._pace = wall_timer(self, scene.servo_period, self._on_free_run)
 
     def _changed(self, changes: Mapping[str, Any]) -> EmulatorParameters:
         return replaced(self, self._config, changes)
@@ -273,10 +273,12 @@ class EmulatorNode(Node):
                 self._go_on()
 
     def _on_free_run(self) -> None:
-        """Pace the free run of lock-step."""
+        """Pace the free run of lock-step; who waits needs no pace, `_on_repeat` begins it anew."""
         with self._lock:
             if self._session.phase is Phase.FREE_RUNNING:
                 self._go_on()
+            else:
+                self._pace.cancel()
 
     def _tell_ticks(self, session: RealTimeSession) -> None:
         """Publish the ticks of real time as they come, in a thread of its own."""
@@ -444,6 +446,9 @@ class EmulatorNode(Node):
         """Publish an unanswered state again; report a partner that stays silent."""
         with self._lock:
             self._repeat()
+            if self._session.lockstep and self._pace.is_canceled():
+                if self._session.phase is Phase.FREE_RUNNING:
+                    self._pace.reset()
 
     def _repeat(self) -> None:
         session, now = self._session, time.monotonic()

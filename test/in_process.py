@@ -33,7 +33,7 @@ class Wires:
         self.waiting: deque[tuple[str, type, bytes]] = deque()  # said, not delivered yet
         self.listeners: dict[str, list[Callable[[bytes], None]]] = defaultdict(list)
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
-        self.timers: list[Callable[[], None]] = []
+        self.timers: list[Timer] = []
         self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was said last on each topic
         self.record: list[tuple[str, type, bytes]] | None = None  # all that was said, if wanted
 
@@ -59,14 +59,31 @@ class Wires:
                 wires.services[f"{self.get_name()}/{name[2:]}"] = callback
                 return None
 
-            def create_timer(self, period: float, callback: Any, **named: Any) -> None:
-                wires.timers.append(callback)
+            def create_timer(self, period: float, callback: Any, **named: Any) -> Any:
+                return Timer(wires, callback)
 
         return Wired()
 
 
 def _as_message(kind: type, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
     return lambda data: callback(deserialize_message(data, kind))
+
+
+class Timer:
+    """Calls back when a test says so."""
+
+    def __init__(self, wires: Wires, callback: Callable[[], None]) -> None:
+        self.callback, self._canceled = callback, False
+        wires.timers.append(self)
+
+    def is_canceled(self) -> bool:
+        return self._canceled
+
+    def cancel(self) -> None:
+        self._canceled = True
+
+    def reset(self) -> None:
+        self._canceled = False
 
 
 class Publisher:
@@ -135,6 +152,10 @@ class InProcess:
             if listener != self._heard:
                 listener(data)
 
+    def listen_alone(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
+        """Hand what is said on a topic to nobody else."""
+        self._wires.listeners[topic] = [_as_message(kind, callback)]
+
     def forget(self) -> None:
         """Begin a new recording."""
         self.states.clear()
@@ -162,8 +183,9 @@ class InProcess:
 
     def timers(self) -> None:
         """Call every timer of every node once."""
-        for callback in list(self._wires.timers):
-            callback()
+        for timer in list(self._wires.timers):
+            if not timer.is_canceled():
+                timer.callback()
 
     def newest(self, topic: str) -> Any:
         """Return what the nodes said last on a topic."""

@@ -28,7 +28,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def three_nodes(log: Path) -> Iterator[tuple[User, Bringup]]:
-    """Paused at first; the last test leaves another emulator than it found."""
+    """Paused at first; the first test, which compares bits, leaves another emulator."""
     with network(log) as running:
         yield running
 
@@ -39,38 +39,6 @@ def started(user: User, name: str) -> int:
 
 
 SILENT = "silent until it ends: another emulator was started before on /motor_states, "
-
-
-def test_two_servos_and_two_motion_controllers_are_named(
-    three_nodes: tuple[User, Bringup],
-) -> None:
-    kinds = {"servo": "servo", "motion_controller": "motion controller"}
-    servo, motion = (str(find_config("three_axis", ".yaml", kind)) for kind in ("servo", "motion"))
-    user, nodes = three_nodes
-    seen: dict[str, set[str]] = {name: set() for name in kinds}
-
-    def named() -> dict[str, set[str]]:
-        """Collect the processes that the two nodes of each name have named so far."""
-        for name, kind in kinds.items():
-            if words := user.value(name, f"another {kind}"):
-                seen[name].add(words.rsplit(" ", 1)[1])
-        return seen
-
-    with (
-        node("servo_node.node", "--params-file", servo) as second_servo,
-        node("motion_controller_node.node", "--params-file", motion) as second_motion,
-    ):
-        expected = {
-            "servo": {str(second_servo.pid), str(nodes.process("servo").pid)},
-            "motion_controller": {
-                str(second_motion.pid),
-                str(nodes.process("motion_controller").pid),
-            },
-        }
-        user.wait("both sides to name the other", lambda: named() == expected)
-    for name, kind in kinds.items():
-        gone = f"another {kind}"
-        user.wait("it to be gone", lambda n=name, g=gone: not user.value(n, g))
 
 
 def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
@@ -122,6 +90,38 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
         user.wait("no more words", lambda: not user.value("emulator_2", "another emulator"))
         nodes.start("emulator")  # for the ending; now this one is second
         user.wait("the third to be silent", lambda: user.said("emulator", SILENT))
+
+
+def test_two_servos_and_two_motion_controllers_are_named(
+    three_nodes: tuple[User, Bringup],
+) -> None:
+    kinds = {"servo": "servo", "motion_controller": "motion controller"}
+    servo, motion = (str(find_config("three_axis", ".yaml", kind)) for kind in ("servo", "motion"))
+    user, nodes = three_nodes
+    seen: dict[str, set[str]] = {name: set() for name in kinds}
+
+    def named() -> dict[str, set[str]]:
+        """Collect the processes that the two nodes of each name have named so far."""
+        for name, kind in kinds.items():
+            if words := user.value(name, f"another {kind}"):
+                seen[name].add(words.rsplit(" ", 1)[1])
+        return seen
+
+    with (
+        node("servo_node.node", "--params-file", servo) as second_servo,
+        node("motion_controller_node.node", "--params-file", motion) as second_motion,
+    ):
+        expected = {
+            "servo": {str(second_servo.pid), str(nodes.process("servo").pid)},
+            "motion_controller": {
+                str(second_motion.pid),
+                str(nodes.process("motion_controller").pid),
+            },
+        }
+        user.wait("both sides to name the other", lambda: named() == expected)
+    for name, kind in kinds.items():
+        gone = f"another {kind}"
+        user.wait("it to be gone", lambda n=name, g=gone: not user.value(n, g))
 
 
 def test_a_command_for_another_emulator_is_not_taken() -> None:

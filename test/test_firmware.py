@@ -179,7 +179,7 @@ def node_states(rows: list[list[float]], ticks: int) -> dict[int, bytes]:
             targets = JointState(header=states.header, name=NAMES, position=row_at(rows, tick))
             nodes.say("joint_targets", targets)
 
-        nodes._wires.listeners["joint_states"] = [answer]
+        nodes.listen_alone("joint_states", JointState, answer)
         nodes.run_to(ticks)
         return dict(nodes.states)
 

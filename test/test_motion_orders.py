@@ -321,7 +321,7 @@ def nodes() -> Iterator[InProcess]:
 def statuses(nodes: InProcess) -> list[MotionStatus]:
     """What the motion controller says on its status topic, from now on."""
     heard: list[MotionStatus] = []
-    nodes._wires.listeners["motion/status"] = [heard.append]
+    nodes.listen_alone("motion/status", MotionStatus, heard.append)
     return heard
 
 

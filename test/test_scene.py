@@ -223,7 +223,7 @@ def test_what_is_not_mentioned_does_not_exist() -> None:
 def test_floats_may_be_written_without_a_dot(tmp_path: Path) -> None:
     """YAML 1.1 takes 1e-4 for a text; people do not."""
     file = copy_scene(tmp_path)
-    file.write_text(SCENE.replace("dt: 5.0e-4", "dt: 1e-4"))
+    file.write_text(SCENE.replace("dt: 1.0e-3", "dt: 1e-4"))
     assert load_scene(file).integrator.dt == 1e-4
     assert yaml.safe_load("dt: 1e-4") == {"dt": "1e-4"}  # what the test guards against
 
