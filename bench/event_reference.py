@@ -62,6 +62,12 @@ class MachineWithModes(ReferenceMachine):
         a[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
         return T, a, np.where(self.locked, tau - M @ a, 0.0)
 
+    def motor_accelerations(self, x: Array, V: Array) -> Array:
+        """Return how the motors accelerate in these modes [rad/s2]."""
+        i, _ = self.currents(x, V)
+        T, a, _ = self.forces(x, V)
+        return np.where(self.elastic, (self.Kt * i - self.Ng * T) / self.Mm, a / self.Ng)
+
     def rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt in these modes, flat."""
         x = flat.reshape(5, self.N)
@@ -103,7 +109,10 @@ class MachineWithModes(ReferenceMachine):
         """Hold the current of joint j at its limit, unless it has left it, beyond by rounding."""
         currents, surplus = self.currents(x, V)
         side = np.sign(currents[j])
-        leaves = side * surplus[j] < 0.0
+        # Without inductance there is no surplus before it is held; whether there will be tells how
+        # the back-EMF changes. One that just touches its limit is not held.
+        ahead = surplus[j] if self.inductive[j] else -self.Kb[j] * self.motor_accelerations(x, V)[j]
+        leaves = side * ahead < 0.0
         self.side[j] = 0.0 if leaves else side
         if self.inductive[j]:
             x[0, j] = side * self.limit[j] * (1.0 - ROUNDING * 1e-3 if leaves else 1.0)
@@ -145,7 +154,10 @@ def reference_with_events(
     """
     machine = MachineWithModes(scene)
     x = machine.at_rest(scene.start, None)
-    method = "Radau" if machine.fastest_rate(x) > STIFF else "DOP853"
+    rate = machine.fastest_rate(x)
+    method = "Radau" if rate > STIFF else "DOP853"
+    # What ends a mode for less than a step is not seen: a swinging gear that just breaks a link away.
+    longest = min(period / 40.0, 0.2 / rate)
     rows = np.clip(np.atleast_2d(voltages), -scene.supply_voltage, scene.supply_voltage)
     out, events = np.empty((len(rows), machine.N)), 0
     for k, V in enumerate(rows):
@@ -164,7 +176,7 @@ def reference_with_events(
                 method=method,
                 rtol=max(rtol, 1e-13),  # SciPy allows 2.2e-14
                 atol=1e-2 * rtol,
-                max_step=period / 40.0,
+                max_step=longest,
                 events=stops,
             )
             t, x = float(solution.t[-1]), solution.y[:, -1].reshape(x.shape)

@@ -434,7 +434,7 @@ def test_arms_called_stable_settle_and_those_called_unstable_swing(
         assert late < max(0.05 * middle, 0.3), f"dies by {rate:.3g} 1/s, but still {late:.3g} rad/s"
 
 
-@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda"])
+@pytest.mark.parametrize("name", some(["three_axis", "ur5", "panda"], 2))
 def test_the_scenes_that_come_along_have_margins(name: str) -> None:
     file = find_config(name, ".yaml")
     scene, servo = load_scene(file), load_gains(file).servo
