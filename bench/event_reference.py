@@ -156,7 +156,7 @@ def reference_with_events(
     x = machine.at_rest(scene.start, None)
     rate = machine.fastest_rate(x)
     method = "Radau" if rate > STIFF else "DOP853"
-    # What ends a mode for less than a step is not seen: a swinging gear that just breaks a link away.
+    # What ends a mode for less than a step is not seen: as when a swinging gear breaks a link away.
     longest = min(period / 40.0, 0.2 / rate)
     rows = np.clip(np.atleast_2d(voltages), -scene.supply_voltage, scene.supply_voltage)
     out, events = np.empty((len(rows), machine.N)), 0
