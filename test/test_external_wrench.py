@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from draws import some
+from draws import FULL, some
 from machines import GRAVITY, MOTOR, moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.integrate import solve_ivp
 
@@ -275,6 +275,7 @@ def test_a_pushed_machine_is_saved_and_goes_on(tmp_path: Path) -> None:
         np.testing.assert_array_equal(one.state.q, other.state.q, err_msg="q, set once more")
 
 
+@pytest.mark.skipif(not FULL, reason="lanes are compiled once more for it: make test-in-full")
 def test_pushed_arms_in_lanes_move_as_single_ones(tmp_path: Path) -> None:
     rng = np.random.default_rng(9)
     scene, count = load_scene(driven_arm(tmp_path)), 11  # more than a group
