@@ -194,6 +194,7 @@ class _Numbers:
             self.omega_gain,
             self.load_gain,
             1.0 / self.torque_constant,
+            self.ratio / self.torque_constant,
             motor.speed_per_surplus,
             motor.turn_per_surplus,
             motor.voltage_per_surplus,
