@@ -59,6 +59,7 @@ from ros_shell.node_shell import (
     refuse_other_parameters,
     replaced,
     run_node,
+    set_stamp,
     stamp,
     wall_timer,
 )
@@ -427,8 +428,7 @@ class EmulatorNode(Node):
 
     def _say_motor_state(self) -> None:
         session, message = self._session, self._motor_state.message
-        sec, nanosec = divmod(session.logical_ns, NANOSECONDS)
-        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        set_stamp(message.header.stamp, session.logical_ns)
         message.tick = session.tick
         message.powered = session.powered
         measured = session.measured

@@ -62,6 +62,11 @@ def stamp(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
 
 
+def set_stamp(stamp: Any, nanoseconds: int) -> None:
+    """Set the fields of a time stamp in place to a logical time [ns]."""
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+
+
 def nanoseconds_of(stamp: Time) -> int:
     """Return the logical time [ns] of a message's time stamp."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)

@@ -33,6 +33,7 @@ from ros_shell.node_shell import (
     nanoseconds_of,
     run_node,
     set_range,
+    set_stamp,
     stamp,
     time_of,
     wall_timer,
@@ -289,8 +290,7 @@ class ServoNode(Node):
         else:
             self._diagnostics.error(drives.reason)
         command = self._command.message
-        sec, nanosec = divmod(now.time_ns, NANOSECONDS)
-        command.header.stamp.sec, command.header.stamp.nanosec = sec, nanosec
+        set_stamp(command.header.stamp, now.time_ns)
         command.tick = now.tick
         command.machine = self._machine
         command.voltage[:] = voltage
