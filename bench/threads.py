@@ -30,10 +30,19 @@ PAPER = {
     1e-5: (0.000523, 0.000650, 0.001419),
 }
 PAPER_RATIO = 0.61
+DEPTH = 3
 KINDS: dict[str, dict[str, Any]] = {
     "one": {"threads": 1},
     "lag": {"threads": 2, "integrator.exchange": "lag"},
     "predict": {"threads": 2, "integrator.exchange": "predict"},
+    "deep": {"threads": 2, "integrator.exchange": "predict", "integrator.exchange_depth": DEPTH},
+}
+TWO = ("lag", "predict", "deep")  # kinds of two threads
+TITLES = {
+    "one": "one thread",
+    "lag": "lag",
+    "predict": "predict",
+    "deep": f"predict, depth {DEPTH}",
 }
 JOINTS = (3, 6, 7, 12, 24, 48)
 LOOP_STEPS = 4000  # in one measurement
@@ -59,7 +68,7 @@ def _table_1() -> dict[str, Any]:
         for dt in STEPS:
             q = {name: _after(voltages, dt, kind) for name, kind in KINDS.items()}
             table[f"{dt:g}"] = {
-                "difference": {k: np.abs(q[k] - q["one"]).tolist() for k in ("lag", "predict")},
+                "difference": {k: np.abs(q[k] - q["one"]).tolist() for k in TWO},
                 "error": {k: np.abs(q[k] - exact).tolist() for k in KINDS},
             }
             done(f"{dt:g} s")
@@ -85,9 +94,8 @@ def _loops(joints: tuple[int, ...], repetitions: int) -> dict[str, Any]:
             for n in joints
         }
         for kinds in scenes.values():
-            compile_all([kinds["one"]])
-            compile_all([kinds["lag"]])
-            compile_all([kinds["predict"]])
+            for scene in kinds.values():
+                compile_all([scene])
         with progress("time per loop", len(joints)) as done:
             for n, kinds in scenes.items():
                 plants = {name: Plant(scene) for name, scene in kinds.items()}
@@ -121,7 +129,7 @@ def _one_core() -> dict[str, float]:
         }
         plants = {name: Plant(scene) for name, scene in scenes.items()}
         timings = interleaved({name: _task(plant) for name, plant in plants.items()}, 3)
-        for name in ("lag", "predict"):
+        for name in TWO:
             ratios[name] = timings[name].median / timings["one"].median
     return ratios
 
@@ -153,21 +161,22 @@ def report(figures: dict[str, Any]) -> str:
     trips = figures["handshake"]
     lines = [
         "`lag` is the exchange of the paper's Fig. 6, `predict` the one that leads "
-        "the sample on by its own speeds and accelerations (core/two_threads.hpp).",
+        f"the sample on by its own speeds and accelerations, and at depth {DEPTH} by {DEPTH} steps "
+        "(core/two_threads.hpp).",
         "",
         "Table 1 of the paper, on three_axis with scheme `paper`: difference between two threads "
         "and one after 1 s [rad], for waist, shoulder, elbow, and beside it the error of each "
         "against the reference.",
         "",
-        "| step [s] | paper | lag - one | predict - one | error, one | error, lag "
-        "| error, predict |",
-        "|---|---|---|---|---|---|---|",
+        "| step [s] | paper | "
+        + " | ".join([f"{TITLES[k]} - one" for k in TWO] + [f"error, {TITLES[k]}" for k in KINDS])
+        + " |",
+        "|---|---" + "|---" * (len(TWO) + len(KINDS)) + "|",
     ]
     for step, row in figures["table_1"].items():
         cells = [
             PAPER[float(step)],
-            row["difference"]["lag"],
-            row["difference"]["predict"],
+            *(row["difference"][kind] for kind in TWO),
             *(row["error"][kind] for kind in KINDS),
         ]
         lines.append(f"| {step} | " + " | ".join(map(_triple, cells)) + " |")
@@ -180,27 +189,27 @@ def report(figures: dict[str, Any]) -> str:
         "Time per step, two threads over one, on chains of N joints with scheme `implicit` (which "
         "holds the long ones too):",
         "",
-        "| N | one thread [ns] | lag [ns] | predict [ns] | lag / one | predict / one |",
-        "|---|---|---|---|---|---|",
+        "| N | "
+        + " | ".join([f"{TITLES[k]} [ns]" for k in KINDS] + [f"{TITLES[k]} / one" for k in TWO])
+        + " |",
+        "|---" * (1 + len(KINDS) + len(TWO)) + "|",
     ]
     pays = []
     for n, row in figures["loops"].items():
         ns = {kind: row[kind]["median"] * 1e9 for kind in KINDS}
-        ratio = {kind: ns[kind] / ns["one"] for kind in ("lag", "predict")}
-        if min(ratio.values()) < 1.0:
+        ratios = [ns[kind] / ns["one"] for kind in TWO]
+        if min(ratios) < 1.0:
             pays.append(int(n))
-        lines.append(
-            f"| {n} | {ns['one']:.0f} | {ns['lag']:.0f} | {ns['predict']:.0f} "
-            f"| {ratio['lag']:.2f} | {ratio['predict']:.2f} |"
-        )
+        cells = [f"{ns[kind]:.0f}" for kind in KINDS] + [f"{ratio:.2f}" for ratio in ratios]
+        lines.append(f"| {n} | " + " | ".join(cells) + " |")
     one_core = figures["one_core"]
     begin = f"from N = {min(pays)} on" if pays else "at none of these N"
+    on_one_core = ", ".join(f"{one_core[kind]:.0f} ({TITLES[kind]})" for kind in TWO)
     lines += [
         "",
         f"Two threads paid {begin}; the paper had {PAPER_RATIO} at N = 3 on a machine whose single "
         "step took far longer than its handshake. Both threads on one core, N = 24: "
-        f"{one_core['lag']:.0f} (lag), {one_core['predict']:.0f} (predict) times one thread's "
-        "time.",
+        f"{on_one_core} times one thread's time.",
     ]
     return "\n".join(lines)
 

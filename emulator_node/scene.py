@@ -48,6 +48,7 @@ from words.yaml_file import read_yaml
 
 SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
 EXCHANGES = ("predict", "lag")
+DEEPEST_EXCHANGE = 4
 EVENTS = ("step", "located")
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
@@ -110,6 +111,7 @@ class Integrator:
     scheme: str
     dt: float
     exchange: str  # between two threads, see core/two_threads.hpp
+    exchange_depth: int  # samples from which a step takes the links' part of two threads
     events: str  # where modes of joints change, see core/located.hpp
 
 
@@ -217,6 +219,9 @@ def _build(root: Section, file: Path) -> Scene:
         scheme=integrator_section.choice("scheme", SCHEMES, default=SCHEMES[0]),
         dt=integrator_section.number("dt", "s", at_least=1e-9, at_most=1.0),
         exchange=integrator_section.choice("exchange", EXCHANGES, default=EXCHANGES[0]),
+        exchange_depth=integrator_section.integer(
+            "exchange_depth", default=1, at_least=1, at_most=DEEPEST_EXCHANGE
+        ),
         events=integrator_section.choice("events", EVENTS, default=EVENTS[0]),
     )
     servo_period = root.number("servo_period", "s", at_least=1e-6, at_most=1.0)
@@ -231,7 +236,7 @@ def _build(root: Section, file: Path) -> Scene:
             rule = f"be step with scheme {integrator.scheme}, of first order at any event"
             valid = "step, or located with scheme rosenbrock or extrapolated"
         elif threads == 2:
-            rule = "be step with 2 threads, whose links come from one sample ago"
+            rule = "be step with 2 threads, whose links come from an earlier sample"
             valid = "step, or located with threads: 1"
         if rule:
             raise root.refusal("integrator.events", rule, "located", valid)

@@ -62,6 +62,7 @@ struct Scene {{
   template <class Stepper>
   using Threads = arm::{threads}<Scene, Stepper>;
   static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
+  static constexpr int exchange_depth = {scene.integrator.exchange_depth};
   static constexpr bool energy_flow = {"true" if scene.energy_flow else "false"};
   static constexpr bool external_wrench = {"true" if scene.external_wrench else "false"};
 {axes}\

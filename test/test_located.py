@@ -150,7 +150,7 @@ def test_without_events_nothing_is_cut() -> None:
     [
         ({"integrator.scheme": "implicit"}, "of first order"),
         ({"integrator.scheme": "paper"}, "of first order"),
-        ({"integrator.scheme": "extrapolated", "threads": 2}, "one sample ago"),
+        ({"integrator.scheme": "extrapolated", "threads": 2}, "an earlier sample"),
     ],
 )
 def test_what_cannot_locate_is_refused(overrides: dict[str, Any], rule: str) -> None:

@@ -55,6 +55,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"integrator.dt": 0}, "integrator.dt must be >= 1e-09 s, got 0"),
     ({"servo_period": 1e-3 / 7e5}, "servo_period must be >= 1e-06 s"),
     ({"servo_period": 1e-3 / 7}, "servo_period must be a whole number of nanoseconds"),
+    ({"integrator.exchange_depth": 5}, "exchange_depth must be a whole number from 1 to 4, got 5"),
     ({"threads": 1.5}, "threads must be a whole number from 1 to"),
     ({"threads": 2, "integrator.scheme": "rosenbrock"}, "threads must be 1 with scheme rosenbrock, whose second stage waits for its first, got 2"),
     ({"cores": [0, 1000]}, "cores must be cores of this machine, got [0.0, 1000.0]; valid: 0"),

@@ -29,7 +29,9 @@ PAPER_TABLE_1 = {
 }
 
 
-def plant(threads: int, dt: float = 1e-4, exchange: str = "lag", scheme: str = "paper") -> Plant:
+def plant(
+    threads: int, dt: float = 1e-4, exchange: str = "lag", scheme: str = "paper", depth: int = 1
+) -> Plant:
     overrides: dict[str, Any] = {
         "threads": threads,
         "integrator.dt": dt,
@@ -37,6 +39,7 @@ def plant(threads: int, dt: float = 1e-4, exchange: str = "lag", scheme: str = "
     }
     if threads == 2:  # one thread exchanges nothing, and has the library of the shipped scene
         overrides["integrator.exchange"] = exchange
+        overrides["integrator.exchange_depth"] = depth
     return Plant(load_scene("three_axis", overrides=overrides))
 
 
@@ -52,9 +55,9 @@ def thread_count() -> int:
     return len(list(Path("/proc/self/task").iterdir()))
 
 
-@pytest.mark.parametrize("exchange", ["lag", "predict"])
-def test_same_bits_every_time_under_load(exchange: str) -> None:
-    one = plant(2, exchange=exchange)
+@pytest.mark.parametrize(("exchange", "depth"), [("lag", 1), ("predict", 1), ("predict", 2)])
+def test_same_bits_every_time_under_load(exchange: str, depth: int) -> None:
+    one = plant(2, exchange=exchange, depth=depth)
     seen = set()
     with busy_processes(2):
         for repetition in range(100 if FULL else 10):
@@ -79,12 +82,25 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
         assert falls == pytest.approx([10.0] * 3, rel=rel), f"differences, from {dt} s to a tenth"
 
 
-@pytest.mark.parametrize("scheme", some(["paper", "extrapolated", "implicit"], 1))
-def test_predicting_makes_the_lag_an_error_of_second_order(scheme: str) -> None:
+@pytest.mark.parametrize(("exchange", "depth"), some([("lag", 2), ("predict", 2), ("lag", 4)], 2))
+def test_a_deeper_exchange_costs_what_it_says(exchange: str, depth: int) -> None:
+    """D steps late; or led on by D differences of v, which leaves D (D + 1) / 2 second ones."""
+    exact = after_one_second(plant(1))
+    once, deep = (after_one_second(plant(2, 1e-4, exchange, depth=d)) - exact for d in (1, depth))
+    times = depth if exchange == "lag" else depth * (depth + 1) / 2
+    # The next order of the step takes up to 15 % at ten times this step (above).
+    assert deep == pytest.approx(times * once, rel=0.03), f"differences at depth 1: {once}"
+
+
+PREDICTED = [("paper", 1), ("paper", 2), ("extrapolated", 1), ("implicit", 2), ("implicit", 4)]
+
+
+@pytest.mark.parametrize(("scheme", "depth"), some(PREDICTED, 2))
+def test_predicting_makes_the_lag_an_error_of_second_order(scheme: str, depth: int) -> None:
     differences = []
     for dt in (1e-3, 5e-4, 2.5e-4):
         one = after_one_second(plant(1, dt, scheme=scheme))
-        two = after_one_second(plant(2, dt, "predict", scheme))
+        two = after_one_second(plant(2, dt, "predict", scheme, depth))
         differences.append(float(np.linalg.norm(one - two)))
     orders = np.log2(np.array(differences[:-1]) / differences[1:])
     assert orders == pytest.approx([2.0, 2.0], abs=0.3), "orders of the difference"
@@ -158,9 +174,11 @@ def test_in_real_time_no_thread_waits_for_one_that_is_less_urgent() -> None:
     assert urgent() == 0, "urgent threads when it has ended"
 
 
-def test_no_data_race(tmp_path: Path) -> None:
+@pytest.mark.parametrize("depth", some([2, 1], 1))
+def test_no_data_race(tmp_path: Path, depth: int) -> None:
     """The core under ThreadSanitizer: bursts of two threads, the real-time loop with partners."""
-    overrides = {"threads": 2, "integrator.scheme": "paper"}
+    overrides: dict[str, Any] = {"threads": 2, "integrator.scheme": "paper"}
+    overrides["integrator.exchange_depth"] = depth
     unit = scene_unit(load_scene("three_axis", overrides=overrides))
     source, program = tmp_path / "race.cpp", tmp_path / "race"
     source.write_text(unit + (Path(__file__).parent / "race.cpp").read_text())

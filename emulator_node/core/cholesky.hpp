@@ -9,14 +9,6 @@ namespace arm {
 template <int N, class X>
 using Symmetric = X[N][kPadded<N>];
 
-// How many numbers that takes, with all that stands in their groups of lanes.
-template <int N>
-constexpr int packed_length() {
-  int length = 0;
-  for (int j = 0; j < N; ++j) length += kPadded<N> - first_lane<N>(j);
-  return length;
-}
-
 template <int N, class X = double>
 struct Cholesky {
   X L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j

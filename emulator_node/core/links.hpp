@@ -7,6 +7,7 @@
 
 #include "cholesky.hpp"
 #include "numbers.hpp"
+#include "row.hpp"
 #include "sincos.hpp"
 
 namespace arm {
@@ -36,12 +37,16 @@ struct Links {
   }
 
   static ARM_INLINE void kinematics(const X* q, Kinematics& k) {
+    X theta[N];
+    SinCos<X> turn[N];
+    for_each<N>([&](auto i) __attribute__((always_inline)) {
+      theta[i] = (revolute(i) ? q[i] : X{}) + kLinks<S>.at[i].theta_0;
+    });
+    sines(theta, turn);
     for_each<N>([&](auto i) __attribute__((always_inline)) {
       const Link& joint = kLinks<S>.at[i];
-      const X theta = revolute(i) ? joint.theta_0 + q[i] : X{} + joint.theta_0;
-      const auto [sin, cos] = sincos(theta);
       const X d = revolute(i) ? X{} : q[i];
-      k.link[i] = {sin, cos, joint.cos_alpha, joint.sin_alpha,
+      k.link[i] = {turn[i].sin, turn[i].cos, joint.cos_alpha, joint.sin_alpha,
                    joint.p + d * Vec3<double>{0.0, -joint.sin_alpha, joint.cos_alpha}};
     });
   }
@@ -148,6 +153,25 @@ struct Links {
   }
 
  private:
+  // Those of many joints side by side in vectors. Those of few are there before vectors are filled.
+  static ARM_INLINE void sines(const X (&theta)[N], SinCos<X> (&turn)[N]) {
+    if constexpr (N <= kUnrollNested) {
+      for_each<N>([&](auto i) __attribute__((always_inline)) { turn[i] = sincos(theta[i]); });
+    } else {
+      using Numbers = Row<N, X>;
+      alignas(64) X angle[kRow<N, X>] = {}, sin[kRow<N, X>], cos[kRow<N, X>];
+      for_each<N>([&](auto i) __attribute__((always_inline)) { angle[i] = theta[i]; });
+      const Numbers angles = Numbers::gather(angle);
+      Numbers s, c;
+      for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
+        const auto of_group = sincos(angles.at[g]);
+        s.at[g] = of_group.sin, c.at[g] = of_group.cos;
+      });
+      s.store(sin), c.store(cos);
+      for_each<N>([&](auto i) __attribute__((always_inline)) { turn[i] = {sin[i], cos[i]}; });
+    }
+  }
+
   // The base's x and y as seen from one link after the other.
   struct BaseAxes {
     Vec3<X> x = {X{} + 1.0, X{}, X{}}, y = {X{}, X{} + 1.0, X{}};

@@ -1,14 +1,19 @@
 // The paper's two threads (Fig. 6): while the motor thread takes step k, the Newton-Euler thread
-// works out the links' part at the angles of sample k, for step k + 1.
+// works out the links' part at the angles of sample k, for step k + D. D is the depth of the
+// exchange, 1 in the paper:
 //
 //   motor thread            step k - 1      | step k            | step k + 1
 //                           uses links(k-2) | uses links(k-1)   | uses links(k)
 //   Newton-Euler thread     links(k-1)      | links(k)          | links(k+1)
 //
-// So every step takes M and nle from one sample ago. With Exchange::lag they are those of that
+// So every step takes M and nle from D samples ago. With Exchange::lag they are those of that
 // sample, as in the paper: an error of first order in the step. With Exchange::predict they are
 // those of the state to which that sample's speeds and accelerations lead: the error is of second
 // order.
+//
+// A sample goes to the other core, becomes the links' part there, comes back and ends in a sample
+// D + 1 steps later. So a step takes no less than (both parts + both ways) / (D + 1), and no less
+// than the longer part: a deeper exchange hides the ways between the cores.
 //
 // A sample goes out as soon as its links have moved, and the links' part comes in when a step has
 // done what it can without it: the motors' work overlaps with the ways between the cores.
@@ -48,7 +53,7 @@ class Spin {
 template <class S, class Stepper>
 class TwoThreads {
  public:
-  static constexpr int N = S::N;
+  static constexpr int N = S::N, D = S::exchange_depth;
   using Dynamics = typename Links<S>::Dynamics;
 
   // `core`: of the Newton-Euler thread; -1: wherever the system puts it.
@@ -76,16 +81,25 @@ class TwoThreads {
     return pthread_setschedparam(newton_euler.native_handle(), policy, &priority) == 0;
   }
 
-  // What a step takes from the past, beside the state: speeds and links' part of one sample ago.
+  // Where a links' part is taken.
+  struct Place {
+    double q[N], v[N];
+  };
+
+  // What a step takes from the past, beside the state: the speeds of one sample ago, and the links'
+  // parts of D samples, the oldest first.
   struct Memory {
     double v[N];
-    double q_links[N], v_links[N];  // where that links' part was taken
+    Place links[D];
     typename Stepper::Memory stepper;
 
     // number(x) for all of them, in a fixed order.
     template <class Number>
     void for_each_number(Number&& number) {
-      for (int j = 0; j < N; ++j) number(v[j]), number(q_links[j]), number(v_links[j]);
+      for (int j = 0; j < N; ++j) {
+        number(v[j]);
+        for (Place& place : links) number(place.q[j]), number(place.v[j]);
+      }
       stepper.for_each_number(number);
     }
   };
@@ -96,8 +110,8 @@ class TwoThreads {
   // Begin at a state with no past.
   void reset(const State<S>& x) {
     for (int j = 0; j < N; ++j) {
-      past.v[j] = past.v_links[j] = x.v[j];
-      past.q_links[j] = x.q[j];
+      past.v[j] = x.v[j];
+      for (Place& place : past.links) place.q[j] = x.q[j], place.v[j] = x.v[j];
     }
     stepper.reset(x);
     past.stepper = stepper.memory();
@@ -110,13 +124,11 @@ class TwoThreads {
     return memory;
   }
 
-  // Go back to a memory. The links' part is worked out anew, by the same instructions.
+  // Go back to a memory. The links' parts are worked out anew, by the same instructions.
   void restore(const Memory& memory) {
     past = memory;
     stepper.restore(memory.stepper);
-    Dynamics links;
-    evaluate(past.q_links, past.v_links, links);
-    parcels[(asked.load() + 1) & 1].pack(links);
+    for (int i = 0; i < D; ++i) evaluate(past.links[i], parcels[slot(asked.load() - D + i)].links);
   }
 
   // A burst of `count` steps is coming, one by one, from the state x.
@@ -135,22 +147,20 @@ class TwoThreads {
 
   // From sample k to k + 1. Sample k is with the Newton-Euler thread already.
   ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
-    const Sample& sample = samples[newest() & 1];
-    for (int j = 0; j < N; ++j) {
-      past.v[j] = x.v[j];
-      past.q_links[j] = sample.q[j];
-      past.v_links[j] = sample.v[j];
-    }
+    for (int j = 0; j < N; ++j) past.v[j] = x.v[j];
+    for (int i = 1; i < D; ++i) past.links[i - 1] = past.links[i];
+    past.links[D - 1] = samples[slot(newest())];
     Dynamics links;
     stepper.step(x, u, links, *this);
   }
 
-  // The stepper asks for the links' part in step k: that of sample k - 1.
+  // The stepper asks for the links' part in step k: that of sample k - D.
   ARM_INLINE void take(Dynamics& links) {
     const std::int64_t k = newest();
-    wait_for(k);
-    parcels[(k + 1) & 1].fetch();
-    parcels[(k + 1) & 1].unpack(links);
+    wait_for(k - D + 1);
+    const Parcel& parcel = parcels[slot(k - D)];
+    parcel.fetch();
+    parcel.copy_to(links);
   }
 
   // The stepper has the links of sample k + 1, before it is done with the motors.
@@ -160,17 +170,24 @@ class TwoThreads {
   }
 
  private:
+  // Samples and parcels on their way: those of the last D + 1 samples.
+  static constexpr int slots = D + 1;
+  static std::size_t slot(std::int64_t k) { return static_cast<std::size_t>(k + slots) % slots; }
+
   // The sample that was handed over last.
   std::int64_t newest() const { return asked.load(std::memory_order_relaxed) - 1; }
 
   ARM_INLINE void hand_over(const State<S>& x) {
     const std::int64_t k = asked.load(std::memory_order_relaxed);
-    Sample& sample = samples[k & 1];
+    Sample& sample = samples[slot(k)];
+    // With a constant change of v per step: D steps ahead v has changed by D of them, and the sum
+    // of the speeds that the links moved on with, by `sum`.
+    const double ahead = S::exchange == Exchange::predict ? D : 0.0;
+    constexpr double sum = 0.5 * (D - 1) + end_of_step;
     for (int j = 0; j < N; ++j) {
       const double change = x.v[j] - past.v[j];
-      const double ahead = S::exchange == Exchange::predict ? 1.0 : 0.0;
       sample.v[j] = x.v[j] + ahead * change;
-      sample.q[j] = x.q[j] + ahead * h * (x.v[j] + end_of_step * change);
+      sample.q[j] = x.q[j] + ahead * h * (x.v[j] + sum * change);
     }
     asked.store(k + 1, std::memory_order_release);
   }
@@ -179,62 +196,54 @@ class TwoThreads {
   // end.
   static constexpr double end_of_step = S::scheme == Scheme::paper ? 0.0 : 1.0;
 
-  struct alignas(64) Sample {
-    double q[N], v[N];
+  struct alignas(64) Sample : Place {
+    ARM_INLINE void fetch() const { prefetch(this->q, this->v + N); }
   };
 
-  // The links' part on its way between the cores: as few cache lines as it takes, written in one
-  // go.
+  // The links' part on its way between the cores. Only what has a meaning is touched: each cache
+  // line takes its time.
   struct alignas(64) Parcel {
-    double nle[N], M[packed_length<N>()];
+    Dynamics links;
 
-    // Ask for the cache lines, all at once, before they are written or read one by one.
-    ARM_INLINE void take_hold() {
-      for (std::size_t line = 0; line < sizeof(Parcel); line += 64)
-        __builtin_prefetch(reinterpret_cast<char*>(this) + line, 1);
-    }
+    // Ask for the cache lines, all at once, before they are read one by one.
     ARM_INLINE void fetch() const {
-      for (std::size_t line = 0; line < sizeof(Parcel); line += 64)
-        __builtin_prefetch(reinterpret_cast<const char*>(this) + line, 0);
+      prefetch(links.nle, links.nle + N);
+      for (int j = 0; j < N; ++j)
+        prefetch(links.M.at[j] + first_lane<N>(j), links.M.at[j] + kPadded<N>);
     }
-
-    ARM_INLINE void pack(const Dynamics& links) {
-      double* next = M;
+    ARM_INLINE void copy_to(Dynamics& to) const {
       for (int j = 0; j < N; ++j) {
-        nle[j] = links.nle[j];
-        for (int i = first_lane<N>(j); i < kPadded<N>; ++i) *next++ = links.M.at[j][i];
-      }
-    }
-    ARM_INLINE void unpack(Dynamics& links) const {
-      const double* next = M;
-      for (int j = 0; j < N; ++j) {
-        links.nle[j] = nle[j];
-        for (int i = first_lane<N>(j); i < kPadded<N>; ++i) links.M.at[j][i] = *next++;
+        to.nle[j] = links.nle[j];
+        for (int i = first_lane<N>(j); i < kPadded<N>; ++i) to.M.at[j][i] = links.M.at[j][i];
       }
     }
   };
+
+  static ARM_INLINE void prefetch(const double* first, const double* end) {
+    for (; first < end; first += 64 / sizeof(double)) __builtin_prefetch(first);
+  }
 
   // Not inlined: the same bits whichever thread works.
-  __attribute__((noinline)) void evaluate(const double (&q)[N], const double (&v)[N],
-                                          Dynamics& result) const {
-    Links<S>::dynamics(n, q, v, result);
+  __attribute__((noinline)) void evaluate(const Place& at, Dynamics& result) const {
+    Links<S>::dynamics(n, at.q, at.v, result);
   }
 
   // The Newton-Euler thread.
   void work() {
-    Dynamics mine;  // worked on here, where no cache line travels between the cores
-    std::int64_t k = 0;
+    std::int64_t k = 0, here = 0;  // samples that are worked on, that have been handed over
     for (;;) {
       const std::uint32_t seen = alarm.load();
-      while (k < target.load(std::memory_order_relaxed)) {
+      while (here > k || k < target.load(std::memory_order_relaxed)) {
         Spin spin;
-        while (asked.load(std::memory_order_acquire) == k &&
-               k < target.load(std::memory_order_relaxed))
+        while (here <= k) {
+          here = asked.load(std::memory_order_acquire);
+          if (here > k || k >= target.load(std::memory_order_relaxed)) break;
           spin();
-        if (asked.load(std::memory_order_acquire) == k) break;
-        parcels[k & 1].take_hold();
-        evaluate(samples[k & 1].q, samples[k & 1].v, mine);
-        parcels[k & 1].pack(mine);
+        }
+        if (here <= k) break;
+        Parcel& parcel = parcels[slot(k)];
+        if (here > k + 1) samples[slot(k + 1)].fetch();
+        evaluate(samples[slot(k)], parcel.links);
         done.store(++k, std::memory_order_release);
       }
       if (stopping.load()) return;
@@ -256,8 +265,8 @@ class TwoThreads {
   double h;
   const Numbers<S>& n;
   Memory past = {};
-  Sample samples[2] = {};
-  Parcel parcels[2] = {};
+  Sample samples[slots] = {};
+  Parcel parcels[slots] = {};
   // Each counter on a cache line of its own: who writes it does not disturb who reads the other.
   alignas(64) std::atomic<std::int64_t> asked = 0;   // samples handed to the Newton-Euler thread
   alignas(64) std::atomic<std::int64_t> done = 0;    // links' parts that are ready

@@ -25,7 +25,7 @@ from machines import moving_joints, random_chain_urdf, write_scene
 
 from emulator_node.plant import Diverged, Plant
 from emulator_node.real_time import RealTimeSession
-from emulator_node.scene import SCHEMES, Scene, load_scene
+from emulator_node.scene import DEEPEST_EXCHANGE, SCHEMES, Scene, load_scene
 from fuzz.line import FAILED, REFUSED, TAKEN, tell
 from words.refusal import Refusal
 
@@ -146,6 +146,7 @@ def random_machine(rng: np.random.Generator, folder: Path, joints: int) -> Path:
     if scheme != "rosenbrock" and rng.random() < 0.4:
         keys["threads"] = 2
         keys["integrator"]["exchange"] = str(rng.choice(["predict", "lag"]))
+        keys["integrator"]["exchange_depth"] = 1 + zlib.crc32(urdf.encode()) % DEEPEST_EXCHANGE
     if rng.random() < 0.7:
         keys["gravity"] = [0.0, 0.0, -9.81]
     if rng.random() < 0.3:
