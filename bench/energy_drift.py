@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from bench.measure import compile_all, progress
+from bench.measure import compile_all, side_by_side
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, new_figure, save
 from emulator_node.plant import Diverged, Plant
@@ -36,17 +36,17 @@ def run(quick: bool) -> dict[str, Any]:
     """Let the arm tumble under every scheme and step."""
     steps, theirs = (STEPS[:7], MUJOCO_STEPS[:4]) if quick else (STEPS, MUJOCO_STEPS)
     compile_all(_scene(scheme, SAMPLE) for scheme in SCHEMES)
+    cases = [(scheme, dt) for scheme in SCHEMES for dt in steps]
+    cases += [(integrator, dt) for integrator in INTEGRATORS for dt in theirs]
     rows: dict[str, list[dict[str, Any]]] = {}
-    with progress("energy", len(SCHEMES) * len(steps) + len(INTEGRATORS) * len(theirs)) as done:
-        for scheme in SCHEMES:
-            for dt in steps:
-                rows.setdefault(scheme, []).append(_ours(scheme, dt))
-                done(f"{scheme}, {dt:g} s")
-        for integrator in INTEGRATORS:
-            for dt in theirs:
-                rows.setdefault(f"MuJoCo {integrator}", []).append(_mujoco(integrator, dt))
-                done(f"MuJoCo {integrator}, {dt:g} s")
+    for (name, _), row in zip(cases, side_by_side("energy", _row_of, cases), strict=True):
+        rows.setdefault(name if name in SCHEMES else f"MuJoCo {name}", []).append(row)
     return {"rows": rows, "exchanged": _exchanged()}
+
+
+def _row_of(case: tuple[str, float]) -> dict[str, Any]:
+    name, dt = case
+    return _ours(name, dt) if name in SCHEMES else _mujoco(name, dt)
 
 
 def _scene(scheme: str, dt: float) -> Scene:

@@ -19,7 +19,7 @@ import pinocchio as pin
 import yaml
 from scipy.special import ellipk
 
-from bench.measure import progress
+from bench.measure import side_by_side
 from bench.motion import Array
 from emulator_node.advice import ORDERS
 from emulator_node.plant import Diverged, Plant
@@ -544,23 +544,22 @@ CASES = (
 
 def run(quick: bool) -> dict[str, Any]:
     """Try every scheme on every case."""
-    figures = []
-    with progress("hard cases", len(CASES)) as done:
-        for case in CASES:
-            outcomes = [
-                {**dataclasses.asdict(outcome), "verdict": outcome.verdict}
-                for outcome in case.run(quick)
-            ]
-            figures.append(
-                {
-                    "name": case.name,
-                    "truth": case.truth,
-                    "measured": case.measured,
-                    "outcomes": outcomes,
-                }
-            )
-            done(case.name)
-    return {"cases": figures}
+    cases = [(k, quick) for k in range(len(CASES))]
+    return {"cases": side_by_side("hard cases", _try, cases)}
+
+
+def _try(which: tuple[int, bool]) -> dict[str, Any]:
+    k, quick = which
+    case = CASES[k]
+    return {
+        "name": case.name,
+        "truth": case.truth,
+        "measured": case.measured,
+        "outcomes": [
+            {**dataclasses.asdict(outcome), "verdict": outcome.verdict}
+            for outcome in case.run(quick)
+        ],
+    }
 
 
 def report(figures: dict[str, Any]) -> str:

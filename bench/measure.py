@@ -6,15 +6,16 @@ import contextlib
 import gc
 import importlib.metadata
 import io
+import multiprocessing
 import os
 import platform
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +25,9 @@ from compiled.cxx import find_compiler
 from emulator_node.compiler import library_of
 from emulator_node.scene import Scene
 from emulator_node.scene_unit import scene_unit
+
+Case = TypeVar("Case")
+Result = TypeVar("Result")
 
 ENOUGH = 0.01  # s of work in one repetition
 LONG = 0.2  # s; beyond this a cold cache is nothing
@@ -167,6 +171,25 @@ def compile_all(scenes: Iterable[Scene]) -> None:
             different.values(), pool.map(library_of, different.values()), strict=True
         ):
             done(scene.name)
+
+
+def side_by_side(what: str, work: Callable[[Case], Result], cases: Iterable[Case]) -> list[Result]:
+    """Return `work` of every case, on all cores: for what takes long and is not timed.
+
+    Args:
+        what: to show above the bar.
+        work: a function of a module, which processes of their own import.
+        cases: what each process is given, to be pickled.
+    """
+    cases = list(cases)
+    # Processes that start anew inherit no threads that hold a lock.
+    start = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), start) as pool, progress(what, len(cases)) as done:
+        jobs = [pool.submit(work, case) for case in cases]
+        for job in as_completed(jobs):
+            job.result()
+            done()
+    return [job.result() for job in jobs]
 
 
 def machine() -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
-from bench.measure import compile_all, progress
+from bench.measure import compile_all, side_by_side
 from bench.motion import Array, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import new_figure, save
@@ -51,19 +51,17 @@ def run(quick: bool) -> dict[str, Any]:
     )
     figures: dict[str, Any] = {"steps": STEPS, "meaning": MEANING, "accurate": ACCURATE}
     figures["axes"] = {}
-    with progress("stability map", sum(len(axis["values"]) for axis in axes.values())) as done:
-        for name, axis in axes.items():
-            columns = []
-            for value, overrides in zip(axis["values"], axis["overrides"], strict=True):
-                columns.append(_column(overrides))
-                done(f"{name} {value:.3g}")
-            figures["axes"][name] = {
-                "values": axis["values"],
-                "label": axis["label"],
-                "truth_differs": [column.pop("truth") for column in columns],
-                "cells": {key: [column[key][0] for column in columns] for key in columns[0]},
-                "errors": {key: [column[key][1] for column in columns] for key in columns[0]},
-            }
+    machines = [overrides for axis in axes.values() for overrides in axis["overrides"]]
+    measured = iter(side_by_side("stability map", _column, machines))
+    for name, axis in axes.items():
+        columns = [next(measured) for _ in axis["values"]]
+        figures["axes"][name] = {
+            "values": axis["values"],
+            "label": axis["label"],
+            "truth_differs": [column.pop("truth") for column in columns],
+            "cells": {key: [column[key][0] for column in columns] for key in columns[0]},
+            "errors": {key: [column[key][1] for column in columns] for key in columns[0]},
+        }
     return figures
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from bench.closed_loop import DemoMotion
-from bench.measure import Task, compile_all, interleaved, progress, stepping
+from bench.measure import Task, compile_all, interleaved, progress, side_by_side, stepping
 from bench.motion import Array
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import Scene, load_scene
@@ -53,7 +53,20 @@ def run(quick: bool) -> dict[str, Any]:
         for scheme in TIMED
         for overrides in (*variants[name].values(), *IN.values())
     )
-    return {name: _measure(name, variants[name], 5 if quick else 15) for name in names}
+    fulls = side_by_side("full machines", _full, names)
+    cases = [(full, part) for full in fulls for part in variants[full.name]]
+    errors = side_by_side("without a part", _errors, cases)
+    found = {(full.name, part): error for (full, part), error in zip(cases, errors, strict=True)}
+    repetitions = 5 if quick else 15
+    return {
+        full.name: {
+            "times": _times(full.name, {**variants[full.name], **IN}, repetitions),
+            "errors": {part: found[full.name, part] for part in variants[full.name]},
+            "travel": _travel(full),
+            "dt": DT,
+        }
+        for full in fulls
+    }
 
 
 def _variants(name: str) -> dict[str, dict[str, Any]]:
@@ -73,35 +86,51 @@ def _scene(name: str, scheme: str, overrides: dict[str, Any], dt: float = DT) ->
     return load_scene(name, {**overrides, "integrator.scheme": scheme, "integrator.dt": dt})
 
 
-def _measure(name: str, variants: dict[str, dict[str, Any]], repetitions: int) -> dict[str, Any]:
-    motion = DemoMotion(load_scene(name))
-    times = _times(name, {**variants, **IN}, repetitions)
-    with progress("what each part costs", len(variants) + 1) as done:
-        q_full, voltages = motion.run(_scene(name, "rosenbrock", {}))
-        watched = slice(motion.settle, None)
-        tool_full = motion.tool(q_full[watched])
+@dataclass(frozen=True)
+class _Full:
+    """How the full machine moves: what machines without a part are compared with.
 
-        def error(q: Array | None) -> dict[str, float] | None:
-            if q is None:
-                return None
-            tool = motion.tool(q[watched]) - tool_full
-            return {
-                "joint": float(np.abs(q[watched] - q_full[watched]).max()),
-                "tool": float(np.linalg.norm(tool, axis=1).max()),
-            }
+    Attributes:
+        name: of the scene.
+        q: link positions and voltages of each servo period, (K, N) each.
+    """
 
-        errors: dict[str, Any] = {}
-        for part, overrides in variants.items():
-            # What differs for no reason but rounding and step is the ground of all the others.
-            scene = _scene(name, "rosenbrock", overrides, DT / 2 if part == FULL else DT)
-            errors[part] = {
-                "closed_loop": error(motion.run(scene)[0]),
-                "open_loop": error(_open_loop(scene, voltages)),
-            }
-            done(f"{name} without {part}")
-        done(name)
-    travel = float(np.abs(q_full[watched] - q_full[motion.settle - 1]).max())
-    return {"times": times, "errors": errors, "travel": travel, "dt": DT}
+    name: str
+    q: Array
+    voltages: Array
+
+
+def _full(name: str) -> _Full:
+    return _Full(name, *DemoMotion(load_scene(name)).run(_scene(name, "rosenbrock", {})))
+
+
+def _errors(case: tuple[_Full, str]) -> dict[str, dict[str, float] | None]:
+    """Return how far the machine without one part moves from the full one."""
+    full, part = case
+    motion = DemoMotion(load_scene(full.name))
+    watched = slice(motion.settle, None)
+    tool = motion.tool(full.q[watched])
+
+    def error(q: Array | None) -> dict[str, float] | None:
+        if q is None:
+            return None
+        return {
+            "joint": float(np.abs(q - full.q)[watched].max()),
+            "tool": float(np.linalg.norm(motion.tool(q[watched]) - tool, axis=1).max()),
+        }
+
+    # What differs for no reason but rounding and step is the ground of all the others.
+    dt = DT / 2 if part == FULL else DT
+    scene = _scene(full.name, "rosenbrock", _variants(full.name)[part], dt)
+    return {
+        "closed_loop": error(motion.run(scene)[0]),
+        "open_loop": error(_open_loop(scene, full.voltages)),
+    }
+
+
+def _travel(full: _Full) -> float:
+    settle = DemoMotion(load_scene(full.name)).settle
+    return float(np.abs(full.q[settle:] - full.q[settle - 1]).max())
 
 
 def _open_loop(scene: Scene, voltages: Array) -> Array | None:
@@ -121,7 +150,8 @@ def _times(
             plant = Plant(_scene(name, scheme, overrides, 1e-5))
             rows = 1.0 * (-1.0) ** np.arange(len(plant.scene.joints))[None, :]
             tasks[f"{scheme}: {part}"] = stepping(plant, rows, STEPS, about=1e-3)
-    timings = interleaved(tasks, repetitions)
+    with progress(f"steps, {name}", repetitions * len(tasks)) as done:
+        timings = interleaved(tasks, repetitions, done)
     return {
         part: {scheme: asdict(timings[f"{scheme}: {part}"].per(STEPS)) for scheme in TIMED}
         for part in variants

@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.bare import BARE
-from bench.measure import Task, Timing, compile_all, interleaved, progress, without_collector
+from bench.measure import (
+    Task,
+    Timing,
+    compile_all,
+    interleaved,
+    progress,
+    side_by_side,
+    without_collector,
+)
 from bench.measure import wall as wall_time
 from bench.motion import SERVO_PERIOD, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
@@ -79,10 +87,25 @@ def run(quick: bool) -> dict[str, Any]:
         for scheme in SCHEMES
     }
     compile_all(scenes.values())
+    motions = [(key, seed) for key in cases for seed in range(INPUTS)]
+    truths = dict(zip(motions, side_by_side("reference", _truth, motions), strict=True))
     return {
-        key: _measure(case, {scheme: scenes[key, scheme] for scheme in SCHEMES}, quick)
+        key: _measure(
+            case,
+            {scheme: scenes[key, scheme] for scheme in SCHEMES},
+            [truths[key, seed] for seed in range(INPUTS)],
+            quick,
+        )
         for key, case in cases.items()
     }
+
+
+def _truth(motion: tuple[str, int]) -> Array:
+    key, seed = motion
+    case = CASES[key]
+    scene = _scene(case, "rosenbrock", case.period)
+    end: Array = reference(scene, sines(len(scene.joints), seed, case.period), case.period)[-1]
+    return end
 
 
 def _scene(case: Case, scheme: str, dt: float) -> Scene:
@@ -114,15 +137,12 @@ class _Series:
             self.ends[repetition] = self._work(repetition)
 
 
-def _measure(case: Case, scenes: Mapping[str, Scene], quick: bool) -> dict[str, Any]:
+def _measure(
+    case: Case, scenes: Mapping[str, Scene], truths: list[Array], quick: bool
+) -> dict[str, Any]:
     scene = scenes["rosenbrock"]
     N = len(scene.joints)
     voltages = [sines(N, seed, case.period) for seed in range(INPUTS)]
-    truths = []
-    with progress("reference", INPUTS) as done:
-        for rows in voltages:
-            truths.append(reference(scene, rows, case.period)[-1])
-            done(case.title)
     agreement = _agreement(case, scene, voltages[0], truths[0])
 
     smallest, theirs = (case.ours, case.theirs) if not quick else (1e-6, 1e-5)
