@@ -9,9 +9,41 @@ namespace arm {
 template <int N, class X>
 using Symmetric = X[N][kPadded<N>];
 
+// From the tip to the base, U D U^T with ones on the diagonal of U: the order in which the
+// recursions of the links deliver M and the right-hand side, so that the first eliminations need
+// not wait for the last rows.
 template <int N, class X = double>
-struct Cholesky {
-  X L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
+struct FromTheTip {
+  X U[N][N];  // U[k][i] is row i, column k of the factor, i < k
+  X inverse_D[N];
+
+  // Factor `M`, which is used up.
+  ARM_INLINE void factor(Symmetric<N, X>& M) {
+    for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
+      inverse_D[k] = 1.0 / M[k][k];
+      for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
+        U[k][i] = M[i][k] * inverse_D[k];
+        for_each_from<k>(
+            i, [&](auto j) __attribute__((always_inline)) { M[i][j] -= U[k][i] * M[j][k]; });
+      });
+    });
+  }
+
+  ARM_INLINE void solve(X* x) const {
+    for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
+      for_each_reverse<k>([&](auto i) __attribute__((always_inline)) { x[i] -= U[k][i] * x[k]; });
+    });
+    for_each<N>([&](auto k) __attribute__((always_inline)) {
+      X sum = x[k] * inverse_D[k];
+      for_each<k>([&](auto i) __attribute__((always_inline)) { sum -= U[k][i] * x[i]; });
+      x[k] = sum;
+    });
+  }
+};
+
+template <int N, class X = double>
+struct InRows {
+  alignas(64) X L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
   X inverse_D[N];
 
   // Factor `M`, which is used up.
@@ -41,5 +73,8 @@ struct Cholesky {
     });
   }
 };
+
+template <int N, class X = double>
+using Cholesky = std::conditional_t<N <= kUnrollNested, FromTheTip<N, X>, InRows<N, X>>;
 
 }  // namespace arm

@@ -23,12 +23,12 @@ struct Links {
   };
 
   struct MassMatrix {
-    Symmetric<N, X> at;
+    alignas(64) Symmetric<N, X> at;
   };
 
   // All that the equation of motion takes from the links at one (q, v).
   struct Dynamics {
-    X nle[N];
+    alignas(64) X nle[N];
     MassMatrix M;
   };
 
@@ -55,69 +55,34 @@ struct Links {
   static ARM_INLINE void inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
                                           const X* a, X* tau) {
     Wrench<X> wrench[N];
-    BaseAxes base;
-    Vec3<X> omega, alpha;  // of the parent link, in its frame
-    Vec3<X> acc =
-        Vec3<X>{} - S::gravity;  // of the parent's origin; accelerating upwards stands for gravity
-    for_each<N>([&](auto i) __attribute__((always_inline)) {
-      const Placement<X>& link = k.link[i];
-      const X a_i = a ? a[i] : X{};
-      const Vec3<X> at_joint = acc + cross(alpha, link.p) + cross(omega, cross(omega, link.p));
-      omega = link.to_child(omega);
-      alpha = link.to_child(alpha);
-      acc = link.to_child(at_joint);
-      if (revolute(i)) {
-        alpha = alpha + Vec3<X>{omega.y * v[i], -omega.x * v[i], a_i};
-        omega.z += v[i];
-      } else {
-        acc = acc + Vec3<X>{2.0 * omega.y * v[i], -2.0 * omega.x * v[i], a_i};
-      }
-      const auto body = n.body(i);
-      wrench[i].f = body.m * acc + cross(alpha, body.h) + cross(omega, cross(omega, body.h));
-      wrench[i].n = body.I * alpha + cross(omega, body.I * omega) + cross(body.h, acc);
-      if constexpr (S::external_wrench) {
-        base.go_on(link);
-        const Wrench<X> outside = n.external_wrench(i).at_origin(base.x, base.y);
-        wrench[i] = {wrench[i].f - outside.f, wrench[i].n - outside.n};
-      }
-    });
-    for_each_reverse<N>([&](auto i) __attribute__((always_inline)) {
-      tau[i] = revolute(i) ? wrench[i].n.z : wrench[i].f.z;
-      if (i > 0) wrench[i - 1] = sum(wrench[i - 1], k.link[i], wrench[i]);
-    });
+    wrenches(n, k, v, a, wrench);
+    for_each_reverse<N>([&](auto i)
+                            __attribute__((always_inline)) { tau[i] = pass_down(k, i, wrench); });
   }
 
-  // Mass matrix: the inertia of all that joint j carries, moved with unit acceleration of joint j,
-  // seen by every joint i <= j. The wrenches of all those j go down the chain side by side.
   static ARM_INLINE void mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
-    constexpr int row = kPadded<N>;
-    X fx[row] = {}, fy[row] = {}, fz[row] = {}, nx[row] = {}, ny[row] = {}, nz[row] = {};
-    Body<X> carried = over<X>(n.body(std::integral_constant<int, N - 1>{}));
-    for_each_reverse<N, kUnrollNested>([&](auto i) __attribute__((always_inline)) {
-      const bool turns = revolute(i);
-      fx[i] = turns ? -carried.h.y : X{};
-      fy[i] = turns ? carried.h.x : X{};
-      fz[i] = turns ? X{} : carried.m;
-      nx[i] = turns ? carried.I.xz : carried.h.y;
-      ny[i] = turns ? carried.I.yz : -carried.h.x;
-      nz[i] = turns ? carried.I.zz : X{};
-      for_each_lane_from<N>(
-          i, [&](auto j) __attribute__((always_inline)) { M.at[i][j] = turns ? nz[j] : fz[j]; });
-      if (i == 0) return;
-      for_each_lane_from<N>(i, [&](auto j) __attribute__((always_inline)) {
-        const Wrench<X> w = sum({}, k.link[i], {{fx[j], fy[j], fz[j]}, {nx[j], ny[j], nz[j]}});
-        fx[j] = w.f.x, fy[j] = w.f.y, fz[j] = w.f.z;
-        nx[j] = w.n.x, ny[j] = w.n.y, nz[j] = w.n.z;
-      });
-      carried = joined(n.body(before(i)), k.link[i], carried);
-    });
+    Carried carried(n);
+    for_each_reverse<N, kUnrollNested>(
+        [&](auto i) __attribute__((always_inline)) { carried.fill_row(n, k, i, M); });
   }
 
+  // Of few joints both go down the chain side by side: each step of one waits long for the one
+  // before, which is the other's time.
   static ARM_INLINE void dynamics(const Numbers& n, const X* q, const X* v, Dynamics& links) {
     Kinematics k;
     kinematics(q, k);
-    inverse_dynamics(n, k, v, nullptr, links.nle);
-    mass_matrix(n, k, links.M);
+    if constexpr (N > kUnrollNested) {
+      inverse_dynamics(n, k, v, nullptr, links.nle);
+      mass_matrix(n, k, links.M);
+    } else {
+      Wrench<X> wrench[N];
+      wrenches(n, k, v, nullptr, wrench);
+      Carried carried(n);
+      for_each_reverse<N>([&](auto i) __attribute__((always_inline)) {
+        links.nle[i] = pass_down(k, i, wrench);
+        carried.fill_row(n, k, i, links.M);
+      });
+    }
   }
 
   // The same for those who need it seldom: a step's own is inlined into it.
@@ -153,6 +118,73 @@ struct Links {
   }
 
  private:
+  // What each link's motion takes, without the links after it.
+  static ARM_INLINE void wrenches(const Numbers& n, const Kinematics& k, const X* v, const X* a,
+                                  Wrench<X> (&wrench)[N]) {
+    BaseAxes base;
+    Vec3<X> omega, alpha;  // of the parent link, in its frame
+    Vec3<X> acc =
+        Vec3<X>{} - S::gravity;  // of the parent's origin; accelerating upwards stands for gravity
+    for_each<N>([&](auto i) __attribute__((always_inline)) {
+      const Placement<X>& link = k.link[i];
+      const X a_i = a ? a[i] : X{};
+      const Vec3<X> at_joint = acc + cross(alpha, link.p) + cross(omega, cross(omega, link.p));
+      omega = link.to_child(omega);
+      alpha = link.to_child(alpha);
+      acc = link.to_child(at_joint);
+      if (revolute(i)) {
+        alpha = alpha + Vec3<X>{omega.y * v[i], -omega.x * v[i], a_i};
+        omega.z += v[i];
+      } else {
+        acc = acc + Vec3<X>{2.0 * omega.y * v[i], -2.0 * omega.x * v[i], a_i};
+      }
+      const auto body = n.body(i);
+      wrench[i].f = body.m * acc + cross(alpha, body.h) + cross(omega, cross(omega, body.h));
+      wrench[i].n = body.I * alpha + cross(omega, body.I * omega) + cross(body.h, acc);
+      if constexpr (S::external_wrench) {
+        base.go_on(link);
+        const Wrench<X> outside = n.external_wrench(i).at_origin(base.x, base.y);
+        wrench[i] = {wrench[i].f - outside.f, wrench[i].n - outside.n};
+      }
+    });
+  }
+
+  // Add the wrench of link i to the one before; return joint i's part of it.
+  static ARM_INLINE X pass_down(const Kinematics& k, auto i, Wrench<X> (&wrench)[N]) {
+    if (i > 0) wrench[i - 1] = sum(wrench[i - 1], k.link[i], wrench[i]);
+    return revolute(i) ? wrench[i].n.z : wrench[i].f.z;
+  }
+
+  // Mass matrix: the inertia of all that joint j carries, moved with unit acceleration of joint j,
+  // seen by every joint i <= j. The wrenches of all those j go down the chain side by side.
+  struct Carried {
+    using Lanes = X[kPadded<N>];
+    alignas(64) Lanes fx = {}, fy = {}, fz = {}, nx = {}, ny = {}, nz = {};
+    Body<X> body;
+
+    ARM_INLINE explicit Carried(const Numbers& n)
+        : body(over<X>(n.body(std::integral_constant<int, N - 1>{}))) {}
+
+    ARM_INLINE void fill_row(const Numbers& n, const Kinematics& k, auto i, MassMatrix& M) {
+      const bool turns = revolute(i);
+      fx[i] = turns ? -body.h.y : X{};
+      fy[i] = turns ? body.h.x : X{};
+      fz[i] = turns ? X{} : body.m;
+      nx[i] = turns ? body.I.xz : body.h.y;
+      ny[i] = turns ? body.I.yz : -body.h.x;
+      nz[i] = turns ? body.I.zz : X{};
+      for_each_lane_from<N>(
+          i, [&](auto j) __attribute__((always_inline)) { M.at[i][j] = turns ? nz[j] : fz[j]; });
+      if (i == 0) return;
+      for_each_lane_from<N>(i, [&](auto j) __attribute__((always_inline)) {
+        const Wrench<X> w = sum({}, k.link[i], {{fx[j], fy[j], fz[j]}, {nx[j], ny[j], nz[j]}});
+        fx[j] = w.f.x, fy[j] = w.f.y, fz[j] = w.f.z;
+        nx[j] = w.n.x, ny[j] = w.n.y, nz[j] = w.n.z;
+      });
+      body = joined(n.body(before(i)), k.link[i], body);
+    }
+  };
+
   // Those of many joints side by side in vectors. Those of few are there before vectors are filled.
   static ARM_INLINE void sines(const X (&theta)[N], SinCos<X> (&turn)[N]) {
     if constexpr (N <= kUnrollNested) {

@@ -26,7 +26,11 @@ class OneThread {
   void end() {}
   ARM_INLINE void step(State<S, X>& x, const X (&u)[Stepper::row]) {
     Dynamics links;
-    Links<S, X>::dynamics(n, x.q, x.v, links);
+    // Where nothing folds, a function of its own has the registers to itself.
+    if constexpr (S::N > kUnrollNested)
+      Links<S, X>::dynamics_apart(n, x.q, x.v, links);
+    else
+      Links<S, X>::dynamics(n, x.q, x.v, links);
     stepper.step(x, u, links, *this);
   }
   void watch(auto* meter) { stepper.watch(meter); }
