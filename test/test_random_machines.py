@@ -10,8 +10,8 @@ from emulator_node.advice import ORDERS
 
 
 # 10 and 31 have progressive gears, limits and dry friction; the current of 138 touches its limit,
-# and a link of 381 breaks away for a moment.
-@pytest.mark.parametrize("seed", some([138, 10, 381, 1, 0, 31, 2, 3, 4], 1))
+# a link of 381 breaks away for a moment, and one of 470 sets out and rests within some us.
+@pytest.mark.parametrize("seed", some([470, 138, 10, 381, 1, 0, 31, 2, 3, 4], 1))
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.random_machines` does the same for hundreds."""
     (verdict,) = judge(seed, (LOCATED[seed % 2],))
