@@ -1,7 +1,8 @@
 """Machines that break integrators, each with a truth that must come out.
 
 A scheme holds a case, or the plant detects that it does not: anything else is a failure. One truth
-(free links in a spin) asks more than a scheme of first order can give; there "drifts" says so.
+(free links in a spin) asks more than a scheme of first order or a very coarse step can give; there
+"drifts" says so.
 """
 
 from __future__ import annotations
@@ -258,6 +259,9 @@ def light_distal_link(quick: bool) -> Iterator[Outcome]:
         )
 
 
+SPIN = 100.0  # rad/s
+
+
 def spin(quick: bool) -> Iterator[Outcome]:
     """The links alone thrown at 100 rad/s about the vertical: arms fly up and down for 60 s."""
     for scheme in of_one_case(quick, "rosenbrock"):
@@ -272,7 +276,7 @@ def spin(quick: bool) -> Iterator[Outcome]:
                 M = pin.crba(model, data, state.q)
                 return float((np.triu(M) + np.triu(M, 1).T)[0] @ state.v)
 
-            plant.reset(v=[100.0, 0.0, 0.0])
+            plant.reset(v=[SPIN, 0.0, 0.0])
             E, H = plant.energy, momentum()
             worst_E = worst_H = 0.0
             # 1e3 turns; of the first order, every turn of dt v = 0.01 rad per step costs.
@@ -286,7 +290,8 @@ def spin(quick: bool) -> Iterator[Outcome]:
                 yield diverged(scheme, dt, bound, fault)
                 continue
             note = f"energy {worst_E:.1e}, momentum {worst_H:.1e}"
-            may_drift = ORDERS[scheme] == 1
+            # 0.1 rad per step is not small any more, and nothing damps what it costs.
+            may_drift = ORDERS[scheme] == 1 or SPIN * dt >= 0.1
             yield Outcome(scheme, dt, max(worst_E, worst_H), bound, note, may_drift)
 
 

@@ -18,8 +18,8 @@ Row = tuple[str, str, str, bool | None]
 PER_STEP = {"three_axis": 40.0, "ur5": 12.0, "panda": 12.0}
 AT_ERROR: dict[str, dict[str, float | None]] = {
     "three_axis": {"0.0001": 250.0, "1e-05": 2000.0, "1e-06": 10000.0},
-    "ur5": {"0.0001": None, "1e-05": 500.0, "1e-06": None},
-    "panda": {"0.0001": None, "1e-05": 500.0, "1e-06": None},
+    "ur5": {"0.0001": None, "1e-05": 300.0, "1e-06": None},
+    "panda": {"0.0001": None, "1e-05": 300.0, "1e-06": None},
 }
 # Many arms: gain of lanes, time of a step and time at 1e-5 rad over MuJoCo's rollout.
 FLEET_GAIN, FLEET_PER_STEP, FLEET_AT_ERROR = 4.0, 120.0, 1000.0

@@ -378,7 +378,8 @@ class EmulatorNode(Node):
         self._say_motor_state()
         if session.tick % self._report_ticks == 0:
             self._say_truth()
-            self._publish(self._clocks, Clock(clock=stamp(session.logical_ns)))
+            self._newest_time = Clock(clock=stamp(session.logical_ns))
+            self._publish(self._clocks, self._newest_time)
         self._show()
 
     def _tell_change(self) -> None:
@@ -521,6 +522,9 @@ class EmulatorNode(Node):
     def _on_status(self) -> None:
         with self._lock:
             self._say_status()
+            if time.monotonic() - self._published_at >= STATUS_PERIOD:
+                # Read with best effort: who lost the newest time, or came after it, has it now.
+                self._clocks.publish(self._newest_time)
 
     def _say_status(self) -> None:
         session = self._session

@@ -201,7 +201,7 @@ def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
                     os.killpg(process.pid, signal.SIGKILL)
             told = f"{command}, {stop.name} after {moment:.3f} s: {process.returncode} {complaint}"
             # What ends by itself may be done, or have left only Python's own end to do.
-            ends_itself = command[1:] and command[1] in ("advise", "compile")
+            ends_itself = command[1:] and command[1] in ("demo", "advise", "compile")
             finished = ends_itself and process.returncode in (0, -stop)
             assert process.returncode == codes[stop] or finished, told
             for word in ("Traceback", "Exception", "Error"):

@@ -27,6 +27,7 @@ from network import (
     offline_states,
 )
 from network import user as user_of
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
@@ -408,11 +409,19 @@ def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
         # what gets lost.
         expected = tick // 10 * 10 * 1_000_000
 
-        def now() -> int:
-            return int(follower.get_clock().now().nanoseconds)
+        def now(node: Node = follower) -> int:
+            return int(node.get_clock().now().nanoseconds)
 
         user.wait("the time", lambda: expected - 100_000_000 <= now() <= expected)
         assert now() % 10_000_000 == 0
+        late = rclpy.create_node(
+            "late",
+            context=user.node.context,
+            parameter_overrides=[Parameter("use_sim_time", value=True)],
+        )
+        user.add(late)
+        user.wait("the time for one who comes while it stands", lambda: now(late) == expected)
+        assert now() == expected
         # Diagnostics carry the node's own time: since 0 here, since 1970 in a node without.
         user.wait("words at 1 s", lambda: user.stamps.get("other", 0) >= NANOSECONDS)
         assert user.stamps["other"] <= expected
@@ -421,6 +430,7 @@ def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
         del user.diagnostics["other"]
         user.wait("words at a standstill", lambda: "other" in user.diagnostics)
         follower.destroy_node()
+        late.destroy_node()
 
 
 def test_services_in_real_time(real_time: SharedNetwork) -> None:

@@ -1,4 +1,5 @@
-// M x = b for a symmetric positive definite M, as L D L^T.
+// M x = b for a symmetric positive definite M, by factors with ones on their diagonals: U D U^T of
+// few joints, L D L^T of many.
 #pragma once
 
 #include "number.hpp"
@@ -9,9 +10,8 @@ namespace arm {
 template <int N, class X>
 using Symmetric = X[N][kPadded<N>];
 
-// From the tip to the base, U D U^T with ones on the diagonal of U: the order in which the
-// recursions of the links deliver M and the right-hand side, so that the first eliminations need
-// not wait for the last rows.
+// U D U^T, from the tip to the base: the order in which the recursions of the links deliver M and
+// the right-hand side, so that the first eliminations need not wait for the last rows.
 template <int N, class X = double>
 struct FromTheTip {
   X U[N][N];  // U[k][i] is row i, column k of the factor, i < k
@@ -41,6 +41,7 @@ struct FromTheTip {
   }
 };
 
+// L D L^T, from the base to the tip: all loops run along rows, and fill vectors.
 template <int N, class X = double>
 struct InRows {
   alignas(64) X L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
