@@ -66,8 +66,8 @@ struct Links {
         [&](auto i) __attribute__((always_inline)) { carried.fill_row(n, k, i, M); });
   }
 
-  // Of few joints both go down the chain side by side: each step of one waits long for the one
-  // before, which is the other's time.
+  // With few joints both recursions go down the chain in one loop: each waits for its result of the
+  // link before, and the processor works on the other meanwhile.
   static ARM_INLINE void dynamics(const Numbers& n, const X* q, const X* v, Dynamics& links) {
     Kinematics k;
     kinematics(q, k);
@@ -185,7 +185,8 @@ struct Links {
     }
   };
 
-  // Those of many joints side by side in vectors. Those of few are there before vectors are filled.
+  // Sine and cosine of each angle: of many joints in vectors; with few, to fill the vectors takes
+  // longer than they save.
   static ARM_INLINE void sines(const X (&theta)[N], SinCos<X> (&turn)[N]) {
     if constexpr (N <= kUnrollNested) {
       for_each<N>([&](auto i) __attribute__((always_inline)) { turn[i] = sincos(theta[i]); });
