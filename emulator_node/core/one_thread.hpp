@@ -26,8 +26,8 @@ class OneThread {
   void end() {}
   ARM_INLINE void step(State<S, X>& x, const X (&u)[Stepper::row]) {
     Dynamics links;
-    // Inlined, so that its constants fold with the step's; loops over many joints have none, and run
-    // faster in a function of their own.
+    // Inlined, so that its constants fold with the step's; loops over many joints have none, and
+    // run faster in a function of their own.
     if constexpr (S::N > kUnrollNested)
       Links<S, X>::dynamics_apart(n, x.q, x.v, links);
     else

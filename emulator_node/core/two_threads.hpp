@@ -200,8 +200,8 @@ class TwoThreads {
     ARM_INLINE void fetch() const { prefetch(this->q, this->v + N); }
   };
 
-  // The links' part on its way between the cores. Only the numbers that have a meaning are read: each
-  // cache line costs time on its way.
+  // The links' part on its way between the cores. Only the numbers that have a meaning are read:
+  // each cache line costs time on its way.
   struct alignas(64) Parcel {
     Dynamics links;
 
