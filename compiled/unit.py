@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from compiled import library_cache
-from compiled.cxx import find_compiler, run_compiler
 from compiled.elf import why_no_library
 from compiled.trusted import Untrusted, check_folder, read_file
 from words.refusal import Refusal
@@ -165,6 +164,9 @@ def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
 
 
 def _compile(unit: Unit, target: str, library: Path) -> None:
+    # Most processes find their library compiled, and need nothing that starts other processes.
+    from compiled.cxx import find_compiler, run_compiler
+
     compiler = find_compiler()
     largest = library_cache.largest_size()
     print(f"compiling {unit.about} ... ", end="", file=sys.stderr, flush=True)
