@@ -63,10 +63,8 @@ class MachineWithModes(ReferenceMachine):
         a[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
         return T, a, np.where(self.locked, tau - M @ a, 0.0)
 
-    def motor_accelerations(self, x: Array, V: Array) -> Array:
-        """Return how the motors accelerate in these modes [rad/s2]."""
-        i, _ = self.currents(x, V)
-        T, a, _ = self.forces(x, V)
+    def motor_accelerations(self, i: Array, T: Array, a: Array) -> Array:
+        """Return how the motors accelerate under currents and gears' torques [rad/s2]."""
         return np.where(self.elastic, (self.Kt * i - self.Ng * T) / self.Mm, a / self.Ng)
 
     def rates(self, t: float, flat: Array, V: Array) -> Array:
@@ -77,7 +75,7 @@ class MachineWithModes(ReferenceMachine):
         dx = np.zeros((5, self.N))
         np.divide(surplus, self.L, out=dx[0], where=self.inductive & (self.side == 0.0))
         dx[1] = np.where(self.elastic, x[2], 0.0)
-        dx[2] = np.where(self.elastic, (self.Kt * i - self.Ng * T) / self.Mm, 0.0)
+        dx[2] = np.where(self.elastic, self.motor_accelerations(i, T, a), 0.0)
         dx[3], dx[4] = x[4], a
         return dx.ravel()
 
@@ -123,7 +121,9 @@ class MachineWithModes(ReferenceMachine):
         side = np.sign(currents[j])
         # Without inductance there is no surplus before it is held; whether there will be tells how
         # the back-EMF changes. One that just touches its limit is not held.
-        ahead = surplus[j] if self.inductive[j] else -self.Kb[j] * self.motor_accelerations(x, V)[j]
+        T, a, _ = self.forces(x, V)
+        back_emf_rate = self.Kb * self.motor_accelerations(currents, T, a)
+        ahead = surplus[j] if self.inductive[j] else -back_emf_rate[j]
         leaves = side * ahead < 0.0
         self.side[j] = 0.0 if leaves else side
         if self.inductive[j]:

@@ -549,13 +549,11 @@ CASES = (
 
 def run(quick: bool) -> dict[str, Any]:
     """Try every scheme on every case."""
-    cases = [(k, quick) for k in range(len(CASES))]
-    return {"cases": side_by_side("hard cases", _try, cases)}
+    return {"cases": side_by_side("hard cases", _try, [(case, quick) for case in CASES])}
 
 
-def _try(which: tuple[int, bool]) -> dict[str, Any]:
-    k, quick = which
-    case = CASES[k]
+def _try(which: tuple[Case, bool]) -> dict[str, Any]:
+    case, quick = which
     return {
         "name": case.name,
         "truth": case.truth,

@@ -93,9 +93,7 @@ def _loops(joints: tuple[int, ...], repetitions: int) -> dict[str, Any]:
             }
             for n in joints
         }
-        for kinds in scenes.values():
-            for scene in kinds.values():
-                compile_all([scene])
+        compile_all(scene for kinds in scenes.values() for scene in kinds.values())
         with progress("time per loop", len(joints)) as done:
             for n, kinds in scenes.items():
                 plants = {name: Plant(scene) for name, scene in kinds.items()}

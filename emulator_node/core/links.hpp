@@ -99,10 +99,7 @@ struct Links {
       base.go_on(k.link[i]);
       wrench[i] = n.external_wrench(i).at_origin(base.x, base.y);
     }
-    for (int i = N - 1; i >= 0; --i) {
-      tau[i] = revolute(i) ? wrench[i].n.z : wrench[i].f.z;
-      if (i > 0) wrench[i - 1] = sum(wrench[i - 1], k.link[i], wrench[i]);
-    }
+    for (int i = N - 1; i >= 0; --i) tau[i] = pass_down(k, i, wrench);
   }
 
   // Kinetic energy is v^T M v / 2; this is the potential energy in the field S::gravity, zero with
@@ -191,12 +188,12 @@ struct Links {
     if constexpr (N <= kUnrollNested) {
       for_each<N>([&](auto i) __attribute__((always_inline)) { turn[i] = sincos(theta[i]); });
     } else {
-      using Numbers = Row<N, X>;
+      using Angles = Row<N, X>;
       alignas(64) X angle[kRow<N, X>] = {}, sin[kRow<N, X>], cos[kRow<N, X>];
       for_each<N>([&](auto i) __attribute__((always_inline)) { angle[i] = theta[i]; });
-      const Numbers angles = Numbers::gather(angle);
-      Numbers s, c;
-      for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
+      const Angles angles = Angles::gather(angle);
+      Angles s, c;
+      for_each<Angles::groups>([&](auto g) __attribute__((always_inline)) {
         const auto of_group = sincos(angles.at[g]);
         s.at[g] = of_group.sin, c.at[g] = of_group.cos;
       });

@@ -202,7 +202,7 @@ class TwoThreads {
 
   // The links' part on its way between the cores. Only the numbers that have a meaning are read:
   // each cache line costs time on its way.
-  struct alignas(64) Parcel {
+  struct Parcel {
     Dynamics links;
 
     // Ask for the cache lines, all at once, before they are read one by one.
