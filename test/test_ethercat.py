@@ -254,6 +254,98 @@ def test_a_guard_that_is_switched_off_in_op_takes_the_slave_down(master: Master)
     assert master.word(2, 0x0130) == OP, "the others go on"
 
 
+@pytest.mark.parametrize("state", [INIT, PREOP, SAFEOP])
+def test_a_slave_counts_for_process_data_in_safeop_and_op_only(master: Master, state: int) -> None:
+    """By logical and by physical addresses; and for mail from PREOP on."""
+    master.bring_up()
+    nothing = [bytes(master.out)] * master.slaves
+    master.exchange(nothing)
+    assert master.count == 3 * master.slaves, "all in OP"
+    master.ask(1, state)
+    here = state == SAFEOP
+    each = master.out + master.into
+    untouched = bytes([0xA5]) * (master.slaves * each)
+    for command, counts in ((LRD, 1), (LWR, 1), (LRW, 3)):
+        back, count = master.one(command, 0x10000, untouched)
+        assert count == counts * (master.slaves - 1 + here), f"command {command}"
+        if command != LWR:
+            inputs = back[each + master.out : 2 * each]
+            assert (inputs == untouched[: master.into]) != here, "only it fills its inputs"
+    assert master.write(1, 0x1200, bytes(master.out)) == here, "outputs by FPWR"
+    assert master.one(FPRD, at(STATION + 1, 0x1500), bytes(master.into))[1] == here, "inputs"
+    assert master.write(1, 0x1000, bytes(master.mailbox)) == (state != INIT), "mail"
+    assert master.write(1, 0x0F80, b"\1") == 1, "what nothing guards is open in any state"
+
+
+def sound_cycle(memory: bytes) -> bool:
+    """Whether SYNC0 is off or goes by whole servo periods."""
+    cycle = struct.unpack_from("<I", memory, 0x09A0)[0]
+    return memory[0x0981] & 3 != 3 or (cycle != 0 and cycle % PERIOD == 0)
+
+
+def works(memory: bytes) -> bool:
+    return memory[0x0130] & 15 in (SAFEOP, OP)
+
+
+def counts(memory: bytes) -> int:
+    """What a slave adds to the counter of an LRW, by its registers.
+
+    An area counts where its guard is open, or where no guard is switched on: then it is plain RAM.
+    """
+    outputs = memory[0x060C] and (works(memory) or not memory[0x0816] & 1)
+    inputs = memory[0x061C] and (works(memory) or not memory[0x081E] & 1)
+    return 2 * bool(outputs) + bool(inputs and not memory[0x0826] & 1)
+
+
+@pytest.mark.parametrize("seed", some(range(40), 3))
+def test_whatever_a_master_sets_when_counters_and_time_fit_the_states(seed: int) -> None:
+    """States, guards, units and SYNC0 at random: an exchange counts and lasts as they are then."""
+    rng = np.random.default_rng(seed)
+    master = Master(segment())
+    master.bring_up()
+    each = master.out + master.into
+    seen: set[int] = set()
+    for step in range(300):
+        k = int(rng.integers(master.slaves))
+        place = master.segment.memory(k)
+        what = rng.integers(8)
+        if what < 2:
+            master.ask(k, int(rng.choice([INIT, PREOP, SAFEOP, OP])) | ACKNOWLEDGE)
+        elif what == 2 and place[0x0130] & 15 in (INIT, PREOP):
+            master.preop(k)
+            master.safeop(k, 0x10000 + k * each)
+        elif what == 3:
+            master.write(k, 0x0981, bytes([rng.choice([0, 1, 2, 3, 3, 3])]))
+        elif what == 4:
+            cycle = int(rng.choice([0, 1, 2, 3, 7])) * PERIOD + int(
+                rng.choice([0, 0, 1, PERIOD // 2])
+            )
+            master.write(k, 0x09A0, struct.pack("<I", cycle))
+        elif what == 5:  # a guard that the drive knows nothing of, over its inputs
+            master.guard(k, 4, 0x1500, master.into, 0x20, int(rng.integers(2)))
+        elif what == 6 and rng.random() < 0.2:
+            master.write(k, 0x0806 + 8 * int(rng.integers(4)), b"\0")
+        elif what == 7:
+            unit = 0x060C + 16 * int(rng.integers(2))
+            master.write(k, unit, bytes([place[unit] ^ 1]))
+        memories = [master.segment.memory(j) for j in range(master.slaves)]
+        at_work = [one for one in memories if works(one)]
+        seen |= {one[0x0130] for one in memories}
+        assert all(map(sound_cycle, at_work)), f"step {step}: SYNC0 cuts periods"
+        whole = at_work and all(counts(one) == 3 for one in at_work)
+        cycles = [
+            struct.unpack_from("<I", one, 0x09A0)[0] for one in at_work if one[0x0981] & 3 == 3
+        ]
+        before = master.segment.drives.tick
+        master.exchange([bytes(master.out)] * master.slaves)
+        assert master.count == sum(map(counts, memories)), f"step {step}: working counter"
+        passed = master.segment.drives.tick - before
+        lasts = min(cycles, default=PERIOD) // PERIOD if at_work else 0
+        # One that is not whole may complete what the exchange before has begun.
+        assert passed == lasts or (passed == 0 and not whole), f"step {step}: {passed} periods"
+    assert {INIT, PREOP, SAFEOP, OP, PREOP | ERROR} <= seen, "every state came by"
+
+
 def test_a_reset_puts_a_controller_to_where_it_began(master: Master) -> None:
     fresh = segment().memory(1)
     master.bring_up()
@@ -754,6 +846,36 @@ def test_the_cycle_of_sync0_is_whole_servo_periods(
         start = master.segment.drives.tick
         master.exchange([bytes(master.out)] * master.slaves)
         assert master.segment.drives.tick == start + cycle // PERIOD, "periods per exchange"
+
+
+@pytest.mark.parametrize("state", [SAFEOP, OP])
+@pytest.mark.parametrize("cycle", [PERIOD, 3 * PERIOD, 2_500_000, 0, 1])
+def test_sync0_that_is_set_late_is_checked_as_at_the_transition(
+    master: Master, state: int, cycle: int
+) -> None:
+    master.bring_up()
+    for k in range(master.slaves):
+        master.ask(k, state)
+        master.write(k, 0x09A0, struct.pack("<I", cycle))
+        assert master.word(k, 0x0130) == state, "a cycle alone does nothing"
+        master.write(k, 0x0980, b"\0\3")
+        sound = cycle > 0 and cycle % PERIOD == 0
+        told = master.word(k, 0x0130), master.word(k, 0x0134)
+        assert told == ((state, 0) if sound else (PREOP | ERROR, 0x36)), f"{cycle} ns"
+    start = master.segment.drives.tick
+    master.exchange([bytes(master.out)] * master.slaves)
+    assert master.segment.drives.tick == start + (cycle // PERIOD if sound else 0), "periods"
+    assert master.count == (3 * master.slaves if sound else 0), "working counter"
+
+
+def test_the_shortest_cycle_of_sync0_is_that_of_the_exchange(master: Master) -> None:
+    master.bring_up()
+    for k, periods in ((1, 6), (2, 2)):
+        master.write(k, 0x09A0, struct.pack("<I", periods * PERIOD))
+        master.write(k, 0x0980, b"\0\3")
+    start = master.segment.drives.tick
+    master.exchange([bytes(master.out)] * master.slaves)
+    assert master.segment.drives.tick == start + 2
 
 
 # ------------------------------------------------------------------------------- malformed frames

@@ -65,6 +65,10 @@ class DistributedClock {
            (address >= kStart && address < kStart + 8 && memory.get8(kActivation) & 1);
   }
 
+  // Whether a write concerns what SYNC0 does.
+  static bool sets_pulses(std::size_t address, std::size_t size) {
+    return overlap(address, size, kActivation, 1) || overlap(address, size, kCycle, 4);
+  }
   bool sync0() const { return (memory.get8(kActivation) & 3) == 3; }
   std::uint32_t sync0_cycle() const { return memory.get32(kCycle); }  // ns
 

@@ -27,7 +27,6 @@ class Mailbox {
     repeated = managers.repeat_requested(kIn);
     managers.acknowledge_repeat(kIn);
   }
-  void open(bool on) { open_ = on; }
 
   // The master has written a whole message, which stays where it is until there is room for
   // replies.
@@ -43,7 +42,7 @@ class Mailbox {
   }
   // The master has not got what it has read, and asks for it once more.
   void after_write() {
-    if (!open_ || !managers.enabled(kIn)) return;
+    if (!managers.enabled(kIn)) return;
     if (managers.repeat_requested(kIn) == repeated) return;
     repeated = managers.repeat_requested(kIn);
     if (!newest.empty() && !managers.full(kIn)) put(newest);
@@ -51,7 +50,8 @@ class Mailbox {
   }
 
   void emergency(std::uint16_t code, std::uint8_t error_register) {
-    if (open_ && waiting.size() < kMost) send(kCoe, Coe::emergency(code, error_register));
+    if (managers.enabled(kIn) && waiting.size() < kMost)
+      send(kCoe, Coe::emergency(code, error_register));
   }
 
  private:
@@ -59,8 +59,7 @@ class Mailbox {
   static constexpr std::size_t kHeader = 6, kMost = 16;
 
   void serve() {
-    if (!open_ || !managers.enabled(kOut) || !managers.full(kOut) || waiting.size() >= kMost)
-      return;
+    if (!managers.enabled(kOut) || !managers.full(kOut) || waiting.size() >= kMost) return;
     const Bytes message(managers.area(kOut), managers.area(kOut) + managers.length(kOut));
     managers.set_full(kOut, false);
     const std::size_t size = get16(message.data());
@@ -113,7 +112,7 @@ class Mailbox {
   Bytes newest;
   int counted = 0;   // counter of the newest message from the master
   int answered = 0;  // and of ours
-  bool open_ = false, repeated = false;
+  bool repeated = false;
 };
 
 }  // namespace ethercat

@@ -114,14 +114,17 @@ class Segment {
     }
     return any;
   }
-  // Servo periods that an exchange stands for: SYNC0's cycle, if the master has set one.
+  // Servo periods that an exchange stands for: SYNC0's cycle, the shortest of those that the master
+  // has set.
   std::int64_t periods_per_exchange() const {
+    std::int64_t shortest = 0;
     for (const auto& slave : slaves) {
       const DistributedClock& clock = slave->distributed_clock();
-      if (slave->exchanges() && clock.sync0())
-        return std::max<std::int64_t>(1, clock.sync0_cycle() / arm.period);
+      if (!slave->exchanges() || !clock.sync0()) continue;
+      const std::int64_t its = clock.sync0_cycle() / arm.period;
+      shortest = shortest == 0 ? its : std::min(shortest, its);
     }
-    return 1;
+    return shortest == 0 ? 1 : shortest;
   }
   // A machine that has diverged stays where it is.
   int step(std::int64_t time) {

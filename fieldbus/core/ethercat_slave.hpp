@@ -36,6 +36,7 @@ class Slave {
         mailbox(managers, objects, door),
         al(memory) {
     describe_controller();
+    serve_areas();
     errors_told = error_code();
   }
   Slave(const Slave&) = delete;
@@ -128,7 +129,7 @@ class Slave {
   void before_period(std::int64_t time) {
     now = time;
     if (al.state() == State::OP && managers.triggers_watchdog(kOutputs) && watchdog.expires(time)) {
-      al.set(State::SAFEOP, AlCode::WATCHDOG);
+      fall(State::SAFEOP, AlCode::WATCHDOG);
       drives_lost(all, drive, kWatchdogError);
       ++expired_;
     }
@@ -266,9 +267,12 @@ class Slave {
       check_guards();
     }
     clock.after_write(address, size);
+    if (clock.sets_pulses(address, size)) check_pulses();
     if (overlap(address, size, reg::kReset, 1)) reset_asked(in[reg::kReset - address]);
-    if (overlap(address, size, reg::kAlControl, 1))
+    if (overlap(address, size, reg::kAlControl, 1)) {
       al.request([this](State to) { return enter(to); });
+      serve_areas();
+    }
   }
 
   void outputs_came() {
@@ -288,7 +292,6 @@ class Slave {
     if (to == State::PREOP && from == State::INIT) {
       if (!mailboxes_fit()) return AlCode::MAILBOX;
       mailbox.begin();
-      mailbox.open(true);
       return AlCode::NONE;
     }
     leave(from, to);
@@ -300,8 +303,7 @@ class Slave {
     if (!fits(kOutputs, area::kOutputs, area::kInputs, outputs.size(), true))
       return AlCode::OUTPUTS;
     if (!fits(kInputs, area::kInputs, 0x1800, inputs.size(), false)) return AlCode::INPUTS;
-    if (clock.sync0() && (clock.sync0_cycle() == 0 || clock.sync0_cycle() % period != 0))
-      return AlCode::SYNC0_CYCLE;
+    if (!pulses_fit()) return AlCode::SYNC0_CYCLE;
     drives_lock_mapping(all, drive, 1);
     written_ = read_ = false;
     if (inputs.size() > 0) inputs.from_drive(managers.area(kInputs));
@@ -312,12 +314,27 @@ class Slave {
     if (from == State::OP) drives_lost(all, drive, kLeftOpError);
     if (to == State::SAFEOP) return;
     if (from == State::SAFEOP || from == State::OP) drives_lock_mapping(all, drive, 0);
-    if (to == State::INIT) mailbox.open(false);
+  }
+  // An error takes it down.
+  void fall(State to, AlCode why) {
+    al.set(to, why);
+    serve_areas();
+  }
+  // Mailboxes are served from PREOP on, process data from SAFEOP on (outputs too, which the drive
+  // takes in OP only), and other areas never.
+  void serve_areas() {
+    const State state = al.state();
+    for (int k = 0; k < ethercat::kSyncManagers; ++k) {
+      const bool mail = k == Mailbox::kOut || k == Mailbox::kIn;
+      const bool data = k == kOutputs || k == kInputs;
+      managers.serve(k, (mail && state != State::INIT) ||
+                            (data && (state == State::SAFEOP || state == State::OP)));
+    }
   }
 
   bool mailboxes_fit() const {
     const auto sound = [this](int k, std::size_t start, bool by_master) {
-      return managers.enabled(k) && managers.mailbox(k) &&
+      return managers.switched_on(k) && managers.mailbox(k) &&
              managers.written_by_master(k) == by_master && managers.start(k) == start &&
              managers.length(k) >= 34 && managers.length(k) <= area::kMailbox;
     };
@@ -326,8 +343,8 @@ class Slave {
   }
   // Buffers of process data: three of them lie one after the other.
   bool fits(int k, std::size_t start, std::size_t end, std::size_t size, bool by_master) const {
-    if (size == 0) return !managers.enabled(k) || managers.length(k) == 0;
-    return managers.enabled(k) && !managers.mailbox(k) &&
+    if (size == 0) return !managers.switched_on(k) || managers.length(k) == 0;
+    return managers.switched_on(k) && !managers.mailbox(k) &&
            managers.written_by_master(k) == by_master && managers.start(k) == start &&
            managers.length(k) == size && start + 3 * size <= end;
   }
@@ -337,14 +354,25 @@ class Slave {
     if (state == State::INIT) return;
     if (!mailboxes_fit()) {
       leave(state, State::INIT);
-      al.set(State::INIT, AlCode::MAILBOX);
+      fall(State::INIT, AlCode::MAILBOX);
       return;
     }
     if (!exchanges()) return;
     const bool out = fits(kOutputs, area::kOutputs, area::kInputs, outputs.size(), true);
     if (out && fits(kInputs, area::kInputs, 0x1800, inputs.size(), false)) return;
     leave(state, State::PREOP);
-    al.set(State::PREOP, out ? AlCode::INPUTS : AlCode::OUTPUTS);
+    fall(State::PREOP, out ? AlCode::INPUTS : AlCode::OUTPUTS);
+  }
+
+  // An exchange stands for whole servo periods.
+  bool pulses_fit() const {
+    return !clock.sync0() || (clock.sync0_cycle() != 0 && clock.sync0_cycle() % period == 0);
+  }
+  // The same where a master sets SYNC0 late.
+  void check_pulses() {
+    if (!exchanges() || pulses_fit()) return;
+    leave(al.state(), State::PREOP);
+    fall(State::PREOP, AlCode::SYNC0_CYCLE);
   }
 
   // "R", "E", "S" one after the other reset the controller.
@@ -359,7 +387,7 @@ class Slave {
     sii.reload();
     clock.begin(ahead());
     watchdog.begin();
-    al.set(State::INIT, AlCode::NONE);
+    fall(State::INIT, AlCode::NONE);
   }
 
   std::uint16_t error_code() const { return static_cast<std::uint16_t>(door.number(0x603f, 0)); }

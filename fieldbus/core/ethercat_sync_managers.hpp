@@ -11,7 +11,17 @@ class SyncManagers {
  public:
   explicit SyncManagers(Memory& memory) : memory(memory) {}
 
-  bool enabled(int k) const { return memory.get8(at(k) + 6) & 1 && !(memory.get8(at(k) + 7) & 1); }
+  // Each side has a switch: the master switches an area on, the slave serves it in the states that
+  // need it. An area that is on and not served is closed: it counts in no working counter.
+  bool switched_on(int k) const { return memory.get8(at(k) + 6) & 1; }
+  bool served(int k) const { return !(memory.get8(at(k) + 7) & 1); }
+  bool enabled(int k) const { return switched_on(k) && served(k); }
+  void serve(int k, bool on) {
+    if (on == served(k)) return;
+    const std::uint8_t rest = memory.get8(at(k) + 7) & 0xfe;
+    memory.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (on ? 0 : 1)));
+    if (!on) empty(k);
+  }
   bool mailbox(int k) const { return (memory.get8(at(k) + 4) & 3) == 2; }
   bool written_by_master(int k) const { return (memory.get8(at(k) + 4) & 0x0c) == 4; }
   bool triggers_watchdog(int k) const { return memory.get8(at(k) + 4) & 0x40; }
@@ -45,7 +55,8 @@ class SyncManagers {
   // their first byte.
   bool permits(std::size_t address, std::size_t size, bool write) {
     for (int k = 0; k < kSyncManagers; ++k) {
-      if (!enabled(k) || !overlap(address, size, start(k), length(k))) continue;
+      if (!switched_on(k) || !overlap(address, size, start(k), length(k))) continue;
+      if (!served(k)) return false;
       if (written_by_master(k) != write) return false;
       if (mailbox(k) && full(k) == write) return false;
       if (address <= start(k)) opened[k] = true;
@@ -68,10 +79,7 @@ class SyncManagers {
   // The master has written to these registers: an area that is switched on begins empty.
   void configure(std::size_t address, std::size_t size) {
     for (int k = 0; k < kSyncManagers; ++k)
-      if (overlap(address, size, at(k), 8) && !(memory.get8(at(k) + 6) & 1)) {
-        memory.put8(at(k) + 5, memory.get8(at(k) + 5) & 0xc0);
-        opened[k] = false;
-      }
+      if (overlap(address, size, at(k), 8) && !switched_on(k)) empty(k);
   }
 
   // Which bytes of the registers a master cannot change now: status and the slave's own, and the
@@ -79,10 +87,14 @@ class SyncManagers {
   bool locked(std::size_t address) const {
     const std::size_t byte = (address - reg::kSyncManager) % 8;
     const int k = static_cast<int>((address - reg::kSyncManager) / 8);
-    return byte == 5 || byte == 7 || (byte < 5 && memory.get8(at(k) + 6) & 1);
+    return byte == 5 || byte == 7 || (byte < 5 && switched_on(k));
   }
 
  private:
+  void empty(int k) {
+    memory.put8(at(k) + 5, memory.get8(at(k) + 5) & 0xc0);
+    opened[k] = false;
+  }
   static std::size_t at(int k) { return reg::kSyncManager + 8 * static_cast<std::size_t>(k); }
 
   Memory& memory;

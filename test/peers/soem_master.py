@@ -1,4 +1,4 @@
-"""A master by pysoem: python soem_master.py INTERFACE scan | move MOTION LOG | pull.
+"""A master by pysoem: python soem_master.py INTERFACE scan | move MOTION LOG | pull | leave.
 
 Run in a network namespace of its own by test_ethercat_masters.py, which says what the files hold.
 Prints one line of JSON.
@@ -209,6 +209,26 @@ def pull(line: Line, interface: str) -> dict[str, Any]:
     }
 
 
+def leave(line: Line) -> dict[str, Any]:
+    """Take the second slave from OP to each state; return the working counter there."""
+    counters = {}
+    for state in (pysoem.OP_STATE, pysoem.SAFEOP_STATE, pysoem.PREOP_STATE, pysoem.INIT_STATE):
+        line.to_op()
+        line.slaves[1].state = state
+        line.slaves[1].write_state()
+        reached = line.slaves[1].state_check(state, 500_000)
+        assert reached == state, f"the slave stays in state {reached}"
+        for _ in range(TRIES):  # a busy host answers late: -1, no frame
+            line.master.send_processdata()
+            counters[state] = line.master.receive_processdata(TIMEOUT)
+            if counters[state] >= 0:
+                break
+        line.state(pysoem.INIT_STATE)
+        line.master.config_init()
+        line.slaves = line.master.slaves
+    return {"counters": counters, "expected": line.master.expected_wkc}
+
+
 def main() -> None:
     """Do what the command line says."""
     line = Line(sys.argv[1])
@@ -216,6 +236,8 @@ def main() -> None:
         result = scan(line)
     elif sys.argv[2] == "pull":
         result = pull(line, sys.argv[1])
+    elif sys.argv[2] == "leave":
+        result = leave(line)
     else:
         result = move(line, Path(sys.argv[3]).read_bytes(), Path(sys.argv[4]))
     line.master.close()

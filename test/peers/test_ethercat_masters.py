@@ -278,3 +278,13 @@ def test_a_pulled_cable_leads_to_a_fault_that_can_be_reset(clock: str, cable: Ca
     emergencies = [(one, code) for one, code in result["emergencies"] if code == 0x821B]
     assert emergencies == [(k + 1, 0x821B) for k in range(DRIVES)], "an emergency of each slave"
     assert told["watchdogs"] >= DRIVES, "every slave's watchdog"
+
+
+# --------------------------------------------------------------------------------- working counter
+
+
+def test_the_working_counter_falls_where_a_slave_leaves_safeop(cable: Cable) -> None:
+    with emulator(cable):
+        counters = soem(cable, "leave")["counters"]
+    all_, rest = 3 * DRIVES, 3 * (DRIVES - 1)
+    assert counters == {"8": all_, "4": all_, "2": rest, "1": rest}, "OP, SAFEOP, PREOP, INIT"
