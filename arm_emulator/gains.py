@@ -6,8 +6,6 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.scene import Scene
 from motion_controller_node.motion_config import MotionConfig, load_motion_config
@@ -91,7 +89,7 @@ def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
     """Warn of torques given to the servo for another gravity than the scene's."""
     given = (motion.gravity_x, motion.gravity_y, motion.gravity_z)
     real = scene.gravity or (0.0, 0.0, 0.0)
-    if motion.feedforward_for(len(scene.joint_names)) == "torque" and not np.allclose(given, real):
+    if motion.feedforward_for(len(scene.joint_names)) == "torque" and given != tuple(real):
         print(
             f"warning: {scene.where}: the motion controller gives torques for a gravity of {given} "
             f"m/s2 (gravity_x, _y, _z), but the scene's is {real}",

@@ -641,10 +641,12 @@ def _turns(axis: int, angles: Iterable[float]) -> Array:
 
 def _rpy(R: Array) -> Array:
     """Return roll, pitch and yaw of Rz(yaw) Ry(pitch) Rx(roll)."""
+    # The roll is that of Rz(-yaw) R, whatever the yaw is: where the pitch is a quarter of a turn
+    # or near it, R hardly knows roll and yaw apart, but what they make of it stays R.
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    if math.hypot(R[0, 0], R[1, 0]) < 1e-12:
-        return np.array([0.0, pitch, math.atan2(-R[0, 1], R[1, 1])])
-    return np.array([math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])])
+    yaw = _exact_atan2(float(R[1, 0]), float(R[0, 0]))
+    s, c = math.sin(yaw), math.cos(yaw)
+    return np.array([math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw])
 
 
 def _clean(R: Array) -> Array:

@@ -11,7 +11,7 @@ import os
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -225,21 +225,11 @@ def _build(root: Section, file: Path) -> Scene:
         events=integrator_section.choice("events", EVENTS, default=EVENTS[0]),
     )
     servo_period = root.number("servo_period", "s", at_least=1e-6, at_most=1.0)
-    _check_periods(servo_period, integrator.dt, where)
+    integrator = replace(integrator, dt=_dividing(servo_period, integrator.dt, where))
     threads = root.integer("threads", default=1, at_least=1, at_most=2)
-    if threads == 2 and integrator.scheme == "rosenbrock":
-        rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
-        raise root.refusal("threads", rule, 2, "2 with another scheme")
-    if integrator.events == "located":
-        rule = valid = ""
-        if integrator.scheme in ("implicit", "paper"):
-            rule = f"be step with scheme {integrator.scheme}, of first order at any event"
-            valid = "step, or located with scheme rosenbrock or extrapolated"
-        elif threads == 2:
-            rule = "be step with 2 threads, whose links come from an earlier sample"
-            valid = "step, or located with threads: 1"
-        if rule:
-            raise root.refusal("integrator.events", rule, "located", valid)
+    unfit = odds(integrator, threads)
+    if unfit is not None:
+        raise root.refusal(*unfit)
     cores = _cores(root)
     imus = _imus(root, chain)
     seed = root.integer("seed", default=0, at_least=0, at_most=LARGEST_SEED)
@@ -286,6 +276,25 @@ def _build(root: Section, file: Path) -> Scene:
         imus=imus,
         seed=seed,
     )
+
+
+def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] | None:
+    """Return what of an integrator does not go together: key, rule, value, what would be valid."""
+    scheme = integrator.scheme
+    if threads == 2 and scheme == "rosenbrock":
+        rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
+        return "threads", rule, 2, "2 with another scheme"
+    if integrator.events != "located":
+        return None
+    if scheme in ("implicit", "paper"):
+        rule = f"be step with scheme {scheme}, of first order at any event"
+        valid = "step, or located with scheme rosenbrock or extrapolated"
+    elif threads == 2:
+        rule = "be step with 2 threads, whose links come from an earlier sample"
+        valid = "step, or located with threads: 1"
+    else:
+        return None
+    return "integrator.events", rule, "located", valid
 
 
 def _cores(root: Section) -> tuple[int, int]:
@@ -418,10 +427,14 @@ def _could_vary(joints: tuple[Joint, ...], imus: tuple[Imu, ...]) -> list[Varied
     return of_joints + [one for imu in imus for one in imu.could_vary()]
 
 
-def _check_periods(servo_period: float, dt: float, where: str) -> None:
+def _dividing(servo_period: float, dt: float, where: str) -> float:
+    """Return the step [s] of which whole steps make a servo period, for one that has few digits."""
     nanoseconds = servo_period * 1e9
-    if abs(nanoseconds - round(nanoseconds)) > 1e-6 * nanoseconds:
-        raise Refusal(where, "servo_period", "be a whole number of nanoseconds", servo_period)
+    # But for the rounding of a number that stands for whole nanoseconds.
+    if abs(nanoseconds - round(nanoseconds)) > 4.0 * sys.float_info.epsilon * nanoseconds:
+        nearest = f"{round(nanoseconds) * 1e-9:.10g} s, for example"
+        rule = "be a whole number of nanoseconds"
+        raise Refusal(where, "servo_period", rule, servo_period, nearest)
     steps = servo_period / dt
     if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
         fitting = servo_period / max(1, math.ceil(steps - 1e-9))
@@ -434,6 +447,7 @@ def _check_periods(servo_period: float, dt: float, where: str) -> None:
         )
     if steps > LARGEST_COUNT:
         raise Refusal(where, "integrator.dt", f"be >= {servo_period / LARGEST_COUNT:g} s", dt)
+    return servo_period / round(steps)
 
 
 # Files

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from emulator_node.chain import Array, Body, ChainJoint, Frame
 from emulator_node.cxx_literals import number
 from emulator_node.section import LARGEST, SMALLEST
@@ -72,10 +70,11 @@ def _tensor(R: Array, i: int, j: int) -> list[tuple[str, float]]:
 
 
 def _sum(parts: list[tuple[str, float]], terms: Mapping[str, str]) -> str:
+    # Exactly 1 and 0: a chain's axes have them wherever rounding alone is the difference.
     shown = []
     for name, factor in parts:
-        if np.isclose(factor, 1.0, atol=1e-15):
+        if factor == 1.0:
             shown.append(terms[name])
-        elif abs(factor) > 1e-15:
+        elif factor != 0.0:
             shown.append(f"{number(factor)} * {terms[name]}")
     return " + ".join(shown) or number(0.0)

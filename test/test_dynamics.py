@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ import pinocchio as pin
 import pytest
 from draws import some
 from machines import GRAVITY, Oracle, random_chain
+from scipy.spatial.transform import Rotation
 
+from emulator_node.chain import lock_joints
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene, example_robot_data, load_scene
 
@@ -95,6 +98,32 @@ def test_locked_joints_hold_their_position(tmp_path: Path, seed: int) -> None:
     expected = pytest.approx(reduced.aba(q, v, tau), rel=TOLERANCE)
     assert Plant(scene).link_accelerations(q, v, tau) == expected, "accelerations by the core"
     assert Oracle(scene).aba(q, v, tau) == expected, "accelerations by the tests' oracle"
+
+
+def test_locked_joints_near_a_quarter_turn_stand_where_they_are_locked() -> None:
+    """Roll and yaw of the URDF that is published hardly differ there; their frame must not suffer.
+
+    In SciPy's rotations, with pitches that are 1e-15 to 0.1 rad from a quarter of a turn.
+    """
+    rng = np.random.default_rng(9)
+    for _ in range(1000):
+        axis, angle = rng.normal(size=3), float(rng.uniform(-3.0, 3.0))
+        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+        pitch = rng.choice([-1.0, 1.0]) * (0.5 * np.pi - 10.0 ** rng.uniform(-15.0, -1.0))
+        yaw, roll = rng.uniform(-3.0, 3.0, 2)
+        wanted = Rotation.from_euler("ZYX", [yaw, pitch, roll])
+        rpy = (wanted * turn.inv()).as_euler("ZYX")[::-1]
+        robot = ET.fromstring(
+            f"""<robot name="one"><link name="base"/><link name="tool"/>
+            <joint name="joint" type="continuous"><parent link="base"/><child link="tool"/>
+            <origin rpy="{" ".join(map(repr, rpy.tolist()))}"/>
+            <axis xyz="{" ".join(map(repr, axis.tolist()))}"/></joint></robot>"""
+        )
+        lock_joints(robot, {"joint": angle}, "one.urdf")
+        written = np.fromstring(robot.find("joint/origin").get("rpy"), sep=" ")
+        got = Rotation.from_euler("ZYX", written[::-1]).as_matrix()
+        # A product of three turns, each rounded.
+        assert np.abs(got - wanted.as_matrix()).max() < 2e-15, f"pitch {pitch!r}"
 
 
 def test_energy_equals_pinocchio(tmp_path: Path) -> None:

@@ -237,3 +237,18 @@ def test_overrides_reach_one_joint_or_all() -> None:
     assert [joint.motor.resistance for joint in scene.joints if joint.motor] == [1.0, 1.0, 2.0]
     scene = load_scene("three_axis", overrides={"joints.*.motor.resistance": 2.0})
     assert [joint.motor.resistance for joint in scene.joints if joint.motor] == [2.0, 2.0, 2.0]
+
+
+def test_a_step_of_few_digits_divides_the_period_all_the_same() -> None:
+    """1/3 ms as it may be written: whole steps shall make a servo period, to the last bit."""
+    scene = load_scene("three_axis", overrides={"integrator.dt": 3.3333333333e-4})
+    assert scene.integrator.dt == 1e-3 / 3.0, "step [s]"
+    for dt in (1e-4, 2.5e-5, 1.25e-4, 2e-5):
+        assert load_scene("three_axis", overrides={"integrator.dt": dt}).integrator.dt == dt
+
+
+@pytest.mark.parametrize("period", [1.0000003e-3, 0.0333333333, 0.999999999999])
+def test_periods_that_are_no_whole_nanoseconds_are_refused(period: float) -> None:
+    overrides = {"servo_period": period, "integrator.dt": period}
+    with pytest.raises(Refusal, match="servo_period must be a whole number of nanoseconds"):
+        load_scene("three_axis", overrides=overrides)
