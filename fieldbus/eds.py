@@ -96,13 +96,15 @@ def _variable(node: Node, section: str, one: Entry, name: str) -> Iterable[str]:
     signed = one.type.startswith("INTEGER")
     half = 1 << max(one.bits - 1, 0)
     if one.bits and (one.least, one.most) != ((-half, half - 1) if signed else (0, 2 * half - 1)):
-        # Negative ones as the bits that they are.
-        mask = (1 << one.bits) - 1
-        yield f"LowLimit=0x{one.least & mask:X}"
-        yield f"HighLimit=0x{one.most & mask:X}"
+        yield f"LowLimit={_number(one.least, signed)}"
+        yield f"HighLimit={_number(one.most, signed)}"
     if one.unit:
-        yield f"Unit={one.unit}"
+        yield f"; unit: {one.unit}"  # the standard has no key for it
     yield ""
+
+
+def _number(value: int, signed: bool) -> str:
+    return str(value) if signed else f"0x{value:X}"
 
 
 def _default(node: Node, one: Entry) -> str:
@@ -113,6 +115,5 @@ def _default(node: Node, one: Entry) -> str:
     cob = one.index == 0x1014 or (one.sub == 1 and one.index & 0xFE00 in (0x1400, 0x1800))
     if cob:
         return f"$NODEID+0x{value - node.number:X}"
-    if one.type.startswith("INTEGER"):
-        return str(int.from_bytes(raw, "little", signed=True))
-    return f"0x{value:X}"
+    signed = one.type.startswith("INTEGER")
+    return _number(int.from_bytes(raw, "little", signed=signed), signed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import random
+import re
 import struct
 import sys
 from collections.abc import Sequence
@@ -656,11 +657,51 @@ def test_data_sheet_tells_every_entry(scene: Scene) -> None:
         section = sheet[name]
         assert section["AccessType"] == one.access and section["ObjectType"] == "0x7"
         assert section["PDOMapping"] == str(int(one.rx or one.tx))
-        if "DefaultValue" in section and one.bits:
+        if not one.bits:
+            continue
+        span = _RANGES[int(section["DataType"], 0)]
+        low, high = (
+            int(section.get(key, str(bound)), 0)
+            for key, bound in zip(("LowLimit", "HighLimit"), span, strict=True)
+        )
+        assert (low, high) == (one.least, one.most), f"limits of {name}"
+        assert span[0] <= low <= high <= span[1], f"limits of {name} within its type"
+        if "DefaultValue" in section:
             text = section["DefaultValue"].replace("$NODEID", "7")
             value = sum(int(part, 0) for part in text.split("+"))
             raw = node.upload(one.index, one.sub)
             assert value == int.from_bytes(raw, "little", signed=value < 0), name
+            assert low <= value <= high, f"default of {name}"
+
+
+# What CiA 306 lets stand in a data sheet, and the values of the types that we use.
+_KEYS = {
+    "FileInfo": "FileName FileVersion FileRevision EDSVersion Description CreationTime "
+    "CreationDate CreatedBy ModificationTime ModificationDate ModifiedBy",
+    "DeviceInfo": "VendorName VendorNumber ProductName ProductNumber RevisionNumber OrderCode "
+    "BaudRate_10 BaudRate_20 BaudRate_50 BaudRate_125 BaudRate_250 BaudRate_500 BaudRate_800 "
+    "BaudRate_1000 SimpleBootUpMaster SimpleBootUpSlave Granularity DynamicChannelsSupported "
+    "GroupMessaging NrOfRXPDO NrOfTXPDO LSS_Supported",
+    "object": "SubNumber ParameterName ObjectType DataType LowLimit HighLimit AccessType "
+    "DefaultValue PDOMapping ObjFlags CompactSubObj",
+}
+_RANGES = {
+    1: (0, 1),
+    **{2 + k: (-(1 << bits - 1), (1 << bits - 1) - 1) for k, bits in enumerate((8, 16, 32))},
+    **{5 + k: (0, (1 << bits) - 1) for k, bits in enumerate((8, 16, 32))},
+}
+
+
+def test_data_sheet_holds_what_the_standard_names(scene: Scene) -> None:
+    sheet = configparser.RawConfigParser(strict=True)
+    sheet.optionxform = str  # type: ignore[assignment,method-assign]
+    sheet.read_string(eds(segment_of(scene, 7).nodes[0], "a.eds", "a"))
+    for name in sheet.sections():
+        numbered = re.fullmatch(r"(Mandatory|Optional|Manufacturer)Objects|DummyUsage", name)
+        known = _KEYS.get(name) or (_KEYS["object"] if re.match(r"[0-9A-F]{4}", name) else "")
+        for key in sheet[name]:
+            of_list = numbered and re.fullmatch(r"SupportedObjects|\d+|Dummy000\d", key)
+            assert of_list or key in known.split(), f"[{name}] {key}"
 
 
 def test_a_bus_that_cannot_be_opened_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
