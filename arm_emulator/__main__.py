@@ -220,13 +220,15 @@ def _parser() -> argparse.ArgumentParser:
     canopen = commands.add_parser("canopen", help="the joints' drives as nodes of CANopen")
     _scene(canopen)
     canopen.add_argument(
-        "--bus",
-        default="udp_multicast",
-        help="of python-can: virtual, udp_multicast, socketcan, ... (default: %(default)s)",
+        "--listen",
+        default="127.0.0.1:29536",
+        metavar="[HOST:]PORT",
+        help="offer the bus there, as socketcand does (default: %(default)s)",
     )
     canopen.add_argument(
-        "--channel", default="239.74.163.2", help="of this bus (default: %(default)s)"
+        "--bus", help="in place of this one of python-can: socketcan, udp_multicast, ..."
     )
+    canopen.add_argument("--channel", help="of that bus, such as can0")
     canopen.add_argument("--bitrate", type=int, help="for buses that need it told")
     canopen.add_argument(
         "--first-node",
@@ -503,6 +505,7 @@ def _canopen(arguments: argparse.Namespace) -> int:
         return write_eds(arguments.scene, arguments.eds)
     return canopen(
         arguments.scene,
+        listen=arguments.listen,
         bus=arguments.bus,
         channel=arguments.channel,
         bitrate=arguments.bitrate,

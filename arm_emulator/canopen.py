@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from arm_emulator.gains import check_servo, load_gains
 from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
-from fieldbus.can_bus import BusService, can_bus
+from fieldbus.can_bus import Bus, BusService, can_bus
+from fieldbus.can_server import CanServer
 from fieldbus.canopen_segment import Segment
 from fieldbus.drives import CANOPEN, Drives
 from fieldbus.eds import eds
@@ -29,8 +32,39 @@ def load_segment(scene_name: str, first: int = 1, *, lockstep: bool = True) -> S
     return Segment(Drives(Plant(scene), servo, CANOPEN), first, lockstep=lockstep)
 
 
+@contextlib.contextmanager
+def opened(
+    listen: str, bus: str | None, channel: str | None, bitrate: int | None
+) -> Iterator[tuple[Bus, str]]:
+    """Open the bus that was asked for, for a block; give it with what to call it.
+
+    Raises:
+        Refusal: there is none such, or it does not open.
+    """
+    if bus is not None:
+        with can_bus(bus, channel or "", bitrate) as one:
+            yield one, f"{bus} {channel or ''}".rstrip()
+        return
+    for name, value in (("channel", channel), ("bitrate", bitrate)):
+        if value is not None:
+            raise Refusal("canopen", name, "come with --bus", value)
+    host, _, port = listen.rpartition(":")
+    if not re.fullmatch(r"[0-9]{1,5}", port):
+        raise Refusal("canopen", "--listen", "be PORT or HOST:PORT", listen)
+    server = CanServer(host or "127.0.0.1", int(port))
+    with contextlib.closing(server):
+        yield server, "socketcand on {}:{}".format(*server.address)
+
+
 def canopen(
-    scene_name: str, *, bus: str, channel: str, bitrate: int | None, first: int, clock: str
+    scene_name: str,
+    *,
+    listen: str,
+    bus: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    first: int,
+    clock: str,
 ) -> int:
     """Serve a bus until Ctrl-C.
 
@@ -38,15 +72,19 @@ def canopen(
         Refusal: see `load_segment`, or the bus does not open.
     """
     lockstep = clock == "lockstep"
-    with can_bus(bus, channel, bitrate) as opened:
+    with opened(listen, bus, channel, bitrate) as (on, name):
         segment = load_segment(scene_name, first, lockstep=lockstep)
         scene = segment.scene
-        print(f"canopen: scene {scene.name}, {bus} {channel}, clock {clock}")
+        print(f"canopen: scene {scene.name}, {name}, clock {clock}")
         for node, joint in zip(segment.nodes, scene.joint_names, strict=True):
             print(f"canopen: node {node.number}: {joint}")
         print("canopen: ready", flush=True)
         period = None if lockstep else round(scene.servo_period * 1e9)
-        BusService(opened, segment, period).serve()
+        try:
+            BusService(on, segment, period).serve()
+        finally:
+            if on.ignored:
+                print(f"canopen: {on.ignored} times something came that was no frame of ours")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""The nodes on a bus of python-can, whichever of them: virtual, udp_multicast, socketcan."""
+"""The nodes on a bus: one that they offer over TCP, or one of python-can, such as socketcan."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Protocol
 
 from fieldbus.canopen_node import Frame
 from fieldbus.canopen_segment import Segment
@@ -31,7 +31,7 @@ def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Any]:
     except ImportError:
         rule = "be installed (pip install python-can)"
         raise Refusal("canopen", "package python-can", rule, "none") from None
-    logging.getLogger("can").setLevel(logging.CRITICAL)  # what matters is told below
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # what matters is published below
     known = sorted(can.VALID_INTERFACES)
     if interface not in known:
         raise Refusal("canopen", "bus", "be one of python-can", interface, ", ".join(known))
@@ -42,21 +42,93 @@ def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Any]:
         where = f"bus {interface}, channel {channel}"
         raise Refusal("canopen", where, "open", error) from None
     try:
-        yield bus
+        yield PythonCanBus(bus)
     finally:
         bus.shutdown()
+
+
+class Bus(Protocol):
+    """Where frames come from and go to."""
+
+    @property
+    def ignored(self) -> int:
+        """How much came that was no frame of ours."""
+
+    def receive(self, timeout: float) -> Frame | None:
+        """Return the next frame, None if none comes in time [s].
+
+        Raises:
+            Refusal: the bus is gone.
+        """
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame; one that the bus does not take is lost, as on a line."""
+
+
+class PythonCanBus:
+    """A bus of python-can.
+
+    Attributes:
+        ignored: what came and was no frame of 11 bits with 8 bytes at most.
+    """
+
+    def __init__(self, bus: Any) -> None:
+        self._bus = bus
+        self.ignored = 0
+
+    def receive(self, timeout: float) -> Frame | None:
+        """Return the next frame, None if none comes in time [s].
+
+        Raises:
+            Refusal: the bus is gone.
+        """
+        try:
+            message = self._bus.recv(timeout)
+            if message is None:
+                return None
+            if not (message.is_extended_id or message.is_error_frame or message.is_fd):
+                number, data = int(message.arbitration_id), bytes(message.data or b"")
+                if 0 <= number < 1 << 11 and len(data) <= 8:
+                    return Frame(number, data, bool(message.is_remote_frame))
+        # What others send may be anything, and so is what python-can raises about it.
+        except Exception as error:
+            if _of_the_system(error):
+                raise Refusal("canopen", "bus", "stay open", error) from None
+        self.ignored += 1
+        return None
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame."""
+        import can
+
+        message = can.Message(
+            arbitration_id=frame.id, data=frame.data, is_extended_id=False, check=False
+        )
+        try:
+            self._bus.send(message)
+        except can.CanError as error:
+            _say(f"a frame was not sent: {error}")
+
+
+def _of_the_system(error: BaseException | None) -> bool:
+    """Whether the operating system is the cause, and not what was received."""
+    while error is not None:
+        if isinstance(error, OSError):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 class BusService:
     """Serves a bus until it is told to end.
 
     Args:
-        bus: of python-can.
+        bus: that they are on.
         segment: the nodes.
         period: servo period [ns]; None: in lock-step.
     """
 
-    def __init__(self, bus: Any, segment: Segment, period: int | None) -> None:
+    def __init__(self, bus: Bus, segment: Segment, period: int | None) -> None:
         self._bus, self._segment, self._period = bus, segment, period
         self._told = False
         self.lost_periods = 0  # in real time, by which logical time is late
@@ -105,35 +177,16 @@ class BusService:
         Raises:
             Refusal: the bus is gone.
         """
-        import can
-
-        try:
-            message = self._bus.recv(timeout)
-        except (can.CanError, OSError) as error:
-            raise Refusal("canopen", "bus", "stay open", error) from None
-        usual = message is not None and not (
-            message.is_extended_id or message.is_error_frame or message.is_fd
-        )
-        if usual:
-            frame = Frame(
-                message.arbitration_id, bytes(message.data), bool(message.is_remote_frame)
-            )
+        frame = self._bus.receive(timeout)
+        if frame is not None:
             self._send(self._segment.receive(frame))
             self._tell_fault()
         self._send(self._segment.heartbeats(time.monotonic_ns()))
-        return message is not None
+        return frame is not None
 
     def _send(self, frames: list[Frame]) -> None:
-        import can
-
         for frame in frames:
-            message = can.Message(
-                arbitration_id=frame.id, data=frame.data, is_extended_id=False, check=False
-            )
-            try:
-                self._bus.send(message)
-            except can.CanError as error:
-                _say(f"a frame was not sent: {error}")
+            self._bus.send(frame)
 
     def _tell_fault(self) -> None:
         if self._segment.fault is not None and not self._told:
