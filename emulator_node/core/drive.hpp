@@ -21,6 +21,7 @@
 #include <utility>
 
 #include "dc_motor.hpp"
+#include "finite.hpp"
 #include "friction.hpp"
 #include "gear.hpp"
 #include "mode.hpp"
@@ -113,15 +114,16 @@ struct Drive {
       motor.rates(x.z, x.u, motor_angle(x), felt_speed(x), x.offset[0], motor_held(held), r.f);
       shaft = motor.torque(x.z, motor_angle(x));
     }
-    for_each_extra([&](const auto& extra, auto state, auto mode) __attribute__((always_inline)) {
-      const X torque = torque_of<state, mode>(extra, x, held);
-      if constexpr (extra.states > 0)
-        extra.rates(angle_of(extra, x), speed_of(extra, x), x.z + state, r.f + state);
-      if constexpr (extra.place == Place::rotor)
-        shaft += torque;
-      else
-        r.g += torque;
-    });
+    for_each_extra(
+        [&]<class Extra>(const Extra& extra, auto state, auto mode) __attribute__((always_inline)) {
+          const X torque = torque_of<state, mode>(extra, x, held);
+          if constexpr (Extra::states > 0)
+            extra.rates(angle_of(extra, x), speed_of(extra, x), x.z + state, r.f + state);
+          if constexpr (Extra::place == Place::rotor)
+            shaft += torque;
+          else
+            r.g += torque;
+        });
     if constexpr (elastic) {
       const X T = gear_on_link(x, held);
       r.f[tm] = x.z[wm];
@@ -289,7 +291,7 @@ struct Drive {
   static constexpr bool heats = requires(Motor motor, const double* z) { motor.temperature(z); };
   constexpr double winding_temperature(const Input<double>& x) const {
     if constexpr (heats) return motor.temperature(x.z);
-    return __builtin_nan("");
+    return no_number();
   }
   constexpr bool too_hot(const Input<double>& x) const {
     if constexpr (heats) return motor.too_hot(x.z);
@@ -307,12 +309,13 @@ struct Drive {
         usual = false;
     }
     if constexpr (elastic && Gear::modes > 0) usual = false;
-    for_each_extra([&](const auto& extra, auto state, auto) __attribute__((always_inline)) {
-      if constexpr (requires { extra.is_usual(x.q, x.v, x.z); })
-        usual &= extra.is_usual(angle_of(extra, x), speed_of(extra, x), x.z + state);
-      else if constexpr (extra.modes > 0)
-        usual = false;
-    });
+    for_each_extra(
+        [&]<class Extra>(const Extra& extra, auto state, auto) __attribute__((always_inline)) {
+          if constexpr (requires { extra.is_usual(x.q, x.v, x.z); })
+            usual &= extra.is_usual(angle_of(extra, x), speed_of(extra, x), x.z + state);
+          else if constexpr (Extra::modes > 0)
+            usual = false;
+        });
     if constexpr (elastic && Rotor::modes > 0) usual &= rotor.is_usual();
     return usual;
   }
@@ -322,8 +325,8 @@ struct Drive {
     if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, felt_speed(x));
     if constexpr (elastic && Gear::modes > 0)
       at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
-    for_each_extra([&](const auto& extra, auto state, auto mode) {
-      if constexpr (extra.modes > 0)
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::modes > 0)
         at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
     });
     if constexpr (elastic && Rotor::modes > 0) {
@@ -340,8 +343,8 @@ struct Drive {
       at.at[0] = motor.wanted(x.z, x.u, felt_speed(x), now.at[0]);
     if constexpr (elastic && Gear::modes > 0)
       at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
-    for_each_extra([&](const auto& extra, auto state, auto mode) {
-      if constexpr (extra.modes > 0)
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::modes > 0)
         at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
     });
     if constexpr (elastic && Rotor::modes > 0) {
@@ -359,8 +362,8 @@ struct Drive {
       at_most(motor.margin(x.z, x.u, felt_speed(x), now.at[0]));
     if constexpr (elastic && Gear::modes > 0)
       at_most(gear.margin(x.z[tm], x.z[wm], x.q, x.v, now.at[of_gear]));
-    for_each_extra([&](const auto& extra, auto state, auto mode) {
-      if constexpr (extra.modes > 0)
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::modes > 0)
         at_most(extra.margin(angle_of(extra, x), speed_of(extra, x), x.z + state, now.at[mode]));
     });
     if constexpr (elastic && Rotor::modes > 0) {
@@ -405,8 +408,8 @@ struct Drive {
     const Input<double> x = with(at, now);
     const unsigned held = now.held();
     Shaft on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held))};
-    for_each_extra([&](const auto& extra, auto state, auto mode) {
-      if constexpr (extra.place == Place::rotor)
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::place == Place::rotor)
         on.torque += torque_of<state, mode>(extra, x, held);
     });
     on.torque -= on.of_gear;
@@ -441,14 +444,14 @@ struct Drive {
     return X{};
   }
 
-  template <class X>
-  ARM_INLINE constexpr X angle_of(const auto& extra, const Input<X>& x) const {
-    if constexpr (extra.place == Place::rotor) return motor_angle(x);
+  template <class Extra, class X>
+  ARM_INLINE constexpr X angle_of(const Extra&, const Input<X>& x) const {
+    if constexpr (Extra::place == Place::rotor) return motor_angle(x);
     return x.q;
   }
-  template <class X>
-  ARM_INLINE constexpr X speed_of(const auto& extra, const Input<X>& x) const {
-    if constexpr (extra.place == Place::rotor) return motor_speed(x);
+  template <class Extra, class X>
+  ARM_INLINE constexpr X speed_of(const Extra&, const Input<X>& x) const {
+    if constexpr (Extra::place == Place::rotor) return motor_speed(x);
     return x.v;
   }
   template <int state, int mode, class X>

@@ -346,21 +346,22 @@ class DriveTables {
     Rest rest;
     if constexpr (own) {
       for (int lane = 0; lane < width; ++lane)
-        n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-          if constexpr (!drive.is_linear) put_rest(drive, j, lane, x, u, rest);
+        n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+          if constexpr (!Drive::is_linear) put_rest(drive, j, lane, x, u, rest);
         });
     } else if constexpr (modal) {
-      n.for_each_drive_of(0, [&](const auto& drive, int j) {
-        if constexpr (!drive.is_linear) put_rest(drive, j, 0, x, u, rest);
+      n.for_each_drive_of(0, [&]<class Drive>(const Drive& drive, int j) {
+        if constexpr (!Drive::is_linear) put_rest(drive, j, 0, x, u, rest);
       });
     } else {
-      n.for_each_drive_of(0, [&](const auto& drive, int j) __attribute__((always_inline)) {
-        if constexpr (!drive.is_linear) {
-          const auto is = drive.rest(input_of(drive, j, x, u[j]), 0);
-          for (int k = 0; k < drive.states; ++k) rest.at[k][j] = is.f[k];
-          rest.at[K][j] = is.g;
-        }
-      });
+      n.for_each_drive_of(
+          0, [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
+            if constexpr (!Drive::is_linear) {
+              const auto is = drive.rest(input_of(drive, j, x, u[j]), 0);
+              for (int k = 0; k < drive.states; ++k) rest.at[k][j] = is.f[k];
+              rest.at[K][j] = is.g;
+            }
+          });
     }
     return rest;
   }
@@ -392,10 +393,10 @@ class DriveTables {
   // Have x where the modes in use say, against rounding.
   void settle(State<S, X>& x, const X (&u)[row]) const {
     for (int lane = 0; lane < width; ++lane) {
-      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.modes > 0) {
+      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+        if constexpr (Drive::modes > 0) {
           auto at = input_in_lane(drive, j, x, u[j], lane);
-          drive.settle(at, resized<drive.modes>(now[lane][j]));
+          drive.settle(at, resized<Drive::modes>(now[lane][j]));
           put_states(drive, j, lane, at, x);
         }
       });
@@ -443,10 +444,12 @@ class DriveTables {
       return *reinterpret_cast<const typename Row::Vector*>(numbers + g * Row::group);
   }
 
-  void put_rest(const auto& drive, int j, int lane, const State<S, X>& x, const X (&u)[row],
+  template <class Drive>
+  void put_rest(const Drive& drive, int j, int lane, const State<S, X>& x, const X (&u)[row],
                 Rest& rest) const {
     const auto& modes = now[lane][j];
-    const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), resized<drive.modes>(modes));
+    const auto at =
+        drive.with(input_in_lane(drive, j, x, u[j], lane), resized<Drive::modes>(modes));
     const auto is = drive.rest(at, modes.held());
     for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
     set_lane(rest.at[K][j], lane, is.g);

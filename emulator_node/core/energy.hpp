@@ -26,11 +26,11 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
   Links<S>::mass_matrix(n, k, M);
   Energy E = {0.0, Links<S>::potential_energy(n, k), 0.0};
   double most = -1.0;
-  n.for_each_drive([&](const auto& drive, int j) {
+  n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
     const double own =
         0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
     E.stored += own;
-    if constexpr (drive.has_potential) E.potential += drive.potential(input_of(drive, j, x, 0.0));
+    if constexpr (Drive::has_potential) E.potential += drive.potential(input_of(drive, j, x, 0.0));
     E.jolt += n.Dc(j) * n.Dc(j) / (M.at[j][j] + n.carried(j));
     for (int m = j + 1; m < S::N; ++m) E.stored += x.v[j] * M.at[j][m] * x.v[m];
     if (greediest && own > most) {

@@ -127,7 +127,8 @@ int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {
     if (out->time) out->time[arm] = truth.time;
     if (!out->encoder) continue;
     arm_joint_measurement joint[N];
-    arm_measurement measurement = {sizeof measurement, 0, 0, 0, joint, nullptr, nullptr};
+    arm_measurement measurement = {};
+    measurement.size = sizeof measurement, measurement.joint = joint;
     arm_measure(&machine, &measurement);
     for (int j = 0; j < N; ++j) out->encoder[arm * N + j] = joint[j].encoder;
   }

@@ -344,16 +344,17 @@ class LinearlyImplicit {
   ARM_INLINE bool is_usual(const State<S, X>& x, const X (&u)[row]) const {
     bool all = true;
     for (int lane = 0; lane < kWidth<X>; ++lane)
-      n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
-        if constexpr (drive.modes > 0)
-          all &= drive.is_usual(input_in_lane(drive, j, x, u[j], lane));
-      });
+      n.for_each_drive_of(
+          lane, [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
+            if constexpr (Drive::modes > 0)
+              all &= drive.is_usual(input_in_lane(drive, j, x, u[j], lane));
+          });
     return all;
   }
   void serve_modes_at(const State<S, X>& x, const X (&u)[row]) {
     for (int lane = 0; lane < kWidth<X>; ++lane)
-      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.modes > 0)
+      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+        if constexpr (Drive::modes > 0)
           tables.serve(j, lane,
                        resized<Tables::M>(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
       });
@@ -371,7 +372,7 @@ class LinearlyImplicit {
 
   void halve(State<S, X>& x, const X (&u)[row]) {
     if (halvings == kMostHalvings) {
-      x.v[0] = X{} + __builtin_nan("");  // the machine says that it diverged
+      x.v[0] = X{} + no_number();  // the machine says that it diverged
       return;
     }
     if (!half) {
@@ -394,12 +395,12 @@ class LinearlyImplicit {
     X changed = {};
     for (int lane = 0; lane < kWidth<X>; ++lane) {
       if (!is_finite(lane_of(y.v[0], lane))) continue;  // it has diverged, whatever its modes
-      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.modes > 0) {
+      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+        if constexpr (Drive::modes > 0) {
           const auto& now = tables.served(j, lane);
           const auto wanted = resized<Tables::M>(
               drive.wanted(input_in_lane(drive, j, x, u[j], lane),
-                           input_in_lane(drive, j, y, u[j], lane), resized<drive.modes>(now)));
+                           input_in_lane(drive, j, y, u[j], lane), resized<Drive::modes>(now)));
           if (wanted == now) return;
           set_lane(changed, lane, 1.0);
           tables.serve(j, lane, wanted);

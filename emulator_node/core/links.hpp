@@ -148,7 +148,7 @@ struct Links {
 
   // Add the wrench of link i to the one before; return joint i's part of it.
   static ARM_INLINE X pass_down(const Kinematics& k, auto i, Wrench<X> (&wrench)[N]) {
-    if (i > 0) wrench[i - 1] = sum(wrench[i - 1], k.link[i], wrench[i]);
+    if (i > 0) wrench[before(i)] = sum(wrench[before(i)], k.link[i], wrench[i]);
     return revolute(i) ? wrench[i].n.z : wrench[i].f.z;
   }
 

@@ -13,9 +13,17 @@ inline constexpr int kUnrollNested = 12;
 
 #define ARM_INLINE __attribute__((always_inline)) inline
 
+// Neither inlined nor cloned (which clang never does): every caller runs the same instructions and
+// gets the same bits.
+#if defined(__clang__)
+#define ARM_APART __attribute__((noinline))
+#else
+#define ARM_APART __attribute__((noinline, noclone))
+#endif
+
 // For what no step runs: compiled for size, and once, not for each joint with its constants. The
 // compiler would take longer over it than over the step.
-#define ARM_ONCE __attribute__((cold, noinline, noclone))
+#define ARM_ONCE __attribute__((cold)) ARM_APART
 
 // body(i) for i = 0 .. N-1; `i` converts to int and, when unrolled, is a compile-time constant.
 template <int N, int limit = kUnrollLimit, class Body>

@@ -273,7 +273,8 @@ class Machine {
   static Mask<X> within_bounds(const Drive& drive, int j, const State<S, X>& s, double h) {
     const auto at = input_of(drive, j, s, X{});
     const X turns[] = {h * at.v, h * drive.gear.Ng * drive.motor_speed(at)};
-    Mask<X> sound = is_finite(at.q) & is_finite(at.v);
+    Mask<X> sound = is_finite(at.q);
+    sound &= is_finite(at.v);
     for (int k = 0; k < drive.states; ++k) sound &= is_finite(at.z[k]);
     for (const X& turn : turns) sound &= (turn <= kLargestTurn) & (turn >= -kLargestTurn);
     return sound;
@@ -375,7 +376,7 @@ class Machine {
   // Take `count` steps. Returns -1, or the joint that went out of bounds: then nothing has
   // happened. Neither inlined nor cloned: every step, however it is asked for, runs the same
   // instructions and gives the same bits.
-  __attribute__((noinline, noclone)) int run(Course& course, int count) {
+  ARM_APART int run(Course& course, int count) {
     const typename Threads::Memory past = threads.memory();
     Course there = course;
     State<S> y = x;  // here, as what follows, where the compiler may keep it in registers

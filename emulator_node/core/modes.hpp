@@ -25,8 +25,8 @@ class Modes {
   // Those of the settled state x (see below) with its links' part.
   Modes(const Numbers<S>& numbers, const State<S>& x, const double* u, const Dynamics& links)
       : n(&numbers) {
-    n->for_each_drive([&](const auto& drive, int j) {
-      if constexpr (drive.modes > 0)
+    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0)
         this->drive[j] = resized<M>(drive.modes_at(input_of(drive, j, x, u[j])));
     });
     if constexpr (Friction::present) {
@@ -59,9 +59,9 @@ class Modes {
   double margin(const State<S>& x, const double* u) const {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
-    n->for_each_drive([&](const auto& drive, int j) {
+    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (drive.is_dry() && !friction.locked[j]) at_most(x.v[j] * friction.direction[j]);
-      if constexpr (drive.modes > 0)
+      if constexpr (Drive::modes > 0)
         at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
     if (least < 0.0 || !any_locked()) return least;
@@ -78,9 +78,9 @@ class Modes {
   // Put x where its modes say: joints that have come to rest are at rest, a current is not beyond
   // its limit, and without inductance it is what the voltage makes it.
   void settle(State<S>& x, const double* u) const {
-    n->for_each_drive([&](const auto& drive, int j) {
+    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (drive.is_dry() && x.v[j] * friction.direction[j] <= 0.0) x.v[j] = 0.0;
-      if constexpr (drive.modes > 0) {
+      if constexpr (Drive::modes > 0) {
         auto at = input_of(drive, j, x, u[j]);
         drive.settle(at, of(drive, j));
         put_states(drive, j, 0, at, x);

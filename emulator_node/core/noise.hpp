@@ -54,7 +54,7 @@ struct Noise {
   double exponential(std::int64_t number) const { return -logarithm(uniform(number)); }
   // Of mean 0 and variance 1 (Box and Muller 1958). Neither inlined nor cloned, so that each
   // caller gets the same bits.
-  __attribute__((noinline, noclone)) double normal(std::int64_t number) const {
+  ARM_APART double normal(std::int64_t number) const {
     const double r = __builtin_sqrt(2.0 * exponential(2 * number));
     return r * sincos(6.283185307179586 * uniform(2 * number + 1)).cos;
   }

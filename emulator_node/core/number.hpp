@@ -90,12 +90,18 @@ ARM_INLINE X clamp(const X& x, const X& limit) {
   return select(x > limit, limit, select(x < -limit, -limit, x));
 }
 
-ARM_INLINE constexpr double square_root(double x) { return __builtin_sqrt(x); }
+ARM_INLINE double square_root(double x) { return __builtin_sqrt(x); }
 template <class X>
   requires(kWidth<X> > 1)
 ARM_INLINE X square_root(X x) {
   for (int lane = 0; lane < kWidth<X>; ++lane) x[lane] = __builtin_sqrt(x[lane]);
   return x;
+}
+
+// e^x. At compile time, where not every compiler knows it, it is asked for at 0 alone.
+ARM_INLINE constexpr double exponential(double x) {
+  if (std::is_constant_evaluated() && x == 0.0) return 1.0;
+  return __builtin_exp(x);
 }
 
 // The value of one lane.

@@ -68,8 +68,8 @@ class PaperScheme {
   // The modes that hold at the end of the step, the link held: each drive finds its own.
   void choose_modes(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
     for (int lane = 0; lane < kWidth<X>; ++lane) {
-      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if constexpr (drive.modes > 0) {
+      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+        if constexpr (Drive::modes > 0) {
           const auto start = input_in_lane(drive, j, x, u[j], lane);
           auto modes = drive.modes_at(start);
           for (int round = 0; round <= 2 * drive.modes; ++round) {

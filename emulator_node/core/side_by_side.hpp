@@ -143,7 +143,7 @@ class SideBySide {
   }
 
   // Neither inlined nor cloned, as a single machine's steps.
-  __attribute__((noinline, noclone)) void march(Course& course, int steps, Abreast& at) {
+  ARM_APART void march(Course& course, int steps, Abreast& at) {
     State<S, X> y = at.x;
     alignas(64) X u[Method::row];
     for (int j = 0; j < Method::row; ++j) u[j] = at.u[j];

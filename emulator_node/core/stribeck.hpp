@@ -18,7 +18,7 @@ struct Stribeck {
   constexpr bool is_dry() const { return Ds > 0.0; }
   template <class X>
   ARM_INLINE constexpr X sliding(X w, X) const {
-    return Dc + (Ds - Dc) * __builtin_exp(-(w / vs) * (w / vs));
+    return Dc + (Ds - Dc) * exponential(-(w / vs) * (w / vs));
   }
   template <class X>
   ARM_INLINE constexpr X holding(X) const {
