@@ -14,7 +14,7 @@ help:
 	@echo 'make test-in-full       run the tests with every case of each class'
 	@echo 'make test-peers         run the tests with masters, compilers and simulators of others'
 	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
-	@echo 'make fuzz               random scenes, messages, machines and frames, for ten minutes'
+	@echo 'make fuzz               random scenes, files, messages, machines and frames, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
 	@echo 'make lint               check style, types and what imports what'
 	@echo 'make format             put the sources into shape'

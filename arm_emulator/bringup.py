@@ -19,6 +19,7 @@ from ros_shell.ctrl_c import END_SIGNALS
 from ros_shell.end_with_parent import parent_environment
 from words.config_files import find_beside, find_scene
 from words.refusal import Refusal
+from words.yaml_file import read_yaml
 
 STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine too
 
@@ -161,8 +162,7 @@ def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | No
         # Nodes on simulated time listen to /clock; the emulator publishes it in its namespace.
         arguments += ["-p", "use_sim_time:=true", "-r", "/clock:=clock"]
     if params_file is not None:
-        if not params_file.is_file():
-            raise Refusal("arm_emulator", f"file {params_file}", "exist", "no such file")
+        read_yaml(params_file)  # what is no YAML is refused here, not by each node
         arguments += ["--params-file", str(params_file.resolve())]
     return arguments
 

@@ -8,7 +8,9 @@ import yaml
 
 from servo_node.servo_config import ServoConfig, load_servo_config
 from words.refusal import Refusal
+from words.text_file import read_text
 from words.yaml_edit import edited
+from words.yaml_file import MOST_BYTES
 
 GAINS = ("position_gain", "velocity_gain", "integral_time", "observer_bandwidth")
 RIGID = "link_inertia"  # which a file may leave out
@@ -21,7 +23,7 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
         Refusal: a file that is not writable, or that says the same for several joints at once, as
             with anchors. Nothing is written then.
     """
-    new = _replaced(file.read_text(encoding="utf-8"), servo)
+    new = _replaced(read_text(file, MOST_BYTES), servo)
     trial = file.with_name(f".{file.name}")
     try:
         trial.write_text(new, encoding="utf-8")

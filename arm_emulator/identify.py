@@ -80,7 +80,10 @@ def identify(
         raise Refusal("identify", "--out", "be another file than the scene", out)
     console = Console(width=max(110, Console().width))
     columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    progress = Console(stderr=True)  # shown to people only, and gone when it ends
+    with Progress(
+        *columns, console=progress, transient=True, disable=not progress.is_terminal
+    ) as bar:
         task = bar.add_task("read", total=None)
         late = _delays(delays)
         run = read_run(data, scene, angles, side).shifted(late)

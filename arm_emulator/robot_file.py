@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
+import importlib.util
+import signal
+import subprocess
+import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from arm_emulator import expand_xacro
 from words.config_files import ROBOTS
 from words.refusal import Refusal
 from words.text_file import why_no_file
-from words.urdf_text import read_urdf
+from words.urdf_text import MOST_BYTES, read_urdf
+
+PATIENCE = 30.0  # s, by the clock: for a source that waits, or a machine that is busy
 
 
 def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
@@ -36,16 +42,26 @@ def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
 
 
 def _expanded(file: Path, arguments: Mapping[str, str]) -> str:
-    try:
-        import xacro
-    except ImportError:
+    if importlib.util.find_spec("xacro") is None:
         valid = "pip install xacro, or give the output of `xacro FILE > robot.urdf`"
-        raise Refusal(file.name, "file", "be a URDF", "a xacro source", valid) from None
-    told = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(told):
-            return str(xacro.process_file(str(file), mappings=dict(arguments)).toxml())
-    # A xacro source is a program, in part of Python expressions: it may fail in any way.
-    except (Exception, SystemExit) as error:
-        words = " ".join(f"{error} {told.getvalue()}".split())[:300]
-        raise Refusal(file.name, "file", "be what xacro expands", words) from None
+        raise Refusal(file.name, "file", "be a URDF", "a xacro source", valid)
+    given = [f"{name}:={value}" for name, value in arguments.items()]
+    command = [sys.executable, "-P", expand_xacro.__file__, str(file.resolve()), *given]
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as said:
+        try:
+            done = subprocess.run(
+                command, stdin=subprocess.DEVNULL, stdout=out, stderr=said,
+                timeout=PATIENCE, check=False,
+            )  # fmt: skip
+            code = done.returncode
+        except subprocess.TimeoutExpired:
+            code = -signal.SIGKILL
+        for stream in (out, said):
+            stream.seek(0)
+        text = out.read(MOST_BYTES + 1)
+        reason = " ".join(said.read(2000).decode(errors="replace").split())
+    if code < 0:
+        reason = f"more than {expand_xacro.SECONDS} s, or more than it may write"
+    elif code == 0 and len(text) <= MOST_BYTES:
+        return text.decode(errors="replace")
+    raise Refusal(file.name, "file", "be what xacro expands", reason or "nothing")

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from words.bound import POSITION
+from words.bound import POSITION, FloatArray
 from words.refusal import Refusal
-from words.text_file import read_bytes
+from words.table_file import Table, read_table
 
-LARGEST = 2**28  # bytes
 LATEST = 1e9  # s
 _ROUNDING = 1e-6  # of a period: a time that was written with a few digits is that of its tick
 
@@ -50,65 +47,34 @@ def load_target_table(file: Path, joint_names: Sequence[str]) -> TargetTable:
         Refusal: no such file, other columns, a row with a gap, a value that is no number or too
             large, or times that do not ascend from 0 s or later.
     """
-    where = file.name
-    rows = _rows(file)
-    line, head = next(rows, (1, []))
-    columns = [cell.strip() for cell in head]
     wanted = ["t", *joint_names]
-    if sorted(columns) != sorted(wanted):
+    units = {name: "rad or m" for name in joint_names} | {"t": "s"}
+    table = read_table(file, units)
+    if sorted(table.columns) != sorted(wanted):
         rule = "be t and every joint of the scene once"
-        raise Refusal(where, "columns", rule, ", ".join(columns) or "none", ", ".join(wanted))
-    order = [columns.index(name) for name in wanted]
-    values: list[list[float]] = []
-    for line, cells in rows:
-        if len(cells) != len(columns):
-            rule = f"have {len(columns)} values, as the columns"
-            raise Refusal(where, f"line {line}", rule, len(cells))
-        row = [_number(cells[k], where, line, columns[k]) for k in order]
-        _check(row, values, where, line, wanted)
-        values.append(row)
-    if not values:
-        raise Refusal(where, "table", "have a row of targets", "none")
-    numbers = np.array(values)
+        got = ", ".join(table.columns) or "none"
+        raise Refusal(table.where, "columns", rule, got, ", ".join(wanted))
+    numbers = table.values[:, [table.columns.index(name) for name in wanted]]
+    if not len(numbers):
+        raise Refusal(table.where, "table", "have a row of targets", "none")
+    _check(numbers, table, wanted)
     return TargetTable(numbers[:, 0], numbers[:, 1:])
 
 
-def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the lines that are not empty, with their numbers."""
-    try:
-        text = read_bytes(file, LARGEST).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise Refusal(file.name, "file", "be text in UTF-8", error.reason) from None
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        for cells in reader:
-            if cells:
-                yield reader.line_num, cells
-    except csv.Error as error:
-        raise Refusal(file.name, f"line {reader.line_num}", "be well-formed CSV", error) from None
-
-
-def _number(cell: str, where: str, line: int, column: str) -> float:
-    try:
-        value = float(cell) if "_" not in cell else math.nan
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        unit = "s" if column == "t" else "rad or m"
-        raise Refusal(where, f"line {line}, {column}", f"be a number [{unit}]", cell or "nothing")
-    return value
-
-
-def _check(
-    row: list[float], before: list[list[float]], where: str, line: int, columns: list[str]
-) -> None:
-    t = row[0]
-    if not 0.0 <= t <= LATEST:
-        raise Refusal(where, f"line {line}, t", f"be from 0 to {LATEST:g} s", t)
-    if before and t <= before[-1][0]:
-        rule = f"be later than that of the row before, {before[-1][0]:g} s"
-        raise Refusal(where, f"line {line}, t", rule, f"{t:g} s")
-    for name, q in zip(columns[1:], row[1:], strict=True):
-        if abs(q) > POSITION.largest:
-            rule = f"be within +-{POSITION.largest:g} rad or m"
-            raise Refusal(where, f"line {line}, {name}", rule, q)
+def _check(numbers: FloatArray, table: Table, names: Sequence[str]) -> None:
+    """Refuse gaps, times that do not ascend, and angles that are none, with their lines."""
+    t, q = numbers[:, 0], numbers[:, 1:]
+    for row, column in np.argwhere(np.isnan(numbers))[:1]:
+        what = f"line {table.lines[row]}, {names[column]}"
+        unit = "rad or m" if column else "s"
+        raise Refusal(table.where, what, f"be a number [{unit}]", "nothing")
+    for row in np.flatnonzero((t < 0.0) | (t > LATEST))[:1]:
+        rule = f"be from 0 to {LATEST:g} s"
+        raise Refusal(table.where, f"line {table.lines[row]}, t", rule, t[row])
+    for row in np.flatnonzero(np.diff(t) <= 0.0)[:1] + 1:
+        rule = f"be later than that of the row before, {t[row - 1]:g} s"
+        raise Refusal(table.where, f"line {table.lines[row]}, t", rule, f"{t[row]:g} s")
+    for row, column in np.argwhere(np.abs(q) > POSITION.largest)[:1]:
+        rule = f"be within +-{POSITION.largest:g} rad or m"
+        what = f"line {table.lines[row]}, {names[column + 1]}"
+        raise Refusal(table.where, what, rule, q[row, column])

@@ -17,12 +17,14 @@ IDENTIFICATION_SIZE = 16
 SHARED_OBJECT = 3
 DYNAMIC_SYMBOLS = 11
 UNDEFINED = 0
+LONGEST = 200  # bytes of a name that we may ask for
 
 
 def why_no_library(content: bytes, functions: Iterable[str]) -> str:
     """Return why some bytes are no shared library for this machine with these functions, or "".
 
-    A truncated file is detected, since the table of sections is at its end.
+    A truncated file is detected, since the table of sections is at its end. Whatever the bytes are,
+    no more time goes into them than their number asks for.
     """
     if not content:
         return "it is empty"
@@ -53,16 +55,18 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
 
 
 def _exported(content: bytes, table: list[tuple[int, ...]]) -> set[str]:
+    """Return the names in the first table of dynamic symbols; a library has one."""
+    found = next((section for section in table if section[1] == DYNAMIC_SYMBOLS), None)
+    if found is None:
+        return set()
+    _, _, _, _, at, size, link, *_ = found
+    strings_at = table[link][4]
     names = set()
-    for _, kind, _, _, at, size, link, *_ in table:
-        if kind != DYNAMIC_SYMBOLS:
-            continue
-        strings_at = table[link][4]
-        for symbol in range(at, at + size, SYMBOL.size):
-            name, _, _, section, *_ = SYMBOL.unpack_from(content, symbol)
-            if section != UNDEFINED:
-                begin = strings_at + name
-                names.add(content[begin : content.find(b"\0", begin)].decode(errors="replace"))
+    for symbol in range(at, at + size, SYMBOL.size):
+        name, _, _, section, *_ = SYMBOL.unpack_from(content, symbol)
+        if section != UNDEFINED:
+            begin = strings_at + name
+            names.add(content[begin : begin + LONGEST].split(b"\0", 1)[0].decode(errors="replace"))
     return names
 
 

@@ -24,7 +24,9 @@ from emulator_node.chain import Array
 from emulator_node.plant import Diverged, Plant
 from emulator_node.scene import SCHEMES, Scene, load_scene
 from words.refusal import Refusal
+from words.text_file import read_bytes
 from words.yaml_edit import edited
+from words.yaml_file import MOST_BYTES
 
 ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
@@ -160,7 +162,7 @@ def write_integrator(file: Path, scheme: str, dt: float) -> None:
     """
     before = load_scene(file)
     # Bytes, so that line ends stay what they are.
-    text = file.read_bytes().decode("utf-8")
+    text = read_bytes(file, MOST_BYTES).decode("utf-8")
     number = np.format_float_scientific(dt, trim="0", exp_digits=1)
     new = _replaced(text, {"scheme": scheme, "dt": number}).encode("utf-8")
     # Tried in a file beside the scene first: the URDF is named relative to it.

@@ -11,6 +11,8 @@ from words.refusal import Refusal
 from words.text_file import read_bytes
 
 LARGEST = 1 << 28  # bytes
+MOST_HEADERS = 4096  # of segments and of sections
+MOST_SYMBOLS = 200_000
 ARM = 40  # e_machine
 
 
@@ -34,42 +36,42 @@ class ElfImage:
             rule = "be built for a little-endian 32-bit Arm"
             raise Refusal(self.name, "file", rule, "for another processor")
         package_folder("elftools", "pyelftools")
-        from elftools.common.exceptions import ELFError
         from elftools.elf.elffile import ELFFile
         from elftools.elf.sections import SymbolTableSection
 
         try:
             elf = ELFFile(io.BytesIO(content))
-            self.pieces = [
-                (int(segment["p_paddr"]), bytes(segment.data()))
-                for segment in elf.iter_segments("PT_LOAD")
-                if segment["p_filesz"]
-            ]
+            self._check_counts(elf.num_segments(), elf.num_sections())
+            segments = [one for one in elf.iter_segments("PT_LOAD") if one["p_filesz"]]
+            size = sum(int(one["p_filesz"]) for one in segments)
+            if size > LARGEST:
+                raise Refusal(self.name, "file", f"load at most {LARGEST >> 20} MiB", size)
+            self.pieces = [(int(one["p_paddr"]), bytes(one.data())) for one in segments]
             table = elf.get_section_by_name(".symtab")
+            symbols = table if isinstance(table, SymbolTableSection) else None
+            if symbols is not None and symbols.num_symbols() > MOST_SYMBOLS:
+                rule = f"have at most {MOST_SYMBOLS} symbols"
+                raise Refusal(self.name, "file", rule, symbols.num_symbols())
             functions = sorted(
                 (symbol["st_value"] & ~1, symbol["st_size"], symbol.name)
-                for symbol in (
-                    table.iter_symbols() if isinstance(table, SymbolTableSection) else ()
-                )
+                for symbol in (symbols.iter_symbols() if symbols is not None else ())
                 if symbol["st_info"]["type"] == "STT_FUNC" and symbol.name
             )
-        except (
-            ELFError,
-            ValueError,
-            KeyError,
-            AttributeError,
-            UnicodeError,
-            MemoryError,
-            OverflowError,
-            TypeError,
-            IndexError,
-        ) as error:  # what a damaged file leads to
+        except Refusal:
+            raise
+        except Exception as error:  # what a damaged file leads to
             rule = "be a sound ELF file"
             raise Refusal(self.name, "file", rule, f"{type(error).__name__} {error}") from None
         if not self.pieces:
             raise Refusal(self.name, "file", "hold something to load", "nothing")
         self._starts = [start for start, _, _ in functions]
         self._functions = functions
+
+    def _check_counts(self, *counts: int) -> None:
+        for count in counts:
+            if count > MOST_HEADERS:
+                rule = f"have at most {MOST_HEADERS} segments and sections"
+                raise Refusal(self.name, "file", rule, count)
 
     def symbol(self, address: int) -> str:
         """Return the function at an address and how far in; empty: none is known there."""

@@ -17,6 +17,7 @@ pytest.register_assert_rewrite(
     "network",
     "random_messages",
     "random_scenes",
+    "spoiled_files",
     "stick_slip",
 )
 

@@ -12,7 +12,9 @@ import yaml
 from emulator_node.chain import Body, Frame
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal
+from words.text_file import read_text
 from words.yaml_edit import edited
+from words.yaml_file import MOST_BYTES
 
 
 def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[str, float],
@@ -31,7 +33,7 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
         Refusal: it cannot be written, or what is found is no sound scene.
     """
     urdf = file.parent / "urdf" / f"{file.stem}.urdf"
-    text = scene_file.read_text(encoding="utf-8")
+    text = read_text(scene_file, MOST_BYTES)
     values = {name: f"{value:.6g}" for name, value in numbers.items()} | {
         "name": file.stem, "urdf": f"urdf/{urdf.name}"
     }  # fmt: skip

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +10,9 @@ from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from emulator_node.chain import Array
 from emulator_node.plant import link_angle_per_count
 from emulator_node.scene import Scene
+from words.array_file import read_arrays
 from words.refusal import Refusal
-from words.text_file import why_no_file
+from words.table_file import read_table
 
 # What a record may have, by its names in files. Arrays and groups of columns are called alike.
 NAMES = {
@@ -23,7 +22,6 @@ NAMES = {
 ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
 SIDES = ("link", "motor")
 OF_ANGLE = ("q_motor", "q_link", "q_ref", "v_motor")
-MOST_BYTES = 2**30
 
 
 def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") -> MeasuredRun:
@@ -47,11 +45,6 @@ def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") 
         signals, where = _from_bag(path, scene), str(path)
     else:
         where = path.name
-        reason = why_no_file(path)
-        if reason is not None:
-            raise Refusal("identify", f"file {path}", "exist", reason)
-        if path.stat().st_size > MOST_BYTES:
-            raise Refusal(where, "file", f"have at most {MOST_BYTES} bytes", path.stat().st_size)
         if path.suffix == ".npz":
             signals = _from_archive(path)
         elif path.suffix == ".csv":
@@ -107,61 +100,34 @@ def _torques(current: Array, scene: Scene, where: str) -> Array:
 
 
 def _from_archive(path: Path) -> dict[str, Array]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            signals = {
-                NAMES.get(name, name): np.asarray(archive[name], np.float64)
-                for name in archive.files
-                if name in NAMES or name == "t"
-            }
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise Refusal(path.name, "file", "be an archive of NumPy arrays", error) from None
-    if "t" not in signals:
-        raise Refusal(path.name, "archive", "have t [s]", ", ".join(signals) or "nothing known")
-    return signals
+    arrays = read_arrays(path, {"t", *NAMES})
+    if "t" not in arrays:
+        raise Refusal(path.name, "archive", "have t [s]", ", ".join(arrays) or "nothing known")
+    return {NAMES.get(name, name): values for name, values in arrays.items()}
 
 
 def _from_table(path: Path, scene: Scene) -> dict[str, Array]:
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise Refusal(path.name, "file", "be a table with commas", error) from None
-    heading = [name.strip() for name in rows[0]] if rows else []
-    if "t" not in heading:
-        raise Refusal(path.name, "heading", "have a column t [s]", ", ".join(heading) or "nothing")
-    body = [row for row in rows[1:] if row]
-    if len(set(heading)) < len(heading):
-        raise Refusal(path.name, "heading", "name each column once", ", ".join(heading))
-    for number, row in enumerate(body, 2):
-        if len(row) != len(heading):
-            rule = f"have {len(heading)} columns as the heading"
-            raise Refusal(path.name, f"line {number}", rule, len(row))
-    columns = {
-        name: _numbers(path, name, [row[k] for row in body]) for k, name in enumerate(heading)
-    }
-    signals = {"t": columns["t"]}
+    table = read_table(path, {"t": "s"})
+    if "t" not in table.columns:
+        got = ", ".join(table.columns) or "nothing"
+        raise Refusal(path.name, "heading", "have a column t [s]", got)
+    if len(set(table.columns)) < len(table.columns):
+        raise Refusal(path.name, "heading", "name each column once", ", ".join(table.columns))
+    signals = {"t": table.column("t")}
     for group, name in NAMES.items():
-        there = [f"{group}.{joint}" in columns for joint in scene.joint_names]
+        there = [f"{group}.{joint}" in table.columns for joint in scene.joint_names]
         if not any(there):
             continue
         if not all(there) and name != "q_link":
             missing = scene.joint_names[there.index(False)]
             raise Refusal(path.name, "heading", f"have {group}.{missing}, as of the others", "none")
-        none = np.full(len(body), np.nan)
-        of = [columns.get(f"{group}.{joint}", none) for joint in scene.joint_names]
+        none = np.full(len(table.lines), np.nan)
+        of = [
+            table.column(f"{group}.{joint}") if known else none
+            for joint, known in zip(scene.joint_names, there, strict=True)
+        ]
         signals[name] = np.column_stack(of)
     return signals
-
-
-def _numbers(path: Path, name: str, texts: list[str]) -> Array:
-    values = np.empty(len(texts))
-    for k, text in enumerate(texts):
-        try:
-            values[k] = float(text) if text.strip() else np.nan
-        except ValueError:
-            raise Refusal(path.name, f"{name} of line {k + 2}", "be a number", text) from None
-    return values
 
 
 def _from_bag(path: Path, scene: Scene) -> dict[str, Array]:

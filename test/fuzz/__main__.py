@@ -1,8 +1,8 @@
-"""`make fuzz`: python -m fuzz [--minutes 10] [--seed 1] [--scenes N] [--messages N] [--machines N]
-[--frames N].
+"""`make fuzz`: python -m fuzz [--minutes 10] [--seed 1] [--scenes N] [--files N] [--messages N]
+[--machines N] [--frames N].
 
-Without numbers, scenes, machines and frames share the time that messages leave. What fails is told
-with the command that shows it again.
+Without numbers, scenes, files, machines and frames share the time that messages leave. What fails
+is printed with the command that shows it again.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ MESSAGES_PER_MINUTE = 1000  # of the time for all, where no number is asked for
 MESSAGES_PER_NETWORK = 5000
 HANGS = {
     "scenes": 20.0,
+    "files": 150.0,
     "cores": 300.0,
     "messages": 120.0,
     "frames": 300.0,
@@ -161,7 +162,7 @@ class Fuzzer:
             return 1
         elif "outcome" in line:
             count[line["outcome"]] += line["count"]
-            return int(worker.part == "scenes")
+            return int(worker.part in ("scenes", "files"))
         return int(worker.part == "cores" and "done" in line)
 
     def _fail(self, name: str, worker: Worker, count: Counter[str], what: str) -> None:
@@ -203,12 +204,15 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0, help="where no number is asked for")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scenes", type=int, help="how many scenes and URDFs")
+    parser.add_argument("--files", type=int, help="how many spoiled files, of all kinds in turns")
     parser.add_argument("--messages", type=int, help="how many messages, half in each clock")
     parser.add_argument("--machines", type=int, help="how many machines, compiled with sanitizers")
     parser.add_argument("--frames", type=int, help="how many of EtherCAT, with sanitizers")
     arguments = parser.parse_args()
     console = Console(highlight=False)
-    numbered = (arguments.scenes, arguments.messages, arguments.machines, arguments.frames)
+    numbered = (
+        arguments.scenes, arguments.files, arguments.messages, arguments.machines, arguments.frames,
+    )  # fmt: skip
     bounded = any(number is not None for number in numbered)
     messages = arguments.messages
     if messages is None and not bounded:
@@ -239,10 +243,13 @@ def main() -> None:
         if arguments.scenes is not None or not bounded:
             workers = [Worker("scenes", [seed], first) for first in range(WORKERS)]
             fuzzer.run("scenes", workers, arguments.scenes, half)
+        if arguments.files is not None or not bounded:
+            workers = [Worker("files", [seed], first) for first in range(WORKERS)]
+            fuzzer.run("files", workers, arguments.files, half + left / 8)
         sanitized = environment(Path(cache))
         if arguments.frames is not None or not bounded:
             workers = [Worker("frames", [seed], first, sanitized) for first in range(WORKERS)]
-            fuzzer.run("frames", workers, arguments.frames, half + left / 8)
+            fuzzer.run("frames", workers, arguments.frames, half + left / 4)
         if arguments.machines is not None or not bounded:
             workers = [Worker("cores", [seed], first, sanitized) for first in range(WORKERS)]
             fuzzer.run("machines", workers, arguments.machines, deadline)

@@ -1,0 +1,27 @@
+"""Files from outside, whatever they are: taken, or refused in one line that names the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from draws import FULL
+from spoiled_files import KINDS, case, verdict
+
+CASES = 3000 if FULL else 25
+SLOW = ("xacro",)  # a process for each
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_spoiled_file_is_taken_or_refused_in_one_line(kind: str, tmp_path: Path) -> None:
+    """A sound one is taken: what is refused is refused for what was done to it."""
+    one, number = KINDS[kind], list(KINDS).index(kind)
+    (tmp_path / "sound").mkdir()
+    file = one.write(np.random.default_rng(1), tmp_path / "sound")
+    assert verdict(file, one.words(file)) == "", "a sound file"
+    refused = 0
+    for turn in range(CASES // 5 if kind in SLOW and not FULL else CASES):
+        rng = np.random.default_rng([0, number, turn])
+        refused += bool(case(kind, rng, tmp_path / str(turn)))
+    assert refused, "no file was refused: the draws are too kind"
