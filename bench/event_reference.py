@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from emulator_node.reference import STIFF, Array, ReferenceMachine
+from emulator_node.reference import ROWS, STIFF, Array, ReferenceMachine
 from emulator_node.scene import Scene
 
 ROUNDING = 1e-9  # of a breakaway torque or a limit: what is nearer to it is at it
@@ -39,15 +39,16 @@ class MachineWithModes(ReferenceMachine):
 
     def currents(self, x: Array, V: Array) -> tuple[Array, Array]:
         """Return the currents in these modes, and what is left of the voltage to raise them."""
-        i, _, wm, _, v = x
+        i, _, wm, _, v, integral = x
         wm = np.where(self.rigid, v / self.Ng, wm)
+        V, _ = self.applied(i, wm, integral, V)
         i = np.where(self.inductive, i, (V - self.Kb * wm) / self.R)
         i = np.where(self.side != 0.0, self.side * np.where(self.side != 0.0, self.limit, 0.0), i)
         return i, V - self.R * i - self.Kb * wm
 
     def forces(self, x: Array, V: Array) -> tuple[Array, Array, Array]:
         """Return the gears' torques, accelerations, and what the locks hold."""
-        _, tm, wm, q, v = x
+        _, tm, wm, q, v, _ = x
         i, _ = self.currents(x, V)
         T = np.where(
             self.rigid,
@@ -69,14 +70,16 @@ class MachineWithModes(ReferenceMachine):
 
     def rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt in these modes, flat."""
-        x = flat.reshape(5, self.N)
+        x = flat.reshape(ROWS, self.N)
         i, surplus = self.currents(x, V)
         T, a, _ = self.forces(x, V)
-        dx = np.zeros((5, self.N))
+        dx = np.zeros((ROWS, self.N))
         np.divide(surplus, self.L, out=dx[0], where=self.inductive & (self.side == 0.0))
         dx[1] = np.where(self.elastic, x[2], 0.0)
         dx[2] = np.where(self.elastic, self.motor_accelerations(i, T, a), 0.0)
         dx[3], dx[4] = x[4], a
+        wm = np.where(self.rigid, x[4] / self.Ng, x[2])
+        dx[5] = self.applied(x[0], wm, x[5], V)[1]
         return dx.ravel()
 
     def choose_locks(self, x: Array, V: Array, freed: int | None = None) -> None:
@@ -143,13 +146,13 @@ class MachineWithModes(ReferenceMachine):
         return out
 
     def _spare(self, y: Array, V: Array, j: int) -> float:
-        return float(self.Ds[j] - abs(self.forces(y.reshape(5, self.N), V)[2][j]))
+        return float(self.Ds[j] - abs(self.forces(y.reshape(ROWS, self.N), V)[2][j]))
 
     def _along(self, y: Array, j: int) -> float:
         return float(y[4 * self.N + j] * self.direction[j])
 
     def _room(self, y: Array, V: Array, j: int) -> float:
-        i, surplus = self.currents(y.reshape(5, self.N), V)
+        i, surplus = self.currents(y.reshape(ROWS, self.N), V)
         return float(self.side[j] * surplus[j] if self.side[j] else self.limit[j] - abs(i[j]))
 
 
@@ -160,7 +163,7 @@ def reference_with_events(
 
     Args:
         scene: the machine, without a payload.
-        voltages: (K, N) [V], each row held for a period.
+        voltages: (K, N) [V; A where a drive closes a current loop], each row held for a period.
         period: how long [s].
         rtol: relative error per step; absolute: a hundredth of it.
     """
@@ -170,7 +173,7 @@ def reference_with_events(
     method = "Radau" if rate > STIFF else "DOP853"
     # What ends a mode for less than a step is not seen: as when a swinging gear breaks a link away.
     longest = min(period / 40.0, 0.2 / rate)
-    rows = np.clip(np.atleast_2d(voltages), -scene.supply_voltage, scene.supply_voltage)
+    rows = np.clip(np.atleast_2d(voltages), -machine.largest, machine.largest)
     out, events = np.empty((len(rows), machine.N)), 0
     for k, V in enumerate(rows):
         t = 0.0

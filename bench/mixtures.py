@@ -79,13 +79,25 @@ def _rotor(rng: Rng) -> Numbers:
 
 
 def _dc(rng: Rng) -> Numbers:
+    inductive = rng.random() < 0.5
     return {
         "resistance": _log(rng, 0.5, 2.0),
         "torque_constant": 0.05,
         "back_emf_constant": 0.05,
-        **({"inductance": _log(rng, 1e-3, 5e-3)} if rng.random() < 0.5 else {}),
+        **({"inductance": _log(rng, 1e-3, 5e-3)} if inductive else {}),
         **({"current_limit": _log(rng, 3.0, 10.0)} if rng.random() < 0.5 else {}),
+        **({"current_loop": _current_loop(rng)} if inductive and rng.random() < 0.5 else {}),
     }
+
+
+def _current_loop(rng: Rng) -> Numbers:
+    if rng.random() < 0.5:
+        return {"bandwidth": _log(rng, 100.0, 1000.0)}
+    share = float(rng.uniform(0.0, 1.0))
+    return {
+        "proportional_gain": _log(rng, 1.0, 10.0), "integral_gain": _log(rng, 100.0, 5e3),
+        "emf_feedforward": share,
+    }  # fmt: skip
 
 
 def _pmsm(rng: Rng) -> Numbers:
@@ -300,10 +312,8 @@ class Verdict:
 def commands(scene: Scene, seed: int) -> np.ndarray:
     """Return commands (ROWS, N) that jump, in the unit of each motor."""
     rng = np.random.default_rng([seed, 77])
-    size = np.array(
-        [{None: 0.0, "dc": 12.0, "torque": 0.3, "current": 6.0}.get(
-            joint.motor.kind if joint.motor else None, 12.0) for joint in scene.joints]
-    )  # fmt: skip
+    sizes = {"V": 12.0, "V dq": 12.0, "N m": 0.3, "A": 6.0}
+    size = np.array([sizes[joint.command] if joint.motor else 0.0 for joint in scene.joints])
     return rng.uniform(-1.0, 1.0, (ROWS, len(size))) * size
 
 

@@ -119,6 +119,8 @@ class LinearDrive:
     F: Array  # (n, n + 3)
     G: Array  # (n + 3,)
     carried: float  # kg m2, of a rotor behind a rigid gear
+    current: Array  # (n + 3,), A of the motor by (z, q, v, u)
+    motor_angle: Array  # (n + 3,), rad
 
 
 @dataclass(frozen=True)
@@ -622,14 +624,14 @@ class Plant:
     def linear_drives(self) -> list[LinearDrive]:
         """Return what each joint's drive is for small motions, base to tool."""
         K = self.core.arm_linear_drives(self.machine, None)
-        numbers = np.zeros((self._N, 2 + K + (K + 1) * (K + 3)))
+        numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
         self.core.arm_linear_drives(self.machine, _pointer(numbers))
         drives = []
         for row in numbers:
-            n, (D, F, G) = int(row[0]), np.split(row[2:], [K, K + K * (K + 3)])
-            own = [*range(n), K, K + 1, K + 2]
-            F = F.reshape(K, K + 3)[:n, own]
-            drives.append(LinearDrive(D[:n], F, G[own], float(row[1])))
+            n, D, rows = int(row[0]), row[2 : 2 + K], row[2 + K :].reshape(K + 3, K + 3)
+            rows = rows[:, [*range(n), K, K + 1, K + 2]]
+            G, current, motor_angle = rows[K:]
+            drives.append(LinearDrive(D[:n], rows[:n], G, float(row[1]), current, motor_angle))
         return drives
 
     def _vector(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:

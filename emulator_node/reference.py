@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from emulator_node.parts.brake import Brake
+from emulator_node.parts.current_loop import CurrentLoop
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.end_stops import EndStops
@@ -27,6 +28,8 @@ from emulator_node.scene import Joint, Scene
 from words.refusal import Refusal
 
 Array = NDArray[np.float64]
+
+ROWS = 6  # of a state: i, tm, wm, q, v, integral of the current controller [V]
 
 # 1/s; above this an explicit method spends its steps on stability, not on accuracy.
 STIFF = 3e4
@@ -72,7 +75,8 @@ def reference_states(
 
     Args:
         scene: the machine. Its integrator plays no part.
-        voltages: (K, N) [V], row k held from k periods to k + 1.
+        voltages: (K, N) [V; A where a drive closes a current loop], row k held from k periods to
+            k + 1.
         period: how long each row is held [s]. The integration starts anew with each row, since
             there the right-hand side jumps.
         rtol: relative error per step of the variable-step method; absolute: a hundredth of it.
@@ -94,8 +98,8 @@ def reference_states(
         method = "LSODA" if machine.fastest_rate(x) > STIFF else "DOP853"
     if method == "DOP853":
         rtol = max(1e-2 * rtol, 1e-13)  # SciPy allows 2.2e-14
-    rows = np.clip(np.atleast_2d(voltages), -scene.supply_voltage, scene.supply_voltage)
-    out = np.empty((len(rows), *x.shape))
+    rows = np.clip(np.atleast_2d(voltages), -machine.largest, machine.largest)
+    out = np.empty((len(rows), 5, machine.N))
     step = None
     for k, V in enumerate(rows):
         solution = solve_ivp(
@@ -111,12 +115,15 @@ def reference_states(
         )
         if not solution.success:
             raise RuntimeError(f"reference: {method} failed in row {k}: {solution.message}")
-        x = out[k] = solution.y[:, -1].reshape(x.shape)
+        x = solution.y[:, -1].reshape(x.shape)
+        out[k] = x[:5]
     return out
 
 
 # The parts whose equations stand here. Brakes are open: there is power.
-KNOWN = (DcMotor, RigidGear, ElasticGear, ProgressiveGear, LinkFriction, Brake, EndStops)
+KNOWN = (
+    DcMotor, CurrentLoop, RigidGear, ElasticGear, ProgressiveGear, LinkFriction, Brake, EndStops,
+)  # fmt: skip
 
 
 def _motor_of(joint: Joint) -> DcMotor | None:
@@ -150,7 +157,10 @@ class ReferenceMachine:
                 ("friction.coulomb", joint.friction.coulomb == 0.0),
                 (
                     "motor.current_limit",
-                    motor is None or motor.current_limit is None or motor.inductance == 0.0,
+                    motor is None
+                    or motor.current_limit is None
+                    or motor.inductance == 0.0
+                    or joint.current_loop is not None,
                 ),
             ):
                 if not absent:
@@ -171,7 +181,16 @@ class ReferenceMachine:
                 for m in motors
             ]
         ).T
-        self.limit = np.array([(m and m.current_limit) or np.inf for m in motors])
+        limits = np.array([(m and m.current_limit) or np.inf for m in motors])
+        loops = [joint.current_loop for joint in scene.joints]
+        self.looped = np.array([loop is not None for loop in loops])
+        self.supply = scene.supply_voltage
+        # With a current loop the limit is one of the command.
+        self.limit = np.where(self.looped, np.inf, limits)
+        self.largest = np.where(self.looped, limits, self.supply)
+        self.P, self.I, self.E = np.array(
+            [_control(*pair) for pair in zip(loops, motors, strict=True)]
+        ).T
         self.Ng = np.array([gear.ratio for gear in gears])
         self.Kg = np.array([gear.stiffness or 0.0 for gear in gears])
         self.Kg3 = np.array(
@@ -197,8 +216,8 @@ class ReferenceMachine:
         self.data = self.model.createData()
 
     def at_rest(self, q: ArrayLike, v: ArrayLike | None) -> Array:
-        """Return x = (i, tm, wm, q, v), (5, N), without current and with gears unloaded."""
-        x = np.zeros((5, self.N))
+        """Return x, (6, N), without current and with gears unloaded; see `reference_states`."""
+        x = np.zeros((ROWS, self.N))
         x[3] = q
         if v is not None:
             x[4] = v
@@ -231,10 +250,18 @@ class ReferenceMachine:
             torque[inside] -= side * np.maximum(push, 0.0)
         return torque
 
+    def applied(self, i: Array, wm: Array, integral: Array, u: Array) -> tuple[Array, Array]:
+        """Return the voltages at the windings under commands, and the rates of the integrals."""
+        asked = self.P * (u - i) + integral + self.E * wm
+        given = np.clip(asked, -self.supply, self.supply)
+        rate = self.I * (u - i) + self.I / self.P * (given - asked)
+        return np.where(self.looped, given, u), np.where(self.looped, rate, 0.0)
+
     def rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt, flat."""
-        i, tm, wm, q, v = flat.reshape(5, self.N)
+        i, tm, wm, q, v, integral = flat.reshape(ROWS, self.N)
         wm = np.where(self.rigid, v / self.Ng, wm)
+        V, of_integral = self.applied(i, wm, integral, V)
         at_once = np.clip((V - self.Kb * wm) / self.R, -self.limit, self.limit)
         i = np.where(self.inductive, i, at_once)
         T = np.where(
@@ -242,13 +269,25 @@ class ReferenceMachine:
             self.Kt * i / self.Ng,  # the rotor is part of the links' mass matrix
             self.gear_torques(tm, wm, q, v),
         )
-        dx = np.zeros((5, self.N))
+        dx = np.zeros((ROWS, self.N))
         np.divide(V - self.R * i - self.Kb * wm, self.L, out=dx[0], where=self.inductive)
         dx[1] = np.where(self.elastic, wm, 0.0)
         dx[2] = np.where(self.elastic, (self.Kt * i - self.Ng * T) / self.Mm, 0.0)
         dx[3] = v
+        dx[5] = of_integral
         dx[4] = pin.aba(self.model, self.data, q, v, T - self.Dl * v + self.stop_torques(q, v))
         return dx.ravel()
+
+
+def _control(loop: CurrentLoop | None, motor: DcMotor | None) -> tuple[float, float, float]:
+    """Return a current loop's P [V/A], I [V/(A s)] and the EMF fed forward [V s/rad]."""
+    if loop is None or motor is None:
+        return 1.0, 0.0, 0.0
+    emf = loop.emf_feedforward * motor.back_emf_constant
+    if loop.bandwidth is None:
+        return loop.proportional_gain or 0.0, loop.integral_gain or 0.0, emf
+    rate = 2.0 * np.pi * loop.bandwidth
+    return rate * motor.inductance, rate * motor.resistance, emf
 
 
 def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.Model:

@@ -19,6 +19,7 @@ import numpy as np
 
 from emulator_node.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 from emulator_node.parts.brake import Brake
+from emulator_node.parts.current_loop import CurrentLoop
 from emulator_node.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
 from emulator_node.parts.end_stops import put_limits
 from emulator_node.parts.friction import Friction, LinkFriction
@@ -73,6 +74,7 @@ class Joint:
     sensors: JointSensors
     friction: Friction
     rotor_friction: Friction | None = None
+    current_loop: CurrentLoop | None = None
     winding: Winding | None = None
     ripple: TorqueRipple | None = None
     brake: Brake | None = None
@@ -84,13 +86,17 @@ class Joint:
         motor = () if self.motor is None else (self.motor,)
         rotor = () if self.rotor_friction is None else (self.rotor_friction,)
         brake = () if self.brake is None else (self.brake,)
+        loop = () if self.current_loop is None else (self.current_loop,)
         winding = () if self.winding is None else (self.winding,)
         ripple = () if self.ripple is None else (self.ripple,)
-        return (*motor, *winding, *ripple, self.gear, self.friction, *rotor, *brake, *self.extras)
+        of_motor = (*motor, *loop, *winding, *ripple)
+        return (*of_motor, self.gear, self.friction, *rotor, *brake, *self.extras)
 
     @property
     def command(self) -> str:
         """Unit of what its motor is commanded: V, N m or A."""
+        if self.current_loop is not None:
+            return "A"
         return self.motor.command if self.motor else "V"
 
     @property
@@ -340,6 +346,7 @@ def _joints(
 def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
     motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
     of_rotor = None if motor is None else motor.section("friction")
+    loop = None if motor is None else motor.section("current_loop")
     winding = None if motor is None else motor.section("winding")
     ripple = None if motor is None else motor.section("ripple")
     brake, stops = one.section("brake"), one.section("end_stops")
@@ -356,6 +363,7 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         sensors=JointSensors.read(one, kind),
         friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
+        current_loop=None if loop is None else CurrentLoop.read(loop),
         winding=None if winding is None else Winding.read(winding),
         ripple=None if ripple is None else TorqueRipple.read(ripple),
         brake=None if brake is None else Brake.read(brake),
@@ -366,6 +374,10 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         if joint.ripple is not None and joint.motor.follows_speed_at_once:
             rule = "come with an inductance: the current would follow each wave at once"
             raise one.refusal("motor.ripple", rule, "none")
+        if joint.current_loop is not None and joint.motor.circuit is None:
+            rule = "belong to a dc motor that has an inductance"
+            at_once = " without one" if joint.motor.follows_speed_at_once else ""
+            raise one.refusal("motor.current_loop", rule, joint.motor.kind + at_once)
         if joint.winding is not None:
             if not joint.motor.has_winding:
                 rule = "belong to a motor that has a resistance"

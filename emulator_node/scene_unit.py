@@ -42,7 +42,10 @@ def scene_unit(scene: Scene, boundary: str = "boundary.hpp") -> str:
     devices = ",\n".join(_device(joint) for joint in scene.joints)
     braked = [joint for joint in scene.joints if joint.brake]
     closed = {one.name: f"p[{len(places) + k}]" for k, one in enumerate(braked)}
-    drives = ",\n".join(_drive(joint, places, closed.get(joint.name)) for joint in scene.joints)
+    drives = ",\n".join(
+        _drive(joint, places, closed.get(joint.name), scene.supply_voltage)
+        for joint in scene.joints
+    )
     headers = sorted({part.header for joint in scene.joints for part in joint.parts})
     sensors = ""
     if scene.sensed:
@@ -152,7 +155,9 @@ def _brakes(scene: Scene) -> str:
 """
 
 
-def _drive(joint: Joint, places: Mapping[str, str], closed: str | None) -> str:
+def _drive(
+    joint: Joint, places: Mapping[str, str], closed: str | None, supply_voltage: float
+) -> str:
     def part(one: Part) -> str:
         return one.initialiser(joint.name, places)
 
@@ -164,6 +169,10 @@ def _drive(joint: Joint, places: Mapping[str, str], closed: str | None) -> str:
     own = f"{motor}{{}}"
     if joint.motor is not None:
         motor, own = joint.motor.cxx_type, part(joint.motor)
+        loop, circuit = joint.current_loop, joint.motor.circuit
+        if loop is not None and circuit is not None:
+            own = loop.around(motor, own, part(loop), circuit, supply_voltage)
+            motor = loop.around_type(motor)
         if joint.winding is not None:
             own = joint.winding.around(motor, own, part(joint.winding))
             motor = joint.winding.around_type(motor)

@@ -28,19 +28,19 @@ LONGEST_TRIAL = 3e6  # steps; about a second of computing for an arm of six join
 
 
 class SmallMotions:
-    """The machine linearised about rest in a pose, all motors at 0 V, held by constant torques.
+    """The machine linearised about rest in a pose, all commands 0, held by constant torques.
 
     Those torques hold the links, so that no gear is wound up. Coulomb friction and current limits
     are left out: both only take energy.
 
-    With the state x = (z, q, v) and the motor voltages u, dx/dt = J x + B u.
+    With the state x = (z, q, v) and the commands u, dx/dt = J x + B u.
 
     Attributes:
         J: (n, n).
-        B: (n, N), per volt; 0 for a joint without a motor.
+        B: (n, N), per volt (A, N m); 0 for a joint without a motor.
         theta_m: motor angles by x, (N, n); those of the links for joints without a motor.
         current: motor currents by x, (N, n).
-        current_by_voltage: the same by u, (N,) [1/ohm]; 0 where there is an inductance.
+        current_by_voltage: the same by u, (N,) [1/ohm, 1]; 0 where it does not follow at once.
 
     Args:
         plant: whose links are asked for accelerations; its state is not touched.
@@ -66,20 +66,15 @@ class SmallMotions:
         drives = plant.linear_drives()
         n = sum(len(drive.D) for drive in drives)
         D, F, G = np.zeros(n), np.zeros((n, n + 3 * N)), np.zeros((N, n + 3 * N))
-        # Each drive's states are current, motor angle and motor speed, as far as it has them.
         current, theta_m = np.zeros((2, N, n + 3 * N))
         first = 0
-        for j, (drive, joint) in enumerate(zip(drives, scene.joints, strict=True)):
+        for j, drive in enumerate(drives):
             own = np.arange(first, first + len(drive.D))
             columns = [*own, n + j, n + N + j, n + 2 * N + j]
             D[own] = drive.D
             F[np.ix_(own, columns)] = drive.F
             G[j, columns] = drive.G
-            current[j, own[:1]] = 1.0
-            if len(own) > 1:
-                theta_m[j, own[1]] = 1.0
-            else:
-                theta_m[j, n + j] = 1.0 / joint.gear.ratio
+            current[j, columns], theta_m[j, columns] = drive.current, drive.motor_angle
             first += len(drive.D)
         # States that follow at once, such as a current without inductance, are no states.
         follows = D == 0.0

@@ -274,8 +274,8 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t ste
 /* The linear part of every drive (drive_table.hpp), for the analysis of small motions: what the
  * schemes treat implicitly, and the linearisation about a gear that is not wound up, wherever the
  * machine is now. Rows of K states; returns K. out, per joint: how many states it has, the carried
- * rotor, D (K), F (K rows of K + 3) and G (K + 3); the columns are z, q, v and u. With `out`
- * null only K is returned. */
+ * rotor, D (K), F (K rows of K + 3), G (K + 3), and what motor current and motor angle are (K + 3
+ * each); the columns are z, q, v and u. With `out` null only K is returned. */
 int arm_linear_drives(const arm_machine* machine, double* out);
 
 /* The links alone, for `count` rows of joints: M(q) a + nle(q, v) = tau, under the external

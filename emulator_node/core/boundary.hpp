@@ -630,6 +630,13 @@ ARM_ONCE int arm_linear_drives(const arm_machine* machine, double* out) {
     copy(linear.D, K);
     for (int k = 0; k < K; ++k) copy(linear.F[k], K + 3);
     copy(linear.G, K + 3);
+    using Drive = std::remove_cvref_t<decltype(drive)>;
+    for (int column = 0; column < K + 3; ++column) {
+      typename Drive::template Input<double> one = {};
+      linear.template set<Drive>(one, column, 1.0);
+      out[column] = drive.current(one), out[K + 3 + column] = drive.motor_angle(one);
+    }
+    out += 2 * (K + 3);
   });
   return K;
 }

@@ -54,7 +54,12 @@ struct DcMotorOf {
     if constexpr (limited) i[0] = clamp(i[0], current_limit);
   }
 
-  constexpr bool is_usual(const double* i) const { return magnitude(i[0]) < current_limit; }
+  // Whether (1) holds, of a motor around it (winding.hpp).
+  constexpr bool obeys_circuit(bool held) const { return !held; }
+
+  constexpr bool is_usual(const double* i, double, double) const {
+    return magnitude(i[0]) < current_limit;
+  }
   constexpr Mode mode_at(const double* i, double V, double wm) const {
     const Mode mode = beyond(i[0]);
     return mode.held && surplus(mode.offset, V, wm) * mode.offset < 0.0 ? Mode{} : mode;

@@ -303,8 +303,8 @@ struct Drive {
   constexpr bool is_usual([[maybe_unused]] const Input<double>& x) const {
     bool usual = true;
     if constexpr (driven && Motor::modes > 0) {
-      if constexpr (requires { motor.is_usual(x.z); })
-        usual &= motor.is_usual(x.z);
+      if constexpr (requires { motor.is_usual(x.z, x.u, x.v); })
+        usual &= motor.is_usual(x.z, x.u, felt_speed(x));
       else
         usual = false;
     }

@@ -94,7 +94,6 @@ struct LinearDrive {
     }
   }
 
- private:
   // Set the input of a column; false if this drive does not have it.
   template <class TheDrive>
   ARM_ONCE static constexpr bool set(typename TheDrive::template Input<double>& x, int column,
@@ -110,6 +109,7 @@ struct LinearDrive {
     return true;
   }
 
+ private:
   template <class TheDrive>
   static constexpr bool is_sound(const TheDrive& whole, unsigned held) {
     const LinearDrive linear = of(whole, held);

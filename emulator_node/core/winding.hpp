@@ -56,7 +56,7 @@ struct HeatedMotor : Motor {
       if constexpr (requires { this->psi; }) {
         f[0] -= R * z[0];
         f[1] -= R * z[1] + flux * this->p * this->psi * wm;
-      } else if (!held) {
+      } else if (this->obeys_circuit(held)) {
         f[0] -= R * z[0] + flux * this->Kb * wm;
       }
       f[rise] += dissipated(z);

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from emulator_node.parts.motor import Motor
+from emulator_node.parts.motor import Circuit, Motor
 from emulator_node.parts.part import Number
 
 
@@ -33,6 +33,12 @@ class DcMotor(Motor):
     @property
     def follows_speed_at_once(self) -> bool:  # noqa: D102
         return self.inductance == 0.0
+
+    @property
+    def circuit(self) -> Circuit | None:  # noqa: D102
+        if self.inductance == 0.0:
+            return None
+        return Circuit(self.resistance, self.inductance, self.back_emf_constant)
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {

@@ -6,6 +6,7 @@ from emulator_node.parts.backlash_gear import BacklashGear
 from emulator_node.parts.brake import Brake
 from emulator_node.parts.cogging import Cogging
 from emulator_node.parts.counterbalance import Counterbalance
+from emulator_node.parts.current_loop import CurrentLoop
 from emulator_node.parts.current_motor import CurrentMotor
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
@@ -59,6 +60,7 @@ EXTRAS: tuple[type[Part], ...] = (
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
+    CurrentLoop,
     Winding,
     TorqueRipple,
     *GEARS,

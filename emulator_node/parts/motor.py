@@ -8,6 +8,15 @@ from typing import ClassVar
 from emulator_node.parts.part import Part
 
 
+@dataclass(frozen=True)
+class Circuit:
+    """A winding: L di/dt = V - R i - Kb omega."""
+
+    resistance: float  # ohm
+    inductance: float  # H, above 0
+    back_emf_constant: float  # V s/rad
+
+
 @dataclass(frozen=True, kw_only=True)
 class Motor(Part):
     """A motor, with the gear's primary side on its rotor."""
@@ -21,6 +30,11 @@ class Motor(Part):
     def follows_speed_at_once(self) -> bool:
         """Whether its current follows the speed at once, for want of an inductance."""
         return False
+
+    @property
+    def circuit(self) -> Circuit | None:
+        """Return the winding that a drive can close a current loop around; None: there is none."""
+        return None
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:
         """Return sizes of what the link feels of it through a gear, by what it is."""

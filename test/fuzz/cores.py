@@ -73,6 +73,10 @@ def random_joint(rng: np.random.Generator) -> dict[str, Any]:
             **({"inductance": size(rng, 1e-3)} if rng.random() < 0.6 else {}),
             **({"current_limit": size(rng, 10.0)} if rng.random() < 0.4 else {}),
         }
+        if "inductance" in joint["motor"] and rng.random() < 0.4:
+            gains = {"proportional_gain": size(rng, 3.0), "integral_gain": size(rng, 1e3)}
+            bandwidth = {"bandwidth": size(rng, 500.0)}
+            joint["motor"]["current_loop"] = gains if rng.random() < 0.5 else bandwidth
         if rng.random() < 0.8:
             joint["gear"] = {"ratio": float(min(size(rng, 0.01), 1000.0))}
             if rng.random() < 0.7:
