@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from compiled.cxx import find_compiler
+from compiled.compiler_command import find_compiler
 from emulator_node.compiler import library_of
 from emulator_node.scene import Scene
 from emulator_node.scene_unit import scene_unit

@@ -19,7 +19,7 @@ from bench.chains import chain
 from bench.measure import Task, Timing, compile_all, interleaved, progress, stepping, timing
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, joint_axis
 from bench.pictures import COLOURS, PEERS, new_figure, save
-from compiled.cxx import find_compiler
+from compiled.compiler_command import find_compiler
 from emulator_node.plant import Plant
 from emulator_node.reference import links_model
 from emulator_node.scene import SCHEMES, Scene, load_scene

@@ -16,7 +16,7 @@ import numpy as np
 from bench.chains import chain
 from bench.measure import Task, compile_all, interleaved, progress
 from bench.motion import Array, sines
-from compiled.cxx import find_compiler
+from compiled.compiler_command import find_compiler
 from emulator_node.plant import Plant
 from emulator_node.reference import reference
 from emulator_node.scene import load_scene

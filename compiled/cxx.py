@@ -1,12 +1,10 @@
-"""The C++ compiler of this machine: how it is found, and run with bounds on time and output."""
+"""A compiler is run, with bounds on time and output."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import select
-import shlex
-import shutil
 import signal
 import subprocess
 import time
@@ -17,31 +15,6 @@ from words.refusal import Refusal
 
 LONGEST_RUN = 900.0  # s; the largest scenes take a minute, on a busy machine some more
 MOST_WORDS = 65536  # bytes of a compiler's output that are kept
-
-
-def find_compiler() -> list[str]:
-    """Return the C++ compiler's command: $CXX, or the first of c++, g++, clang++ on the path.
-
-    Raises:
-        Refusal: there is none, or $CXX is no command.
-    """
-    text = os.environ.get("CXX", "")
-    try:
-        named = shlex.split(text)
-    except ValueError as error:
-        raise Refusal(
-            "arm_emulator", "CXX", "be the words of a command", f"{text} ({error})"
-        ) from None
-    for words in [named] if named else [["c++"], ["g++"], ["clang++"]]:
-        if shutil.which(words[0]):
-            return words
-    raise Refusal(
-        "arm_emulator",
-        "C++ compiler",
-        "be on the path, a scene is compiled when first used",
-        named[0] if named else "none of c++, g++, clang++",
-        "install one, set CXX, or compile ahead with `arm_emulator compile SCENE` elsewhere",
-    )
 
 
 def run_compiler(command: list[str], folder: Path, where: str, part: str) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from compiled import library_cache
+from compiled.compiler_command import find_compiler, identity, is_named
 from compiled.elf import why_no_library
 from compiled.trusted import Untrusted, check_folder, read_file
 from words.refusal import Refusal
@@ -23,6 +24,8 @@ Calls = Mapping[str, tuple[Any, list[Any]]]  # result and arguments of each func
 
 # Targets that code can be compiled for, best first; "native" is this machine's.
 PORTABLE_TARGETS = ("x86-64-v4", "x86-64-v3", "x86-64-v2", "x86-64")
+
+OF_COMPILER = 6  # of the 20 digits in the name of a library, those of its compiler
 
 
 @dataclass(frozen=True)
@@ -62,13 +65,13 @@ def library(unit: Unit) -> ctypes.CDLL:
     for folder in library_cache.cache_folders():
         for target in ("native", *PORTABLE_TARGETS):
             if target == "native" or _runs_here(target):
-                file = folder / _library_name(unit, target)
-                try:
-                    return declare(library_cache.load(file), unit.calls)
-                except FileNotFoundError:
-                    continue
-                except library_cache.Damaged as error:
-                    _say_damaged(file, error)
+                for file in _candidates(unit, target, folder):
+                    try:
+                        return declare(library_cache.load(file), unit.calls)
+                    except FileNotFoundError:
+                        continue
+                    except library_cache.Damaged as error:
+                        _say_damaged(file, error)
     for folder in library_cache.writable_caches():
         with _compiled(unit, "native", folder) as file:
             try:
@@ -165,11 +168,16 @@ def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
 
 def _compile(unit: Unit, target: str, library: Path) -> None:
     # Most processes find their library compiled, and need nothing that starts other processes.
-    from compiled.cxx import find_compiler, run_compiler
+    from compiled.cxx import run_compiler
 
     compiler = find_compiler()
     largest = library_cache.largest_size()
-    print(f"compiling {unit.about} ... ", end="", file=sys.stderr, flush=True)
+    print(
+        f"compiling {unit.about} with {identity(compiler)} ... ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
     started = time.perf_counter()
     end = "failed"
     try:
@@ -208,14 +216,35 @@ def _built(file: Path, compiler: str, unit: Unit) -> bytes:
     return body
 
 
+def _candidates(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
+    """Yield where a unit's library may lie in a folder, the preferred place first.
+
+    That of the compiler in use; and, unless $CXX names it, what another compiler has made, here or
+    elsewhere.
+    """
+    own = None
+    with contextlib.suppress(Refusal):  # no compiler, or no command in $CXX
+        own = folder / _library_name(unit, target)
+        yield own
+        if is_named():
+            return
+    others = sorted(folder.glob(f"{_stem(unit, target)}{'[0-9a-f]' * OF_COMPILER}.so"))
+    yield from (file for file in others if file != own)
+
+
 def _say_damaged(file: Path, error: Exception) -> None:
     library_cache.say_once(f"arm_emulator: cached library {file} is not used: {error}")
 
 
 def _library_name(unit: Unit, target: str) -> str:
+    compiler = hashlib.sha256(identity(find_compiler()).encode()).hexdigest()
+    return f"{_stem(unit, target)}{compiler[:OF_COMPILER]}.so"
+
+
+def _stem(unit: Unit, target: str) -> str:
     # A name that every file system takes, also with what stands beside a library.
     name = "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in unit.name)[:60]
-    return f"{name}-{_digest(unit, target)[:20]}.so"
+    return f"{name}-{_digest(unit, target)[: 20 - OF_COMPILER]}"
 
 
 def _digest(unit: Unit, target: str) -> str:

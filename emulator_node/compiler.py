@@ -59,12 +59,12 @@ def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.C
 
 def fleet_library_of(scene: Scene) -> ctypes.CDLL:
     """Return the scene's compiled fleet, see `library_of`."""
-    return library(_fleet_unit_of(scene))
+    return library(fleet_unit(scene))
 
 
 def real_time_library() -> ctypes.CDLL:
     """Return the compiled loop of core/real_time.h, see `library_of`."""
-    return library(_real_time_unit())
+    return library(real_time_unit())
 
 
 def compile_ahead(
@@ -81,17 +81,19 @@ def compile_ahead(
     Raises:
         Refusal: see there.
     """
-    units = [machine_unit(scene), _real_time_unit(), *([_fleet_unit_of(scene)] if fleet else [])]
+    units = [machine_unit(scene), real_time_unit(), *([fleet_unit(scene)] if fleet else [])]
     return compile_units(units, target, folder)
 
 
-def _fleet_unit_of(scene: Scene) -> Unit:
+def fleet_unit(scene: Scene) -> Unit:
+    """Return what the library of `fleet_library_of` is compiled of."""
     about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
     source = scene_unit(scene, "fleet_boundary.hpp")
     return _unit(f"{scene.name}-fleet", source, FLEET_CALLS, scene.where, about)
 
 
-def _real_time_unit() -> Unit:
+def real_time_unit() -> Unit:
+    """Return what the library of `real_time_library` is compiled of."""
     source = '#include "real_time.cpp"\n'
     return _unit("real_time", source, REAL_TIME_CALLS, "real time", "the real-time loop")
 

@@ -18,7 +18,7 @@ from fake_compiler import fake_compiler
 from machines import random_chain
 
 from compiled import cxx
-from compiled.cxx import find_compiler
+from compiled.compiler_command import find_compiler, identity
 from compiled.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from emulator_node.compiler import (
     CORE,
@@ -66,10 +66,40 @@ def test_second_use_compiles_nothing(
 ) -> None:
     library_of(load_scene("three_axis"))
     said = capsys.readouterr().err
-    assert "compiling scene three_axis (3 joints) ... " in said, said
+    using = identity(find_compiler())
+    assert f"compiling scene three_axis (3 joints) with {using} ... " in said, said
     no_compiler(monkeypatch, tmp_path)
     library_of(load_scene("three_axis"))
     assert capsys.readouterr().err == "", "what is said at the second use"
+
+
+def test_compilers_are_told_apart(
+    quick_compiler: None,
+    cache: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """By the name that theirs stands for, and by options; unnamed, a library of any serves."""
+    scene = load_scene("three_axis")
+    one = os.environ["CXX"]
+    other, link = tmp_path / "clang++-99", tmp_path / "c++"
+    other.write_bytes(Path(one).read_bytes())
+    other.chmod(0o755)
+    link.symlink_to(other.name)
+    compiles = {one: True, f"{one} -g": True, str(other): True, str(link): False, one + " ": False}
+    for command, expected in compiles.items():
+        monkeypatch.setenv("CXX", command)
+        library_of(scene)
+        said = capsys.readouterr().err
+        using = identity(find_compiler())
+        assert said.startswith(f"compiling scene three_axis (3 joints) with {using}") == expected, (
+            command, said,
+        )  # fmt: skip
+    assert len(list(cache.glob("*.so"))) == 3, "libraries of one scene"
+    monkeypatch.delenv("CXX")
+    library_of(scene)
+    assert capsys.readouterr().err == "", "an unnamed compiler"
 
 
 def test_the_step_is_no_part_of_the_library_but_physics_is(

@@ -24,7 +24,7 @@ from arm_emulator.servo_step import ServoStep
 from arm_emulator.table_run import TableRun, load_table_run
 from arm_emulator.target_table import load_target_table
 from compiled.c_flags import C_FLAGS
-from compiled.cxx import find_compiler
+from compiled.compiler_command import find_compiler
 from emulator_node.compiler import CORE
 from emulator_node.firmware import Firmware
 from emulator_node.scene import load_scene

@@ -19,10 +19,10 @@ import pytest
 from fake_compiler import fake_compiler
 from machines import one_link_urdf, write_scene
 
-from compiled import library_cache
-from compiled.cxx import find_compiler
+from compiled import library_cache, unit
+from compiled.compiler_command import find_compiler
 from compiled.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
-from emulator_node.compiler import compile_ahead, library_of, real_time_library
+from emulator_node.compiler import compile_ahead, library_of, machine_unit, real_time_library
 from emulator_node.core_calls import ARM_CALLS, REAL_TIME_CALLS
 from emulator_node.scene import Scene, load_scene
 from words.refusal import Refusal
@@ -66,10 +66,12 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     for name in ("one_link", "real_time"):
         (file,) = (folder / "cache").glob(f"{name}*.so")
         (folder / name).write_bytes(file.read_bytes()[: -library_cache.SEAL_SIZE])
-    (file,) = (folder / "cache").glob("one_link*.so")
     which = f'grep -q real_time.cpp "${{out%.so}}.cpp" && name={name} || name=one_link'
     compiler = fake_compiler(folder, f'{which}\ncp {folder}/$name "$out"')
-    return Sound(at, scene, file.name, (folder / "one_link").read_bytes(), compiler)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CXX", compiler)
+        name = unit._library_name(machine_unit(scene), "native")
+    return Sound(at, scene, name, (folder / "one_link").read_bytes(), compiler)
 
 
 @pytest.fixture
@@ -154,7 +156,7 @@ def test_a_spoiled_library_is_never_loaded_but_made_anew(
         said = capsys.readouterr().err.splitlines()
         assert len(said) == 2, (way, said)
         assert said[0].startswith(f"arm_emulator: cached library {file} is not used: "), way
-        assert said[1].startswith("compiling scene one_link (1 joints) ... "), way
+        assert said[1].startswith("compiling scene one_link (1 joints) with "), way
         assert stat.S_ISREG(file.lstat().st_mode), way
         assert file.read_bytes() == sound.stored, way
         assert file.stat().st_uid == os.geteuid() and not file.stat().st_mode & 0o022, way
@@ -281,7 +283,7 @@ def test_only_a_folder_that_nobody_else_can_change_is_searched(
 ) -> None:
     rng = np.random.default_rng(2)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "mine"))
-    monkeypatch.setenv("CXX", "false")
+    monkeypatch.delenv("CXX", raising=False)  # what any compiler has made will do
     (tmp_path / "mine").mkdir(0o700)
     sound.put(tmp_path / "mine" / "arm_emulator")
     outcomes = []
@@ -430,8 +432,10 @@ def test_a_library_compiled_into_a_folder_is_found_there(
     assert file == tmp_path / "a" / "b" / sound.name, "where it is"
     assert file.read_bytes() == sound.stored, "the library"
     monkeypatch.setenv(CACHE_VARIABLE, str(file.parent))
-    monkeypatch.setenv("CXX", "false")
-    assert library_of(sound.scene).arm_exchange, "without a compiler"
+    with pytest.MonkeyPatch.context() as without:
+        without.delenv("CXX")
+        without.setenv("PATH", str(tmp_path / "a"))
+        assert library_of(sound.scene).arm_exchange, "without a compiler"
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 2, f"a line for each compilation, got {said}"
 

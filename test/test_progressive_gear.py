@@ -14,7 +14,7 @@ from draws import some
 from machines import LINK_INERTIA, moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.special import ellipj, ellipk
 
-from compiled.cxx import find_compiler
+from compiled.compiler_command import find_compiler
 from emulator_node.advice import ORDERS
 from emulator_node.chain import Array
 from emulator_node.compiler import CORE, FLAGS

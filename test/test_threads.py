@@ -14,7 +14,7 @@ from draws import FULL, some
 from machines import GRAVITY, random_chain
 
 from bench.busy import busy_processes
-from compiled.cxx import find_compiler
+from compiled.compiler_command import find_compiler
 from emulator_node.compiler import CORE, FLAGS
 from emulator_node.plant import Diverged, Plant
 from emulator_node.real_time import RealTimeLoop

@@ -219,11 +219,14 @@ struct arm_real_time {
     const auto joints = static_cast<std::size_t>(arm.joints);
     std::vector<arm_joint_command> wanted(joints), scratch(joints);
     std::vector<arm_joint_measurement> measured(joints);
-    arm_command command = {sizeof command, 0, -1, wanted.data()};
+    arm_command command = {};
+    command.size = sizeof command, command.tick = -1, command.joint = wanted.data();
     std::vector<arm_joint_sensors> sensors(joints);
     std::vector<arm_imu_measurement> units(static_cast<std::size_t>(arm.imus));
-    arm_measurement measurement = {sizeof measurement, 0,           0, -1, measured.data(),
-                                   sensors.data(),     units.data()};
+    arm_measurement measurement = {};
+    measurement.size = sizeof measurement, measurement.answered = -1;
+    measurement.joint = measured.data(), measurement.sensors = sensors.data();
+    measurement.imu = units.data();
     while (!stopping.load(std::memory_order_relaxed)) {
       due += arm.period;
       sleep_until(due);

@@ -19,7 +19,7 @@ if shutil.which("arm-none-eabi-gcc") is None:
 
 from arm_emulator.table_run import TableRun
 from arm_emulator.target_table import TargetTable
-from compiled.cxx import find_compiler
+from compiled.compiler_command import find_compiler
 from emulator_node.scene import Scene, load_scene
 from firmware import FOLDER as SERVO
 from microcontroller import FOLDER

@@ -11,6 +11,7 @@ want() { # COMMAND PACKAGES...: Debian's packages that have the command
   command -v "$command" > /dev/null || missing="$missing $command ($*);"
 }
 want arm-none-eabi-gcc gcc-arm-none-eabi libnewlib-arm-none-eabi
+want clang++-19 clang-19
 want gdb-multiarch gdb-multiarch
 want ip iproute2
 command -v cargo > /dev/null || missing="$missing cargo (rustup, or the package cargo);"
