@@ -10,6 +10,7 @@ import pytest
 from balance import balance_of
 from draws import some
 from machines import GANTRY, MOVED, gantry_urdf, one_link_urdf, write_scene
+from scipy.integrate import solve_ivp
 from stick_slip import Towed, assert_order_two
 from stick_slip import drawn as drawn_stribeck
 
@@ -133,3 +134,50 @@ def test_the_loss_of_a_gear_with_play_closes_the_balance_of_energy(tmp_path: Pat
     # or badly within a step.
     assert left[-1] < left[0] / 20.0, f"of what was exchanged, {left}"
     assert left[-1] < 1e-6, f"of what was exchanged, {left}"
+
+
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "extrapolated"], 1))
+@pytest.mark.parametrize("events", ["located", "step"])
+def test_where_the_gear_bears_nothing_nothing_holds_the_link(
+    tmp_path: Path, scheme: str, events: str
+) -> None:
+    """Three weights whose friction goes with the load alone fall from rest.
+
+    One is behind a rigid gear that nothing drives, one behind an elastic gear that it winds up, and
+    one in a gap.
+    """
+    mu, mass, rotor, stiffness = 0.3, MOVED, 1e-4, 2e4
+    motor = {"kind": "torque", "rotor_inertia": rotor, "torque_limit": 1.0}
+    elastic = {"ratio": NG, "stiffness": stiffness, "damping": 3.0}
+    gears = [{"ratio": NG}, elastic, {**elastic, "backlash": 0.2}]
+    joints = {
+        name: {"motor": motor, "gear": gear, "friction": {"load": mu}}
+        for name, gear in zip(GANTRY, gears, strict=True)
+    }
+    reflected = rotor / NG**2
+
+    def behind_a_spring(_: float, x: np.ndarray) -> list[float]:
+        q, v, rotor_q, rotor_v = x  # of the rotor at the link; the spring only pulls
+        T = stiffness * (rotor_q - q) + 3.0 * (rotor_v - v)
+        return [v, 9.81 + (T - mu * abs(T)) / mass[1], rotor_v, -T / reflected]
+
+    rows, period = 5, 1e-3
+    t = period * np.arange(1, rows + 1)
+    spring = solve_ivp(behind_a_spring, (0.0, t[-1]), [0.0] * 4, "DOP853", t[-1:], rtol=1e-11,
+                       atol=1e-15)  # fmt: skip
+    fall = 0.5 * 9.81 * t[-1] ** 2
+    truth = [fall * mass[0] / (mass[0] + reflected), float(spring.y[0, -1]), fall]
+    errors = []
+    file = write_scene(
+        tmp_path, gantry_urdf(), joints, servo_period=period, gravity=[9.81] * 3,
+        integrator={"scheme": scheme, "dt": period / 10, "events": events},
+    )  # fmt: skip
+    for steps in (10, 20, 40):
+        plant = Plant(load_scene(file, {"integrator.dt": period / steps}))
+        q = plant.run(np.zeros((rows, 3)), steps)
+        errors.append(np.abs(q[-1] - truth) / fall)
+    assert errors[-1] == pytest.approx(0.0, abs=1e-4), f"of the fall {fall} m: {errors}"
+    # Nothing stops on the way, so that `step` has nothing to be late for; it takes the law of the
+    # first step from its start, where the spring is not wound up.
+    falls = errors[0][1] / errors[-1][1]
+    assert falls == pytest.approx(16.0, rel=0.25), f"of order 2 behind the spring: {errors}"

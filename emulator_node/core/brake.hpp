@@ -27,8 +27,6 @@ struct Braked : Law {
     return Braked<Linear>{Law::linear(), brake, closed};
   }
   constexpr bool is_dry() const { return Law::is_dry() || closed != 0.0; }
-  // Open, and nothing else that could hold it: it turns through its reversals.
-  constexpr bool is_free() const { return !is_dry(); }
   template <class X>
   ARM_INLINE constexpr X sliding(X w, X T) const {
     return Law::sliding(w, T) + closed * brake.torque;

@@ -1,11 +1,18 @@
 // Coulomb friction at the links, and the equations of motion solved with it.
 //
 // A sliding joint feels -Dc sign(v). A joint at rest is locked while the torque that holds it is at
-// most its breakaway torque Ds >= Dc; else it starts to slide that way. A joint whose speed would
-// change sign within a step comes to rest at the step's end. So a joint at rest stays at rest
-// exactly, without regularisation and at any step size; where a joint stops or starts, the instant
-// is known to one step only, and the scheme's order there is 1 (2 where it is located,
-// located.hpp).
+// most its breakaway torque Ds >= Dc; else it starts to slide that way. Both torques may be 0 for
+// an instant, as where friction goes with a load: then nothing holds the joint, and it slides the
+// way that it is pulled. A joint whose speed would change sign within a step comes to rest at the
+// step's end. So a joint at rest stays at rest exactly, without regularisation and at any step
+// size; where a joint stops or starts, the instant is known to one step only, and the scheme's
+// order there is 1 (2 where it is located, located.hpp).
+//
+// Joints at rest pull at each other: which of them break away together is decided by descent. With
+// W positive definite the accelerations x are where x W x / 2 - rhs x + sum of Dc |x| is least, if
+// a joint that has broken away is held by Dc from then on. Each round makes that less, first by the
+// joint that is the most overloaded; one that would go back on its way is locked where it turns. So
+// there are finitely many rounds, and what they end with holds for all joints at once.
 #pragma once
 
 #include "cholesky.hpp"
@@ -35,6 +42,7 @@ class Coulomb {
           const auto at = input_in_lane(drive, j, x, u[j], lane);
           set_lane(of.Dc[j], lane, drive.sliding(at));
           set_lane(of.Ds[j], lane, drive.holding(at));
+          set_lane(of.dry[j], lane, drive.is_dry());
         });
     }
   }
@@ -58,21 +66,22 @@ class Coulomb {
       factors.solve(x);
     } else {
       for (int j = 0; j < N; ++j) {
-        direction[j] = select(v[j] > 0.0, X{} + 1.0, select(v[j] < 0.0, X{} - 1.0, X{}));
-        locked[j] = where(Dc(j) > 0.0, v[j] == 0.0);
+        direction[j] = select(where(dry(j), v[j] > 0.0), X{} + 1.0,
+                              select(where(dry(j), v[j] < 0.0), X{} - 1.0, X{}));
+        locked[j] = where(dry(j), v[j] == 0.0);
       }
-      X rhs[N];
-      for (int j = 0; j < N; ++j) rhs[j] = x[j];
-      // Each round frees one joint, so there are at most N.
+      Descent down;
+      for (int j = 0; j < N; ++j) down.rhs[j] = x[j];
       do {
         factor_unlocked(W);
-        for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction[j];
+        for (int j = 0; j < N; ++j) x[j] = down.rhs[j] - Dc(j) * direction[j];
         solve_again(x);
-      } while (free_one(W, rhs, x));
+      } while (lock_one(down, x) || free_one(W, down, x));
     }
   }
 
-  // What each joint does: whether it is locked, else the way it slides.
+  // What each joint does: whether it is locked, else the way it slides, which is 0 where no dry
+  // friction is.
   struct Modes {
     Mask<X> locked[N] = {};
     X direction[N] = {};
@@ -117,7 +126,7 @@ class Coulomb {
   ARM_INLINE void stop_at_reversal(X* v) const {
     if constexpr (present)
       for (int j = 0; j < N; ++j)
-        v[j] = select(where(Dc(j) > 0.0, v[j] * direction[j] <= 0.0), X{}, v[j]);
+        v[j] = select(where(dry(j), v[j] * direction[j] <= 0.0), X{}, v[j]);
   }
 
  private:
@@ -136,21 +145,54 @@ class Coulomb {
     return torque;
   }
 
+  // How far the search for what holds has come.
+  struct Descent {
+    X rhs[N];
+    Mask<X> broken[N] = {};  // away, in this step: they are held by Dc
+    X x[N] = {};             // their accelerations, none against its joint's direction
+    int rounds = 0;          // that have freed joints
+  };
+  static constexpr int kMostRounds = 4 * N;  // rounding might go on for ever
+
+  // Where joints that have broken away would go back: lock the first to come to rest on the way
+  // from where the descent was to there; false if none would. Lanes where none would are there.
+  bool lock_one(Descent& down, const X* x) {
+    if (down.rounds == 0) return false;
+    X part = X{} + 1.0, first = X{} - 1.0;
+    for (int j = 0; j < N; ++j) {
+      const auto back = where(down.broken[j], x[j] * direction[j] < 0.0);
+      const X along = select(back, down.x[j] / select(back, down.x[j] - x[j], X{} + 1.0), part);
+      const auto sooner = where(back, along < part);
+      first = select(sooner, X{} + j, first);
+      part = select(sooner, along, part);
+    }
+    for (int j = 0; j < N; ++j) {
+      const auto stops = first == static_cast<double>(j);
+      const X there = down.x[j] + part * (x[j] - down.x[j]);
+      down.x[j] = select(stops, X{}, select(down.broken[j], there, X{}));
+      direction[j] = select(stops, X{}, direction[j]);
+      locked[j] = locked[j] | as_bits(stops);
+    }
+    return any(first >= 0.0);
+  }
+
   // Free the joint that is the most overloaded; false if every locked joint holds.
-  bool free_one(const Matrix& W, const X* rhs, const X* x) {
+  bool free_one(const Matrix& W, Descent& down, const X* x) {
     X excess = {}, way = {}, worst = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
-      const X torque = held[j] = torque_of_lock(j, W, rhs, x);
-      const X over = select(locked[j], magnitude(torque) - Ds(j), X{});
+      const X torque = held[j] = torque_of_lock(j, W, down.rhs, x);
+      const X most = select(down.broken[j], X{} + Dc(j), X{} + Ds(j));
+      const X over = select(locked[j], magnitude(torque) - most, X{});
       const auto more = over > excess;
       worst = select(more, X{} + j, worst);
       excess = select(more, over, excess);
       way = select(more, select(torque < 0.0, X{} - 1.0, X{} + 1.0), way);
     }
-    if (!any(worst >= 0.0)) return false;
+    if (!any(worst >= 0.0) || down.rounds++ == kMostRounds) return false;
     for (int j = 0; j < N; ++j) {
       const auto freed = worst == static_cast<double>(j);
       locked[j] = locked[j] & ~as_bits(freed);
+      down.broken[j] = down.broken[j] | as_bits(freed);
       direction[j] = select(freed, way, direction[j]);
     }
     return true;
@@ -166,6 +208,7 @@ class Coulomb {
   // What is taken at each step, where it varies.
   struct Taken {
     X Dc[N] = {}, Ds[N] = {};
+    X dry[N] = {};  // 1 where there is a law of dry friction, be its torques 0 just then
   };
   struct Nothing {};
 
@@ -180,6 +223,14 @@ class Coulomb {
       return of.Ds[j];
     else
       return n.Ds(j);
+  }
+
+  // Whether a joint may be locked: whether it has a law of dry friction.
+  ARM_INLINE auto dry(int j) const {
+    if constexpr (varies)
+      return of.dry[j] > 0.0;
+    else
+      return n.Dc(j) > 0.0;
   }
 
   const Numbers<S, X>& n;

@@ -330,8 +330,7 @@ struct Drive {
         at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
     });
     if constexpr (elastic && Rotor::modes > 0) {
-      const Shaft on = shaft(x, at);
-      at.at[of_rotor] = rotor.mode_at(x.z[wm], on.torque, on.of_gear);
+      at.at[of_rotor] = rotor.mode_at(x.z[wm], shaft(x, at));
     }
     return at;
   }
@@ -348,8 +347,7 @@ struct Drive {
         at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
     });
     if constexpr (elastic && Rotor::modes > 0) {
-      const Shaft on = shaft(x, now);
-      at.at[of_rotor] = rotor.wanted(start.z[wm], x.z[wm], on.torque, on.of_gear, now.at[of_rotor]);
+      at.at[of_rotor] = rotor.wanted(start.z[wm], x.z[wm], shaft(x, now), now.at[of_rotor]);
     }
     return at;
   }
@@ -367,8 +365,7 @@ struct Drive {
         at_most(extra.margin(angle_of(extra, x), speed_of(extra, x), x.z + state, now.at[mode]));
     });
     if constexpr (elastic && Rotor::modes > 0) {
-      const Shaft on = shaft(x, now);
-      at_most(rotor.margin(x.z[wm], on.torque, on.of_gear, now.at[of_rotor]));
+      at_most(rotor.margin(x.z[wm], shaft(x, now), now.at[of_rotor]));
     }
     return least;
   }
@@ -400,14 +397,11 @@ struct Drive {
 
   static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }
 
-  // Torques on the rotor: all but that of friction, and that of the gear.
-  struct Shaft {
-    double torque, of_gear;
-  };
-  constexpr Shaft shaft(const Input<double>& at, const Modes& now) const {
+  constexpr OnRotor shaft(const Input<double>& at, const Modes& now) const {
     const Input<double> x = with(at, now);
     const unsigned held = now.held();
-    Shaft on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held))};
+    OnRotor on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held)),
+                  kRounding * magnitude(gear.Ng * gear.Kg * x.q)};
     for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
       if constexpr (Extra::place == Place::rotor)
         on.torque += torque_of<state, mode>(extra, x, held);

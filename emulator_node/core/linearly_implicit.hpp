@@ -300,7 +300,10 @@ class LinearlyImplicit {
 
   // A step is taken with the modes that hold at its end: a current has not passed its limit, one at
   // the limit is not drawn back by its own circuit, a stuck rotor is not overloaded. Where a joint
-  // changes its mind within the step there may be none: then the step is taken in halves.
+  // changes its mind within the step there may be none: then the step is taken in halves. In the
+  // shortest of these the modes that its start calls for stay, so that a mode changes by at most
+  // 2^-kMostHalvings of a step too late. (Shorter ones need not help: a rotor that a wound-up gear
+  // begins to pull gathers its speed with h^3, which the error of a step exceeds at any h.)
   void step_in_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past;
     const bool begins_usual = usual && is_usual(x, u);
@@ -308,15 +311,8 @@ class LinearlyImplicit {
     State<S, X> y;
     Mask<X> hold = {};
     for (int round = 0; round <= 2 * N * Tables::M; ++round) {
-      Accelerations k1;
-      Dynamics at_start = links;
       past = memory;
-      y = x;
-      tables.put_modes(in);
-      begin_links(y, u, in, k1);
-      stages_of(y, u, at_start, in, k1);
-      move_links(y, in);
-      move_drives(y, in);
+      attempt(x, u, links, in, y);
       if (begins_usual && round == 0 && is_usual(y, u)) {
         x = y;
         return;
@@ -333,11 +329,35 @@ class LinearlyImplicit {
     tables.settle(y, u);
     Memory later = past;
     past = memory;
-    halve(x, u);
+    if (halvings < kMostHalvings)
+      halve(x, u);
+    else
+      keep_modes(x, u, links, in);
     if constexpr (kWidth<X> > 1) {  // lanes whose modes hold have no need of halves
       keep(hold, y, x);
       keep(hold, later, past);
     }
+  }
+
+  // From x to y in the modes that the tables serve.
+  void attempt(const State<S, X>& x, const X (&u)[row], Dynamics links, Inputs& in,
+               State<S, X>& y) {
+    Accelerations k1;
+    y = x;
+    tables.put_modes(in);
+    begin_links(y, u, in, k1);
+    stages_of(y, u, links, in, k1);
+    move_links(y, in);
+    move_drives(y, in);
+  }
+
+  // A step in the modes that x calls for, whether they hold at its end or not.
+  void keep_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
+    serve_modes_at(x, u);
+    State<S, X> y;
+    attempt(x, u, links, in, y);
+    x = y;
+    tables.settle(x, u);
   }
 
   // Whether x surely calls for the usual modes of all drives.
@@ -371,10 +391,6 @@ class LinearlyImplicit {
   static void each_number(Memory& memory, auto&& number) { memory.for_each_number(number); }
 
   void halve(State<S, X>& x, const X (&u)[row]) {
-    if (halvings == kMostHalvings) {
-      x.v[0] = X{} + no_number();  // the machine says that it diverged
-      return;
-    }
     if (!half) {
       half = new LinearlyImplicit(0.5 * h, n);
       half->halvings = halvings + 1;

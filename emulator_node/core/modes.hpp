@@ -60,7 +60,8 @@ class Modes {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
     n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-      if (drive.is_dry() && !friction.locked[j]) at_most(x.v[j] * friction.direction[j]);
+      if (Friction::present && friction.direction[j] != 0.0)
+        at_most(x.v[j] * friction.direction[j]);
       if constexpr (Drive::modes > 0)
         at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
@@ -79,7 +80,7 @@ class Modes {
   // its limit, and without inductance it is what the voltage makes it.
   void settle(State<S>& x, const double* u) const {
     n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-      if (drive.is_dry() && x.v[j] * friction.direction[j] <= 0.0) x.v[j] = 0.0;
+      if (friction.locked[j] || x.v[j] * friction.direction[j] < 0.0) x.v[j] = 0.0;
       if constexpr (Drive::modes > 0) {
         auto at = input_of(drive, j, x, u[j]);
         drive.settle(at, of(drive, j));

@@ -2,13 +2,20 @@
 //
 // Its mode is `held` where the rotor is stuck: then 0 = wm takes the place of eq. (2). Else it
 // slides, and the mode's number is the torque of sliding, with the sign of the motion. Any law of
-// friction.hpp's kind can be `Law`.
+// friction.hpp's kind can be `Law`; one that is not dry never holds, and has no mode but the usual.
 #pragma once
 
 #include "friction.hpp"
 #include "mode.hpp"
 
 namespace arm {
+
+// What turns a rotor, beside its friction.
+struct OnRotor {
+  double torque;    // N m, of all
+  double of_gear;   // N m, of the gear alone
+  double rounding;  // N m, which may be there because angles are rounded
+};
 
 template <class Law = Friction>
 struct RotorFriction {
@@ -36,21 +43,19 @@ struct RotorFriction {
   }
 
   constexpr bool is_usual() const { return is_free(); }
-  // `torque`: what the rotor feels beside friction; T: that of the gear on the rotor.
-  constexpr Mode mode_at(double wm, double torque, double T) const {
+  constexpr Mode mode_at(double wm, const OnRotor& on) const {
     if (is_free()) return {};
-    if (wm == 0.0 && magnitude(torque) <= law.holding(T) * (1.0 + kRounding)) return {true, 0.0};
-    return slide(wm == 0.0 ? torque : wm, wm, T);
+    if (wm == 0.0 && spare(on) >= 0.0) return {true, 0.0};
+    return slide(wm == 0.0 ? on.torque : wm, wm, on.of_gear);
   }
-  constexpr Mode wanted(double began, double wm, double torque, double T, const Mode& mode) const {
-    if (mode.held)
-      return magnitude(torque) <= law.holding(T) * (1.0 + kRounding) ? mode : slide(torque, 0.0, T);
+  constexpr Mode wanted(double began, double wm, const OnRotor& on, const Mode& mode) const {
+    if (mode.held) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on.of_gear);
     if (is_free()) return mode;
     // A rotor that reverses comes to rest at the step's end; one that was at rest has not left it.
     return began == 0.0 && wm * mode.offset < 0.0 ? Mode{true, 0.0} : mode;
   }
-  constexpr double margin(double wm, double torque, double T, const Mode& mode) const {
-    if (mode.held) return law.holding(T) * (1.0 + kRounding) - magnitude(torque);
+  constexpr double margin(double wm, const OnRotor& on, const Mode& mode) const {
+    if (mode.held) return spare(on);
     if (is_free()) return 1.0;
     return mode.offset < 0.0 ? -wm : wm;
   }
@@ -59,9 +64,10 @@ struct RotorFriction {
   }
 
  private:
-  constexpr bool is_free() const {
-    if constexpr (requires { law.is_free(); }) return law.is_free();
-    return false;
+  constexpr bool is_free() const { return !law.is_dry(); }
+  // What could be held beside what turns it, below 0 if it does not hold [N m].
+  constexpr double spare(const OnRotor& on) const {
+    return law.holding(on.of_gear) * (1.0 + kRounding) + on.rounding - magnitude(on.torque);
   }
   constexpr Mode slide(double way, double wm, double T) const {
     // The way is kept in the sign, also of a torque of 0.
