@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.gains import check_servo, load_gains
+from arm_emulator.guarded import guarded
 from arm_emulator.run_report import tell, ticks_of
 from arm_emulator.servo_loop import warn_of_loops
 from arm_emulator.servo_step import ServoStep
 from arm_emulator.target_table import TargetTable, load_target_table
-from emulator_node.firmware import Firmware
+from emulator_node.firmware import Doing, Firmware, Progress
 from emulator_node.firmware_loop import FirmwareLoop
 from emulator_node.plant import Diverged
 from emulator_node.scene import Scene, load_scene
@@ -67,8 +68,9 @@ class TableRun:
         if isinstance(servo, Firmware):
             servo.start(session.plant, session.period_ns)
         stop = servo.stop if isinstance(servo, Microcontroller) else None
+        struct = servo.progress.loop if isinstance(servo, Firmware) else None
         self._loop = FirmwareLoop(
-            session.plant, session.period_ns, servo.step, servo.with_, targets, stop
+            session.plant, session.period_ns, servo.step, servo.with_, targets, stop, struct
         )
 
     def advance(self, ticks: int) -> None:
@@ -83,7 +85,8 @@ class TableRun:
         session = self.session
         for done in range(0, ticks, _PIECE):
             try:
-                session.advance_in(self._loop, min(_PIECE, ticks - done))
+                with self._stepping():
+                    session.advance_in(self._loop, min(_PIECE, ticks - done))
             except Refusal as no:
                 name = self._servo.name
                 raise Refusal(
@@ -94,9 +97,27 @@ class TableRun:
             if isinstance(self._servo, Microcontroller) and self._servo.ended is not None:
                 raise self._servo.ended
 
+    def close(self) -> None:
+        """End a user's library; the run cannot go on."""
+        if isinstance(self._servo, Firmware):
+            self._servo.close()
+
+    @contextlib.contextmanager
+    def _stepping(self) -> Iterator[None]:
+        """Within, whoever watches a user's library knows that it is in its steps."""
+        if not isinstance(self._servo, Firmware):
+            yield
+            return
+        progress = self._servo.progress
+        progress.doing = Doing.STEP
+        try:
+            yield
+        finally:
+            progress.doing = Doing.OURS
+
 
 def load_table_run(
-    scene_name: str, table: Path, library: Path | None
+    scene_name: str, table: Path, library: Path | None, progress: Progress | None = None
 ) -> tuple[TableRun, TargetTable]:
     """Return a run of a scene, and its table.
 
@@ -104,6 +125,7 @@ def load_table_run(
         scene_name: scene file or name.
         table: file of joint targets.
         library: control code; None: our servo with the gains that belong to the scene.
+        progress: gets what of the library runs.
 
     Raises:
         Refusal: a file that is missing or not taken, or gains that do not fit.
@@ -112,7 +134,7 @@ def load_table_run(
     scene = load_scene(file)
     targets = load_target_table(table, scene.joint_names)
     if library is not None:
-        return TableRun(scene, targets, Firmware(library)), targets
+        return TableRun(scene, targets, Firmware(library, progress)), targets
     config = load_gains(file).servo
     check_servo(scene, config)
     warn_of_loops(scene, config)
@@ -121,8 +143,31 @@ def load_table_run(
 
 
 def run(scene_name: str, seconds: float | None, table: Path, library: Path | None) -> int:
-    """Run for some logical time, or for that of the table, and print the outcome."""
-    one, targets = load_table_run(scene_name, table, library)
+    """Run for some logical time, or for that of the table, and print the outcome.
+
+    Raises:
+        Refusal: see `load_table_run`, or the control code ended the process.
+    """
+
+    def work(progress: Progress | None = None) -> int:
+        return _run(scene_name, seconds, table, library, progress)
+
+    return work() if library is None else guarded(library.name, work)
+
+
+def _run(
+    scene_name: str,
+    seconds: float | None,
+    table: Path,
+    library: Path | None,
+    progress: Progress | None,
+) -> int:
+    one, targets = load_table_run(scene_name, table, library, progress)
+    with contextlib.closing(one):
+        return _report(one, targets, seconds)
+
+
+def _report(one: TableRun, targets: TargetTable, seconds: float | None) -> int:
     session = one.session
     scene = session.scene
     if seconds is None:

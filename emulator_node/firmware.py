@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import enum
+import os
 from pathlib import Path
 
 from compiled.elf import why_no_library
 from compiled.unit import address
 from emulator_node.core_calls import JointDescription
-from emulator_node.firmware_loop import firmware_loop
+from emulator_node.firmware_loop import LoopStruct, firmware_loop
 from emulator_node.plant import Plant
 from words.refusal import Refusal
 from words.text_file import read_bytes
@@ -41,6 +43,37 @@ class _FirmwareStruct(ctypes.Structure):
     )
 
 
+class Doing(enum.IntEnum):
+    """Whose code runs, and what of it."""
+
+    OURS = 0
+    LOADING = 1
+    ENTRY = 2
+    START = 3
+    STEP = 4
+    ENDING = 5
+    ENDED = 6
+
+    @property
+    def must(self) -> tuple[str, str]:
+        """What must do what, where the process ends there."""
+        return {
+            Doing.OURS: ("a thread of it", "let the process go on"),
+            Doing.LOADING: ("file", "be loaded by the system"),
+            Doing.ENTRY: (ENTRY, "return"),
+            Doing.START: ("start", "return"),
+            Doing.STEP: ("step", "return"),
+            Doing.ENDING: ("what runs at its end", "return"),
+            Doing.ENDED: ("a thread of it", "let the process go on"),
+        }[self]
+
+
+class Progress(ctypes.Structure):
+    """Where a run with a library is, for whoever watches it."""
+
+    _fields_ = (("doing", ctypes.c_int32), ("code", ctypes.c_int32), ("loop", LoopStruct))
+
+
 class Firmware:
     """Control code of a user's, as a step of `FirmwareLoop`.
 
@@ -51,24 +84,30 @@ class Firmware:
 
     Args:
         file: the shared library.
+        progress: gets what of the library runs.
 
     Raises:
         Refusal: no such file, no shared library for this machine, one without the entry point, of
             another version, or without a step.
     """
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, progress: Progress | None = None) -> None:
         self.name = file.name
+        self.progress = progress or Progress()
         reason = why_no_library(read_bytes(file, LARGEST), (ENTRY,))
         if reason:
             raise Refusal(self.name, "file", f"be a shared library with {ENTRY}", reason)
+        self.progress.doing = Doing.LOADING
+        self._threads = _threads()
         try:
             self._library = ctypes.CDLL(str(file.resolve()))
         except OSError as error:
             raise Refusal(self.name, "file", "be loaded by the system", error) from None
         entry = getattr(self._library, ENTRY)
         entry.restype, entry.argtypes = ctypes.c_void_p, []
+        self.progress.doing = Doing.ENTRY
         at = entry()
+        self.progress.doing = Doing.OURS
         if not at:
             raise Refusal(self.name, ENTRY, "return what the library does", "a null pointer")
         version = ctypes.c_uint32.from_address(at).value
@@ -101,7 +140,21 @@ class Firmware:
             ctypes.addressof(self._joints),
         )
         start = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_void_p)(self._firmware.start)
+        self.progress.doing = Doing.START
         reason = start(ctypes.addressof(self._machine))
+        self.progress.doing = Doing.OURS
         if reason is not None:
             said = reason.decode(errors="replace")
             raise Refusal(self.name, "start", f"take scene {plant.scene.name}", said)
+
+    def close(self) -> None:
+        """Run what the library does at its end, unless threads of it still run; it is gone then."""
+        if _threads() > self._threads:
+            return
+        self.progress.doing = Doing.ENDING
+        ctypes.CDLL(None).dlclose(ctypes.c_void_p(self._library._handle))
+        self.progress.doing = Doing.OURS
+
+
+def _threads() -> int:
+    return len(os.listdir("/proc/self/task"))

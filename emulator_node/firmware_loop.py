@@ -69,6 +69,7 @@ class FirmwareLoop:
         targets: ticks, ascending from 0, and joint targets (N,) that hold from each on; None: the
             control code knows them.
         stop: address of a number that is not 0 after a step that ends the run; None: none does.
+        struct: memory for the loop, where others can see the tick; None: its own.
     """
 
     def __init__(
@@ -79,13 +80,16 @@ class FirmwareLoop:
         with_: int | None,
         targets: tuple[Sequence[int], Array] | None = None,
         stop: int | None = None,
+        struct: LoopStruct | None = None,
     ) -> None:
         self._plant = plant
         self._calls = firmware_loop()
         ticks, rows = targets or ((), np.zeros((0, len(plant.scene.joints))))
         self._row_tick = np.array(ticks, np.int64)
         self._rows = np.array(rows, np.float64, order="C")
-        self._loop = LoopStruct(
+        self._loop = struct or LoopStruct()
+        LoopStruct.__init__(
+            self._loop,
             size=ctypes.sizeof(LoopStruct),
             joints=len(plant.scene.joints),
             machine=plant.machine,

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import random
+import re
 import shutil
+import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +23,7 @@ from in_process import in_process
 from network import bits_of
 from sensor_msgs.msg import JointState
 
+from arm_emulator import guarded
 from arm_emulator.__main__ import main
 from arm_emulator.servo_header import servo_header
 from arm_emulator.servo_step import ServoStep
@@ -26,7 +32,7 @@ from arm_emulator.target_table import load_target_table
 from compiled.c_flags import C_FLAGS
 from compiled.compiler_command import find_compiler
 from emulator_node.compiler import CORE
-from emulator_node.firmware import Firmware
+from emulator_node.firmware import Doing, Firmware, Progress
 from emulator_node.scene import load_scene
 from emulator_node.session import Session
 from firmware import FOLDER
@@ -369,13 +375,16 @@ NO_TABLE = "t,waist,shoulder,elbow\n0,0,0.5,0.8\n1,0,0.5,0.8\n"
 
 
 def command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: Any
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], *words: Any
 ) -> tuple[int, str, str]:
-    """Run a command of ours in this process; return its exit code and what it printed."""
+    """Run a command of ours in this process (a library of a user's in a child of it).
+
+    Return its exit code and what was printed.
+    """
     monkeypatch.setattr(sys, "argv", ["arm_emulator", *map(str, words)])
     with pytest.raises(SystemExit) as end:
         main()
-    said = capsys.readouterr()
+    said = capfd.readouterr()
     return int(end.value.code or 0), said.out, said.err
 
 
@@ -419,7 +428,7 @@ def test_a_library_that_cannot_be_run_is_refused_in_a_line(
     build: Callable[..., Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     made, words = BAD_LIBRARIES[what]
     library, table = tmp_path / "mine.so", tmp_path / "table.csv"
@@ -429,9 +438,121 @@ def test_a_library_that_cannot_be_run_is_refused_in_a_line(
     elif made is not None:
         shutil.copy(build(made), library)
     arguments = ("run", "three_axis", "--servo", library, "--targets", table)
-    exit_code, out, said = command(monkeypatch, capsys, *arguments)
+    exit_code, out, said = command(monkeypatch, capfd, *arguments)
     assert (exit_code, out) == (2, ""), said
     assert said.startswith("mine.so") and words in said and said.count("\n") == 1, said
+
+
+# Ways in which a library ends the process, and what is reported of it.
+ENDS = {
+    "exit(0);": "exit with code 0",
+    "exit(3);": "exit with code 3",
+    "_exit(0);": "exit with code 0",
+    "quick_exit(0);": "exit with code 0",
+    "abort();": "SIGABRT",
+    "*(volatile int*)8 = 1;": "SIGSEGV",
+    "raise(SIGFPE);": "SIGFPE",
+    "__builtin_trap();": "SIG(ILL|TRAP)",
+    "raise(SIGKILL);": "SIGKILL",
+    "deeper(1);": "SIGSEGV",
+    "pthread_exit(0);": "exit with code 0",
+    'execl("/bin/true", "true", (char*)0);': "exit with code 0",
+}
+HEADERS = """
+#include <pthread.h>
+#include <signal.h>
+#include <stdlib.h>
+#include <unistd.h>
+static volatile int sum;
+static void deeper(int k) {
+  volatile char room[4096];
+  room[0] = (char)k, deeper(k + room[0]), sum = room[0];
+}
+static void end(void) { (void)deeper; END }
+"""
+PLACES = {
+    "loading": ("__attribute__((constructor)) static void go(void) { end(); }\n", ""),
+    "arm_firmware": ("", ""),
+    "start": ("static const char* go(const firmware_machine* m) { (void)m; end(); return 0; }", ""),
+    "step": ("", "if (in->measured->tick == TICK) end();"),
+    "end": ("__attribute__((destructor)) static void go(void) { end(); }\n", ""),
+    "atexit": ("", "if (in->measured->tick == 0) atexit(end);"),
+}
+
+
+# In a process without ROS: exit() waits for threads of its middleware, which a fork leaves behind.
+RUNS = """
+import sys
+from arm_emulator.__main__ import main
+table, *libraries = sys.argv[1:]
+for library in libraries:
+    sys.argv = ["", "run", "three_axis", "--servo", library, "--targets", table]
+    try:
+        main()
+    except SystemExit as end:
+        print("exit code", end.code, flush=True)
+"""
+
+
+def test_a_library_that_ends_the_process_is_reported_with_its_tick(
+    build: Callable[..., Path], tmp_path: Path
+) -> None:
+    """One line, and an exit code that is not 0; at a tick, and (in full) wherever its code runs."""
+    (tmp_path / "table.csv").write_text(NO_TABLE)
+    cases = [
+        (place, how, tick)
+        for place in some(["step", *PLACES], 1)
+        for tick, how in enumerate(ENDS, random.Random(place).randrange(1800))
+        # What ends as it would have ended does no harm.
+        if place not in ("end", "atexit") or "0" not in ENDS[how]
+    ]
+    libraries = []
+    for place, how, tick in cases:
+        before, body = PLACES[place]
+        text = '#include "firmware.h"\n' + HEADERS.replace("END", how) + before
+        made = code(body.replace("TICK", str(tick)), "go" if place == "start" else "0")
+        if place == "arm_firmware":
+            made = made.replace("  static const", "  end();\n  static const")
+        libraries.append(build(text + made, "-w", "-D_GNU_SOURCE"))
+    words = [sys.executable, "-c", RUNS, tmp_path / "table.csv", *libraries]
+    done = subprocess.run(
+        list(map(str, words)),
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300, check=True,
+    )  # fmt: skip
+    told = re.split(r"exit code (.*)\n", done.stdout)
+    for (place, how, tick), said, exit_code in zip(cases, told[::2], told[1::2], strict=False):
+        where = {
+            "step": f", tick {tick}: step must return",
+            "loading": ": file must be loaded by the system",
+            "end": ": what runs at its end must return",
+            "atexit": ": what runs at its end must return",
+        }.get(place, f": {place} must return")
+        line = rf"mine_\d+\.so{where}, got {ENDS[how]}\n"
+        last = said.splitlines(keepends=True)[-1]
+        assert re.fullmatch(line, last) and exit_code == "2", (place, exit_code, said)
+        assert said == last or place in ("end", "atexit"), said
+    assert len(told) == 2 * len(cases) + 1, "every run has ended"
+
+
+def test_a_library_that_does_not_return_is_reported_and_ends_with_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(guarded, "LOOK", 0.05)
+    monkeypatch.setattr(guarded, "TELL_STALL", 0.1)
+
+    def work(progress: Progress) -> int:
+        progress.doing, progress.loop.tick = Doing.STEP, 12
+        while True:
+            time.sleep(1.0)
+
+    threading.Timer(0.6, signal.raise_signal, [signal.SIGINT]).start()
+    with pytest.raises(KeyboardInterrupt):
+        guarded.guarded("mine.so", work)
+    said = capfd.readouterr().err
+    assert said == (
+        "mine.so, tick 12: step has not returned for 0.1 s; Ctrl-C ends it\n"
+        "mine.so, tick 12: ended by a signal\n"
+    )
 
 
 def test_a_library_cut_short_is_refused(build: Callable[..., Path], tmp_path: Path) -> None:
@@ -446,14 +567,14 @@ def test_the_command_reports_and_lasts_as_long_as_its_table(
     build: Callable[..., Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     table = tmp_path / "table.csv"
     table.write_text(NO_TABLE)
     arguments = ("run", "three_axis", "--targets", table)
     said = []
     for more in (("--servo", build()), ()):
-        exit_code, out, err = command(monkeypatch, capsys, *arguments, *more)
+        exit_code, out, err = command(monkeypatch, capfd, *arguments, *more)
         assert (exit_code, err) == (0, ""), err
         lines = out.splitlines()
         assert lines[0].startswith("scene three_axis: 2 s of logical time in "), out
@@ -466,7 +587,7 @@ def test_the_command_reports_and_lasts_as_long_as_its_table(
         ("run: seconds must be at least", ["--targets", table, "--seconds", "nan"]),
         ("run: seconds must be less than", ["--targets", table, "--seconds", "1e10"]),
     ):
-        exit_code, out, err = command(monkeypatch, capsys, "run", "three_axis", *more)
+        exit_code, out, err = command(monkeypatch, capfd, "run", "three_axis", *more)
         assert (exit_code, out, err.count("\n")) == (2, "", 1) and err.startswith(words), err
 
 
