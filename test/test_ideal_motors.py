@@ -16,7 +16,7 @@ from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from scipy.linalg import expm
 
 from arm_emulator.gains import check_joints
-from emulator_node.plant import Plant
+from emulator_node.plant import Diverged, Plant
 from emulator_node.reference import reference
 from emulator_node.scene import Scene, load_scene
 from servo_node.servo_config import load_servo_config
@@ -163,6 +163,29 @@ def test_a_motor_that_speeds_up_has_its_energy_from_the_supply(gantry: Path) -> 
         plant.reset()
         plant.advance([0.5, 0.5, 0.5], 20_000)  # 2 s; would raise Diverged
         assert (plant.state.v > 0.3).all(), "speeds that were reached"
+
+
+def test_motors_that_set_out_from_rest_are_given_their_energy(gantry: Path) -> None:
+    """Between any two looks at the energy: at rest these motors are given nothing."""
+    for seed in range(100):
+        rng = np.random.default_rng([seed, 12])
+        dt = float(rng.choice([1e-3, 1e-4, 2e-5, 1e-6]))
+        _, plant, commands = drawn(gantry, seed, dt)
+        plant.advance(np.zeros(3), int(rng.integers(0, 70)))  # to anywhere between two looks
+        for command in commands:
+            steps = int(rng.integers(1, 130))
+            plant.advance(command * 10.0 ** rng.uniform(-3.0, 2.0), steps)  # or Diverged
+        assert plant.energy > 0.0, "nothing moved"
+
+
+def test_energy_from_nowhere_is_seen_all_the_same(tmp_path: Path) -> None:
+    """Gears that are far too stiff for `paper` at this step."""
+    stiff = {"ratio": 0.01, "stiffness": 1e8}
+    joints = {name: {"motor": TORQUE, "gear": stiff} for name in GANTRY}
+    integrator = {"scheme": "paper", "dt": 1e-3}
+    plant = Plant(load_scene(write_scene(tmp_path, gantry_urdf(), joints, integrator=integrator)))
+    with pytest.raises(Diverged):
+        plant.advance(np.full(3, 0.1), 20_000)
 
 
 @pytest.mark.parametrize("motor", [TORQUE, CURRENT], ids=lambda motor: motor["kind"])

@@ -73,6 +73,11 @@ class Course {
         }
       }
       threads.step(y, u);
+      if constexpr (any_drive<S>([](const auto& drive) { return drive.given_by_speed; })) {
+        const X now = EnergyBalance<S>::largest_power(numbers, y, u);
+        given = h * select(power < now, now, power);
+        power = now;
+      }
       most += given;
       if (--left == 0) end_row(y);
     }

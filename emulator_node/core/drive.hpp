@@ -260,6 +260,8 @@ struct Drive {
     if constexpr (driven) return motor.given(x.z, x.u, felt_speed(x), motor_held(held));
     return 0.0;
   }
+  // Whether that grows with the speed under one and the same command.
+  static constexpr bool given_by_speed = requires { Motor::given_by_speed; };
   template <class X>
   ARM_INLINE constexpr X given_at_most(const Input<X>& x) const {
     if constexpr (driven) return motor.given_at_most(x.z, x.u, felt_speed(x));
