@@ -58,13 +58,13 @@ def record(
         signal.signal(number, lambda *_: told.set())
     node: _Recorder | None = None
     bag = BagWriter(out)
-    failure: OSError | None = None
+    failure: Exception | None = None
     try:
         with bag, contextlib.suppress(_Ended):
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             node = _Recorder(bag, topics, presence.recorder, from_start, told)
             LeanExecutor(node).spin()
-    except OSError as error:
+    except (OSError, MemoryError) as error:
         failure = error
     finally:
         if node is not None:
@@ -82,7 +82,8 @@ def record(
         node.destroy_node()
     rclpy.try_shutdown()
     if failure is not None:
-        raise Refusal("record", f"folder {out}", "take what is recorded", failure)
+        cure = None if bag.whole else f"make room, then `python -m arm_emulator repair {out}`"
+        raise Refusal("record", f"folder {out}", "take what is recorded", failure, cure)
     return code
 
 

@@ -176,6 +176,7 @@ class RecordedRuns:
         self._reports.wait_for_all_acked(GOOD_BYE)
 
     def _on_first(self, tick: int) -> None:
+        print(f"{self.topic}: the first state has arrived, tick {tick}", flush=True)
         if tick > 0:
             what = (
                 "it is reset now" if self._reset is not None

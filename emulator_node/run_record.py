@@ -47,7 +47,8 @@ class RunRecord:
         self._states = 0
         self._tick = -1
         self._newest = 0  # wall time [ns] of the newest message
-        self._failure: OSError | None = None
+        self._failure: OSError | MemoryError | None = None
+        self._finished = False
         # Appending and popping are safe between threads.
         self._waiting: deque[tuple[int, int, bytes]] = deque()
         self._stop = threading.Event()
@@ -60,7 +61,9 @@ class RunRecord:
         """What is not in the bag, and why, in words; empty if all is."""
         words = []
         if self._failure is not None:
-            words.append(f"the disk takes no more: {self._failure.strerror or self._failure}")
+            words.append(_reason(self._failure))
+        if self._finished and not self._bag.whole:
+            words.append(f"it needs room, and `python -m arm_emulator repair {self._folder}`")
         if self.dropped:
             words.append(f"{self.dropped} messages were dropped, the disk is too slow")
         if self.missing:
@@ -94,7 +97,8 @@ class RunRecord:
         atexit.unregister(self._finish)
         self._finish()
         messages = sum(topic.count for topic in self._bag.topics)
-        print(f"{self._folder}: {messages} messages, {self._states} states of ticks", flush=True)
+        states = "" if self._failure else f", {self._states} states of ticks"
+        print(f"{self._folder}: {messages} messages{states}", flush=True)
         if self.trouble:
             where = f"record {self._folder}"
             raise Refusal(where, "the bag", "hold all that was said", self.trouble)
@@ -104,8 +108,9 @@ class RunRecord:
         self._thread.join()
         try:
             self._bag.close()
-        except OSError as error:
+        except (OSError, MemoryError) as error:
             self._failure = self._failure or error
+        self._finished = True
 
     def _write(self) -> None:
         flush_at = time.monotonic() + FLUSH_PERIOD
@@ -117,8 +122,14 @@ class RunRecord:
                 if time.monotonic() > flush_at:
                     self._bag.flush()
                     flush_at = time.monotonic() + FLUSH_PERIOD
-            except OSError as error:
+            except (OSError, MemoryError) as error:
                 self._failure = error
                 self._waiting.clear()
                 return
             time.sleep(BREATH if self._waiting else IDLE)
+
+
+def _reason(failure: OSError | MemoryError) -> str:
+    if isinstance(failure, MemoryError):
+        return "no memory is left"
+    return f"the disk takes no more: {failure.strerror or failure}"

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import os
 import re
-import struct
+import shutil
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from os import SEEK_END
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 from rclpy.duration import Duration
@@ -29,16 +29,16 @@ from rclpy.qos import (
 )
 
 from words.refusal import Refusal
-from words.yaml_file import parse_yaml
+from words.text_file import open_file
+from words.yaml_file import parse_yaml, read_yaml
 
 try:
-    from mcap.exceptions import McapError
-    from mcap.records import Channel, Message, Schema
-    from mcap.stream_reader import StreamReader
-    from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
-    from zstandard import ZstdError
+    from mcap.opcode import Opcode
+    from mcap.records import Channel, Schema
+    from mcap.writer import CompressionType, Writer
 
-    from ros_shell.mcap_end import give_end
+    from ros_shell.mcap_end import NO_ROOM, flush_to_disk, give_end, write_all
+    from ros_shell.mcap_records import MESSAGE, CutOff, Damaged, McapFile, Record
 except ImportError as error:  # a stock ROS 2 machine has none
     raise Refusal(
         "bags", "Python package mcap", "be installed", error, "pip install mcap"
@@ -49,10 +49,8 @@ UNFINISHED = "metadata.yaml.tmp"
 METADATA_VERSION = 9  # of rosbag2 in Jazzy
 CHUNK_SIZE = 2**18  # bytes: what is not yet in a chunk is lost in a crash
 METADATA_ROOM = 2**16  # bytes: kept free for metadata.yaml, should the disk become full
+SHORT_METADATA = 2**12  # bytes: of a bag of which nothing could be kept
 NANOSECONDS = 1_000_000_000
-
-# How reading a damaged file fails, beside McapError.
-_DAMAGE = (struct.error, UnicodeDecodeError, ValueError, MemoryError, RuntimeError, ZstdError)
 
 _POLICIES: dict[str, type[IntEnum]] = {
     "history": HistoryPolicy,
@@ -97,6 +95,9 @@ class BagMessage(NamedTuple):
 class BagWriter:
     """Writes a new bag; use it in a `with` block.
 
+    Attributes:
+        whole: whether it has been closed as a whole bag, mended or not.
+
     Args:
         folder: the bag, which must not exist.
 
@@ -106,20 +107,27 @@ class BagWriter:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.whole = False
         self._file = folder / f"{folder.resolve().name}_0.mcap"
         self._topics: dict[int, Topic] = {}
         self._schemas: dict[str, int] = {}
         self._begin, self._end = 2**63 - 1, 0
+        self._failure: Exception | None = None
+        self._room = METADATA_ROOM
         try:
             folder.mkdir(parents=True)
-            (folder / UNFINISHED).write_bytes(bytes(METADATA_ROOM))
-            self._stream = self._file.open("xb")
-            self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)
-            self._mcap.start("ros2", "arm_emulator")
-            self.flush()
         except FileExistsError:
             raise Refusal("record", f"folder {folder}", "be new", "one that exists") from None
         except OSError as error:
+            raise Refusal("record", f"folder {folder}", "be writable", error.strerror) from None
+        try:
+            (folder / UNFINISHED).write_bytes(bytes(self._room))
+            self._stream = _Unbuffered(self._file)
+            self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)  # type: ignore[arg-type]
+            self._mcap.start("ros2", "arm_emulator")
+            self.flush()
+        except OSError as error:
+            shutil.rmtree(folder, ignore_errors=True)  # which is ours, and empty
             raise Refusal("record", f"folder {folder}", "be writable", error.strerror) from None
 
     def __enter__(self) -> BagWriter:
@@ -144,61 +152,150 @@ class BagWriter:
         return max(0, self._end - self._begin) / NANOSECONDS
 
     def add_topic(self, topic: Topic) -> int:
-        """Take up a topic and return its number in this bag."""
-        if topic.type not in self._schemas:
-            encoding = "ros2msg" if topic.definition else ""
-            self._schemas[topic.type] = self._mcap.register_schema(
-                topic.type, encoding, topic.definition.encode()
+        """Take up a topic and return its number in this bag.
+
+        Raises:
+            OSError: see `write`.
+        """
+        with self._noting_failure():
+            if topic.type not in self._schemas:
+                encoding = "ros2msg" if topic.definition else ""
+                self._schemas[topic.type] = self._mcap.register_schema(
+                    topic.type, encoding, topic.definition.encode()
+                )
+            number = self._mcap.register_channel(
+                topic.name,
+                "cdr",
+                self._schemas[topic.type],
+                {
+                    "offered_qos_profiles": yaml.safe_dump(
+                        [_qos_to_yaml(q) for q in topic.offered]
+                    ),
+                    "topic_type_hash": topic.type_hash,
+                },
             )
-        number = self._mcap.register_channel(
-            topic.name,
-            "cdr",
-            self._schemas[topic.type],
-            {
-                "offered_qos_profiles": yaml.safe_dump([_qos_to_yaml(q) for q in topic.offered]),
-                "topic_type_hash": topic.type_hash,
-            },
-        )
-        self._topics[number] = topic
+            self._topics[number] = topic
+            self._keep_room()
         return number
 
     def write(self, number: int, received: int, published: int, data: bytes) -> None:
-        """Write a message of the topic with this number."""
+        """Write a message of the topic with this number.
+
+        Raises:
+            OSError: the disk does not take it, or has failed before. What a file lacks in its midst
+                is never written behind: after a failure nothing is.
+        """
         topic = self._topics[number]
-        self._mcap.add_message(number, received, data, published, topic.count)
+        with self._noting_failure():
+            self._mcap.add_message(number, received, data, published, topic.count)
         topic.count += 1
         self._begin, self._end = min(self._begin, received), max(self._end, received)
 
     def flush(self) -> None:
-        """Hand all that was written to the system: a crash of this process loses none of it."""
-        self._mcap.flush()
+        """Hand all that was written to the system: a crash of this process loses none of it.
+
+        Raises:
+            OSError: see `write`.
+        """
+        with self._noting_failure():
+            self._mcap.flush()
 
     def close(self) -> None:
         """Write indices and metadata; without them only readers that scan can read the bag.
 
         Raises:
-            OSError: the disk did not take all, now or before. The bag is whole all the same, with
-                what it took.
+            OSError: the disk did not take all, now or before. The bag is mended then, and its
+                topics have the counts of what is there; it is `whole` but where even that found no
+                room.
         """
         if self._stream.closed:
             return
         try:
-            count = sum(topic.count for topic in self.topics)
-            span = Span(self._file.name, self._begin, self._end, count)
-            metadata = _metadata(self.topics, [span])
-            self._mcap.flush()
-            self._mcap.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(metadata)})
-            self._mcap.finish()
-            self._stream.close()
-            _write_metadata(self.folder, metadata)
-        except OSError:
+            with self._noting_failure():
+                metadata = self._told()
+                self._mcap.flush()
+                text = yaml.safe_dump(metadata)
+                self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
+                self._mcap.finish()
+                flush_to_disk(self._stream.fileno())
+                self._stream.close()
+                _write_metadata(self.folder, metadata)
+            self.whole = True
+        except (OSError, MemoryError):
             with contextlib.suppress(OSError):  # what it cannot write; it is closed all the same
                 self._stream.close()
-            repair(self.folder)
-            kept = Bag(self.folder).topics
-            for topic in self.topics:
-                topic.count = kept[topic.name].count if topic.name in kept else 0
+            self._mend()
             raise
+
+    @contextlib.contextmanager
+    def _noting_failure(self) -> Iterator[None]:
+        """Remember the first failure, for what was being written then is not in the file."""
+        if self._failure is not None:
+            raise self._failure
+        try:
+            yield
+        except (OSError, MemoryError) as error:
+            self._failure = error
+            raise
+
+    def _told(self) -> dict[str, Any]:
+        count = sum(topic.count for topic in self.topics)
+        span = Span(self._file.name, self._begin, self._end, count)
+        return _metadata(self.topics, [span])
+
+    def _keep_room(self) -> None:
+        """Keep free what metadata will need, should the disk become full."""
+        needed = len(_text_of(self._told())) + 64 * (len(self._topics) + 4)  # as counts grow
+        if needed > self._room:
+            self._room = needed + METADATA_ROOM
+            with (self.folder / UNFINISHED).open("r+b") as stream:
+                stream.write(bytes(self._room))
+
+    def _mend(self) -> None:
+        with contextlib.suppress(OSError, Refusal, MemoryError):
+            try:
+                repair(self.folder)
+            except OSError as error:
+                if error.errno not in NO_ROOM:
+                    raise
+                # The room of metadata, which are short by now.
+                os.truncate(self.folder / UNFINISHED, SHORT_METADATA)
+                repair(self.folder)
+            self.whole = True
+        kept: dict[str, Topic] = {}
+        with contextlib.suppress(OSError, Refusal, MemoryError):
+            bag = Bag(self.folder)
+            kept = bag.topics
+            self._begin, self._end = bag.spans[0].begin, bag.spans[0].end
+        for topic in self.topics:
+            topic.count = kept[topic.name].count if topic.name in kept else 0
+
+
+class _Unbuffered:
+    """A new file whose every write reaches the system, or fails.
+
+    A buffer would keep what the system did not take, and hand it over later, behind a gap.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._raw = file.open("xb", buffering=0)
+        self._at = 0
+        self.fileno, self.close = self._raw.fileno, self._raw.close
+
+    @property
+    def closed(self) -> bool:
+        return self._raw.closed
+
+    def write(self, data: bytes) -> int:
+        write_all(self._raw, data)
+        self._at += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._at
+
+    def flush(self) -> None:
+        """Nothing waits here."""
 
 
 class Span(NamedTuple):
@@ -217,13 +314,24 @@ def repair(path: Path) -> bool:
         Refusal: no bag, or a damaged one.
         OSError: it cannot be written.
     """
-    files = _files(path)
-    given = [give_end(file) for file in files]
-    if path.is_dir() and (any(given) or not (path / METADATA).exists()):
-        bag = Bag(path)
-        _write_metadata(path, _metadata(list(bag.topics.values()), bag.spans))
+    given = [give_end(file) for file in _files(path)]
+    if not path.is_dir():
+        return any(given)
+    bag = Bag(path)
+    metadata = _metadata(list(bag.topics.values()), bag.spans)
+    if any(given) or _count_in(path / METADATA) != metadata["message_count"]:
+        _write_metadata(path, metadata)
         return True
-    return any(given)
+    return False
+
+
+def _count_in(metadata: Path) -> object:
+    """Return the number of messages that metadata tell, None if they tell none."""
+    try:
+        told = read_yaml(metadata).get("rosbag2_bagfile_information")
+    except Refusal:
+        return None
+    return told.get("message_count") if isinstance(told, dict) else None
 
 
 def _files(path: Path) -> list[Path]:
@@ -236,13 +344,19 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
+def _text_of(metadata: dict[str, Any]) -> bytes:
+    return yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False).encode()
+
+
 def _write_metadata(folder: Path, metadata: dict[str, Any]) -> None:
-    text = yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False)
     unfinished = folder / UNFINISHED
     # Written over what is there: its room is needed where the disk is full.
-    with unfinished.open("r+b" if unfinished.exists() else "xb") as stream:
-        stream.write(text.encode())
-        stream.truncate()
+    mode = "r+b" if unfinished.exists() else "xb"
+    with unfinished.open(mode, buffering=0) as stream:
+        text = _text_of(metadata)
+        write_all(stream, text)
+        stream.truncate(len(text))
+        flush_to_disk(stream.fileno())
     unfinished.replace(folder / METADATA)
 
 
@@ -320,14 +434,12 @@ class Bag:
         """Yield the messages of some topics, or all, in the order of the files: as received."""
         for file in self._files if files is None else files:
             try:
-                with file.open("rb") as stream:
-                    try:
-                        yield from self._read(stream, topics)
-                    except (McapError, *_DAMAGE) as error:
-                        if not _cut_off(stream):
-                            what = error or type(error).__name__
-                            raise Refusal(str(file), "the bag", "be undamaged MCAP", what) from None
-                        self.complete = False
+                with open_file(file) as stream:
+                    yield from self._read(McapFile(stream), topics)
+            except CutOff:
+                self.complete = False
+            except Damaged as error:
+                raise Refusal(str(file), "the bag", "be undamaged MCAP", error) from None
             except OSError as error:
                 raise Refusal(str(file), "the bag", "be readable", error.strerror) from None
 
@@ -346,32 +458,36 @@ class Bag:
         while heap:
             yield heapq.heappop(heap)[2]
 
-    def _read(self, stream: IO[bytes], topics: Collection[str] | None) -> Iterator[BagMessage]:
+    def _read(self, mcap: McapFile, topics: Collection[str] | None) -> Iterator[BagMessage]:
         schemas: dict[int, Schema] = {}
         names: dict[int, str] = {}
-        for record in StreamReader(stream, validate_crcs=True).records:
-            if isinstance(record, Message):
-                name = names.get(record.channel_id)
+        for record in _contents(mcap):
+            if record.opcode == Opcode.MESSAGE:
+                channel_id, _, log_time, publish_time = record.message
+                name = names.get(channel_id)
                 if name is None:
-                    raise McapError(f"a message of channel {record.channel_id}, which is not there")
+                    raise Damaged(f"a message of channel {channel_id}, which is not there")
                 if topics is None or name in topics:
-                    yield BagMessage(name, record.log_time, record.publish_time, record.data)
-            elif isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                names[record.id] = record.topic
-                if record.topic not in self.topics:
-                    self.topics[record.topic] = _topic(record, schemas.get(record.schema_id))
+                    data = record.content[MESSAGE.size :]
+                    yield BagMessage(name, log_time, publish_time, data)
+            elif record.opcode == Opcode.SCHEMA:
+                schema = record.schema
+                schemas[schema.id] = schema
+            else:
+                channel = record.channel
+                names[channel.id] = channel.topic
+                if channel.topic not in self.topics:
+                    self.topics[channel.topic] = _topic(channel, schemas.get(channel.schema_id))
 
 
-def _cut_off(stream: IO[bytes]) -> bool:
-    """Whether reading failed because the file ends too early: its recorder was killed."""
-    at_end = not stream.read(1)
-    size, length = stream.seek(0, SEEK_END), len(MCAP0_MAGIC)
-    stream.seek(0)
-    begins = MCAP0_MAGIC.startswith(stream.read(length))
-    stream.seek(max(0, size - length))
-    return at_end and begins and (size <= length or stream.read() != MCAP0_MAGIC)
+def _contents(mcap: McapFile) -> Iterator[Record]:
+    """Yield schemas, channels and messages, in chunks or not."""
+    kinds = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+    for record in mcap.records():
+        if record.opcode == Opcode.CHUNK:
+            yield from mcap.chunk(record).records()
+        elif record.opcode in kinds:
+            yield record
 
 
 def _place(file: Path) -> tuple[int, str]:
@@ -382,20 +498,16 @@ def _place(file: Path) -> tuple[int, str]:
 
 def _topic(channel: Channel, schema: Schema | None) -> Topic:
     if schema is None or channel.message_encoding != "cdr":
-        raise McapError(f"topic {channel.topic}: not a serialized ROS 2 message")
+        raise Damaged(f"topic {channel.topic}: not a serialized ROS 2 message")
     try:
         text = channel.metadata.get("offered_qos_profiles", "")
         profiles = parse_yaml(text, "offered_qos_profiles") or []
         offered = tuple(_qos_from_yaml(profile) for profile in profiles)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise McapError(f"topic {channel.topic}: QoS profiles: {error!r}") from None
-    return Topic(
-        channel.topic,
-        schema.name,
-        schema.data.decode() if schema.encoding == "ros2msg" else "",
-        offered,
-        channel.metadata.get("topic_type_hash", ""),
-    )
+        definition = schema.data.decode() if schema.encoding == "ros2msg" else ""
+    except Exception as error:  # what people write, and what rclpy makes of it
+        raise Damaged(f"topic {channel.topic}: QoS or definition: {error!r}") from None
+    type_hash = channel.metadata.get("topic_type_hash", "")
+    return Topic(channel.topic, schema.name, definition, offered, type_hash)
 
 
 def _qos_to_yaml(profile: QoSProfile) -> dict[str, Any]:

@@ -6,23 +6,20 @@ readers look for at the end of a file is written in its place. Format: https://m
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import IO
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -32,23 +29,22 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
-from zstandard import ZstdError
 
+from ros_shell.mcap_records import CutOff, Damaged, McapFile, Record
 from words.refusal import Refusal
+from words.text_file import open_file
 
-_RECORD = struct.Struct("<BQ")  # opcode, length of what follows
-_MESSAGE = struct.Struct(
-    "<HIQ"
-)  # channel, sequence, log time; the publish time and the data follow
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass
 class _Chunk:
     start: int  # where its record begins in the file
     index: ChunkIndex
-    messages: dict[int, MessageIndex]  # by channel
+    counts: Counter[int] = field(default_factory=Counter)  # of messages, by channel
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
 
 
 @dataclass
@@ -56,11 +52,20 @@ class _Whole:
     """What a file without an end holds, up to where it was cut off."""
 
     chunks: list[_Chunk] = field(default_factory=list)
-    schemas: dict[int, Schema] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)  # in no chunk
     channels: dict[int, Channel] = field(default_factory=dict)
     loose: Counter[int] = field(default_factory=Counter)  # messages in no chunk, by channel
     end: int = 0  # of the last whole record
+    messages: dict[int, MessageIndex] = field(default_factory=dict)  # of the last chunk, by channel
     followed: bool = False  # the last chunk, by more than its index
+
+    @property
+    def all_schemas(self) -> dict[int, Schema]:
+        return self.schemas | {k: v for one in self.chunks for k, v in one.schemas.items()}
+
+    @property
+    def all_channels(self) -> dict[int, Channel]:
+        return self.channels | {k: v for one in self.chunks for k, v in one.channels.items()}
 
 
 def give_end(file: Path) -> bool:
@@ -72,107 +77,79 @@ def give_end(file: Path) -> bool:
         Refusal: it is no MCAP file, or damaged before its end.
         OSError: it cannot be written.
     """
-    with file.open("rb") as stream:
-        if _has_end(stream):
+    with open_file(file) as stream:
+        mcap = McapFile(stream)
+        if mcap.ended:
             return False
         try:
-            whole = _read(stream)
-        except (McapError, ZstdError, struct.error, ValueError, RuntimeError) as error:
-            what = error or type(error).__name__
-            raise Refusal(str(file), "the bag", "be undamaged MCAP", what) from None
+            whole = _read(mcap)
+        except Damaged as error:
+            raise Refusal(str(file), "the bag", "be undamaged MCAP", error) from None
     while True:
         try:
             _write_end(file, whole)
             return True
-        except OSError:
-            if not whole.chunks:
+        except OSError as error:
+            # Another failure than want of room is none that less data would cure.
+            if error.errno not in NO_ROOM or not whole.chunks:
                 raise
-            whole.end, whole.followed = whole.chunks.pop().start, False
+            # The index of the chunk before is whole, since another chunk came behind it.
+            whole.end, whole.followed = whole.chunks.pop().start, True
 
 
-def _has_end(stream: IO[bytes]) -> bool:
-    size, length = stream.seek(0, 2), len(MCAP0_MAGIC)
-    if size < 2 * length:
-        return False
-    stream.seek(size - length)
-    return stream.read(length) == MCAP0_MAGIC
-
-
-def _read(stream: IO[bytes]) -> _Whole:
-    size = stream.seek(0, 2)
-    stream.seek(0)
-    magic = stream.read(len(MCAP0_MAGIC))
-    if not MCAP0_MAGIC.startswith(magic):
-        raise McapError("it does not begin like one")
+def _read(mcap: McapFile) -> _Whole:
     whole = _Whole()
-    while True:
-        start = stream.tell()
-        head = stream.read(_RECORD.size)
-        if len(head) < _RECORD.size:
-            return whole
-        opcode, length = _RECORD.unpack(head)
-        end = stream.tell() + length
-        # Zeros at the end are what a computer leaves that lost its power.
-        if end > size or opcode in (0, Opcode.DATA_END, Opcode.FOOTER):
-            return whole
-        if opcode == Opcode.CHUNK:
-            _take_chunk(stream, whole, start, end)
-        elif opcode == Opcode.SCHEMA:
-            schema = Schema.read(ReadDataStream(stream))
-            whole.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(ReadDataStream(stream))
-            whole.channels[channel.id] = channel
-        elif opcode == Opcode.MESSAGE:
-            whole.loose[struct.unpack("<H", stream.read(2))[0]] += 1
-        whole.followed = opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
-        if opcode == Opcode.MESSAGE_INDEX and whole.chunks:
-            (channel_id,) = struct.unpack("<H", stream.read(2))
-            index = whole.chunks[-1].index
-            index.message_index_offsets[channel_id] = start
-            index.message_index_length += end - start
-        whole.end = end
-        stream.seek(end)
+    with contextlib.suppress(CutOff):
+        for record in mcap.records():
+            if record.opcode == Opcode.DATA_END:
+                break
+            if record.opcode == Opcode.CHUNK:
+                _take_chunk(mcap, record, whole)
+            elif record.opcode == Opcode.SCHEMA:
+                schema = record.schema
+                whole.schemas[schema.id] = schema
+            elif record.opcode == Opcode.CHANNEL:
+                channel = record.channel
+                whole.channels[channel.id] = channel
+            elif record.opcode == Opcode.MESSAGE:
+                whole.loose[record.message[0]] += 1
+            elif record.opcode == Opcode.MESSAGE_INDEX and whole.chunks:
+                index = whole.chunks[-1].index
+                index.message_index_offsets[record.indexed_channel] = record.start
+                index.message_index_length += record.end - record.start
+            whole.followed = record.opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
+            whole.end = record.end
+    return whole
 
 
-def _take_chunk(stream: IO[bytes], whole: _Whole, start: int, end: int) -> None:
-    chunk = Chunk.read(ReadDataStream(stream))
+def _take_chunk(mcap: McapFile, record: Record, whole: _Whole) -> None:
+    chunk = mcap.chunk(record)
     index = ChunkIndex(
-        chunk_length=end - start,
-        chunk_start_offset=start,
+        chunk_length=record.end - record.start,
+        chunk_start_offset=record.start,
         compression=chunk.compression,
-        compressed_size=len(chunk.data),
-        message_end_time=chunk.message_end_time,
+        compressed_size=chunk.packed,
+        message_end_time=chunk.last,
         message_index_length=0,
         message_index_offsets={},
-        message_start_time=chunk.message_start_time,
-        uncompressed_size=chunk.uncompressed_size,
+        message_start_time=chunk.first,
+        uncompressed_size=len(chunk.data),
     )
-    one = _Chunk(start, index, {})
-    data, size = get_chunk_data_stream(chunk, validate_crc=True)
-    for offset, opcode, content in _records(data.read(size)):
-        inner = ReadDataStream(content)
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(inner)
-            whole.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(inner)
-            whole.channels[channel.id] = channel
-        elif opcode == Opcode.MESSAGE:
-            channel_id, _, log_time = _MESSAGE.unpack(content.read(_MESSAGE.size))
-            messages = one.messages.setdefault(channel_id, MessageIndex(channel_id, []))
-            messages.records.append((log_time, offset))
+    one = _Chunk(record.start, index)
+    whole.messages = {}
+    for inner in chunk.records():
+        if inner.opcode == Opcode.SCHEMA:
+            schema = inner.schema
+            one.schemas[schema.id] = schema
+        elif inner.opcode == Opcode.CHANNEL:
+            channel = inner.channel
+            one.channels[channel.id] = channel
+        else:
+            channel_id, _, log_time, _ = inner.message
+            one.counts[channel_id] += 1
+            messages = whole.messages.setdefault(channel_id, MessageIndex(channel_id, []))
+            messages.records.append((log_time, inner.start))
     whole.chunks.append(one)
-
-
-def _records(data: bytes) -> Iterator[tuple[int, int, IO[bytes]]]:
-    """Yield offset, opcode and content of the records in a chunk."""
-    at = 0
-    while at < len(data):
-        opcode, length = _RECORD.unpack_from(data, at)
-        begin = at + _RECORD.size
-        yield at, opcode, BytesIO(data[begin : begin + length])
-        at = begin + length
 
 
 def _write_end(file: Path, whole: _Whole) -> None:
@@ -184,15 +161,15 @@ def _write_end(file: Path, whole: _Whole) -> None:
         last = whole.chunks[-1]
         whole.end = last.start + last.index.chunk_length
         last.index.message_index_offsets = {}
-        for channel_id, messages in last.messages.items():
+        for channel_id, messages in whole.messages.items():
             last.index.message_index_offsets[channel_id] = whole.end + builder.count
             messages.write(builder)
         last.index.message_index_length = builder.count
     DataEnd(0).write(builder)
     summary_start = whole.end + builder.count
     groups = (
-        (Opcode.SCHEMA, list(whole.schemas.values())),
-        (Opcode.CHANNEL, list(whole.channels.values())),
+        (Opcode.SCHEMA, list(whole.all_schemas.values())),
+        (Opcode.CHANNEL, list(whole.all_channels.values())),
         (Opcode.STATISTICS, [_statistics(whole)]),
         (Opcode.CHUNK_INDEX, [one.index for one in whole.chunks]),
     )
@@ -223,24 +200,50 @@ def _write_end(file: Path, whole: _Whole) -> None:
     with file.open("r+b", buffering=0) as stream:  # what a buffer could not write, it would keep
         stream.truncate(whole.end)
         stream.seek(whole.end)
-        if stream.write(end) != len(end):
+        write_all(stream, end)
+        flush_to_disk(stream.fileno())
+
+
+def write_all(stream: IO[bytes], data: bytes) -> None:
+    """Write to a file without a buffer, which may take a part at a time.
+
+    Raises:
+        OSError: it does not take all.
+    """
+    rest = memoryview(data)
+    while rest:
+        taken = stream.write(rest)
+        if not taken:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        rest = rest[taken:]
+
+
+def flush_to_disk(descriptor: int) -> None:
+    """Wait for the disk: some report only now that they are full, or over a quota.
+
+    Raises:
+        OSError: it has not taken all.
+    """
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):  # it cannot be asked
+            raise
 
 
 def _statistics(whole: _Whole) -> Statistics:
     counts = Counter(whole.loose)
     for one in whole.chunks:
-        for channel_id, messages in one.messages.items():
-            counts[channel_id] += len(messages.records)
-    filled = [one.index for one in whole.chunks if one.messages]
+        counts.update(one.counts)
+    filled = [one.index for one in whole.chunks if one.counts]
     return Statistics(
         attachment_count=0,
-        channel_count=len(whole.channels),
+        channel_count=len(whole.all_channels),
         channel_message_counts=dict(counts),
         chunk_count=len(whole.chunks),
         message_count=counts.total(),
         message_end_time=max((one.message_end_time for one in filled), default=0),
         message_start_time=min((one.message_start_time for one in filled), default=0),
         metadata_count=0,
-        schema_count=len(whole.schemas),
+        schema_count=len(whole.all_schemas),
     )

@@ -31,10 +31,17 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 import yaml
+import zstandard
 from machines import one_link_urdf, write_scene
+from made_bags import synthetic
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from random_scenes import SCENE, URDF
 
 from arm_emulator.__main__ import main
@@ -58,11 +65,13 @@ class Kind:
         write: writes a sound one, and what it needs, into a folder; returns its path.
         words: of the command that reads it.
         odd: writes one that is wrong in a way of its kind, of a sound one.
+        taken: whether a sound one is; False: it is refused for what it tells of a machine.
     """
 
     write: Callable[[Rng, Path], Path]
     words: Callable[[Path], list[object]]
     odd: Callable[[Rng, Path], None]
+    taken: bool = True
 
 
 def case(kind: str, rng: Rng, folder: Path) -> str:
@@ -108,7 +117,8 @@ def verdict(file: Path, words: list[object]) -> str:
         return ""
     lines = said.splitlines()
     assert len(lines) == 1 and lines[0].isprintable(), f"{words}: not one line: {said!r}"
-    assert file.name in lines[0], f"{words}: no file is named: {said!r}"
+    named = file.name in lines[0] or str(file.parent) in lines[0]  # a bag is a folder
+    assert named, f"{words}: no file is named: {said!r}"
     return lines[0]
 
 
@@ -555,6 +565,88 @@ def _xacro_odd(rng: Rng, file: Path) -> None:
     file.write_text(XACRO.replace(old, new))
 
 
+@cache
+def _sound_bag(ticks: int = 15) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        bag = synthetic(Path(folder) / "bag", [True] * ticks, runs=1)
+        return (bag / "bag_0.mcap").read_bytes()
+
+
+def _bag(rng: Rng, folder: Path, ticks: int = 15) -> Path:
+    file = folder / "bag" / "spoiled_0.mcap"
+    file.parent.mkdir()
+    body = _sound_bag(ticks)
+    if rng.random() < 0.3:  # of a recorder that was killed
+        body = body[: -int(rng.integers(1, len(body)))]
+    file.write_bytes(body)
+    return file
+
+
+def _bag_odd(rng: Rng, file: Path) -> None:
+    """Write chunks that are sound by their heading and their CRC, and not by what is in them."""
+    stream = io.BytesIO(_sound_bag(210))
+    ((packed,),) = [
+        (one.data,)
+        for one in StreamReader(stream, emit_chunks=True).records
+        if isinstance(one, Chunk)
+    ]
+    inner = zstandard.decompress(packed)
+    match int(rng.integers(9)):
+        case 0:
+            inner = damaged(rng, inner)
+        case 1:
+            inner = bytes(int(10 ** rng.uniform(1, 8)))
+        case 2:  # a bomb
+            _write_chunks(file, [_packed_zeros("zstd")] * 50)
+            return
+        case 3:
+            _write_chunks(file, [(*_packed_zeros("lz4")[:2], bytes(100))])
+            return
+        case 4:
+            _write_chunks(file, [(str(rng.choice(["lz4", "bz2", "", "zstd"])), packed, inner)])
+            return
+        case 5:
+            size = int(rng.choice(np.array([0, 1, 2**31, 2**40, 2**63, 2**64 - 1], dtype=object)))
+            inner += struct.pack("<BQ", int(rng.integers(256)), size)
+        case 6:  # messages of another content
+            at = inner.find(b"joint") % len(inner)
+            inner = inner[:at] + damaged(rng, inner[at:])
+        case 7:  # records of all kinds, without a chunk
+            body = io.BytesIO()
+            for _ in range(int(rng.integers(1, 100))):
+                content = rng.bytes(int(rng.integers(100)))
+                body.write(struct.pack("<BQ", int(rng.integers(1, 16)), len(content)) + content)
+            file.write_bytes(MCAP0_MAGIC + body.getvalue() + MCAP0_MAGIC)
+            return
+        case _:
+            many = int(10 ** rng.uniform(1, 7))
+            text = str(rng.choice(["[", "{a: ", "- &a [*a]\n", "x", "&", "- depth: 1e99\n"])) * many
+            writer = Writer(str(file), compression=CompressionType.NONE)
+            writer.start("ros2")
+            schema = writer.register_schema("std_msgs/msg/String", "ros2msg", text.encode())
+            qos = {"offered_qos_profiles": text[: 1 << 16]}
+            writer.add_message(writer.register_channel("/a", "cdr", schema, qos), 1, b"", 1)
+            writer.finish()
+            return
+    _write_chunks(file, [("zstd", zstandard.compress(inner), inner)])
+
+
+@cache
+def _packed_zeros(compression: str) -> tuple[str, bytes, bytes]:
+    zeros = bytes(1 << 28)
+    pack = zstandard.compress if compression == "zstd" else lz4.frame.compress
+    return compression, pack(zeros), zeros
+
+
+def _write_chunks(file: Path, chunks: list[tuple[str, bytes, bytes]]) -> None:
+    with file.open("wb") as stream:
+        stream.write(MCAP0_MAGIC)
+        for compression, packed, inner in chunks:
+            builder = RecordBuilder()
+            Chunk(compression, packed, 1, 0, zlib.crc32(inner), len(inner)).write(builder)
+            stream.write(builder.end())
+
+
 KINDS: dict[str, Kind] = {
     "scene": Kind(lambda _, folder: _scene(folder), lambda f: ["check-scene", f], _text_odd),
     "urdf": Kind(_urdf, lambda f: ["new", f, "--out", f.parent / "out"], _text_odd),
@@ -571,5 +663,13 @@ KINDS: dict[str, Kind] = {
     ),
     "firmware": Kind(
         _firmware, lambda f: ["firmware", f.parent / "board.yaml", f, "--seconds", 0.005], _elf_odd
+    ),
+    "bag": Kind(_bag, lambda f: ["check", f.parent, "--scene", "three_axis"], _bag_odd),
+    "repaired": Kind(_bag, lambda f: ["repair", f.parent], _bag_odd),
+    "identified": Kind(
+        lambda r, f: _bag(r, f, 210),
+        lambda f: ["identify", "three_axis", f.parent, "--out", f.parents[1] / "fitted.yaml"],
+        _bag_odd,
+        taken=False,
     ),
 }  # fmt: skip

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
+from made_bags import TYPES, synthetic
 from network import PATIENCE, RECORD_QOS, User, network, user
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -35,14 +36,12 @@ from arm_emulator.record import request
 from arm_emulator.replay import offer
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 from emulator_node.scene import load_scene
-from emulator_node.session import Session
 from ros_shell.bag import Bag, BagMessage, BagWriter, Topic
-from ros_shell.message_types import definition_of, message_class
+from ros_shell.message_types import message_class
 from ros_shell.ros_domain import own_domain
 from words.refusal import Refusal
 
 TICKS = 300
-TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
 
 
 @contextmanager
@@ -415,70 +414,6 @@ def test_a_killed_recorder_leaves_what_it_had_flushed(tmp_path: Path) -> None:
     cut = [deserialize_message(m.data, String).data for m in Bag(bag).messages(["/talk"])]
     assert 0 < len(cut) <= len(kept)
     assert cut == kept[: len(cut)]
-
-
-def synthetic(folder: Path, powers: list[bool], first: int = 0) -> Path:
-    """A bag of two runs, made without a network, with the machine at 0 V before tick `first`."""
-    session = Session(load_scene("three_axis"), "lockstep", "first_answer")
-    names = list(session.scene.joint_names)
-    rng = np.random.default_rng(7)
-    clock = 10**18
-    with BagWriter(folder) as writer:
-        numbers = {
-            topic: writer.add_topic(
-                Topic(
-                    topic,
-                    f"arm_emulator_msgs/msg/{kind.__name__}",
-                    definition_of(f"arm_emulator_msgs/msg/{kind.__name__}"),
-                )
-            )
-            for topic, kind in TYPES.items()
-        }
-
-        def say(topic: str, message: Any) -> None:
-            nonlocal clock
-            clock += 1000
-            writer.write(numbers[topic], clock, clock, serialize_message(message))
-
-        def tell() -> None:
-            say(
-                "/motor_states",
-                MotorState(
-                    tick=session.tick,
-                    joint_names=names,
-                    powered=session.powered,
-                    encoder_counts=session.state.encoder_counts,
-                    current=session.state.current,
-                    voltage=session.voltage,
-                ),
-            )
-
-        for _ in range(2):
-            session.reset()
-            session.powered = True
-            tell()
-            for powered in powers:
-                if session.tick >= first:
-                    voltage = rng.uniform(-5.0, 5.0, len(names)).tolist()
-                    say(
-                        "/motor_commands",
-                        MotorCommand(tick=session.tick + 1000, joint_names=names, voltage=voltage),
-                    )
-                    say(
-                        "/motor_commands",
-                        MotorCommand(tick=session.tick, joint_names=names, voltage=voltage),
-                    )
-                    session.offer(session.tick, names, voltage)
-                session.powered = powered
-                session.advance()
-                tell()
-                tell()  # as an unanswered state is told again
-            # In flight when the reset comes: refused.
-            say(
-                "/motor_commands",
-                MotorCommand(tick=session.tick, joint_names=names, voltage=[1.0] * 3),
-            )
-    return folder
 
 
 def test_resets_power_and_a_free_run_are_followed(tmp_path: Path) -> None:

@@ -179,6 +179,7 @@ def test_a_late_recorder_says_so_or_resets_on_request(tmp_path: Path) -> None:
     with network(tmp_path / "log", start="first_answer") as (one, _):
         one.wait("the run", lambda: one.tick > 200)
         with recorder(tmp_path / "late") as late:
+            await_words(late, "/motor_states: the first state has arrived, tick ")
             said = await_words(late, "the machine is at tick")
             assert re.search(r"at tick \d+ already, and `check` needs a run from tick 0 on", said)
             assert "--from-start" in said

@@ -6,12 +6,17 @@ import errno
 import os
 import random
 import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from draws import FULL
+from draws import FULL, some
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -23,6 +28,7 @@ from std_msgs.msg import String
 import ros_shell.bag
 from arm_emulator.__main__ import main
 from ros_shell.bag import Bag, BagWriter, Topic, repair
+from ros_shell.mcap_end import write_all
 from ros_shell.message_types import definition_of
 from words.refusal import Refusal
 
@@ -45,6 +51,23 @@ def talk(folder: Path, words: int, seed: int = 0) -> None:
             writer.write(draw.choice(numbers), 10**18 + k, 10**18 + k, data)
             if draw.random() < 0.05:
                 writer.flush()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own that is soon full."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=300k", "small", str(disk)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if mounted.returncode != 0:
+        pytest.skip(f"no disk can be mounted: {mounted.stderr.strip()}")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
 
 
 def words_of(bag: Path) -> list[str]:
@@ -199,3 +222,155 @@ def test_a_full_disk_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.Monk
         assert_whole(bag, kept)
         lost += len(words) - len(kept)
     assert lost > 0, "the disk was never full"
+
+
+def record_until_full(
+    bag: BagWriter, seed: int, words: list[str], told: dict[Path, object]
+) -> None:
+    """Record words that hardly pack, as a recorder does: what fails ends it."""
+    draw = random.Random(seed)
+    kind = "std_msgs/msg/String"
+    try:
+        with bag:
+            number = bag.add_topic(Topic("/talk", kind, definition_of(kind)))
+            for k in range(100_000):
+                words.append(f"{k} {draw.randbytes(draw.randrange(1500)).hex()}")
+                try:
+                    bag.write(number, k, k, serialize_message(String(data=words[-1])))
+                    if draw.random() < 0.1:
+                        bag.flush()
+                except OSError:
+                    # Somebody else makes room, as a recorder that mends its bag does.
+                    (bag.folder.parent / "other").unlink(missing_ok=True)
+                    raise
+    except OSError as error:
+        told[bag.folder] = error.errno, bag.whole, bag.topics[0].count
+
+
+@pytest.mark.parametrize("seed", some(range(40), 6))
+@pytest.mark.parametrize("recorders", [1, 2])
+def test_recorders_on_a_disk_that_becomes_full_leave_whole_bags(
+    recorders: int, seed: int, small_disk: Path
+) -> None:
+    """There is room again by then: what would be written behind a gap is not."""
+    told: dict[Path, object] = {}
+    words: dict[Path, list[str]] = {}
+    threads = []
+    with (small_disk / "other").open("wb") as other:
+        other.write(bytes(random.Random(seed).randrange(100_000)))
+    for k in range(recorders):
+        bag = small_disk / f"bag{k}"
+        words[bag] = []
+        arguments = BagWriter(bag), 2 * seed + k, words[bag], told
+        threads.append(threading.Thread(target=record_until_full, args=arguments))
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for bag, said in words.items():
+        kept = words_of(bag)
+        assert told[bag] == (errno.ENOSPC, True, len(kept)), f"{bag.name}: error, whole, count"
+        assert kept == said[: len(kept)], "what is kept"
+        assert_whole(bag, kept)
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.EDQUOT, errno.ENOSPC, None])
+@pytest.mark.parametrize("heals", [False, True])
+def test_after_the_first_failure_nothing_is_written_behind_it(
+    number: int | None, heals: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Writes that fail once, or for good, take a part first; None: they only take parts."""
+    draw = random.Random(f"{number} {heals}")
+    for case in range(6):
+        talk(tmp_path / f"whole{case}", 100, case)
+        said = words_of(tmp_path / f"whole{case}")
+        size = (tmp_path / f"whole{case}" / f"whole{case}_0.mcap").stat().st_size
+        writes = _Writes(draw, number, draw.randrange(200, size), heals)
+        bag = tmp_path / f"{case}"
+        with monkeypatch.context() as patch:
+            patch.setattr(ros_shell.bag, "write_all", writes)
+            if number is None:
+                talk(bag, 100, case)
+            else:
+                with pytest.raises(OSError, match=os.strerror(number)):
+                    talk(bag, 100, case)
+        if not (bag / "metadata.yaml").exists():
+            assert not heals and number is not None, "the disk takes metadata again"
+            assert repair(bag), "a bag without metadata"
+        kept = words_of(bag)
+        assert kept == said[: len(kept)], "what is kept"
+        assert len(kept) == 100 or number is not None, "what is lost"
+        assert_whole(bag, kept)
+
+
+class _Writes:
+    """Takes what a bag writes in parts, and fails with an error from some byte on."""
+
+    def __init__(self, draw: random.Random, error: int | None, at: int, heals: bool) -> None:
+        self._draw, self._error, self._at, self._heals = draw, error, at, heals
+        self._written = 0
+
+    def __call__(self, stream: Any, data: bytes) -> None:
+        self._written += len(data)
+        if self._error is not None and self._written > self._at:
+            stream.write(data[: len(data) // 2])
+            error = self._error
+            self._error = None if self._heals else error
+            raise OSError(error, os.strerror(error))
+        write_all(_Parts(stream, self._draw), data)
+
+
+class _Parts:
+    """A file that takes a part of what it is given."""
+
+    def __init__(self, stream: Any, draw: random.Random) -> None:
+        self._stream, self._draw = stream, draw
+
+    def write(self, data: Any) -> int:
+        return int(self._stream.write(data[: self._draw.randint(1, len(data))]))
+
+
+KILLED = """
+import os, random, signal, sys, threading, time
+from pathlib import Path
+sys.path.insert(0, {here!r})
+from test_repair import talk
+draw = random.Random(int(sys.argv[2]))
+threading.Timer(draw.uniform(0.0, 0.25), lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
+for turn in range(10_000):
+    talk(Path(sys.argv[1]) / f"bag{{turn}}", 300, turn)
+"""
+
+
+@pytest.mark.parametrize("seed", some(range(60), 4))
+def test_a_recorder_killed_at_any_moment_leaves_what_repair_makes_whole(
+    seed: int, tmp_path: Path
+) -> None:
+    code = KILLED.format(here=str(Path(__file__).parent))
+    command = [sys.executable, "-c", code, str(tmp_path / "bags"), str(seed)]
+    (tmp_path / "bags").mkdir()
+    done = subprocess.run(command, capture_output=True, timeout=60.0, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr.decode()
+    bags = sorted((tmp_path / "bags").iterdir(), key=lambda bag: int(bag.name[3:]))
+    for bag in bags:
+        turn = int(bag.name[3:])
+        if turn < len(bags) - 1:
+            assert not repair(bag), "one that was closed is whole"
+            continue
+        if not any(bag.glob("*.mcap")):
+            continue  # killed before it was made
+        repair(bag)
+        talk(tmp_path / "whole", 300, turn)
+        kept, all_words = words_of(bag), words_of(tmp_path / "whole")
+        assert kept == all_words[: len(kept)], "what is kept"
+        assert_whole(bag, kept)
+
+
+def test_metadata_that_count_otherwise_are_written_anew(tmp_path: Path) -> None:
+    talk(tmp_path / "bag", 50)
+    file = tmp_path / "bag" / "metadata.yaml"
+    words, sound = words_of(tmp_path / "bag"), file.read_text()
+    for text in (sound.replace("message_count: 50", "message_count: 51"), "", "[", sound[:200]):
+        file.write_text(text)
+        assert repair(tmp_path / "bag"), f"taken for whole: {text[:80]!r}"
+        assert_whole(tmp_path / "bag", words)

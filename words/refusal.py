@@ -23,17 +23,20 @@ class Refusal(ValueError):
         self.rule = rule
         self.got = got
         self.valid = valid
-        line = f"{_one_line(where, 120)}: {_one_line(quantity, 200)} must {_one_line(rule, 300)}"
-        line += f", got {_one_line(got, 80)}"
+        line = f"{_one_line(where, 120, of_end=True)}: {_one_line(quantity, 200)} must "
+        line += f"{_one_line(rule, 300)}, got {_one_line(got, 80)}"
         super().__init__(line if valid is None else f"{line}; valid: {_one_line(valid, 500)}")
 
 
-def _one_line(value: object, longest: int) -> str:
-    """Return `value` on one line of at most `longest` printable characters."""
+def _one_line(value: object, longest: int, *, of_end: bool = False) -> str:
+    """Return `value` on one line of at most `longest` printable characters, the first or last."""
     try:
         text = str(value)
     except Exception:  # whatever it is, the refusal must still be raised
         text = f"a value of type {type(value).__name__} that cannot be shown"
-    text = " ".join(text[: 8 * longest].split()) or repr(text[:longest])
+    text = text[-8 * longest :] if of_end else text[: 8 * longest]
+    text = " ".join(text.split()) or repr(text[:longest])
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+    if len(text) <= longest:
+        return text
+    return f"...{text[3 - longest :]}" if of_end else f"{text[: longest - 3]}..."

@@ -1,0 +1,216 @@
+"""Records of an MCAP file, one by one, whoever wrote it: in bounded time and memory.
+
+A file may end anywhere, since its writer may have been killed; what it holds up to there is sound.
+Anything else that is not as it should be is damage. Format: https://mcap.dev/spec
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import SEEK_END, BytesIO
+from typing import IO
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+from mcap.writer import MCAP0_MAGIC
+
+MOST_RECORD = 1 << 28  # bytes of a record, and of what a chunk unpacks to
+MOST_UNPACKED = 1 << 26  # bytes that a file unpacks to at most, and so many times its own size:
+MOST_RATIO = 50  # a bomb unpacks to thousands of times, messages of machines to a few
+HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; the data follow
+_CHUNK = struct.Struct("<QQQII")  # first and last log time, size, CRC, length of a name
+# Kinds of records whose content is looked at; what others hold is passed over.
+_LOOKED_AT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX)
+
+
+class CutOff(Exception):
+    """The file ends before its end: its writer was killed, or the disk was full."""
+
+
+class Damaged(Exception):
+    """The file is not what a writer has written; the text gives the difference."""
+
+
+@contextlib.contextmanager
+def _sound(what: str) -> Iterator[None]:
+    try:
+        yield
+    except (McapError, struct.error, ValueError) as error:
+        raise Damaged(f"{what}: {error or type(error).__name__}") from None
+
+
+@dataclass(frozen=True)
+class Record:
+    """A record, in a file or in an unpacked chunk.
+
+    Attributes:
+        opcode: its kind.
+        start: where it begins, with its heading.
+        end: where the next one begins.
+        content: without its heading; empty where nobody looks at it.
+    """
+
+    opcode: int
+    start: int
+    end: int
+    content: bytes
+
+    @property
+    def schema(self) -> Schema:
+        """What a record of this kind holds."""
+        with _sound("a schema"):
+            schema: Schema = Schema.read(ReadDataStream(BytesIO(self.content)))
+        return schema
+
+    @property
+    def channel(self) -> Channel:
+        """What a record of this kind holds."""
+        with _sound("a channel"):
+            channel: Channel = Channel.read(ReadDataStream(BytesIO(self.content)))
+        return channel
+
+    @property
+    def message(self) -> tuple[int, int, int, int]:
+        """Channel, sequence, log time and publish time of a message [ns]; its data follow."""
+        with _sound("a message"):
+            channel, sequence, log_time, publish_time = MESSAGE.unpack_from(self.content)
+            return channel, sequence, log_time, publish_time
+
+    @property
+    def indexed_channel(self) -> int:
+        """The channel whose messages an index of messages lists."""
+        with _sound("an index"):
+            return int(struct.unpack_from("<H", self.content)[0])
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Records that were packed together, unpacked."""
+
+    first: int  # log time [ns]
+    last: int
+    compression: str
+    packed: int  # bytes
+    data: bytes
+
+    def records(self) -> Iterator[Record]:
+        """Yield the records in it.
+
+        Raises:
+            Damaged: they do not fill it, or are of a kind that stands in no chunk.
+        """
+        at, data, size = 0, self.data, len(self.data)
+        while at < size:
+            begin = at + HEAD.size
+            if begin > size:
+                raise Damaged("a chunk ends within a record")
+            opcode, length = HEAD.unpack_from(data, at)
+            end = begin + length
+            if end > size:
+                raise Damaged("a chunk ends within a record")
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                raise Damaged(f"a record of kind {opcode} in a chunk")
+            yield Record(opcode, at, end, data[begin:end])
+            at = end
+
+
+class McapFile:
+    """The records of a file up to its footer.
+
+    Args:
+        stream: the file.
+
+    Attributes:
+        ended: whether the signature of a whole file stands at its end.
+    """
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self._size = stream.seek(0, SEEK_END)
+        self._unpacked = 0
+        stream.seek(max(0, self._size - len(MCAP0_MAGIC)))
+        self.ended = self._size >= 2 * len(MCAP0_MAGIC) and stream.read() == MCAP0_MAGIC
+
+    def records(self) -> Iterator[Record]:
+        """Yield all records before the footer.
+
+        Raises:
+            CutOff: the file ends before its footer.
+            Damaged: see above.
+        """
+        stream, size = self._stream, self._size
+        stream.seek(0)
+        magic = stream.read(len(MCAP0_MAGIC))
+        if not MCAP0_MAGIC.startswith(magic):
+            raise Damaged("it does not begin like one")
+        at = len(magic)
+        while True:
+            stream.seek(at)
+            head = stream.read(HEAD.size)
+            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
+            end = at + HEAD.size + length
+            # Zeros at the end are what a computer leaves that lost its power.
+            if opcode == 0 or end > size:
+                raise Damaged("a record beyond its end") if self.ended else CutOff
+            if opcode == Opcode.FOOTER:
+                if not self.ended:
+                    raise CutOff
+                return
+            content = b""
+            if opcode in _LOOKED_AT:
+                if length > MOST_RECORD:
+                    raise Damaged(f"a record of {length} bytes, {MOST_RECORD} are the most")
+                content = stream.read(length)
+            yield Record(opcode, at, end, content)
+            at = end
+
+    def chunk(self, record: Record) -> Chunk:
+        """Return what a chunk's record holds.
+
+        Raises:
+            Damaged: it cannot be unpacked, holds something else than was packed, or too much.
+        """
+        content = record.content
+        try:
+            first, last, size, crc, length = _CHUNK.unpack_from(content)
+            at = _CHUNK.size + length
+            compression = content[_CHUNK.size : at].decode("ascii")
+            (packed,) = struct.unpack_from("<Q", content, at)
+        except (struct.error, UnicodeDecodeError) as error:
+            raise Damaged(f"a chunk's heading: {error}") from None
+        body = memoryview(content)[at + 8 :]
+        if len(body) != packed:
+            raise Damaged(f"a chunk of {len(body)} bytes that promises {packed}")
+        self._unpacked += size
+        most = MOST_UNPACKED + MOST_RATIO * self._size
+        if size > MOST_RECORD or self._unpacked > most:
+            raise Damaged(f"chunks that unpack to more than {min(most, MOST_RECORD)} bytes")
+        data = _unpacked(compression, body, size)
+        if len(data) != size or (crc and zlib.crc32(data) != crc):
+            raise Damaged("a chunk of other bytes than were packed")
+        return Chunk(first, last, compression, packed, data)
+
+
+def _unpacked(compression: str, body: memoryview, size: int) -> bytes:
+    """Return at most one byte more than `size`."""
+    try:
+        match compression:
+            case "":
+                return bytes(body)
+            case "zstd":
+                with zstandard.ZstdDecompressor().stream_reader(body) as reader:
+                    return bytes(reader.read(size + 1))
+            case "lz4":
+                return bytes(lz4.frame.LZ4FrameDecompressor().decompress(body, size + 1))
+    except (zstandard.ZstdError, RuntimeError, ValueError, EOFError) as error:
+        raise Damaged(f"a chunk: {error}") from None
+    raise Damaged(f"a chunk that is packed as {compression[:20]!r}")

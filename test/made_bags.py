@@ -1,0 +1,81 @@
+"""Bags made without a network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import serialize_message
+
+from arm_emulator_msgs.msg import MotorCommand, MotorState
+from emulator_node.scene import load_scene
+from emulator_node.session import Session
+from ros_shell.bag import BagWriter, Topic
+from ros_shell.message_types import definition_of
+
+TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
+
+
+def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -> Path:
+    """A bag of some runs, made without a network, with the machine at 0 V before tick `first`."""
+    session = Session(load_scene("three_axis"), "lockstep", "first_answer")
+    names = list(session.scene.joint_names)
+    rng = np.random.default_rng(7)
+    clock = 10**18
+    with BagWriter(folder) as writer:
+        numbers = {
+            topic: writer.add_topic(
+                Topic(
+                    topic,
+                    f"arm_emulator_msgs/msg/{kind.__name__}",
+                    definition_of(f"arm_emulator_msgs/msg/{kind.__name__}"),
+                )
+            )
+            for topic, kind in TYPES.items()
+        }
+
+        def say(topic: str, message: Any) -> None:
+            nonlocal clock
+            clock += 1000
+            writer.write(numbers[topic], clock, clock, serialize_message(message))
+
+        def tell() -> None:
+            say(
+                "/motor_states",
+                MotorState(
+                    tick=session.tick,
+                    joint_names=names,
+                    powered=session.powered,
+                    encoder_counts=session.state.encoder_counts,
+                    current=session.state.current,
+                    voltage=session.voltage,
+                ),
+            )
+
+        for _ in range(runs):
+            session.reset()
+            session.powered = True
+            tell()
+            for powered in powers:
+                if session.tick >= first:
+                    voltage = rng.uniform(-5.0, 5.0, len(names)).tolist()
+                    say(
+                        "/motor_commands",
+                        MotorCommand(tick=session.tick + 1000, joint_names=names, voltage=voltage),
+                    )
+                    say(
+                        "/motor_commands",
+                        MotorCommand(tick=session.tick, joint_names=names, voltage=voltage),
+                    )
+                    session.offer(session.tick, names, voltage)
+                session.powered = powered
+                session.advance()
+                tell()
+                tell()  # as an unanswered state is told again
+            # In flight when the reset comes: refused.
+            say(
+                "/motor_commands",
+                MotorCommand(tick=session.tick, joint_names=names, voltage=[1.0] * 3),
+            )
+    return folder
