@@ -24,6 +24,8 @@ GAMMA = 1.0 - math.sqrt(0.5)  # of rosenbrock and extrapolated
 # 1/s. What grows more slowly than this, e-fold in ten seconds, is drift and no divergence.
 HARMLESS = 0.1
 SMALLEST_STEP = 1e-8  # s; no step below is looked at
+LOCATING = ("rosenbrock", "extrapolated")  # that can locate events
+SLOW = 0.01  # rad or m per step; with less, speed is no reason
 LONGEST_TRIAL = 3e6  # steps; about a second of computing for an arm of six joints
 
 
@@ -170,27 +172,48 @@ class SmallMotions:
 
 
 def what_holds(fault: Diverged) -> str:
-    """Return in words which scheme and step hold for small motions where a machine diverged."""
-    now = fault.scene.integrator
+    """Return in words why a machine diverged, and what held where it was tried.
+
+    That is the scene's scheme at a smaller step, and the first of the others. May compile and take
+    seconds.
+    """
+    motions = _small_motions(fault)
+    own = fault.scene.integrator.scheme
+    last: list[Attempt] = []  # of each scheme that was tried
+    for scheme in (own, *(other for other in SCHEMES if other != own)):
+        try:
+            last += list(_attempts_with(scheme, fault, motions))[-1:]
+        except Refusal:  # nothing to compile with
+            continue
+        if scheme != own and last and last[-1].held:
+            break
+    told = ", ".join(map(str, last)) or "nothing could be"
+    return f"{_why(fault, motions)}; tried in this pose and from the start, under this: {told}"
+
+
+def _small_motions(fault: Diverged) -> SmallMotions | None:
     try:
         motions = SmallMotions(Plant(fault.scene), fault.q)
-        if motions.holds(now.scheme, now.dt):
-            turn = float(np.abs(fault.v).max()) * now.dt
-            return (
-                "small motions about rest in this pose would hold: the motion is too fast for the "
-                f"step, {turn:.2g} rad or m per step{_stiffened(fault.scene)}"
-            )
-        growth = motions.growth(now.scheme, now.dt)
-        steps = {scheme: motions.largest_step(scheme) for scheme in SCHEMES}
+        motions.holds(fault.scene.integrator.scheme, fault.scene.integrator.dt)
     except (np.linalg.LinAlgError, Refusal):  # numbers so far apart that something overflows
-        return "a smaller step or another scheme may hold, which could not be examined"
-    found = [
-        f"{scheme} at no dt" if dt is None else f"{scheme} up to dt = {dt:.3g} s"
-        for scheme, dt in steps.items()
-    ]
+        return None
+    return motions
+
+
+def _why(fault: Diverged, motions: SmallMotions | None) -> str:
+    now = fault.scene.integrator
+    if motions is None:
+        return "small motions in this pose could not be examined"
+    if not motions.holds(now.scheme, now.dt):
+        growth = motions.growth(now.scheme, now.dt)
+        return f"each step multiplies a small motion about rest in this pose by {growth:.3g}"
+    turn = float(np.abs(fault.v).max()) * now.dt
+    why = "small motions about rest in this pose hold"
+    if turn < SLOW:
+        return f"{why}, and the motion was slow, {turn:.2g} rad or m per step"
     return (
-        f"each step multiplies a small motion about rest in this pose by {growth:.3g}; "
-        f"what holds there: {', '.join(found)}"
+        f"{why}: the motion is too fast for the step, {turn:.2g} rad or m per step"
+        f"{_stiffened(fault.scene)}"
     )
 
 
@@ -201,7 +224,7 @@ def _stiffened(scene: Scene) -> str:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One trial: the scene with another integrator, from its reset under constant voltages."""
+    """One trial: the scene with another integrator, under constant commands."""
 
     integrator: Integrator
     reached: float  # s of logical time
@@ -210,31 +233,48 @@ class Attempt:
     def __str__(self) -> str:
         end = "held" if self.held else "diverged"
         return (
-            f"{self.integrator.scheme} at dt = {self.integrator.dt:g} s {end} ({self.reached:g} s)"
+            f"{self.integrator.scheme} at dt = {self.integrator.dt:.3g} s {end} "
+            f"({self.reached:.3g} s)"
         )
 
 
 def attempts(fault: Diverged) -> Iterator[Attempt]:
     """Try what would hold; may compile and take seconds.
 
-    The machine starts where it was reset before it diverged, under the voltages that were applied
-    last, and moves for twice the time to the divergence (half a second at least). Each scheme is
-    tried at the scene's step and then at a half, a fourth, ... until it holds; the scene's own
-    scheme last, since it is known to fail at the scene's step.
+    Under the commands that were applied last, the machine starts at rest in the pose where it
+    diverged, and from where it was reset before; it moves for twice the time to the divergence
+    (half a second at least). Each scheme is tried at the largest step that holds for small motions,
+    the scene's at most, and then at a half, a fourth, ... of it until it holds; the scene's own
+    scheme last, and below the scene's step, at which it is known to fail.
     """
-    scene, voltage, duration = fault.scene, fault.voltage, max(0.5, 2.0 * fault.t)
-    now = scene.integrator
-    for scheme in (*(other for other in SCHEMES if other != now.scheme), now.scheme):
-        dt = now.dt if scheme != now.scheme else now.dt / 2.0
-        while duration / dt < LONGEST_TRIAL:
-            integrator = dataclasses.replace(now, scheme=scheme, dt=dt)
-            plant = Plant(dataclasses.replace(scene, integrator=integrator, threads=1))
-            plant.reset(*fault.began)
-            try:
-                plant.advance(voltage, math.ceil(duration / dt))
-            except Diverged:
-                yield Attempt(integrator, plant.t, held=False)
-            else:
-                yield Attempt(integrator, plant.t, held=True)
-                break
-            dt /= 2.0
+    own, motions = fault.scene.integrator.scheme, _small_motions(fault)
+    for scheme in (*(other for other in SCHEMES if other != own), own):
+        yield from _attempts_with(scheme, fault, motions)
+
+
+def _attempts_with(scheme: str, fault: Diverged, motions: SmallMotions | None) -> Iterator[Attempt]:
+    now, duration = fault.scene.integrator, max(0.5, 2.0 * fault.t)
+    dt = now.dt if motions is None else motions.largest_step(scheme)
+    if dt == now.dt and scheme == now.scheme:
+        dt /= 2.0
+    while dt is not None and duration / dt < LONGEST_TRIAL:
+        attempt = _attempt(scheme, dt, fault, duration)
+        yield attempt
+        if attempt.held:
+            return
+        dt /= 2.0
+
+
+def _attempt(scheme: str, dt: float, fault: Diverged, duration: float) -> Attempt:
+    events = fault.scene.integrator.events if scheme in LOCATING else "step"
+    integrator = dataclasses.replace(fault.scene.integrator, scheme=scheme, dt=dt, events=events)
+    plant = Plant(dataclasses.replace(fault.scene, integrator=integrator, threads=1))
+    reached = math.inf
+    for q, v in ((fault.q, np.zeros_like(fault.v)), fault.began):
+        plant.reset(q, v)
+        try:
+            plant.advance(fault.voltage, math.ceil(duration / dt))
+        except Diverged:
+            return Attempt(integrator, plant.t, held=False)
+        reached = min(reached, plant.t)
+    return Attempt(integrator, reached, held=True)
