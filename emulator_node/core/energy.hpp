@@ -31,7 +31,9 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
         0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
     E.stored += own;
     if constexpr (Drive::has_potential) E.potential += drive.potential(input_of(drive, j, x, 0.0));
-    E.jolt += n.Dc(j) * n.Dc(j) / (M.at[j][j] + n.carried(j));
+    double Dc = n.Dc(j);
+    if constexpr (Drive::friction_varies) Dc = drive.sliding(input_of(drive, j, x, 0.0));
+    E.jolt += Dc * Dc / (M.at[j][j] + n.carried(j));
     for (int m = j + 1; m < S::N; ++m) E.stored += x.v[j] * M.at[j][m] * x.v[m];
     if (greediest && own > most) {
       most = own;
