@@ -287,6 +287,9 @@ def _parser() -> argparse.ArgumentParser:
         help="processors of its binary: a level (default: x86-64-v2), or native, this machine's",
     )
     fmu.add_argument("--fmi", choices=("3", "2"), default="3", help="version (default: 3.0)")
+    fmu.add_argument(
+        "--windows", action="store_true", help="with a binary for 64-bit Windows, too (by mingw)"
+    )
     fmu.set_defaults(run=_fmu)
 
     compile_ = commands.add_parser("compile", help="compile a scene ahead of its first use")
@@ -539,7 +542,9 @@ def _fmu(arguments: argparse.Namespace) -> int:
 
     varied = arguments.varied
     names = None if varied is None else [one for one in varied.split(",") if one]
-    return write_fmu(arguments.scene, arguments.out, names, arguments.target, arguments.fmi)
+    return write_fmu(
+        arguments.scene, arguments.out, names, arguments.target, arguments.fmi, arguments.windows
+    )
 
 
 def _compile(arguments: argparse.Namespace) -> int:

@@ -10,7 +10,12 @@ from fmu.export import TARGET, export
 
 
 def write_fmu(
-    scene_name: str, out: Path, varied: list[str] | None, target: str, version: str
+    scene_name: str,
+    out: Path,
+    varied: list[str] | None,
+    target: str,
+    version: str,
+    windows: bool = False,
 ) -> int:
     """Write the unit, and say what it is.
 
@@ -20,16 +25,17 @@ def write_fmu(
         varied: names of numbers that become parameters, in place of those of the scene.
         target: which processors its binary is for; None: most.
         version: of FMI.
+        windows: with a binary for Windows, too.
 
     Raises:
         Refusal: a scene, a name, a target or a file that is not taken.
     """
     overrides: dict[str, Any] = {} if varied is None else {"varied": varied}
     scene = load_scene(scene_name, overrides)
-    export(scene, out, target or TARGET, version)
+    export(scene, out, target or TARGET, version, windows)
     parameters = f", {len(scene.varied)} parameters" if scene.varied else ""
     print(
         f"{out}: FMI {version}.0 co-simulation, {len(scene.joints)} joints{parameters}; "
-        f"steps are multiples of {scene.servo_period:g} s"
+        f"a servo period of {scene.servo_period:g} s"
     )
     return 0

@@ -20,21 +20,25 @@ from fmu.names import identifier
 from fmu.page import page
 from fmu.unit import FOLDER, unit_of
 from fmu.variables import scalars, variables
+from fmu.windows import windows_binary
 from words.config_files import config_folder
 from words.refusal import Refusal
 
 # That most machines have; "native" is faster, and gives other bits.
 TARGET = "x86-64-v2" if platform.machine() == "x86_64" else "native"
 PLATFORMS = {"3": f"{platform.machine()}-linux", "2": "linux64"}  # by the version of FMI
+WINDOWS = {"3": "x86_64-windows", "2": "win64"}
 _SOURCES = ("machine.cpp", "unit.cpp")
 _NEEDED = b"""\
 The binary for Linux needs libc, libm, libgcc_s and libstdc++ of GCC 7 or later, as every Linux with
-programs in C++ has them.
+programs in C++ has them. The binary for Windows, where there is one, needs the system's own only.
 """
 _DATE = (1980, 1, 1, 0, 0, 0)  # so that equal scenes make equal files
 
 
-def export(scene: Scene, out: Path, target: str = TARGET, version: str = "3") -> None:
+def export(
+    scene: Scene, out: Path, target: str = TARGET, version: str = "3", windows: bool = False
+) -> None:
     """Write a scene's machine as a unit for co-simulation.
 
     Args:
@@ -42,6 +46,7 @@ def export(scene: Scene, out: Path, target: str = TARGET, version: str = "3") ->
         out: the file, which ends in ``.fmu``.
         target: which processors its binary is for, see `compiled.unit.compile_units`.
         version: of FMI, one of `unit.VERSIONS`; without arrays in FMI 2.
+        windows: with a binary for 64-bit Windows, too.
 
     Raises:
         Refusal: another ending, a file that cannot be written, or no compiler.
@@ -72,6 +77,8 @@ def export(scene: Scene, out: Path, target: str = TARGET, version: str = "3") ->
         **{f"sources/{file}": text.encode() for file, text in sources.items()},
         f"binaries/{PLATFORMS[version]}/{name}.so": library,
     }
+    if windows:
+        files[f"binaries/{WINDOWS[version]}/{name}.dll"] = windows_binary(unit)
     try:
         _write(out, files)
     except OSError as error:

@@ -214,7 +214,8 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes
 
 // ---------------------------------------------------------------- what became of a step
 
-// A step is over when it returns, and one that was discarded has moved nothing.
+// A step is over when it returns, and one that was discarded has moved nothing, unless it was
+// cancelled from another thread.
 fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real* value) {
   if (kind != fmi2LastSuccessfulTime || !value) return not_there(component, "fmi2GetRealStatus");
   return in(fmu::kAnyMode, component, "fmi2GetRealStatus", [&](Instance& one) {
@@ -240,7 +241,8 @@ fmi2Status fmi2GetStringStatus(fmi2Component component, const fmi2StatusKind, fm
   return not_there(component, "fmi2GetStringStatus");
 }
 fmi2Status fmi2CancelStep(fmi2Component component) {
-  return not_there(component, "fmi2CancelStep");
+  return in(fmu::kStep, component, "fmi2CancelStep",
+            [](Instance& one) { return one.cancel_step(); });
 }
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2ValueReference[], size_t,
                                         const fmi2ValueReference[], size_t, const fmi2Real[],

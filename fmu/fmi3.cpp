@@ -70,6 +70,22 @@ fmu::Log log_of(fmi3LogMessageCallback function, fmi3InstanceEnvironment environ
   return {log_to, reinterpret_cast<void (*)()>(function), environment, ""};
 }
 
+// At a tick: the importer may look at what variables are then, and ask for an early return.
+bool watch_at(const fmu::Watch& watch, double time, double* until) {
+  bool requested = false;
+  reinterpret_cast<fmi3IntermediateUpdateCallback>(watch.function)(
+      watch.environment, time, false, true, true, watch.may_return_early, &requested, until);
+  return requested && watch.may_return_early;
+}
+
+bool are_outputs(const fmi3ValueReference* references, std::size_t count) {
+  for (std::size_t k = 0; k < count; ++k)
+    if (!references || references[k] >= static_cast<unsigned>(fmu::kVariableCount) ||
+        fmu::kVariables[references[k]].role != fmu::Role::output)
+      return false;
+  return true;
+}
+
 fmi3Instance refuse(fmi3LogMessageCallback function, fmi3InstanceEnvironment environment,
                     const char* text) {
   if (function) function(environment, fmi3Error, fmu::kCategoryNames[fmu::kStatusError], text);
@@ -89,19 +105,22 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean on, size_t cou
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String, fmi3Boolean,
-                                         fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean,
-                                         const fmi3ValueReference[], size_t intermediates,
-                                         fmi3InstanceEnvironment environment,
+                                         fmi3Boolean logging, fmi3Boolean event_mode,
+                                         fmi3Boolean early_return,
+                                         const fmi3ValueReference intermediate[],
+                                         size_t intermediates, fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback log,
-                                         fmi3IntermediateUpdateCallback) {
+                                         fmi3IntermediateUpdateCallback update) {
   if (!name || !*name) return refuse(log, environment, "instance name must be given");
   if (!token || std::strcmp(token, fmu::kToken) != 0)
     return refuse(log, environment, "instantiation token must be that of modelDescription.xml");
   if (event_mode) return refuse(log, environment, "event mode must not be used, there is none");
-  if (intermediates)
-    return refuse(log, environment, "there must be no intermediate variables, none is told");
+  if (!are_outputs(intermediate, intermediates))
+    return refuse(log, environment, "intermediate variables must be outputs");
+  const fmu::Watch watch = {watch_at, reinterpret_cast<void (*)()>(update), environment,
+                            early_return};
   try {
-    auto* one = new Instance(name, logging, log_of(log, environment));
+    auto* one = new Instance(name, logging, log_of(log, environment), watch);
     if (one->make()) return one;
     delete one;
   } catch (const std::bad_alloc&) {
@@ -148,6 +167,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 time, fmi3Float64 step,
   const fmi3Status status = in(fmu::kStep, instance, "fmi3DoStep",
                                [&](Instance& one) { return one.do_step(time, step); });
   if (instance && last_successful_time) *last_successful_time = of(instance)->time();
+  if (instance && early_return) *early_return = of(instance)->returned_early();
   return status;
 }
 

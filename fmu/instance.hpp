@@ -1,11 +1,14 @@
 // One instance of the unit: a machine, the values of its variables, and where it is in the life
 // that the standard prescribes. What is called from outside is in fmi3.cpp and fmi2.cpp.
 //
-// Inputs act at the next step and are held over it, so no output depends on an input of now.
+// The machine goes from tick to tick of its drives, whatever the steps of the importer: inputs of a
+// tick are held until the next one, and outputs are those of the tick before. So no output depends
+// on an input of now.
 //
 // Included after the table of variables (unit.py). The machine is a source of its own.
 #pragma once
 
+#include <atomic>
 #include <cstdarg>
 #include <cstdint>
 #include <cstdio>
@@ -31,7 +34,8 @@ constexpr std::uint32_t kAnyMode = kSettable | kTerminated;
 
 constexpr int N = kJoints;
 constexpr int kVariableCount = sizeof kVariables / sizeof *kVariables;
-constexpr double kLargestTicks = 1e15;  // of one step
+constexpr double kLargestTicks = 1e15;   // of one step
+constexpr double kDue = 1e-6 * kPeriod;  // s, by which sums of steps may miss a tick by rounding
 
 // Categories of what is logged, in modelDescription.xml, too.
 enum Category { kEvents, kStatusDiscard, kStatusError, kCategories };
@@ -46,25 +50,44 @@ struct Log {
   const char* name;  // of the instance
 };
 
+// What an importer wants to know of while a step is under way, at each tick: a function of its own,
+// called by `call`, which returns whether the step shall end at `*until` [s].
+struct Watch {
+  bool (*call)(const Watch& watch, double time, double* until);
+  void (*function)();
+  void* environment;
+  bool may_return_early;
+};
+
+// What the machine is given at a tick.
+struct Inputs {
+  double command[N], command_d[N];
+  double external[3][3 * N];  // forces, moments, points
+  unsigned char enable[N], close_brake[N], power, world_axes;
+};
+
 // All that decides how an instance goes on, but for its machine.
 struct Values {
   std::uint64_t mode;
-  std::int64_t ticks;  // servo periods that have passed
-  double start, stop;  // s
+  std::int64_t ticks;      // servo periods that have passed
+  double since_tick;       // s
+  double clock;            // s, the communication point as the importer computes it
+  std::uint64_t underway;  // a servo period has begun, with the inputs `held`
+  std::uint64_t retuned;   // parameters have changed since it began
+  double start, stop;      // s
   std::uint64_t has_stop;
   std::uint64_t moved;  // the start has changed since the machine was put there
-  double command[N], command_d[N];
-  double external[3][3 * N];  // forces, moments, points
+  Inputs now, held;
   double start_q[N], start_v[N];
   double parameter[kParameters + 1];
-  unsigned char enable[N], close_brake[N], power, world_axes;
 };
 
 static_assert(sizeof(Values) % 8 == 0);
 
 class Instance {
  public:
-  Instance(const char* name, bool logging, const Log& log) : log_(log) {
+  Instance(const char* name, bool logging, const Log& log, const Watch& watch = {})
+      : log_(log), watch_(watch) {
     std::snprintf(name_, sizeof name_, "%s", name);
     log_.name = name_;
     for (bool& on : logged_) on = logging;
@@ -166,7 +189,7 @@ class Instance {
     if (!arm::is_finite(start)) return tell(kError, "start time must be finite [s]");
     if (has_stop && (!arm::is_finite(stop) || stop < start))
       return tell(kError, "stop time must be finite and not before the start [s]");
-    values_.start = start;
+    values_.start = values_.clock = start;
     values_.has_stop = has_stop;
     values_.stop = has_stop ? stop : 0.0;
     return kOk;
@@ -180,56 +203,56 @@ class Instance {
     values_.mode = kStep;
     return tell(kOk, "the machine is at its start");
   }
+  // A step that another thread has under way ends at its next tick.
   Status terminate() {
-    values_.mode = kTerminated;
+    if (stepping_)
+      ending_ = kTerminates;
+    else
+      values_.mode = kTerminated;
+    return kOk;
+  }
+  Status cancel_step() {
+    if (!stepping_) return tell(kError, "a step must be under way to be cancelled");
+    ending_ = kCancels;
     return kOk;
   }
   Status reset() {
+    if (stepping_) return busy();
     become_new();
     return tell(kOk, "reset");
   }
 
-  double time() const { return values_.start + static_cast<double>(values_.ticks) * kPeriod; }
+  double time() const {
+    const double tick = values_.start + static_cast<double>(values_.ticks) * kPeriod;
+    const double rounding = 4.0 * 0x1p-52 * (__builtin_fabs(tick) + kPeriod);
+    return __builtin_fabs(values_.since_tick) > rounding ? tick + values_.since_tick : tick;
+  }
+  // Whether the step that was taken last ended before its time, as its importer asked.
+  bool returned_early() const { return early_; }
 
-  // Go from `from` by `step` [s], a whole number of servo periods.
+  // Go from `from` by `step` [s].
   Status do_step(double from, double step) {
+    early_ = false;
+    if (stepping_) return busy();
     if (!arm::is_finite(from) || !arm::is_finite(step) || step <= 0.0)
       return tell(kError, "communication step must be finite and > 0 s, got %g s at %g s", step,
                   from);
-    // Importers that add up their steps drift away by rounding.
-    if (__builtin_fabs(from - time()) > 0.25 * kPeriod)
+    const double near = 0.25 * (step < kPeriod ? step : kPeriod);
+    if (__builtin_fabs(from - values_.clock) > near)
       return tell(kError, "communication point must be %.17g s, where the machine is, got %.17g s",
-                  time(), from);
-    const double periods = step / kPeriod, whole = __builtin_nearbyint(periods);
-    // Steps may be differences of times, which are rounded.
-    const double rounding = 1e-6 * kPeriod + 4.0 * 0x1p-52 * (__builtin_fabs(from) + step);
-    if (whole < 1.0 || whole > kLargestTicks || __builtin_fabs(step - whole * kPeriod) > rounding)
-      return tell(kDiscard,
-                  "communication step must be a whole number of servo periods of %.17g s, "
-                  "got %.17g s",
-                  kPeriod, step);
-    if (values_.has_stop && from + step > values_.stop + 0.25 * kPeriod)
+                  values_.clock, from);
+    if (step > kLargestTicks * kPeriod)
+      return tell(kDiscard, "communication step must be at most %g s, got %g s",
+                  kLargestTicks * kPeriod, step);
+    if (values_.has_stop && from + step > values_.stop + near)
       return tell(kError, "communication step must end at %.17g s, the stop time, got %.17g s",
                   values_.stop, from + step);
-    arm_power(machine_, values_.power);
-    if (put_external_wrenches() != ARM_OK) return refused(kError);
-    arm_joint_command commands[N];
-    for (int j = 0; j < N; ++j) {
-      commands[j].mode = kModes[j];
-      commands[j].enable = 0;
-      if (values_.enable[j]) commands[j].enable |= ARM_ENABLED;
-      if (values_.enable[j] && values_.close_brake[j]) commands[j].enable |= ARM_CLOSE_BRAKE;
-      commands[j].value = values_.command[j];
-    }
-    const arm_command command = {sizeof command, 0, -1, commands, values_.command_d};
-    for (auto left = static_cast<std::int64_t>(whole); left > 0; --left) {
-      told_ = truth_told_ = false;
-      const int result = arm_exchange(machine_, &command, &measurement_);
-      if (result == ARM_REFUSED) return refused(kError);
-      if (result == ARM_DIVERGED) return diverged();
-      ++values_.ticks;
-    }
-    return kOk;
+    stepping_ = true;
+    const Status status = go(from, step);
+    stepping_ = false;
+    const int ending = ending_.exchange(kGoesOn);
+    if (ending == kTerminates) values_.mode = kTerminated;
+    return status;
   }
 
   // -------------------------------------------------------------------------------- variables
@@ -283,10 +306,12 @@ class Instance {
       double* to = numbers(one.quantity) + one.first;
       for (int k = 0; k < one.count; ++k) {
         to[k] = *values++;
-        if (one.quantity == Quantity::parameter)
-          arm_set_parameter(machine_, parameters_[one.first + k].name, to[k]);
       }
-      if (one.role != Role::input) {
+      if (one.quantity == Quantity::parameter) {
+        values_.retuned = true;
+        if (!values_.underway) take_parameters();
+      }
+      if (one.role != Role::input && !values_.underway) {
         told_ = truth_told_ = false;
         if (values_.mode & kBeforeStart) values_.moved = true;
       }
@@ -314,15 +339,15 @@ class Instance {
       case Quantity::time:
         return &(now_ = time());
       case Quantity::command:
-        return values_.command;
+        return values_.now.command;
       case Quantity::command_d:
-        return values_.command_d;
+        return values_.now.command_d;
       case Quantity::external_force:
-        return values_.external[0];
+        return values_.now.external[0];
       case Quantity::external_moment:
-        return values_.external[1];
+        return values_.now.external[1];
       case Quantity::external_point:
-        return values_.external[2];
+        return values_.now.external[2];
       case Quantity::start_q:
         return values_.start_q;
       case Quantity::start_v:
@@ -383,13 +408,13 @@ class Instance {
   unsigned char* flags(Quantity quantity) {
     switch (quantity) {
       case Quantity::enable:
-        return values_.enable;
+        return values_.now.enable;
       case Quantity::close_brake:
-        return values_.close_brake;
+        return values_.now.close_brake;
       case Quantity::power:
-        return &values_.power;
+        return &values_.now.power;
       case Quantity::external_world_axes:
-        return &values_.world_axes;
+        return &values_.now.world_axes;
       case Quantity::powered:
         return &powered_;
       case Quantity::brake_closed:
@@ -421,6 +446,7 @@ class Instance {
     return kOk;
   }
   Status go_back_to(void* state) {
+    if (stepping_) return busy();
     if (!known(state)) return unknown_state();
     const unsigned char* bytes = bytes_of(state);
     if (arm_restore(machine_, bytes + 16 + sizeof values_, arm_saved_size()) != ARM_OK)
@@ -473,26 +499,86 @@ class Instance {
   }
 
  private:
-  static constexpr std::uint64_t kMagic = 0x31554d464d5241;  // "ARMFMU1"
+  static constexpr std::uint64_t kMagic = 0x32554d464d5241;  // "ARMFMU2"
 
   // As just instantiated: everything at its start value.
   void become_new() {
     std::memset(static_cast<void*>(&values_), 0, sizeof values_);  // states have no chance bytes
     values_.mode = kInstantiated;
     values_.moved = true;
-    values_.power = 1;
+    values_.now.power = 1;
     for (int j = 0; j < N; ++j) {
-      values_.enable[j] = 1;
+      values_.now.enable[j] = 1;
       values_.start_q[j] = kStartQ[j];
     }
-    for (int k = 0; k < kParameters; ++k) {
-      values_.parameter[k] = kParameterStart[k];
-      arm_set_parameter(machine_, parameters_[k].name, kParameterStart[k]);
+    for (int k = 0; k < kParameters; ++k) values_.parameter[k] = kParameterStart[k];
+    take_parameters();
+  }
+  void take_parameters() {
+    for (int k = 0; k < kParameters; ++k)
+      arm_set_parameter(machine_, parameters_[k].name, values_.parameter[k]);
+    values_.retuned = false;
+  }
+
+  // What another thread, or the importer in the midst of a step, asks of the step.
+  enum Ending { kGoesOn, kCancels, kTerminates };
+  Status busy() { return tell(kError, "no call but gets and an end may come during a step"); }
+
+  // Go on by `step` from one tick to the next, as far as they are due.
+  Status go(double from, double step) {
+    double goal = values_.since_tick + step, left = goal;  // s, from the last tick
+    for (double done = 1.0;; ++done) {
+      if (!values_.underway) begin_period();
+      if (left < kPeriod - kDue) break;
+      if (const Status status = end_period(); status != kOk) return status;
+      left = goal - done * kPeriod;
+      values_.since_tick = 0.0;
+      if (left <= kDue) break;
+      if (ending_ != kGoesOn) {
+        values_.clock = time();
+        return tell(kDiscard, "the step ended at %.17g s, as it was asked to", time());
+      }
+      double until = time();
+      if (watch_.function && watch_.call(watch_, time(), &until) && until < time() + left) {
+        early_ = true;
+        left = until > time() ? until - time() : 0.0;
+        goal = done * kPeriod + left;
+        if (left <= kDue) break;
+      }
     }
+    values_.since_tick = left;
+    values_.clock = early_ ? time() : from + step;
+    return kOk;
+  }
+  void begin_period() {
+    if (values_.retuned) take_parameters();
+    std::memcpy(&values_.held, &values_.now, sizeof values_.held);
+    values_.underway = true;
+  }
+  Status end_period() {
+    const Inputs& held = values_.held;
+    arm_power(machine_, held.power);
+    if (put_external_wrenches(held) != ARM_OK) return refused(kError);
+    arm_joint_command commands[N];
+    for (int j = 0; j < N; ++j) {
+      commands[j].mode = kModes[j];
+      commands[j].enable = 0;
+      if (held.enable[j]) commands[j].enable |= ARM_ENABLED;
+      if (held.enable[j] && held.close_brake[j]) commands[j].enable |= ARM_CLOSE_BRAKE;
+      commands[j].value = held.command[j];
+    }
+    const arm_command command = {sizeof command, 0, -1, commands, held.command_d};
+    told_ = truth_told_ = false;
+    const int result = arm_exchange(machine_, &command, &measurement_);
+    if (result == ARM_REFUSED) return refused(kError);
+    if (result == ARM_DIVERGED) return diverged();
+    ++values_.ticks;
+    values_.underway = false;
+    return kOk;
   }
   void put_at_start() {
     if (!values_.moved) return;
-    arm_power(machine_, values_.power);
+    arm_power(machine_, values_.now.power);
     arm_reset(machine_, values_.start_q, values_.start_v);
     values_.moved = false;
     told_ = truth_told_ = false;
@@ -526,16 +612,16 @@ class Instance {
     }
   }
 
-  int put_external_wrenches() {
+  int put_external_wrenches(const Inputs& in) {
     if constexpr (kExternalWrench)
       for (int j = 0; j < N; ++j) {
         arm_wrench wrench = {};
         wrench.size = sizeof wrench;
-        wrench.axes = values_.world_axes ? ARM_WORLD_AXES : ARM_LINK_AXES;
+        wrench.axes = in.world_axes ? ARM_WORLD_AXES : ARM_LINK_AXES;
         for (int k = 0; k < 3; ++k) {
-          wrench.force[k] = values_.external[0][3 * j + k];
-          wrench.moment[k] = values_.external[1][3 * j + k];
-          wrench.point[k] = values_.external[2][3 * j + k];
+          wrench.force[k] = in.external[0][3 * j + k];
+          wrench.moment[k] = in.external[1][3 * j + k];
+          wrench.point[k] = in.external[2][3 * j + k];
         }
         if (arm_set_external_wrench(machine_, j, &wrench) != ARM_OK) return ARM_REFUSED;
       }
@@ -630,6 +716,10 @@ class Instance {
 
   char name_[200];
   Log log_;
+  Watch watch_;
+  std::atomic<bool> stepping_ = false;
+  std::atomic<int> ending_ = kGoesOn;
+  bool early_ = false;
   bool logged_[kCategories];
   arm_machine* machine_ = nullptr;
   std::uint64_t fingerprint_ = 0;

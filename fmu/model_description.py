@@ -37,12 +37,16 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
         canHandleVariableCommunicationStepSize="true",
+        canReturnEarlyAfterIntermediateUpdate="true",
+        providesIntermediateUpdate="true",
         fixedInternalStepSize=repr(scene.servo_period),
     )
     header(root, scene, variables)
     listed = ET.SubElement(root, "ModelVariables")
     for reference, one in enumerate(variables):
         element = ET.SubElement(listed, one.type, attributes_of(one, reference, naming))
+        if one.role == "output":
+            element.set("intermediateUpdate", "true")
         for size in one.shape:
             ET.SubElement(element, "Dimension", start=str(size))
     structure = ET.SubElement(root, "ModelStructure")

@@ -6,6 +6,7 @@ import ctypes
 import math
 import xml.etree.ElementTree as ET
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -25,6 +26,10 @@ KINDS = {"Float64": ctypes.c_double, "Int64": ctypes.c_int64, "Int32": ctypes.c_
 KINDS["Boolean"] = ctypes.c_bool
 OTHER_TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "UInt64", "String")
 LOG = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
+WATCH = ctypes.CFUNCTYPE(
+    None, ctypes.c_void_p, ctypes.c_double, *[ctypes.c_bool] * 4,
+    ctypes.POINTER(ctypes.c_bool), ctypes.POINTER(ctypes.c_double),
+)  # fmt: skip
 POINTER, SIZE, DOUBLE, FLAG = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double, ctypes.c_bool
 _VALUES = [POINTER, POINTER, SIZE, POINTER, SIZE]
 _ARGUMENTS: dict[str, list[Any]] = {
@@ -70,7 +75,7 @@ class Fmu:
             function.argtypes, function.restype = arguments, ctypes.c_int
         self.binary.fmi3InstantiateCoSimulation.restype = POINTER
         self.binary.fmi3InstantiateCoSimulation.argtypes = (
-            [ctypes.c_char_p] * 3 + [FLAG] * 4 + [POINTER, SIZE, POINTER, LOG, POINTER]
+            [ctypes.c_char_p] * 3 + [FLAG] * 4 + [POINTER, SIZE, POINTER, LOG, WATCH]
         )
         self.binary.fmi3FreeInstance.argtypes = [POINTER]
         self.binary.fmi3FreeInstance.restype = None
@@ -86,16 +91,33 @@ class Instance:
     Attributes:
         said: what it has logged: status, category, text.
         handle: of it.
+        early: whether the last step returned early.
+
+    Args:
+        fmu: the unit.
+        logging: of everything.
+        token: in place of the unit's own.
+        watch: is called at ticks in the midst of a step, with the time; returns the time at which
+            the step shall end, or None.
     """
 
-    def __init__(self, fmu: Fmu, logging: bool = True, token: str | None = None) -> None:
+    def __init__(
+        self,
+        fmu: Fmu,
+        logging: bool = True,
+        token: str | None = None,
+        watch: Callable[[float], float | None] | None = None,
+    ) -> None:
         self.fmu = fmu
         self.said: list[tuple[int, str, str]] = []
         self._log = LOG(self._hear)
+        self._watch = WATCH(self._look) if watch else WATCH()
+        self._watched = watch
+        self.early = False
         token = fmu.root.attrib["instantiationToken"] if token is None else token
         self.handle = fmu.binary.fmi3InstantiateCoSimulation(
-            b"one", token.encode(), None, False, logging, False, False, None, 0, None, self._log,
-            None,
+            b"one", token.encode(), None, False, logging, False, bool(watch), None, 0, None,
+            self._log, self._watch,
         )  # fmt: skip
         self.time = 0.0
 
@@ -104,6 +126,14 @@ class Instance:
 
     def _hear(self, _: Any, status: int, category: bytes, text: bytes) -> None:
         self.said.append((status, category.decode(), text.decode()))
+
+    def _look(self, _: Any, time: float, wants: bool, may_get: bool, finished: bool, early: bool,
+              requested: Any, until: Any) -> None:  # fmt: skip
+        assert (wants, may_get, finished, early) == (False, True, True, True), "what is offered"
+        assert self._watched is not None
+        end = self._watched(time)
+        requested[0] = end is not None
+        until[0] = end or 0.0
 
     def call(self, name: str, *arguments: Any) -> int:
         """Call a function and return its status."""
@@ -145,7 +175,7 @@ class Instance:
         flags, last = (ctypes.c_bool * 3)(), ctypes.c_double()
         places = [ctypes.byref(flags, k) for k in range(3)]
         status = self.call("DoStep", self.time, seconds, True, *places, ctypes.byref(last))
-        self.time = last.value
+        self.time, self.early = last.value, bool(flags[2])
         return status
 
     def save(self) -> bytes:

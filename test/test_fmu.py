@@ -12,7 +12,9 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from concurrent.futures import ThreadPoolExecutor
+from fractions import Fraction
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -253,14 +255,114 @@ def test_what_is_out_of_bounds_is_discarded(fmu: Fmu) -> None:
     assert early.set("start.v", [0.0, -1e7]) == DISCARD, early.said
 
 
-@pytest.mark.parametrize("step", [0.5, 1.5, 1.0001, 1e300, 1e-9])
-def test_a_step_between_servo_periods_is_discarded(fmu: Fmu, step: float) -> None:
+def random_lengths(seed: int) -> list[float]:
+    """Lengths of steps, mostly of some periods, some far shorter."""
+    rng = np.random.default_rng(seed)
+    return (PERIOD * 10.0 ** rng.uniform(-3.0, 1.0, 120)).tolist()
+
+
+@pytest.mark.parametrize(
+    "lengths",
+    [
+        [1 / 60] * 30,
+        [1e-5] * 2000,
+        [PERIOD / 3] * 100,
+        [math.pi * 1e-3] * 60,
+        [1e-9] * 50 + [0.7 * PERIOD] * 20,
+        *map(random_lengths, some(range(20), 3)),
+    ],
+    ids=lambda lengths: f"{len(lengths)}x{lengths[0]:.3g}",
+)
+def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
+    fmu: Fmu, plant: Plant, lengths: list[float]
+) -> None:
+    """A servo period has the inputs of the step in which it begins; outputs are those of ticks."""
+    rng = np.random.default_rng(len(lengths))
+    one, start, rounding = Instance(fmu), 12.5, Fraction(PERIOD) / 10**6
+    one.start(start)
+    plant.reset(plant.scene.start)
+    period, time, ticks = Fraction(PERIOD), Fraction(0), 0
+    held: dict[str, Any] | None = None  # none: the next period begins with the next step
+
+    def let_go_on(inputs: dict[str, Any]) -> None:
+        plant.set_parameter("payload.mass", inputs[MASS])
+        plant.exchange(inputs["command"], voltage_d=inputs["command_d"])
+
+    mass = 0.5
+    for k, length in enumerate(lengths):
+        if rng.random() < 0.1:
+            mass = float(rng.uniform(0.1, 2.0))
+        drawn = random_inputs(rng)
+        inputs = {"command": drawn["command"], "command_d": drawn["command_d"], MASS: mass}
+        set_all(one, inputs)
+        held = held or inputs
+        assert one.step(length) == OK, one.said
+        time += Fraction(length)
+        while held and time >= (ticks + 1) * period - rounding:
+            let_go_on(held)
+            ticks += 1
+            held = inputs if time > ticks * period + rounding else None
+        if k % 7 and k < len(lengths) - 1:
+            continue
+        now = {"encoder_counts": plant.state.encoder_counts, "truth.q": plant.state.q,
+               "truth.v": plant.state.v, "applied": plant.voltage}  # fmt: skip
+        for name, value in now.items():
+            assert np.array_equal(one.get(name), value), (name, k, float(time))
+        assert one.get("time")[0] == pytest.approx(start + float(time), abs=1e-9), "time"
+        assert one.restore(one.save()) == OK, "a state in the midst of a period"
+    assert ticks > 10, "it has moved"
+
+
+def test_a_step_beyond_all_bounds_is_discarded(fmu: Fmu) -> None:
     one = moved(fmu, 6)
     before = one.save()
-    assert one.step(step * PERIOD) == DISCARD, one.said
-    assert "whole number of servo periods" in one.said[-1][2], one.said[-1]
+    assert one.step(1e300) == DISCARD, one.said
+    assert "must be at most" in one.said[-1][2], one.said[-1]
     assert one.save() == before, "nothing changed"
     assert one.step(PERIOD) == OK, "it goes on"
+
+
+@pytest.mark.parametrize("until", [0.0, 3.0, 7.4, 400.0])
+def test_a_step_can_return_early(fmu: Fmu, plant: Plant, until: float) -> None:
+    """At the tick at which it is asked to, or later; the importer looks at the machine then."""
+    seen: list[tuple[float, float]] = []
+
+    def watch(time: float) -> float | None:
+        seen.append((time, one.get("truth.q")[0]))
+        return None if len(seen) < 5 else time + until * PERIOD
+
+    one = Instance(fmu, watch=watch)
+    one.start()
+    set_all(one, {"command": [3.0, 4.0]})
+    end = (5.0 + until) * PERIOD
+    assert one.step(100.6 * PERIOD) == OK, one.said
+    assert one.early == (until < 95.0), "it tells that it came back early"
+    ended = one.get("time")[0]
+    assert ended == pytest.approx(min(end, 100.6 * PERIOD), abs=1e-12), "where it ended"
+    plant.reset(plant.scene.start)
+    for time, q in seen:
+        plant.exchange([3.0, 4.0])
+        assert (time, q) == (pytest.approx(plant.t), plant.state.q[0]), "what was seen at a tick"
+    one.time = ended
+    assert one.step(20.0 * PERIOD) == OK, one.said
+    patient = Instance(fmu)
+    patient.start()
+    set_all(patient, {"command": [3.0, 4.0]})
+    assert patient.step(one.get("time")[0]) == OK, patient.said
+    assert np.array_equal(one.get("truth.q"), patient.get("truth.q")), "it goes on"
+
+
+def test_a_step_can_be_ended_from_another_thread(fmu: Fmu) -> None:
+    one = Instance(fmu)
+    one.start()
+    with ThreadPoolExecutor(1) as threads:
+        step = threads.submit(one.step, 1e9)  # some weeks
+        sleep(0.2)
+        assert one.call("Terminate") == OK, one.said
+        assert step.result(timeout=30.0) == DISCARD, one.said
+    assert 0.0 < one.get("time")[0] < 1e9, "where it ended"
+    assert one.step(PERIOD) == ERROR, "it is over"
+    assert one.call("Reset") == OK, one.said
 
 
 def test_steps_are_taken_as_importers_compute_them(fmu: Fmu) -> None:
@@ -400,10 +502,10 @@ def test_messages_go_to_their_categories(fmu: Fmu) -> None:
     chosen = (ctypes.c_char_p * 1)(b"logStatusDiscard")
     assert one.call("SetDebugLogging", False, 1, chosen) == OK, one.said
     count = len(one.said)
-    assert one.step(0.5 * PERIOD) == DISCARD, one.said
+    assert one.step(1e300) == DISCARD, one.said
     assert len(one.said) == count, "switched off"
     assert one.call("SetDebugLogging", True, 0, None) == OK, one.said
-    assert one.step(0.5 * PERIOD) == DISCARD, one.said
+    assert one.step(1e300) == DISCARD, one.said
     assert one.said[-1][1] == "logStatusDiscard", one.said
     unknown = (ctypes.c_char_p * 1)(b"logAnything")
     assert one.call("SetDebugLogging", True, 1, unknown) == ERROR, one.said

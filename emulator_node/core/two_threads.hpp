@@ -56,15 +56,17 @@ class TwoThreads {
   static constexpr int N = S::N, D = S::exchange_depth;
   using Dynamics = typename Links<S>::Dynamics;
 
-  // `core`: of the Newton-Euler thread; -1: wherever the system puts it.
+  // `core`: of the Newton-Euler thread; -1, and other systems than Linux: wherever these put it.
   TwoThreads(double step, int core, const Numbers<S>& numbers)
       : h(step), n(numbers), stepper(step, numbers), newton_euler([this] { work(); }) {
+#ifdef __linux__
     if (core >= 0) {
       cpu_set_t cores;
       CPU_ZERO(&cores);
       CPU_SET(static_cast<unsigned>(core), &cores);
       pthread_setaffinity_np(newton_euler.native_handle(), sizeof cores, &cores);
     }
+#endif
   }
 
   ~TwoThreads() {
