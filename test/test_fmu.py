@@ -513,7 +513,7 @@ def test_messages_go_to_their_categories(fmu: Fmu) -> None:
 
 def test_any_calls_in_any_order_hurt_nobody(fmu: Fmu) -> None:
     """The same under sanitizers: `test_sanitizers_find_nothing`."""
-    statuses = abuse(np.random.default_rng(0), fmu, 30_000 if FULL else 1500)
+    statuses = abuse(np.random.default_rng(0), fmu, 30_000 if FULL else 2500)
     assert min(statuses[status] for status in (OK, DISCARD, ERROR)) > 20, statuses
 
 
