@@ -21,7 +21,7 @@
 #include <thread>
 #include <vector>
 
-namespace {
+namespace arm_loop {
 
 // A command that one thread writes and another reads whole, or not at all (sequence lock). The
 // reader never waits for the writer: it keeps what it had.
@@ -178,7 +178,9 @@ void sleep_until(std::int64_t when) {
   }
 }
 
-}  // namespace
+}  // namespace arm_loop
+
+using namespace arm_loop;
 
 struct arm_real_time {
   static constexpr std::int64_t kOldAfter = 2;  // servo periods
