@@ -32,10 +32,11 @@ def page(scene: Scene, variables: Sequence[Variable], command: str) -> bytes:
 <p>A machine of arm_emulator for co-simulation: motors, gears, links, sensors. Joints, base to
 tool: {joints}. Arrays have an entry per joint in this order.</p>
 <p>Communication steps may be of any length. The drives have a servo period of
-{scene.servo_period:g} s: inputs act from the beginning of the next period on and are held over it,
-and outputs are those of the last period that has ended. A value that is not finite or beyond its
-bounds is discarded together with the others of its call. A motion that diverges is an error; the machine stays
-at its last sound state until it is reset or set to a state that was kept. Equal steps and inputs give equal bits.</p>
+{scene.servo_period:g} s: inputs act from the beginning of the next period on and are held over
+it, and outputs are those of the last period that has ended. A value that is not finite or beyond
+its bounds is discarded together with the others of its call. A motion that diverges is an error;
+the machine stays at its last sound state until it is reset or set to a state that was kept. Equal
+steps and inputs give equal bits.</p>
 <h2>Variables</h2>
 <table border="1">
 <tr><th>name</th><th>type</th><th>unit</th><th>kind</th><th>what it is</th></tr>
