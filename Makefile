@@ -10,6 +10,7 @@ PYTHON ?= python3.12 python3.11 python3
 help:
 	@echo 'make setup              prepare .venv/ and install/; every command below does it by itself'
 	@echo 'make demo [SCENE=ur5]   three nodes move an arm: three_axis, ur5, panda, or a scene file'
+	@echo 'make robots             get the descriptions of ur5 and panda; demo and test do it by themselves'
 	@echo 'make test               run the tests'
 	@echo 'make test-in-full       run the tests with every case of each class'
 	@echo 'make test-peers         run the tests with masters, compilers and simulators of others'
@@ -143,6 +144,8 @@ install/.package: package.xml setup.py setup.cfg $(SHARED) install/.messages \
 SCENE_FILE := $(or $(wildcard config/$(SCENE).yaml),$(SCENE))
 ROBOTS := $(if $(shell grep -s '^urdf: *.\?example-robot-data:' '$(SCENE_FILE)'),.venv/.robots)
 
+robots: .venv/.robots
+
 demo: setup $(ROBOTS)
 	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
 
@@ -191,4 +194,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup demo test test-in-full test-peers test-under-load fuzz bench lint format clean distclean FORCE
+.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench lint format clean distclean FORCE

@@ -63,7 +63,7 @@ class Bringup:
         params_file: Path | None = None,
     ) -> None:
         file = find_scene(scene)
-        self._log = log
+        self.log = log
         self._running: list[_NodeProcess] = []
         self._commands: dict[str, list[str]] = {}
         emulator_parameters = {"scene": file, "clock": clock, "start": start, **(emulator or {})}
@@ -103,9 +103,9 @@ class Bringup:
     def start(self, name: str) -> None:
         """Start one node (again)."""
         log: IO[bytes] | None = None
-        if self._log is not None:
-            self._log.mkdir(parents=True, exist_ok=True)
-            log = (self._log / f"{name}.log").open("wb")
+        if self.log is not None:
+            self.log.mkdir(parents=True, exist_ok=True)
+            log = (self.log / f"{name}.log").open("wb")
         process = subprocess.Popen(
             self._commands[name],
             stdin=subprocess.DEVNULL,

@@ -176,14 +176,15 @@ class _Observer(Node):
     ) -> None:
         """Spin until the condition holds; refuse when a node ends or patience does."""
         deadline = time.monotonic() + patience
+        see = f"the nodes' output is in {network.log}"
         while not condition():
             rclpy.spin_once(self, timeout_sec=0.1)
             ended = network.ended()
             if ended is not None:
                 name, code = ended
-                raise Refusal("demo", f"node {name}", "run", f"exit code {code}", "see out/log")
+                raise Refusal("demo", f"node {name}", "run", f"exit code {code}", see)
             if time.monotonic() > deadline:
-                raise Refusal("demo", what, f"take less than {patience:g} s", "more", "see out/log")
+                raise Refusal("demo", what, f"take less than {patience:g} s", "more", see)
 
     def send_target(self, from_ns: int) -> None:
         """Send the target, again until it is taken: a node not yet discovered does not get it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tempfile
 import xml.etree.ElementTree as ET
@@ -25,7 +26,6 @@ from motion_controller_node.kinematics import Kinematics
 from servo_node.design import design
 from servo_node.servo_config import JointServo, ServoConfig
 from words.refusal import Refusal
-from words.text_file import why_no_file
 from words.urdf_text import parse_urdf
 
 SERVO_PERIOD = 1e-3  # s
@@ -88,14 +88,19 @@ def new(
 
 
 def scene_of_robot(robot: Path, out: Path) -> Path:
-    """Return the scene of a robot below `out`: the one that is there, else a new one.
+    """Return the scene of a robot below `out`: the one made of this very description, else a new one.
+
+    Its folder is named after the robot, and the place and content of its description, so that
+    neither another robot's file of the same name nor an older state of this one is taken for it.
 
     Raises:
         Refusal: see `write_new`.
     """
-    folder = out / _name(robot)
+    description = f"{robot.resolve().parent}\n{robot_text(robot, {})}"
+    digest = hashlib.sha256(description.encode(errors="surrogateescape")).hexdigest()[:8]
+    folder = out / f"{_name(robot)}_{digest}"
     file = folder / f"{_name(robot)}.yaml"
-    if why_no_file(robot) is None and file.exists():
+    if file.exists():
         print(f"taken    {file}, which was there (remove {folder} to begin anew)")
         return file
     new(robot, folder, None, None, {}, force=False)

@@ -31,6 +31,7 @@ from words.bound import EFFORT, POSITION, VELOCITY
 from words.refusal import Refusal
 
 MOST_TARGETS = 10_000  # that wait for their time
+LONGEST_WAIT_NS = 3_600_000_000_000  # an hour; a stamp of the wall clock is decades ahead
 _Q = POSITION.named("q")
 _Q_TARGET = POSITION.named("q_target")
 _V_TARGET = VELOCITY.named("v_target")
@@ -43,7 +44,9 @@ class _Taken:
 
     order: Order
     number: int
-    """Among those of its kind; 0: one of our own, that nobody is told of."""
+    """Among those of its kind; 0: one of our own, of which nothing is published."""
+    begins_ns: int = 0
+    """Logical time at which it begins at the earliest."""
     state: State = State.ACCEPTED
 
 
@@ -84,6 +87,7 @@ class Instructor:
         self._hold: FloatArray | None = None
         self._active = None
         self._coming = []
+        self._now_ns: int | None = None  # logical time of the newest joint angles
         self._last: tuple[int, Instruction] | None = None
         if self._laws is not None:
             self._laws.nobody_leads()
@@ -186,7 +190,8 @@ class Instructor:
             )
             return PathOrder(path)
 
-        return self._take(Kind.TOOL_PATH, stamp_ns, order)
+        begins_ns = max(stamp_ns, times_ns[0]) if times_ns else stamp_ns
+        return self._take(Kind.TOOL_PATH, stamp_ns, order, begins_ns)
 
     def cancel(self, number: int) -> None:
         """Give up a joint trajectory by its number: the joints come to rest if it moves them."""
@@ -241,8 +246,13 @@ class Instructor:
             self._laws = Laws(controller, self._config)
         return self._laws
 
-    def _take(self, kind: Kind, time_ns: int, make: Callable[[], Order]) -> int:
+    def _take(
+        self, kind: Kind, time_ns: int, make: Callable[[], Order], begins_ns: int | None = None
+    ) -> int:
+        begins_ns = time_ns if begins_ns is None else begins_ns
         try:
+            if self._now_ns is not None:
+                _check_wait(kind, begins_ns, self._now_ns)
             order = make()
             place = bisect.bisect_left(self._coming, time_ns, key=lambda item: item[0])
             same = place < len(self._coming) and self._coming[place][0] == time_ns
@@ -252,7 +262,7 @@ class Instructor:
         except Refusal as reason:
             self.reports.refuse(kind, time_ns, reason)
             raise
-        taken = _Taken(order, self.reports.next_number(kind))
+        taken = _Taken(order, self.reports.next_number(kind), begins_ns)
         self._report(taken, Progress(State.ACCEPTED))
         if same:
             self._report(self._coming[place][1], _replaced_by(taken))
@@ -263,6 +273,9 @@ class Instructor:
 
     def _take_up(self, laws: Laws, time_ns: int, q: FloatArray) -> None:
         """Let what waited for its time hold from now on."""
+        if self._now_ns is None:  # what came before the first joint states
+            self._refuse_long_waits(time_ns)
+        self._now_ns = time_ns
         while self._coming and self._coming[0][0] <= time_ns:
             taken = self._coming.pop(0)[1]
             if self._coming and self._coming[0][0] <= time_ns:
@@ -278,6 +291,15 @@ class Instructor:
                 self._report(self._active, _replaced_by(taken))
             self._active = taken
             self._report(taken, Progress(State.MOVING))
+
+    def _refuse_long_waits(self, now_ns: int) -> None:
+        for one in list(self._coming):
+            taken = one[1]
+            try:
+                _check_wait(taken.order.kind, taken.begins_ns, now_ns)
+            except Refusal as reason:
+                self._coming.remove(one)
+                self._report(taken, Progress(State.REFUSED, str(reason)))
 
     def _instruct(
         self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None
@@ -344,6 +366,13 @@ class Instructor:
                 progress.angle,
             )
         )
+
+
+def _check_wait(kind: Kind, time_ns: int, now_ns: int) -> None:
+    if time_ns - now_ns > LONGEST_WAIT_NS:
+        rule = f"be at most {LONGEST_WAIT_NS * 1e-9:g} s after logical time {now_ns * 1e-9:g} s"
+        valid = "0 for at once, or a time of the topic clock (use_sim_time)"
+        raise Refusal(kind.topic, "header.stamp", rule, f"{time_ns * 1e-9:.10g} s", valid)
 
 
 def _known(controller: Controller | None, where: str) -> Kinematics:

@@ -34,6 +34,7 @@ MOST_POSES = 5000
 LONGEST = 1000.0  # m, of the whole path and of the way to it
 LONGEST_TIME = 1e6  # s
 ALONE = 0.1  # of the kink that may be passed at full speed: what is smaller does not count
+RESIDUE = 1e-9  # m and m/s: rounding of a tool that is in its pose, or at rest
 
 _SECONDS = 1e-9
 
@@ -320,19 +321,9 @@ class _WayIn:
         self._axes = np.zeros((6, 6))
         self._axes[:3, :3], self._axes[3:, 3:] = _basis(step), _basis(rotation)
         rate = np.linalg.inv(_left_jacobian(rotation)) @ state.omega
-        problem = ruckig.InputParameter(6)
-        problem.current_position = self._along(step, rotation)
-        problem.current_velocity = self._along(state.v, rate)
-        problem.target_position = [0.0] * 6
-        problem.max_velocity = [limits.speed] * 6
-        problem.max_acceleration = [limits.acceleration] * 6
-        problem.max_jerk = [limits.jerk] * 6
-        problem.synchronization = ruckig.Synchronization.Phase
-        self._trajectory = ruckig.Trajectory(6)
-        result = ruckig.Ruckig(6).calculate(problem, self._trajectory)
-        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            got = f"one {distance:.6g} m away ({result.name})"
-            raise Refusal(WHERE, "poses[0]", "be where a way leads to", got)
+        self._trajectory = _to_rest(
+            self._along(step, rotation), self._along(state.v, rate), limits, distance
+        )
         self.duration = float(self._trajectory.duration)
 
     def at(self, time: float) -> ToolState:
@@ -350,8 +341,38 @@ class _WayIn:
 
     def _along(self, position: FloatArray, rotation: FloatArray) -> list[float]:
         both = np.concatenate([position, self._per_turn * rotation])
-        along: list[float] = (self._axes.T @ both).tolist()
-        return along
+        along = self._axes.T @ both
+        return [0.0 if abs(x) < RESIDUE else float(x) for x in along]
+
+
+def _to_rest(
+    position: list[float], velocity: list[float], limits: ToolLimits, distance: float
+) -> ruckig.Trajectory:
+    """Return the quickest way of six coordinates to rest at 0.
+
+    All arrive together. Where Ruckig finds no such way (it compares times that differ by rounding)
+    each coordinate arrives as soon as it can.
+    """
+    problem = ruckig.InputParameter(6)
+    problem.current_position, problem.current_velocity = position, velocity
+    problem.target_position = [0.0] * 6
+    problem.max_velocity = [limits.speed] * 6
+    problem.max_acceleration = [limits.acceleration] * 6
+    problem.max_jerk = [limits.jerk] * 6
+    why = ""
+    for together in (ruckig.Synchronization.Phase, ruckig.Synchronization.No):
+        problem.synchronization = together
+        trajectory = ruckig.Trajectory(6)
+        try:
+            result = ruckig.Ruckig(6).calculate(problem, trajectory)
+        except ruckig.RuckigError as error:
+            why = str(error)
+            continue
+        if result in (ruckig.Result.Working, ruckig.Result.Finished):
+            return trajectory
+        why = result.name
+    got = f"one {distance:.6g} m away ({why})"
+    raise Refusal(WHERE, "poses[0]", "be where a way leads to", got)
 
 
 def _basis(direction: FloatArray) -> FloatArray:

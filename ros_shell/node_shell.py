@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -222,6 +223,8 @@ def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer
 class Diagnostics:
     """The node's health in words, on `diagnostics`: every second, and at once when it changes.
 
+    A message whose figures alone have changed waits for its second.
+
     Refused input is counted by kind, and the newest refusal is published in full. Stamps are of the
     node's clock: wall time, or logical time with `use_sim_time`.
 
@@ -304,9 +307,15 @@ class Diagnostics:
         self.say(array)
 
     def _say(self, level: bytes, message: str) -> None:
-        if (level, message) != (self._level, self._message):
-            self._level, self._message = level, message
+        changed = level != self._level or _words(message) != _words(self._message)
+        self._level, self._message = level, message
+        if changed:
             self.publish()
+
+
+def _words(message: str) -> str:
+    """Return a message without its figures."""
+    return re.sub(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", message)
 
 
 class StartAnew(Exception):

@@ -111,6 +111,58 @@ def test_whatever_takes_over_whatever_nothing_jumps(seed: int) -> None:
             assert (np.abs(after.v) <= 1.05 * limit).all(), "the speed limits"
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_paths_that_begin_where_the_tool_rests_follow_one_another(seed: int) -> None:
+    rng = np.random.default_rng([seed, 5])
+    arm = Ideal()
+    first = arm.pose()
+    for number in range(1, 6):
+        poses = [first, *(arm.pose(rng.uniform(-0.05, 0.05, 3)) for _ in range(2))]
+        arm.instructor.add_path(arm.controller, poses)
+        while ("TOOL_PATH", number, "REACHED") not in arm.states():
+            assert arm.now_ns < 200 * SECOND, "it is reached"
+            arm.advance(0.1)
+        # The pose that was asked for, or the one in which the tool is: they differ by rounding.
+        R, p = arm.controller.kinematics.forward(arm.q)
+        first = poses[-1] if rng.random() < 0.5 else Pose(p, R)
+
+
+@pytest.mark.parametrize("kind", ["TOOL_TARGET", "JOINT_TRAJECTORY", "TOOL_PATH", "TIMED_PATH"])
+@pytest.mark.parametrize("known", [False, True], ids=["before any angles", "while it runs"])
+def test_a_stamp_of_the_wall_clock_is_refused(kind: str, known: bool) -> None:
+    """Whoever stamps with the wall clock would wait for decades."""
+    arm = Ideal()
+    wall = 1_790_000_000 * SECOND
+    if known:
+        arm.advance(5.0)
+
+    def send(stamp_ns: int) -> None:
+        one = arm.instructor
+        if kind == "TOOL_TARGET":
+            one.add(stamp_ns, arm.pose([0.01, 0.0, 0.0]))
+        elif kind == "JOINT_TRAJECTORY":
+            points = [arm.point(3.0, 0.05)]
+            one.add_trajectory(arm.controller, arm.names, points, stamp_ns)
+        elif kind == "TOOL_PATH":
+            one.add_path(arm.controller, [arm.pose([0.01, 0.0, 0.0])], stamp_ns)
+        else:
+            poses = [arm.pose(), arm.pose([0.01, 0.0, 0.0])]
+            one.add_path(arm.controller, poses, 0, [stamp_ns + k * 4 * SECOND for k in (1, 2)])
+
+    if known:
+        with pytest.raises(Refusal, match="at most 3600 s after logical time"):
+            send(wall)
+    else:
+        send(wall)
+        arm.advance(0.1)
+    name = kind.replace("TIMED", "TOOL")
+    (refused,) = [r for r in arm.instructor.reports.waiting if r.state is State.REFUSED]
+    assert refused.kind.name == name and "got 17900000" in refused.reason
+    send(arm.now_ns + SECOND)  # a second ahead is as it always was
+    arm.advance(15.0)
+    assert (name, 2, "REACHED") in arm.states()
+
+
 def test_the_newest_holds_and_every_one_is_answered() -> None:
     arm = Ideal()
     arm.advance(0.05)
@@ -444,7 +496,7 @@ def test_what_is_refused_is_told_with_its_reason(
 def test_a_reset_tells_what_it_has_forgotten(nodes: InProcess) -> None:
     heard = statuses(nodes)
     pose = path(0, [Pose(np.array([0.3, 0.0, 0.5]), np.eye(3))]).poses[0]
-    pose.header.stamp = stamp(10**18)
+    pose.header.stamp = stamp(1000 * SECOND)
     nodes.say("tool_target", pose)
     nodes.call("motion_controller/reset")
     wanted = [MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_ABORTED]

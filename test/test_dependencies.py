@@ -1,0 +1,69 @@
+"""What our packages import is declared: in package.xml for rosdep, or for pip beside it."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+# Where rosdep's key is not the name of the module, or begins with python3-.
+KEYS = {"PIL": "python3-pil"}
+# Where pip's name is not the name of the module.
+WHEELS = {
+    "can": "python-can",
+    "elftools": "pyelftools",
+    "rerun": "rerun-sdk",
+    "rerun_cli": "rerun-sdk",
+    "serial": "pyserial",
+}
+# Imported where they are there, and done without where they are not.
+OPTIONAL = {"control_msgs"}
+
+
+def packages() -> list[str]:
+    """Names of our packages, as setup.py installs them."""
+    setup = (ROOT / "setup.py").read_text()
+    return re.findall(r'"(\w+)"', setup[setup.index("PACKAGES = (") : setup.index(")\n")])
+
+
+def imported(package: str) -> set[str]:
+    """Top-level modules that a package imports, other than Python's and ours."""
+    found: set[str] = set()
+    for file in (ROOT / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {name.name for name in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                found.add(node.module)
+    tops = {name.partition(".")[0] for name in found}
+    return tops - set(sys.stdlib_module_names) - set(packages())
+
+
+def names_in(file: str) -> set[str]:
+    """Packages that a file of requirements asks for by itself."""
+    lines = (ROOT / file).read_text().split("# --- what they bring along")[0].splitlines()
+    return {line.partition("==")[0] for line in lines if re.match(r"\w", line)}
+
+
+def test_every_import_is_declared_for_a_stock_ros_machine() -> None:
+    depends = {one.text for one in ET.parse(ROOT / "package.xml").getroot() if "depend" in one.tag}
+    wheels = names_in("requirements-ros.txt") | names_in("requirements-peers.txt")
+    missing = {
+        module
+        for package in packages()
+        for module in imported(package) - OPTIONAL
+        if not {module, KEYS.get(module, f"python3-{module}")} & depends
+        and WHEELS.get(module, module) not in wheels
+    }
+    assert not missing
+
+
+def test_wheels_for_ros_are_those_of_the_environment_that_is_tested() -> None:
+    everywhere = set((ROOT / "requirements.txt").read_text().splitlines())
+    everywhere |= set((ROOT / "requirements-robots.txt").read_text().splitlines())
+    ours = {x for x in (ROOT / "requirements-ros.txt").read_text().splitlines() if "==" in x}
+    numpy_1 = {x for x in ours if x.startswith("pyarrow==")}  # newer ones want NumPy 2
+    assert len(ours) > 5 and ours - numpy_1 <= everywhere
