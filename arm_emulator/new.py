@@ -88,7 +88,7 @@ def new(
 
 
 def scene_of_robot(robot: Path, out: Path) -> Path:
-    """Return the scene of a robot below `out`: the one made of this very description, else a new one.
+    """Return the scene of a robot below `out`: one made of this very description, else a new one.
 
     Its folder is named after the robot, and the place and content of its description, so that
     neither another robot's file of the same name nor an older state of this one is taken for it.
