@@ -26,13 +26,16 @@ from sensor_msgs.msg import JointState
 from arm_emulator import guarded
 from arm_emulator.__main__ import main
 from arm_emulator.servo_header import servo_header
-from arm_emulator.servo_step import ServoStep
+from arm_emulator.servo_step import ServoStep, servo_step_unit
 from arm_emulator.table_run import TableRun, load_table_run
 from arm_emulator.target_table import load_target_table
 from compiled.c_flags import C_FLAGS
 from compiled.compiler_command import find_compiler
+from compiled.unit import library
 from emulator_node.compiler import CORE
 from emulator_node.firmware import Doing, Firmware, Progress
+from emulator_node.firmware_loop import firmware_loop
+from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
 from emulator_node.session import Session
 from firmware import FOLDER
@@ -379,8 +382,10 @@ def command(
 ) -> tuple[int, str, str]:
     """Run a command of ours in this process (a library of a user's in a child of it).
 
-    Return its exit code and what was printed.
+    Return its exit code and what was printed, but for what is compiled once.
     """
+    Plant(SCENE), firmware_loop(), servo_law(), library(servo_step_unit())
+    capfd.readouterr()
     monkeypatch.setattr(sys, "argv", ["arm_emulator", *map(str, words)])
     with pytest.raises(SystemExit) as end:
         main()
