@@ -44,29 +44,45 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
             )
             if at + size > len(content):
                 return "it is cut short"
-        table = [
-            SECTION.unpack_from(content, sections_at + index * SECTION.size)
-            for index in range(sections)
-        ]
-        missing = set(functions) - _exported(content, table)
+        table = _sections(content, sections_at, sections)
+        missing = set(functions) - set(_exported(content, table))
     except (struct.error, IndexError, OverflowError):
         return "it is cut short"
     return f"it lacks {', '.join(sorted(missing))}" if missing else ""
 
 
-def _exported(content: bytes, table: list[tuple[int, ...]]) -> set[str]:
-    """Return the names in the first table of dynamic symbols; a library has one."""
+def with_data(content: bytes, name: str, data: bytes) -> bytes:
+    """Return a library of ours with other bytes in the place of an exported object."""
+    _, _, _, _, _, sections_at, *_, sections, _ = HEADER.unpack_from(content, IDENTIFICATION_SIZE)
+    table = _sections(content, sections_at, sections)
+    section, address, size = _exported(content, table)[name]
+    assert size == len(data), f"{name} has {size} bytes"
+    _, _, _, begins, stands_at, *_ = table[section]
+    place = stands_at + address - begins
+    return content[:place] + data + content[place + size :]
+
+
+def _sections(content: bytes, at: int, count: int) -> list[tuple[int, ...]]:
+    return [SECTION.unpack_from(content, at + index * SECTION.size) for index in range(count)]
+
+
+def _exported(content: bytes, table: list[tuple[int, ...]]) -> dict[str, tuple[int, int, int]]:
+    """Return section, address and size of what the first table of dynamic symbols names.
+
+    A library has one such table.
+    """
     found = next((section for section in table if section[1] == DYNAMIC_SYMBOLS), None)
     if found is None:
-        return set()
+        return {}
     _, _, _, _, at, size, link, *_ = found
     strings_at = table[link][4]
-    names = set()
+    names = {}
     for symbol in range(at, at + size, SYMBOL.size):
-        name, _, _, section, *_ = SYMBOL.unpack_from(content, symbol)
+        name, _, _, section, address, room = SYMBOL.unpack_from(content, symbol)
         if section != UNDEFINED:
             begin = strings_at + name
-            names.add(content[begin : begin + LONGEST].split(b"\0", 1)[0].decode(errors="replace"))
+            text = content[begin : begin + LONGEST].split(b"\0", 1)[0].decode(errors="replace")
+            names[text] = section, address, room
     return names
 
 

@@ -18,11 +18,12 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from compiled.elf import with_data
 from compiled.trusted import Untrusted, check_folder, read_file
 from words.refusal import Refusal
 
@@ -196,14 +197,21 @@ def store(file: Path, body: bytes, scratch: Path) -> None:
     os.replace(beside, file)
 
 
-def copy_into(library: Path, folder: Path) -> Path:
+def copy_into(library: Path, folder: Path, data: Mapping[str, bytes]) -> Path:
     """Copy a library into another folder, and return its path there.
+
+    Args:
+        library: in a cache.
+        folder: the other one.
+        data: what stands in the copy's objects, by their names.
 
     Raises:
         OSError: it could not be written.
     """
     file = folder / library.name
     body = library.read_bytes()[:-SEAL_SIZE]
+    for name, content in data.items():
+        body = with_data(body, name, content)
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         store(file, body, Path(scratch))
     return file

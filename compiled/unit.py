@@ -9,7 +9,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,8 @@ class Unit:
         part: what a refusal says that a compiler must compile.
         beside: a further source, compiled apart in the same command: what a compiler makes of
             `source` does not depend on it, to the last bit of what that computes.
+        data: what stands in exported objects of copies for others, by their names; libraries in
+            the cache are shared by units that differ in it alone.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Unit:
     about: str
     part: str
     beside: str = ""
+    data: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def library(unit: Unit) -> ctypes.CDLL:
@@ -135,7 +138,7 @@ def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
                 folder.mkdir(parents=True, exist_ok=True)
             if folder.resolve() == library.parent.resolve():
                 return library
-            return library_cache.copy_into(library, folder)
+            return library_cache.copy_into(library, folder, unit.data)
         except OSError as error:
             raise Refusal(
                 "compile", f"the folder {folder}", "be writable", error.strerror

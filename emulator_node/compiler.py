@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +34,14 @@ def library_of(scene: Scene) -> ctypes.CDLL:
 def machine_unit(scene: Scene) -> Unit:
     """Return what the library of `library_of` is compiled of."""
     about = f"scene {scene.name} ({len(scene.joints)} joints)"
-    return _unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
+    unit = _unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
+    return replace(unit, data=_periods(scene))
+
+
+def _periods(scene: Scene) -> dict[str, bytes]:
+    """Return ``arm_scene_periods`` of core/boundary.hpp."""
+    numbers = scene.servo_period, scene.integrator.dt, scene.steps_per_period
+    return {"arm_scene_periods": struct.pack("<ddq", *numbers)}
 
 
 def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.CDLL:
@@ -89,7 +97,8 @@ def fleet_unit(scene: Scene) -> Unit:
     """Return what the library of `fleet_library_of` is compiled of."""
     about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
     source = scene_unit(scene, "fleet_boundary.hpp")
-    return _unit(f"{scene.name}-fleet", source, FLEET_CALLS, scene.where, about)
+    unit = _unit(f"{scene.name}-fleet", source, FLEET_CALLS, scene.where, about)
+    return replace(unit, data=_periods(scene))
 
 
 def real_time_unit() -> Unit:

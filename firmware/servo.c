@@ -34,6 +34,7 @@ SERVO_INLINE servo_real sum_of(const servo_sum* sum, servo_real current, servo_r
 /* ---------------------------------------------------------------------------------- one joint */
 
 void servo_joint_reset(servo_state* state) {
+  if (!state) return;
   state->counts = 0;
   state->known = 0;
   state->theta_measured = state->theta = state->omega = state->load = 0;
@@ -89,7 +90,7 @@ SERVO_INLINE void take_angle(const servo_joint* joint, servo_state* state, servo
 
 void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,
                       servo_real current, servo_real voltage) {
-  take_angle(joint, state, theta, current, voltage);
+  if (joint && state) take_angle(joint, state, theta, current, voltage);
 }
 
 SERVO_INLINE void observe(const servo_joint* joint, servo_state* state, int64_t counts,
@@ -100,7 +101,7 @@ SERVO_INLINE void observe(const servo_joint* joint, servo_state* state, int64_t 
 
 void servo_joint_observe(const servo_joint* joint, servo_state* state, int64_t counts,
                          servo_real current, servo_real voltage) {
-  observe(joint, state, counts, current, voltage);
+  if (joint && state) observe(joint, state, counts, current, voltage);
 }
 
 SERVO_INLINE void wish_within(const servo_joint* joint, servo_wish* wish) {
@@ -114,7 +115,9 @@ SERVO_INLINE void wish_within(const servo_joint* joint, servo_wish* wish) {
   wish->most_current = joint->current_limit;
 }
 
-void servo_wish_within(const servo_joint* joint, servo_wish* wish) { wish_within(joint, wish); }
+void servo_wish_within(const servo_joint* joint, servo_wish* wish) {
+  if (joint && wish) wish_within(joint, wish);
+}
 
 SERVO_INLINE servo_real position_stage(const servo_joint* joint, const servo_state* state,
                                        servo_wish* wish) {
@@ -179,7 +182,7 @@ SERVO_INLINE servo_real drive(const servo_joint* joint, servo_state* state, serv
 }
 
 servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo_wish* wish) {
-  return drive(joint, state, wish);
+  return joint && state && wish ? drive(joint, state, wish) : 0;
 }
 
 SERVO_INLINE servo_real follow(const servo_joint* joint, servo_state* state, servo_real q_target,
@@ -194,12 +197,13 @@ SERVO_INLINE servo_real follow(const servo_joint* joint, servo_state* state, ser
 
 servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
                                servo_real v_target, servo_real tau) {
-  return follow(joint, state, q_target, v_target, tau);
+  return joint && state ? follow(joint, state, q_target, v_target, tau) : 0;
 }
 
 /* ------------------------------------------------------------------------------- the watchdog */
 
 void servo_watchdog_reset(servo_watchdog* dog) {
+  if (!dog) return;
   dog->does = SERVO_HOLDS;
   dog->cause = SERVO_NO_TARGET;
   dog->silence = 0;
@@ -207,11 +211,13 @@ void servo_watchdog_reset(servo_watchdog* dog) {
 }
 
 void servo_watchdog_target(servo_watchdog* dog, int64_t now) {
+  if (!dog) return;
   dog->target_came = 1;
   dog->last_target = now;
 }
 
 void servo_watchdog_state(servo_watchdog* dog, int64_t now) {
+  if (!dog) return;
   dog->state_came = 1;
   dog->last_state = now;
 }
@@ -226,6 +232,7 @@ static void note_silence(servo_watchdog* dog, int64_t* last, int64_t now, int32_
 }
 
 int32_t servo_watchdog_check(servo_watchdog* dog, int64_t now) {
+  if (!dog) return SERVO_CUT;
   if (dog->does == SERVO_CUT) return dog->does;
   dog->does = dog->target_came ? SERVO_FOLLOWS : SERVO_HOLDS;
   dog->cause = dog->target_came ? SERVO_HEARS : SERVO_NO_TARGET;
@@ -237,7 +244,11 @@ int32_t servo_watchdog_check(servo_watchdog* dog, int64_t now) {
 
 /* ------------------------------------------------------------------------------------ an arm */
 
+/* Whether it is a servo with all that it needs. */
+SERVO_INLINE int complete(const servo* arm) { return arm && arm->joint && arm->state; }
+
 void servo_reset(servo* arm) {
+  if (!complete(arm)) return;
   for (int32_t j = 0; j < arm->joints; ++j) servo_joint_reset(&arm->state[j]);
   servo_watchdog_reset(&arm->watchdog);
   arm->measured = arm->aimed = arm->holding = 0;
@@ -253,6 +264,7 @@ static void begin_anew(servo* arm, int32_t j) {
 
 void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
                    const servo_real* voltage) {
+  if (!complete(arm) || !counts || !current) return;
   for (int32_t j = 0; j < arm->joints; ++j) {
     servo_state* state = &arm->state[j];
     observe(&arm->joint[j], state, counts[j], current[j], voltage ? voltage[j] : state->voltage);
@@ -273,21 +285,25 @@ SERVO_INLINE servo_real control(servo* arm, int32_t j, servo_real q, servo_real 
 }
 
 servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish) {
+  if (!complete(arm) || !wish || j < 0 || j >= arm->joints) return 0;
   return sound(arm, j, drive(&arm->joint[j], &arm->state[j], wish));
 }
 
 void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
                    servo_real* voltage) {
+  if (!complete(arm) || !q || !voltage) return;
   for (int32_t j = 0; j < arm->joints; ++j)
     voltage[j] = control(arm, j, q[j], v ? v[j] : 0, tau ? tau[j] : 0);
 }
 
 void servo_release(servo* arm) {
+  if (!complete(arm)) return;
   for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].integral = arm->state[j].voltage = 0;
 }
 
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
                    const servo_real* voltage) {
+  if (!complete(arm) || !counts || !current) return;
   servo_observe(arm, counts, current, voltage);
   arm->now = now;
   arm->measured = 1;
@@ -295,6 +311,7 @@ void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_r
 }
 
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau) {
+  if (!complete(arm) || !q) return;
   for (int32_t j = 0; j < arm->joints; ++j) {
     arm->state[j].q_target = q[j];
     arm->state[j].v_target = v ? v[j] : 0;
@@ -315,6 +332,7 @@ static servo_real ahead_of(const servo* arm) {
 }
 
 void servo_voltage(servo* arm, int32_t powered, servo_real* voltage) {
+  if (!complete(arm) || !voltage) return;
   arm->does = servo_watchdog_check(&arm->watchdog, arm->now);
   if (!powered || !arm->measured) arm->does = SERVO_CUT;
   if (arm->does == SERVO_CUT) {

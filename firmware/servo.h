@@ -22,6 +22,8 @@
  * ever. So the servo guarantees, at rest, a measured angle within half a count of the target, and
  * no more.
  *
+ * A null pointer where none may be: nothing happens, and what is returned is 0 (SERVO_CUT).
+ *
  * Numbers are `double`, or `float` with SERVO_FLOAT defined. Compile without contraction of
  * products and sums (-ffp-contract=off), and every compiler and processor gives the same bits.
  */

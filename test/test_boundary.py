@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import math
 import os
 import re
 import shutil
+import struct
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +18,7 @@ import pytest
 from draws import some
 from fuzz.cores import random_machine
 
+from compiled import library_cache
 from emulator_node.compiler import CORE, compile_ahead
 from emulator_node.plant import Diverged, Plant, PlantState
 from emulator_node.scene import Scene, load_scene
@@ -168,6 +171,27 @@ def test_a_state_that_is_set_is_the_state(drawn: tuple[Scene, np.random.Generato
         with pytest.raises(Refusal):
             plant.state = dataclasses.replace(state, **change)
         assert plant.save() == kept, "a refused state has changed something"
+
+
+def test_a_library_for_others_describes_its_periods(tmp_path: Path) -> None:
+    """Scenes that differ in them alone share the library in the cache, and its fingerprint."""
+    fingerprints = set()
+    for dt in (1e-4, 2.5e-4):
+        scene = load_scene("three_axis", overrides={"integrator.dt": dt})
+        copy, *_ = compile_ahead(scene, "native", tmp_path / str(dt))
+        cached, *_ = compile_ahead(scene, "native", None)
+        for file, periods in ((copy, (1e-3, dt, round(1e-3 / dt))), (cached, (0.0, 0.0, 0))):
+            library_cache.check(file)
+            described = ctypes.create_string_buffer(bytes([64]), 64)
+            assert ctypes.CDLL(str(file)).arm_describe(described) == 0
+            size, version, joints, _, fingerprint, *_ = struct.unpack_from("<IIiiQd", described)
+            assert (size, version, joints) == (64, 3, 3)
+            assert struct.unpack_from("<ddq", described, 40) == periods, file
+            fingerprints.add(fingerprint)
+    assert len(fingerprints) == 1, "saved machines go from one to the other"
+    version_2 = ctypes.create_string_buffer(b"\x28\0\0\0" + 60 * b"\x5a")
+    assert ctypes.CDLL(str(copy)).arm_describe(version_2) == 0
+    assert version_2.raw[40:63] == 23 * b"\x5a", "no more is written than a client has room for"
 
 
 def test_a_client_in_c_gets_the_bits_of_python(tmp_path: Path) -> None:

@@ -13,6 +13,9 @@
  * A struct begins with its size, which its user sets to sizeof of it: a library reads and writes no
  * more than that, so that later versions can add fields at the end. No call but `arm_new` allocates
  * memory. One machine is used by one thread at a time; several machines know nothing of each other.
+ *
+ * A null pointer where none may be is refused: ARM_REFUSED (without a machine, no `arm_why`), or
+ * nothing happens.
  */
 #ifndef ARM_H
 #define ARM_H
@@ -23,7 +26,7 @@
 extern "C" {
 #endif
 
-#define ARM_VERSION 2
+#define ARM_VERSION 3
 
 typedef struct arm_machine arm_machine; /* one machine of the library's scene */
 
@@ -53,6 +56,11 @@ typedef struct arm_description {
   double supply_voltage; /* V */
   int32_t imus;          /* inertial measurement units; since version 2 */
   int32_t reserved;
+  /* Since version 3: what the scene has of arm_options, in a library by `compile --into`; else 0.
+   * A machine may be made with others. */
+  double servo_period;      /* s */
+  double step;              /* s, of the integrator */
+  int64_t steps_per_period; /* of a servo period */
 } arm_description;
 
 enum arm_kind { ARM_REVOLUTE = 0, ARM_PRISMATIC = 1 };

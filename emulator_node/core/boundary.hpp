@@ -71,8 +71,16 @@ struct arm_machine {
     why.got = got;
     return ARM_REFUSED;
   }
+  // ARM_OK if something is there.
+  int check_there(const void* pointer, const char* quantity) const {
+    return pointer ? ARM_OK : refuse(-1, quantity, "be there, no null pointer", 0.0);
+  }
+  int check_count(std::int64_t count, const char* quantity) const {
+    return count >= 0 ? ARM_OK : refuse(-1, quantity, "be at least 0", static_cast<double>(count));
+  }
   // ARM_OK if all numbers of a row are finite.
   int check_finite(const double* row, const char* quantity) const {
+    if (check_there(row, quantity)) return ARM_REFUSED;
     for (int j = 0; j < N; ++j)
       if (!arm::is_finite(row[j])) return refuse(j, quantity, "be finite", row[j]);
     return ARM_OK;
@@ -80,12 +88,14 @@ struct arm_machine {
   // A struct may be as short as it was in version 1 of arm.h.
   template <class Struct>
   int check_size(const Struct* one, std::size_t least = sizeof(Struct)) const {
-    if (one && one->size >= least) return ARM_OK;
-    return refuse(-1, "size", "be that of the struct in arm.h", one ? one->size : 0.0);
+    if (check_there(one, "struct")) return ARM_REFUSED;
+    if (one->size >= least) return ARM_OK;
+    return refuse(-1, "size", "be that of the struct in arm.h", one->size);
   }
 
   int check_measurement(const arm_measurement* out) const {
-    return check_size(out, offsetof(arm_measurement, sensors));
+    if (check_size(out, offsetof(arm_measurement, sensors))) return ARM_REFUSED;
+    return check_there(out->joint, "joint of the measurement");
   }
 
   void set_external_wrench(int j, const arm::GivenWrench& wrench) {
@@ -229,11 +239,33 @@ int fill(Struct* out, const Struct& all) {
 
 #pragma GCC visibility push(default)
 
+// What the scene says of time. No code depends on it, and scenes that differ in it alone share a
+// library: the numbers are written into a copy that is made for others (compiler.py).
+extern "C" {
+struct arm_periods {
+  double servo_period, step;
+  std::int64_t steps_per_period;
+};
+__attribute__((visibility("protected"))) volatile arm_periods arm_scene_periods = {
+    -1.0, -1.0, -1};  // in the file, as no zeros would be
+}
+
 int arm_describe(arm_description* out) {
   if (!out || out->size < offsetof(arm_description, imus)) return ARM_REFUSED;
-  return fill(out,
-              arm_description{out->size, ARM_VERSION, arm_machine::N, Scene::parameters,
-                              ARM_FINGERPRINT, Scene::supply_voltage, arm_machine::Sensors::M, 0});
+  arm_description all = {};
+  all.size = out->size;
+  all.version = ARM_VERSION;
+  all.joints = arm_machine::N;
+  all.parameters = Scene::parameters;
+  all.fingerprint = ARM_FINGERPRINT;
+  all.supply_voltage = Scene::supply_voltage;
+  all.imus = arm_machine::Sensors::M;
+  if (arm_scene_periods.steps_per_period > 0) {
+    all.servo_period = arm_scene_periods.servo_period;
+    all.step = arm_scene_periods.step;
+    all.steps_per_period = arm_scene_periods.steps_per_period;
+  }
+  return fill(out, all);
 }
 
 int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
@@ -281,7 +313,8 @@ ARM_ONCE arm_machine* arm_new(const arm_options* options) {
 void arm_delete(arm_machine* machine) { delete machine; }
 
 int arm_reset(arm_machine* machine, const double* q, const double* v) {
-  if (machine->check_finite(q, "q") || machine->check_finite(v, "v")) return ARM_REFUSED;
+  if (!machine || machine->check_finite(q, "q") || machine->check_finite(v, "v"))
+    return ARM_REFUSED;
   machine->forget_external_wrenches();
   machine->machine.put_brakes(!machine->powered);
   machine->machine.reset(q, v);
@@ -291,10 +324,13 @@ int arm_reset(arm_machine* machine, const double* q, const double* v) {
   return ARM_OK;
 }
 
-int arm_join_schedule(arm_machine* machine) { return machine->machine.join_schedule(); }
+int arm_join_schedule(arm_machine* machine) {
+  return machine ? machine->machine.join_schedule() : 0;
+}
 
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out) {
-  if (machine->check_size(command, offsetof(arm_command, value_d)) ||
+  if (!machine || machine->check_size(command, offsetof(arm_command, value_d)) ||
+      machine->check_there(command->joint, "joint of the command") ||
       machine->check_measurement(out))
     return ARM_REFUSED;
   double voltage[arm_machine::N], voltage_d[arm_machine::N] = {};
@@ -330,19 +366,19 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
 }
 
 int arm_measure(const arm_machine* machine, arm_measurement* out) {
-  if (machine->check_measurement(out)) return ARM_REFUSED;
+  if (!machine || machine->check_measurement(out)) return ARM_REFUSED;
   machine->measure(out);
   return machine->result();
 }
 
 void arm_power(arm_machine* machine, int on) {
-  if (machine->powered == (on != 0)) return;
+  if (!machine || machine->powered == (on != 0)) return;
   machine->powered = on != 0;
   for (int k = 0; k < Scene::brakes; ++k) machine->machine.want_brake(k, !machine->powered);
 }
 
 int arm_why(const arm_machine* machine, arm_refusal* out) {
-  if (!out || out->size < sizeof *out) return ARM_REFUSED;
+  if (!machine || !out || out->size < sizeof *out) return ARM_REFUSED;
   *out = machine->why;
   return ARM_OK;
 }
@@ -367,6 +403,7 @@ int arm_describe_parameter(std::int32_t index, arm_parameter* out) {
 }
 
 int arm_get_parameter(const arm_machine* machine, const char* name, double* value) {
+  if (!machine || machine->check_there(value, "value")) return ARM_REFUSED;
   const int k = place_of(name);
   if (k < 0) return machine->refuse(-1, "parameter", "be varied in this scene", 0.0);
   *value = machine->machine.parameter(k);
@@ -374,6 +411,7 @@ int arm_get_parameter(const arm_machine* machine, const char* name, double* valu
 }
 
 int arm_set_parameter(arm_machine* machine, const char* name, double value) {
+  if (!machine) return ARM_REFUSED;
   const int k = place_of(name);
   if (k < 0) return machine->refuse(-1, "parameter", "be varied in this scene", 0.0);
   if (!within_bounds(k, value))
@@ -383,7 +421,7 @@ int arm_set_parameter(arm_machine* machine, const char* name, double value) {
 }
 
 int arm_set_external_wrench(arm_machine* machine, std::int32_t joint, const arm_wrench* wrench) {
-  if (machine->refuse_wrench(joint) || machine->check_size(wrench)) return ARM_REFUSED;
+  if (!machine || machine->refuse_wrench(joint) || machine->check_size(wrench)) return ARM_REFUSED;
   if (wrench->axes != ARM_LINK_AXES && wrench->axes != ARM_WORLD_AXES)
     return machine->refuse(joint, "axes", "be one of enum arm_axes", wrench->axes);
   arm::GivenWrench given = {};
@@ -400,7 +438,7 @@ int arm_set_external_wrench(arm_machine* machine, std::int32_t joint, const arm_
 }
 
 int arm_get_external_wrench(const arm_machine* machine, std::int32_t joint, arm_wrench* out) {
-  if (machine->refuse_wrench(joint) || machine->check_size(out)) return ARM_REFUSED;
+  if (!machine || machine->refuse_wrench(joint) || machine->check_size(out)) return ARM_REFUSED;
   const double* of = machine->given[Scene::external_wrench ? joint : 0].numbers;
   for (double* vector : {out->point, out->force, out->moment})
     for (int k = 0; k < 3; ++k) vector[k] = *of++;
@@ -455,6 +493,7 @@ ARM_ONCE std::int64_t arm_saved_size(void) {
 }
 
 ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
+  if (!machine || machine->check_there(out, "out")) return ARM_REFUSED;
   if (size != arm_saved_size())
     return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
   Words words = {static_cast<unsigned char*>(out)};
@@ -469,6 +508,7 @@ ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) 
 }
 
 ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
+  if (!machine || machine->check_there(saved, "saved machine")) return ARM_REFUSED;
   if (size != arm_saved_size())
     return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
   Words words = {const_cast<unsigned char*>(static_cast<const unsigned char*>(saved))};
@@ -504,7 +544,7 @@ ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t s
 
 int arm_get_truth(const arm_machine* machine, arm_truth* out) {
   constexpr int N = arm_machine::N;
-  if (machine->check_size(out)) return ARM_REFUSED;
+  if (!machine || machine->check_size(out)) return ARM_REFUSED;
   const auto& x = machine->machine.state();
   double current[N], angle[N], speed[N], torque[N];
   machine->machine.report(current, angle, speed);
@@ -521,12 +561,12 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
 }
 
 void arm_get_winding_temperatures(const arm_machine* machine, double* out) {
-  machine->machine.winding_temperatures(out);
+  if (machine && out) machine->machine.winding_temperatures(out);
 }
 
 ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   constexpr int N = arm_machine::N;
-  if (machine->check_size(truth)) return ARM_REFUSED;
+  if (!machine || machine->check_size(truth)) return ARM_REFUSED;
   double current[N], angle[N], speed[N];
   auto x = machine->machine.state();
   machine->machine.report(current, angle, speed);
@@ -565,13 +605,17 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
 }
 
 int arm_advance(arm_machine* machine, const double* voltage, std::int64_t steps) {
-  if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
+  if (!machine || machine->check_finite(voltage, "voltage") || machine->check_count(steps, "steps"))
+    return ARM_REFUSED;
   machine->go(steps, [&](std::int64_t some) { machine->machine.advance(voltage, some); });
   return machine->result();
 }
 
 int arm_run(arm_machine* machine, const double* voltage, std::int64_t rows, std::int64_t steps,
             double* q) {
+  if (!machine || machine->check_there(voltage, "voltage") || machine->check_there(q, "q") ||
+      machine->check_count(rows, "rows") || machine->check_count(steps, "steps"))
+    return ARM_REFUSED;
   for (std::int64_t row = 0; row < rows; ++row)
     if (machine->check_finite(voltage + row * arm_machine::N, "voltage")) return ARM_REFUSED;
   machine->follow(voltage, rows, steps, q);
@@ -588,6 +632,7 @@ namespace {
 }
 
 [[maybe_unused]] int refuse_flow(const arm_machine* machine) {
+  if (!machine) return ARM_REFUSED;
   return machine->refuse(-1, "energy_flow", "be true in the scene", 0.0);
 }
 
@@ -597,7 +642,8 @@ int arm_powers(const arm_machine* machine, const double* voltage, double* out) {
   if constexpr (!Scene::energy_flow) {
     return refuse_flow(machine);
   } else {
-    if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
+    if (!machine || machine->check_finite(voltage, "voltage") || machine->check_there(out, "out"))
+      return ARM_REFUSED;
     write_flow(machine->machine.powers(voltage), out);
     return ARM_OK;
   }
@@ -608,7 +654,9 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_
   if constexpr (!Scene::energy_flow) {
     return refuse_flow(machine);
   } else {
-    if (machine->check_finite(voltage, "voltage")) return ARM_REFUSED;
+    if (!machine || machine->check_finite(voltage, "voltage") || machine->check_there(out, "out") ||
+        machine->check_count(steps, "steps"))
+      return ARM_REFUSED;
     arm::EnergyFlow<Scene> flow;
     machine->go(steps,
                 [&](std::int64_t some) { machine->machine.advance_metered(voltage, some, flow); });
@@ -620,6 +668,7 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_
 ARM_ONCE int arm_linear_drives(const arm_machine* machine, double* out) {
   constexpr int K = arm::most_states<Scene>();
   if (!out) return K;
+  if (!machine) return 0;
   const auto copy = [&](const double* from, int count) {
     for (int k = 0; k < count; ++k) *out++ = from[k];
   };
@@ -645,6 +694,7 @@ void arm_forward_dynamics(const arm_machine* machine, std::int64_t count, const 
                           const double* v, const double* tau, double* a) {
   constexpr int N = arm_machine::N;
   using Links = arm::Links<Scene>;
+  if (!machine || !q || !v || !tau || !a) return;
   for (std::int64_t row = 0; row < count; ++row, q += N, v += N, tau += N, a += N) {
     Links::Dynamics links;
     double x[N];

@@ -11,6 +11,7 @@ static void aim(firmware_loop* loop, firmware_input* in) {
 }
 
 int firmware_loop_run(firmware_loop* loop, int64_t ticks) {
+  if (!loop) return ARM_REFUSED;
   firmware_output out = {sizeof out, 0, loop->joint, loop->value_d};
   arm_command command = *loop->command;
   int result = loop->measure(loop->machine, loop->measurement);
@@ -29,5 +30,5 @@ int firmware_loop_run(firmware_loop* loop, int64_t ticks) {
 
 void firmware_loop_step(void* with, const firmware_input* in, firmware_output* out) {
   const firmware* code = with;
-  code->step(in, out);
+  if (code && code->step) code->step(in, out);
 }

@@ -73,7 +73,9 @@ struct arm_fleet {
 std::int32_t arm_fleet_lanes(void) { return arm_fleet::lanes; }
 
 arm_fleet* arm_fleet_new(const arm_options* options, std::int32_t count) {
-  if (!options || options->size < sizeof *options || count < 1) return nullptr;
+  if (!options || options->size < sizeof *options || count < 1 ||
+      (Scene::parameters && !options->parameters))
+    return nullptr;
   arm_fleet* fleet = new arm_fleet(*options, count);
   if (fleet->sound) return fleet;
   delete fleet;
@@ -82,15 +84,16 @@ arm_fleet* arm_fleet_new(const arm_options* options, std::int32_t count) {
 void arm_fleet_delete(arm_fleet* fleet) { delete fleet; }
 
 arm_machine* arm_fleet_machine(arm_fleet* fleet, std::int32_t arm) {
-  return arm >= 0 && arm < fleet->arms ? fleet->machine[arm] : nullptr;
+  return fleet && arm >= 0 && arm < fleet->arms ? fleet->machine[arm] : nullptr;
 }
 
 int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const double* voltage,
                   std::int64_t rows, std::int64_t steps, double* q) {
   constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
-  const std::int32_t end = first + arms;
-  if (first < 0 || first % lanes || arms < 0 || end > fleet->arms || rows < 0 || steps < 0)
+  if (!fleet || !voltage || !q || first < 0 || first % lanes || arms < 0 || first > fleet->arms ||
+      arms > fleet->arms - first || rows < 0 || steps < 0)
     return ARM_REFUSED;
+  const std::int32_t end = first + arms;
   const std::int64_t stride = std::int64_t{fleet->arms} * N;
   for (std::int64_t row = 0; row < rows; ++row) {
     bool finite = true;
@@ -108,7 +111,7 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
 
 int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {
   constexpr int N = arm_fleet::N;
-  if (!out || out->size < sizeof *out) return ARM_REFUSED;
+  if (!fleet || !out || out->size < sizeof *out) return ARM_REFUSED;
   const auto row = [](double* rows, int arm) { return rows ? rows + arm * N : nullptr; };
   for (int arm = 0; arm < fleet->arms; ++arm) {
     const arm_machine& machine = *fleet->machine[arm];

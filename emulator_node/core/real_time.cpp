@@ -307,28 +307,37 @@ struct arm_real_time {
 
 arm_real_time* arm_real_time_new(const arm_real_time_options* options) {
   const bool sound = options && options->size >= sizeof *options && options->joints > 0 &&
-                     options->machine && options->period > 0 && options->core >= -1 &&
+                     options->machine && options->exchange && options->get_truth &&
+                     options->join_schedule && options->period > 0 && options->core >= -1 &&
                      options->imus >= 0;
   return sound ? new arm_real_time(*options) : nullptr;
 }
 void arm_real_time_delete(arm_real_time* loop) { delete loop; }
-void arm_real_time_start(arm_real_time* loop, std::int64_t tick) { loop->start(tick); }
-void arm_real_time_stop(arm_real_time* loop) { loop->stop(); }
-void arm_real_time_go_on(arm_real_time* loop) { loop->go_on(); }
+void arm_real_time_start(arm_real_time* loop, std::int64_t tick) {
+  if (loop) loop->start(tick);
+}
+void arm_real_time_stop(arm_real_time* loop) {
+  if (loop) loop->stop();
+}
+void arm_real_time_go_on(arm_real_time* loop) {
+  if (loop) loop->go_on();
+}
 void arm_real_time_command(arm_real_time* loop, const arm_command* command) {
-  loop->cell.write(*command);
+  if (loop && command && command->joint) loop->cell.write(*command);
 }
 int arm_real_time_take(arm_real_time* loop, arm_snapshot* out) {
-  return out && out->size >= sizeof *out && out->truth.size >= sizeof out->truth &&
+  return loop && out && out->size >= sizeof *out && out->truth.size >= sizeof out->truth &&
          loop->ring.take(*out);
 }
-int arm_real_time_descriptor(const arm_real_time* loop) { return loop->bell; }
+int arm_real_time_descriptor(const arm_real_time* loop) { return loop ? loop->bell : -1; }
 void arm_real_time_get_figures(const arm_real_time* loop, arm_real_time_figures* out) {
+  if (!loop || !out) return;
   *out = {loop->tick.load(),    loop->lost_periods.load(), loop->old_commands.load(),
           loop->late.largest(), loop->late.quantile(0.5),  loop->late.quantile(0.99),
           loop->unread.load(),  loop->fifo.load(),         loop->locked.load()};
 }
 void arm_real_time_clear_figures(arm_real_time* loop) {
+  if (!loop) return;
   loop->lost_periods.store(0);
   loop->old_commands.store(0);
   loop->unread.store(0);

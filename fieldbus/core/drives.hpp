@@ -61,6 +61,14 @@ struct drives {
   arm_measurement measurement = {};
 };
 
+namespace {
+
+bool has(const drives* all, std::int32_t drive) {
+  return all && drive >= 0 && drive < all->count();
+}
+
+}  // namespace
+
 #pragma GCC visibility push(default)
 
 drives* drives_new(const drives_machine* machine) {
@@ -74,20 +82,23 @@ drives* drives_new(const drives_machine* machine) {
   return all;
 }
 void drives_delete(drives* all) { delete all; }
-std::int32_t drives_count(const drives* all) { return all->count(); }
-void drives_begin(drives* all) { all->begin(); }
-int drives_period(drives* all) { return all->period(); }
+std::int32_t drives_count(const drives* all) { return all ? all->count() : 0; }
+void drives_begin(drives* all) {
+  if (all) all->begin();
+}
+int drives_period(drives* all) { return all ? all->period() : int{ARM_REFUSED}; }
 int drives_periods(drives* all, std::int64_t periods) {
-  int result = ARM_OK;
+  int result = all ? ARM_OK : ARM_REFUSED;
   for (; periods > 0 && result == ARM_OK; --periods) result = all->period();
   return result;
 }
-std::int64_t drives_tick(const drives* all) { return all->tick(); }
+std::int64_t drives_tick(const drives* all) { return all ? all->tick() : 0; }
 
 std::uint32_t drives_read(const drives* all, std::int32_t drive, std::uint16_t index,
                           std::uint8_t sub, void* out, std::uint32_t room, std::uint32_t* size) {
+  if (!size) return fieldbus::abort_code::general;
   *size = 0;
-  if (drive < 0 || drive >= all->count()) return fieldbus::abort_code::general;
+  if (!has(all, drive) || (!out && room)) return fieldbus::abort_code::general;
   std::size_t bytes = 0;
   const std::uint32_t abort =
       all->at(drive).read(index, sub, {static_cast<std::byte*>(out), room}, bytes);
@@ -96,12 +107,12 @@ std::uint32_t drives_read(const drives* all, std::int32_t drive, std::uint16_t i
 }
 std::uint32_t drives_write(drives* all, std::int32_t drive, std::uint16_t index, std::uint8_t sub,
                            const void* in, std::uint32_t size) {
-  if (drive < 0 || drive >= all->count()) return fieldbus::abort_code::general;
+  if (!has(all, drive) || (!in && size)) return fieldbus::abort_code::general;
   return all->at(drive).write(index, sub, {static_cast<const std::byte*>(in), size});
 }
 
 int drives_list(std::int32_t slot, drives_entry* out) {
-  if (slot < 0 || slot >= fieldbus::kSlots) return 0;
+  if (!out || slot < 0 || slot >= fieldbus::kSlots) return 0;
   const fieldbus::Entry& one = fieldbus::Values::entry(slot);
   *out = {one.index,
           one.sub,
@@ -124,20 +135,20 @@ int drives_list(std::int32_t slot, drives_entry* out) {
 
 int drives_set(drives* all, std::int32_t drive, std::uint16_t index, std::uint8_t sub,
                std::int64_t value) {
-  return drive >= 0 && drive < all->count() && all->at(drive).set(index, sub, value);
+  return has(all, drive) && all->at(drive).set(index, sub, value);
 }
 std::int32_t drives_periods_per_target(const drives* all, std::int32_t drive) {
-  return drive >= 0 && drive < all->count() ? all->at(drive).periods_per_target() : 1;
+  return has(all, drive) ? all->at(drive).periods_per_target() : 1;
 }
 
 void drives_lost(drives* all, std::int32_t drive, std::uint16_t error) {
-  all->with(drive, [=](fieldbus::Drive& one) { one.lost(error); });
+  if (all) all->with(drive, [=](fieldbus::Drive& one) { one.lost(error); });
 }
 void drives_lock_mapping(drives* all, std::int32_t drive, int locked) {
-  all->with(drive, [=](fieldbus::Drive& one) { one.lock_mapping(locked != 0); });
+  if (all) all->with(drive, [=](fieldbus::Drive& one) { one.lock_mapping(locked != 0); });
 }
 void drives_restart(drives* all, std::int32_t drive) {
-  all->with(drive, [](fieldbus::Drive& one) { one.restart(); });
+  if (all) all->with(drive, [](fieldbus::Drive& one) { one.restart(); });
 }
 
 #pragma GCC visibility pop

@@ -18,21 +18,26 @@ ethercat_segment* ethercat_new(const ethercat_options* options) {
 }
 void ethercat_delete(ethercat_segment* segment) { delete segment; }
 int64_t ethercat_frame(ethercat_segment* segment, uint8_t* frame, int64_t size, int64_t now) {
-  if (size < 0) return 0;
+  if (!segment || !frame || size < 0) return 0;
   const std::size_t back = segment->pass({frame, static_cast<std::size_t>(size)}, now);
   segment->finish_exchange();
   return static_cast<int64_t>(back);
 }
-int ethercat_period(ethercat_segment* segment, int64_t now) { return segment->period(now); }
+int ethercat_period(ethercat_segment* segment, int64_t now) {
+  return segment ? segment->period(now) : int{ARM_REFUSED};
+}
 void ethercat_get_figures(const ethercat_segment* segment, ethercat_figures* out) {
-  *out = segment->figures();
+  if (segment && out) *out = segment->figures();
 }
 const uint8_t* ethercat_memory(const ethercat_segment* segment, int32_t slave) {
+  if (!segment || slave < 0 || slave >= segment->count()) return nullptr;
   return segment->slave(static_cast<std::size_t>(slave)).contents().at(0);
 }
-int ethercat_open(const char* interface) { return ethercat::open_interface(interface); }
+int ethercat_open(const char* interface) {
+  return interface ? ethercat::open_interface(interface) : -EINVAL;
+}
 int ethercat_serve(ethercat_segment* segment, int descriptor, int64_t duration) {
-  return segment->port.serve(descriptor, duration);
+  return segment ? segment->port.serve(descriptor, duration) : -EINVAL;
 }
 
 #pragma GCC visibility pop

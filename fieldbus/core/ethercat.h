@@ -49,7 +49,7 @@ int64_t ethercat_frame(ethercat_segment* segment, uint8_t* frame, int64_t size, 
 /* Let a servo period pass, by the clock. Returns the result of the machine's exchange. */
 int ethercat_period(ethercat_segment* segment, int64_t now);
 void ethercat_get_figures(const ethercat_segment* segment, ethercat_figures* out);
-/* Registers and memory of a slave, 0x3000 bytes. */
+/* Registers and memory of a slave, 0x3000 bytes; null if there are not so many. */
 const uint8_t* ethercat_memory(const ethercat_segment* segment, int32_t slave);
 
 /* Open a network interface for `ethercat_serve`: a descriptor, or -errno. */

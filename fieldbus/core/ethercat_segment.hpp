@@ -99,6 +99,7 @@ class Segment {
     return out;
   }
   const Slave& slave(std::size_t k) const { return *slaves[k]; }
+  std::int32_t count() const { return static_cast<std::int32_t>(slaves.size()); }
   bool lockstep() const { return arm.lockstep; }
   bool diverged() const { return figures_.diverged; }
   std::int64_t period_ns() const { return arm.period; }

@@ -1,0 +1,34 @@
+"""Null pointers into the functions of our C headers: refused, or nothing happens."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import null_pointers
+from null_pointers import CORE
+
+# Of these some pointers may be null, as their headers say.
+MAY = {
+    "arm_linear_drives": "out",
+    "arm_join_schedule": "machine",  # 0: not permitted
+    "arm_set_truth": "",
+}
+
+
+def test_every_function_takes_null_pointers() -> None:
+    program = str(Path(null_pointers.__file__))
+    done = subprocess.run([sys.executable, program], capture_output=True, text=True, check=False)
+    lines = done.stdout.splitlines()
+    assert done.returncode == 0, f"crash in {lines[-1] if lines else done.stderr}"
+    called = {line.split()[0] for line in lines}
+    declared = [one.name for one in null_pointers.functions(CORE / "arm.h")]
+    named = set(re.findall(r"\b(arm_\w+)\(", (CORE / "arm.h").read_text()))
+    assert set(declared) == named <= called, "every function of arm.h"
+    results = {one.name: one.result for one in null_pointers.functions(CORE / "arm.h")}
+    for line in lines:
+        name, *nulls, result = line.replace(",", "").split()
+        if results.get(name) == "int" and nulls != ["-"] and name not in MAY:
+            assert result == "1", f"ARM_REFUSED of {line}"
