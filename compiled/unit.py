@@ -208,7 +208,7 @@ def _built(file: Path, compiler: str, unit: Unit) -> bytes:
     try:
         # It lies in a folder that is closed to others, whatever the umask has made of its mode.
         body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
-        reason = why_no_library(body, unit.calls)
+        reason = why_no_library(body, (*unit.calls, *unit.data))
     except FileNotFoundError:
         reason = "there is none"
     except (OSError, Untrusted) as error:
