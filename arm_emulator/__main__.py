@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
+
+if __name__ == "__main__":
+    # Nothing of the user's folder is imported, whatever its files are called.
+    if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
+        sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
 from ros_shell.ctrl_c import CtrlC, end_at_once, exit_code
 

@@ -75,7 +75,7 @@ class Bringup:
         common = _common_arguments(namespace, use_sim_time, params_file)
         for name in only:
             module, kind, parameters = every[name]
-            command = [sys.executable, "-m", module, "--ros-args"]
+            command = [sys.executable, "-P", "-m", module, "--ros-args"]
             if kind is not None:
                 command += ["--params-file", str(find_beside(file, kind))]
             for key, value in parameters.items():
@@ -113,7 +113,7 @@ class Bringup:
             stderr=subprocess.STDOUT if log is not None else None,
             process_group=0,  # takes no signals from the terminal: `stop` passes them on
             preexec_fn=_hold_signals_back,  # noqa: PLW1509 - one system call, no lock
-            env={**os.environ, **parent_environment()},
+            env={**os.environ, **parent_environment(), **_python_path()},
         )
         if log is not None:
             log.close()
@@ -165,6 +165,13 @@ def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | No
         read_yaml(params_file)  # what is no YAML is refused here, not by each node
         arguments += ["--params-file", str(params_file.resolve())]
     return arguments
+
+
+def _python_path() -> dict[str, str]:
+    """Return where nodes find our modules: where we are, and nothing of the working folder."""
+    folders = [one for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]
+    ours = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    return {"PYTHONPATH": os.pathsep.join([*folders, ours])}
 
 
 def _hold_signals_back() -> None:

@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 if __name__ == "__main__":  # before what takes long to import
+    import os
+    import sys
+
+    # Nothing of the user's folder is imported, whatever its files are called.
+    if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
+        sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
+
     from ros_shell.ctrl_c import end_at_once
 
     end_at_once(0)
