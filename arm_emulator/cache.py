@@ -13,6 +13,7 @@ from compiled.library_cache import (
     remove,
     why_not_trusted,
 )
+from compiled.trusted import Untrusted, check_folder
 
 
 def list_cache() -> int:
@@ -36,13 +37,14 @@ def clear_cache() -> int:
     """Remove what is kept; 1 if something stays."""
     stays = 0
     for folder in named_folders():
-        if not folder.is_dir():
-            continue
-        reason = why_not_trusted(folder)
-        if reason:
+        try:
+            place = check_folder(folder)
+        except OSError:
+            continue  # it is not there
+        except Untrusted as reason:
             print(f"{folder}: left alone: {reason}")
             continue
-        libraries = {entry.file for entry in entries(folder)} | left_over(folder)
+        libraries = {entry.file for entry in entries(place)} | left_over(place)
         stay = [library for library in sorted(libraries) if not remove(library)]
         print(f"{folder}: {len(libraries) - len(stay)} libraries removed")
         for library in stay:

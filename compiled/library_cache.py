@@ -70,13 +70,12 @@ def named_folders() -> list[Path]:
 
 
 def cache_folders() -> list[Path]:
-    """Return the folders that are there and ours; others' are skipped with a line each."""
+    """Return where the folders are that are ours; others' are skipped with a line each."""
     folders = []
     for folder in named_folders():
         with contextlib.suppress(OSError):  # it is not there, or out of our reach
             try:
-                check_folder(folder)
-                folders.append(folder)
+                folders.append(check_folder(folder))
             except Untrusted as error:
                 _say_passed_over(folder, error)
     return folders
@@ -102,15 +101,15 @@ def writable_caches() -> Iterator[Path]:
     reasons = []
     for folder in named_folders():
         try:
-            check_folder(folder, make=OURS)
-            with tempfile.TemporaryFile(dir=folder):
+            found = check_folder(folder, make=OURS)
+            with tempfile.TemporaryFile(dir=found):
                 pass
         except Untrusted as error:
             _say_passed_over(folder, error)
         except OSError as error:
             reasons.append(f"{folder}: {error.strerror}")
         else:
-            yield folder
+            yield found
             reasons.append(f"{folder}: see above")
     raise Refusal(
         "arm_emulator",

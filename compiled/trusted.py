@@ -17,16 +17,18 @@ class Untrusted(Exception):
     """Somebody else may have changed it; the text gives the reason, and a simple remedy if any."""
 
 
-def check_folder(folder: Path, make: int | None = None) -> None:
-    """Raise unless nobody but us and root can change what lies in a folder.
+def check_folder(folder: Path, make: int | None = None) -> Path:
+    """Return where a folder is, unless somebody else than us and root can change what lies there.
 
     Every folder from / down belongs to us or to root, and neither its group nor others can write
     to it. Above the folder itself a sticky one as /tmp will do: there nobody can replace what is
     not theirs. A link on the way is followed if it belongs to us or to root, for nobody else can
-    make it point elsewhere; the folder itself must not be a link.
+    make it point elsewhere; the folder itself must not be a link. `..` leads to what is above then,
+    as for the kernel.
 
     The walk is from above: when a folder is looked at, nobody else can put another into its place
-    any more, then or later. So what is found holds until the folder is used.
+    any more, then or later. So what is found holds for the path that is returned, which has neither
+    links nor `..`; the one that was given may lead elsewhere by then.
 
     Args:
         folder: which one; a relative path starts at the working folder.
@@ -36,8 +38,8 @@ def check_folder(folder: Path, make: int | None = None) -> None:
         Untrusted: see above.
         OSError: it is not there, no folder, or cannot be made.
     """
-    at, left = "/", os.path.abspath(folder).split("/")[:0:-1]  # the next part is the last of these
-    links = 0
+    at, links = "/", 0
+    left = _parts(os.path.join(os.getcwd(), folder))  # the next part is the last of these
     while True:
         try:
             found = os.lstat(at)
@@ -55,7 +57,7 @@ def check_folder(folder: Path, make: int | None = None) -> None:
             if links > MOST_LINKS:
                 raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), at)
             target = os.readlink(at)
-            left += [part for part in reversed(target.split("/")) if part]
+            left += _parts(target)
             at = "/" if target.startswith("/") else os.path.dirname(at)
             continue
         if not stat.S_ISDIR(found.st_mode):
@@ -63,10 +65,14 @@ def check_folder(folder: Path, make: int | None = None) -> None:
         if not (left and found.st_mode & stat.S_ISVTX):
             _check_mode(at, found)
         if not left:
-            return
-        # `at` holds no links, so that its parent is that of its path.
+            return Path(at)
         part = left.pop()
-        at = os.path.normpath(os.path.join(at, part))
+        # `at` holds no links, so that what is above it is what its path says.
+        at = os.path.dirname(at) if part == ".." else os.path.join(at, part)
+
+
+def _parts(path: str) -> list[str]:
+    return [part for part in reversed(path.split("/")) if part not in ("", ".")]
 
 
 def read_file(file: Path, largest: int, anybodys: bool = False) -> bytes:

@@ -130,7 +130,7 @@ def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
             return library
         try:
             try:
-                check_folder(folder, make=0o755)
+                folder = check_folder(folder, make=0o755)
             except Untrusted as reason:  # it may be on its way to another place
                 library_cache.say_once(
                     f"arm_emulator: no library is loaded from {folder} as it is: {reason}"

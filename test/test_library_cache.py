@@ -243,9 +243,9 @@ def chain(rng: np.random.Generator, top: Path) -> tuple[Path, str]:
 
     "": nothing is wrong, also where it looks odd.
     """
-    wrong = ["group", "others", "folder sticky", "folder a link"]
+    wrong = ["group", "others", "folder sticky", "folder a link", "dots behind a link"]
     wrong += ["somebody's", "somebody's link", "root's group"] * ROOT
-    fine = ["", "", "sticky above", "link above", "dots"]
+    fine = ["", "", "sticky above", "link above", "dots", "dots behind a sound link"]
     way = str(rng.choice(wrong + fine))
     parts = [f"level_{level}" for level in range(rng.integers(2, 5))]
     folder = top.joinpath(*parts)
@@ -271,6 +271,14 @@ def chain(rng: np.random.Generator, top: Path) -> tuple[Path, str]:
         which.symlink_to(real if rng.integers(2) else real.name)
         if way == "somebody's link":
             os.lchown(which, SOMEBODY, 0)
+    elif way.startswith("dots behind"):
+        # What is above the place where the link leads, beside a sound folder of the same name.
+        elsewhere = top / "elsewhere"
+        (elsewhere / "inner").mkdir(parents=True)
+        (elsewhere / folder.name).mkdir()
+        elsewhere.chmod(0o755 if way in fine else 0o777)
+        (folder.parent / "link").symlink_to(elsewhere / "inner")
+        folder = folder.parent / "link" / ".." / folder.name
     elif way == "dots":
         folder = above / ".." / "." / folder.relative_to(above.parent)
     return folder, "" if way in fine else way
@@ -307,7 +315,8 @@ def test_only_a_folder_that_nobody_else_can_change_is_searched(
 @pytest.fixture
 def shared() -> Iterator[Path]:
     """A folder for temporary files in which everybody may write, as /tmp."""
-    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+    # What an attacker's command was just doing when it was killed comes behind the clearing up.
+    with tempfile.TemporaryDirectory(dir="/tmp", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         folder.chmod(0o1777)
         yield folder
@@ -398,6 +407,39 @@ def test_who_swaps_folders_while_we_look_wins_nothing(
         os.killpg(attacker.pid, 9)
         attacker.wait()
     assert not planted.ran(), tries
+
+
+@as_root
+def test_who_swaps_what_dots_lead_away_from_wins_nothing(
+    planted: Planted, sound: Sound, shared: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`swapped/../cache` is our folder by its text, and theirs by a link."""
+    bait = shared / "bait"
+    bait.write_bytes(planted.stored)
+    bait.chmod(0o644)
+    (shared / "cache").mkdir(0o755)
+    sound.put(shared / "cache")
+    for name, value in victim(shared, CXX=sound.compiler).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv(CACHE_VARIABLE, str(shared / "swapped" / ".." / "cache"))
+    monkeypatch.setattr(tempfile, "tempdir", str(shared))
+    swap = (
+        f"cd {shared}; mkdir -p theirs/deep theirs/cache; cp bait theirs/cache/{sound.name}; "
+        "while :; do ln -s theirs/deep swapped; rm swapped; mkdir swapped; rmdir swapped; done "
+        "2> /dev/null"
+    )
+    attacker = subprocess.Popen(
+        ["sh", "-c", swap], user=SOMEBODY, group=SOMEBODY, extra_groups=[], start_new_session=True
+    )
+    try:
+        until = time.monotonic() + 1.0
+        while time.monotonic() < until:
+            core = library_of(sound.scene)  # of the temporary folder
+            assert not hasattr(core, "planted"), "what somebody else put there is used"
+    finally:
+        os.killpg(attacker.pid, 9)
+        attacker.wait()
+    assert not planted.ran(), "what somebody else put there has run"
 
 
 @pytest.mark.parametrize("umask", [0o000, 0o002, 0o022, 0o027, 0o077])
