@@ -180,6 +180,8 @@ class BusService:
         frame = self._bus.receive(timeout)
         if frame is not None:
             self._send(self._segment.receive(frame))
+            while self._segment.uneven:
+                _say(self._segment.uneven.pop(0))
             self._tell_fault()
         self._send(self._segment.heartbeats(time.monotonic_ns()))
         return frame is not None

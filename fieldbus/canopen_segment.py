@@ -7,6 +7,8 @@ from fieldbus.canopen_node import LARGEST_NODE, Frame, Node
 from fieldbus.drives import Drives
 from words.refusal import Refusal
 
+_INTERPOLATION_TIME = bytes([0xC2, 0x60])  # in a request of SDO
+
 
 class Segment:
     """Nodes of all joints, base to tool, with node-IDs in a row.
@@ -19,6 +21,7 @@ class Segment:
         scene: the machine.
         nodes: one per joint.
         fault: why the machine stays where it is; None if it goes on.
+        uneven: what was set of interpolation times that are not whole servo periods, in words.
 
     Args:
         drives: of a machine, made for CANopen.
@@ -39,6 +42,8 @@ class Segment:
         self._period = round(scene.servo_period * 1e9)
         self.nodes = [Node(drives, k, first + k) for k in range(len(scene.joints))]
         self.fault: Diverged | None = None
+        self.uneven: list[str] = []
+        self._periods: dict[int, float] = {}  # in an interpolation time, of the newest of nodes
 
     @property
     def tick(self) -> int:
@@ -63,10 +68,27 @@ class Segment:
                 frames += node.sync(now)
             else:
                 frames += node.receive(frame, now)
+                if frame.data[1:3] == _INTERPOLATION_TIME:
+                    self._look_at_interpolation(node)
         if synced and self._lockstep:
             for _ in range(min(map(self._drives.periods_per_target, range(len(self.nodes))))):
                 frames += self.pass_period()
         return frames
+
+    def _look_at_interpolation(self, node: Node) -> None:
+        """Note an interpolation time in lock-step that SYNC can stand for by rounding alone."""
+        value, exponent = (
+            int.from_bytes(node.upload(0x60C2, sub), "little", signed=sub == 2) for sub in (1, 2)
+        )
+        periods = value * 10.0 ** (9 + exponent) / self._period
+        if not self._lockstep or self._periods.get(node.number) == periods:
+            return
+        self._periods[node.number] = periods
+        if periods > 1.0 and abs(periods - round(periods)) > 1e-9 * periods:
+            taken = self._drives.periods_per_target(self.nodes.index(node))
+            self.uneven.append(
+                f"node {node.number}: 0x60C2 is {periods:g} servo periods: SYNC stands for {taken}"
+            )
 
     def pass_period(self) -> list[Frame]:
         """Let a servo period pass, and return what is sent after it.

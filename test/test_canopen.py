@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import math
 import random
 import re
 import struct
@@ -510,6 +511,19 @@ def test_a_cycle_is_as_long_as_the_interpolation_time_of_all_drives(scene: Scene
         before = segment.tick
         segment.receive(SYNC)
         assert segment.tick - before == passed, f"4 ms set at {number} of three drives"
+
+
+@pytest.mark.parametrize("value", [1, 4, 15, 25, 40, 254])
+def test_an_interpolation_time_that_is_rounded_is_noted(scene: Scene, value: int) -> None:
+    """In 0.1 ms, the servo period being 1 ms."""
+    segment = segment_of(scene)
+    for sub, number in ((1, value), (2, 256 - 4), (1, value)):
+        put(segment, 2, 0x60C2, sub, number, 1)
+    if value < 10 or value % 10 == 0:
+        assert segment.uneven == []
+    else:
+        words = f"node 2: 0x60C2 is {value / 10:g} servo periods: SYNC stands for "
+        assert segment.uneven == [words + str(math.floor(value / 10 + 0.5))]
 
 
 def test_a_fault_is_told_with_its_code(scene: Scene) -> None:
