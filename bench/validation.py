@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.validation import manutec_r3
-from arm_emulator.validation.kuka_kr300 import LONG, SHIPPED, compare
+from arm_emulator.validation.kuka_kr300 import SHIPPED, compare
 from bench.measure import progress
 
 TITLE = "Real machines"
@@ -31,11 +31,11 @@ def run(quick: bool) -> dict[str, Any]:
         for path in SHIPPED:
             found = compare(path)
             figures["kuka_kr300"].append({
-                "run": path.stem, "explained": found.explained.tolist(),
-                "off": [(100.0 * drift.share).tolist() for drift in found.drifts],
-                "wind_up": np.degrees(found.wind_up.residual[:3]).tolist(),
-                "without_ripple": np.degrees(found.wind_up.rest[:3]).tolist(),
-                "good": found.good,
+                "run": path.stem, "good": found.good,
+                "figures": [
+                    {"title": one.title, "form": one.form, "values": one.values.tolist()}
+                    for one in found.figures
+                ],
             })  # fmt: skip
             done(path.stem)
     return figures
@@ -56,14 +56,11 @@ def report(figures: dict[str, Any]) -> str:
     lines += ["\nKUKA KR300, identified on run A, against measured runs:\n",
               f"| | {names} | mean |", "|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for one in figures["kuka_kr300"]:
-        rows = [("torque explained, %", one["explained"])]
-        rows += [(f"free run of {long:g} s, % off", off)
-                 for long, off in zip(LONG, one["off"], strict=True)]  # fmt: skip
-        for title, values in rows:
-            shown = " | ".join(f"{value:.1f}" for value in [*values, float(np.mean(values))])
-            lines.append(f"| {one['run']}: {title} | {shown} |")
-        for title, values in (("wind-up not computed, deg", one["wind_up"]),
-                              ("without the encoder's ripple", one["without_ripple"])):  # fmt: skip
-            shown = " | ".join(f"{value:.4f}" for value in values)
-            lines.append(f"| {one['run']}: {title} | {shown} | | | | |")
+        for row in one["figures"]:
+            known = [value for value in row["values"] if np.isfinite(value)]
+            cells = [
+                format(value, row["form"]) if np.isfinite(value) else ""
+                for value in (*row["values"], float(np.mean(known)))
+            ]
+            lines.append(f"| {one['run']}: {row['title'].strip()} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

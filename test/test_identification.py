@@ -17,12 +17,10 @@ from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.identification.plausibility import Plausibility, check_movement, check_speeds
 from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.synthetic import make_record
-from arm_emulator.identification.torque_fit import explained, fit_torques
+from arm_emulator.identification.torque_fit import fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
-from arm_emulator.identification.wind_up import wind_up
 from arm_emulator.identify import identify
-from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED, compare
-from arm_emulator.validation.kuka_kr300 import load as load_run
+from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import off, truth
 from emulator_node.scene import load_scene
 from words.refusal import Refusal
@@ -176,32 +174,6 @@ def test_the_shipped_machine_is_what_identify_makes_of_run_a(
     for one, same in zip(made.chain.joints, shipped.chain.joints, strict=True):
         if simulate:
             assert one.body.mass == pytest.approx(same.body.mass, rel=0.01), one.name
-
-
-def test_a_run_that_was_not_used_is_explained() -> None:
-    """Torques and wind-up of run B, whose figures docs/validation.md has; free runs see below."""
-    scene = load_scene("kuka_kr300")
-    run = load_run(SHIPPED[1], scene)
-    data = filtered(run, RATIO, 10.0, slowest=np.radians(1.0), every=1)
-    model = TorqueModel(scene, (np.ones(6), np.ones(6)), 1.0)
-    shares = explained(data.tau, model.of(data).torques(model.start) - data.tau, data.moving)
-    assert shares.mean() > 87.0 and shares.min() > 80.0, f"torque explained: {shares} %"
-    wound = wind_up(run, scene)
-    assert np.degrees(wound.residual[1:3]).max() < 0.004, np.degrees(wound.residual)
-    assert wound.order[1] == pytest.approx(826.0, abs=2.0), "the encoder's wave, as in run A"
-
-
-@pytest.mark.parametrize("path", some(SHIPPED, 0))
-def test_runs_of_the_machine_stay_near_the_measured_motion(path: Path) -> None:
-    """Free ones, and under our own servo, whose following is better than the real one's."""
-    found = compare(path)
-    off = 100.0 * found.drifts[0].share
-    assert off.mean() < 8.0 and off.max() < 15.0, f"{path.name}: {off} % after 0.6 s"
-    closed = found.closed_loop
-    assert closed is not None, "the run has a command"
-    assert (closed.lag < closed.measured_lag).all(), f"behind the command: {closed.lag} rad"
-    # The wrist's real motion is another one than its command.
-    assert closed.explained[:3].min() > 80.0, f"torque explained: {closed.explained} %"
 
 
 def test_truth_lies_within_the_confidence_told() -> None:

@@ -1,4 +1,8 @@
-"""A record without what is faster than rigid links: low-passed, both ways, so that nothing lags."""
+"""A record without what is faster than rigid links.
+
+It is low-passed both ways, so that nothing lags; or causally, in which all signals lag alike and no
+sample knows of later ones.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
-from scipy.signal import butter, filtfilt
+from scipy.signal import butter, filtfilt, lfilter, lfilter_zi
 
 from arm_emulator.identification.measured_run import SLOWEST, MeasuredRun
 from emulator_node.chain import Array
@@ -35,22 +39,37 @@ class Filtered:
     moving: Mask  # where friction has a direction
 
 
-def low_pass(rows: Array, period: float, frequency: float) -> Array:
-    """Return rows (K, ...) without what is faster than `frequency` [Hz]; no lag."""
+def low_pass(rows: Array, period: float, frequency: float, causal: bool = False) -> Array:
+    """Return rows (K, ...) without what is faster than `frequency` [Hz]; no lag unless causal."""
     b, a = butter(ORDER, 2.0 * frequency * period)
-    smooth: Array = filtfilt(b, a, rows, axis=0)
+    smooth: Array
+    if causal:
+        settled = np.multiply.outer(lfilter_zi(b, a), rows[0])  # as if the first row had lasted
+        smooth = lfilter(b, a, rows, axis=0, zi=settled)[0]
+    else:
+        smooth = filtfilt(b, a, rows, axis=0)
     return smooth
 
 
-def smooth_motion(q: Array, period: float, frequency: float) -> tuple[Array, Array, Array]:
+def smooth_motion(
+    q: Array, period: float, frequency: float, causal: bool = False
+) -> tuple[Array, Array, Array]:
     """Return angles (K, N) without what is faster than `frequency` [Hz], and their two rates."""
-    smooth = low_pass(q, period, frequency)
-    v = np.gradient(smooth, period, axis=0)
-    return smooth, v, np.gradient(v, period, axis=0)
+    smooth = low_pass(q, period, frequency, causal)
+    v = _rate(smooth, period, causal)
+    return smooth, v, _rate(v, period, causal)
+
+
+def _rate(rows: Array, period: float, causal: bool) -> Array:
+    """Return differences of second order: central ones, or, causally, backward ones."""
+    rate: Array = np.gradient(rows, period, axis=0)
+    if causal:
+        rate[2:] = (1.5 * rows[2:] - 2.0 * rows[1:-1] + 0.5 * rows[:-2]) / period
+    return rate
 
 
 def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | None = None,
-             every: int | None = None) -> Filtered:  # fmt: skip
+             every: int | None = None, causal: bool = False) -> Filtered:  # fmt: skip
     """Return a record low-passed.
 
     Args:
@@ -60,6 +79,7 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
         slowest: speed from which a joint moves [rad/s or m/s]; None: a share of its top speed, and
             not right at reversals.
         every: of so many samples one is kept; None: as few as the low-pass leaves to tell.
+        causal: low-passed one way only; which samples move is asked of the record both ways.
 
     Raises:
         Refusal: the record is too coarse or too short for this frequency.
@@ -71,7 +91,7 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
     if run.t[-1] - run.t[0] < 4.0 * EDGE / frequency:
         rule = f"last at least {4.0 * EDGE / frequency:.3g} s for a low-pass of {frequency:g} Hz"
         raise Refusal(run.where, "record", rule, f"{run.t[-1] - run.t[0]:.3g} s")
-    q, v, a = smooth_motion(run.q_motor, period, frequency)
+    q, v, a = smooth_motion(run.q_motor, period, frequency, causal)
     quick = min(FOR_SIGN * frequency, 0.2 / period)
     speed = np.gradient(low_pass(run.q_motor, period, quick), period, axis=0)
     top = np.quantile(np.abs(speed), 0.99, axis=0)
@@ -85,8 +105,8 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
     edge = int(EDGE / (frequency * period))
     step = every or max(1, int(1.0 / (ROWS_PER_PERIOD * frequency * period)))
     kept = slice(edge, len(q) - edge, step)
-    tau = low_pass(run.tau / ratio, period, frequency)
-    direction = low_pass(sign, period, frequency)
+    tau = low_pass(run.tau / ratio, period, frequency, causal)
+    direction = low_pass(sign, period, frequency, causal)
     return Filtered(
         run.t[kept], q[kept], v[kept], a[kept], direction[kept], tau[kept], moving[kept]
     )

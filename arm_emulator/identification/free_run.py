@@ -115,14 +115,12 @@ def free_runs(
 class Drift:
     """By how much free runs leave the measured motion: of each joint (N,)."""
 
-    seconds: float
     share: Array  # root of mean square error at the end over the joint's standard deviation
     errors: Array  # at the end, (S, N) rad or m
 
 
-def drift(run: MeasuredRun, begin: Starts, angles: Array) -> Drift:
-    """Compare free runs, looked at after each of K samples (K, S, N), with the record."""
-    K = len(angles)
-    errors = angles[-1] - run.q_motor[begin.at + K]
+def drift(run: MeasuredRun, begin: Starts, samples: int, ends: Array) -> Drift:
+    """Compare where free runs are after some samples (S, N) [rad or m] with the record."""
+    errors = ends - run.q_motor[begin.at + samples]
     root = np.sqrt(np.mean(errors**2, axis=0))
-    return Drift(K * run.period, root / run.q_motor.std(axis=0), errors)
+    return Drift(root / run.q_motor.std(axis=0), errors)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -15,30 +17,72 @@ PERIODS = (2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)  # s, servo period and step
 SHOWN = 5e-5  # s, of which angles and currents are drawn
 
 
+# What must be kept at the period that is drawn; the solution itself is good to 5e-9 rad.
+MOST = {"q": 1e-6, "v": 1e-3, "current": 5e-3, "wind_up": 5e-5}
+MOST_OTHER_MODES = 0.01  # of the rows: the solution has two at each instant of change
+ORDER = (1.8, 2.2)  # of the angles' error, over the periods from 50 to 5 us
+LEAST_SPEED = 1.0  # times real time
+
+
 def validate_manutec(folder: Path) -> int:
-    """Compare, print, draw into a folder; exit code 1 if angles are not within 1e-5 rad."""
+    """Compare, print, draw into a folder; exit code 1 if a figure does not keep its limit."""
     console = Console(width=max(110, Console().width))
     table = Table(title="Manutec r3 against the independent solution, largest differences")
     for heading in ("period, us", "angles, rad", "speeds, rad/s", "currents, A",
                     "wind-up at the motor, rad", "rows in other friction modes",
                     "times real time"):  # fmt: skip
         table.add_column(heading, justify="right")
-    found, shown = [], None
+    found: dict[float, tuple[manutec_r3.Comparison, float]] = {}
+    shown = None
     for period in track(PERIODS, "manutec_r3", console=Console(stderr=True)):
         motion = min((manutec_r3.simulate(period) for _ in range(3)), key=lambda one: one.seconds)
-        one = manutec_r3.compare(motion)
-        found.append((period, one))
+        one, speed = manutec_r3.compare(motion), manutec_r3.END / motion.seconds
+        found[period] = one, speed
         if period == SHOWN:
             shown = motion
         table.add_row(
             f"{1e6 * period:g}", f"{one.q.max():.2g}", f"{one.v.max():.2g}",
             f"{one.current.max():.2g}", f"{one.wind_up.max():.2g}",
-            f"{one.other_modes} of {one.rows}", f"{manutec_r3.END / motion.seconds:.0f}",
+            f"{one.other_modes} of {one.rows}", f"{speed:.0f}",
         )  # fmt: skip
     console.print(table)
     assert shown is not None
     picture = folder / "manutec_r3.png"
-    draw(shown, found, picture)
-    console.print(f"picture: {picture}")
-    at = dict(found)[SHOWN]
-    return 0 if at.q.max() < 1e-5 else 1
+    draw(shown, [(period, one) for period, (one, _) in found.items()], picture)
+    failures = list(manutec_failures(found))
+    for failure in failures:
+        console.print(f"[red]{failure}")
+    order = order_of(found)
+    verdict = "NOT GOOD" if failures else "good"
+    console.print(f"order of the angles' error {order:.2f}; {verdict}; picture: {picture}")
+    return 1 if failures else 0
+
+
+def order_of(found: Mapping[float, tuple[manutec_r3.Comparison, float]]) -> float:
+    """Return the slope of the angles' error over the period, both as logarithms."""
+    periods = [period for period in found if 5e-6 <= period <= SHOWN]
+    errors = [found[period][0].q.max() for period in periods]
+    return float(np.polyfit(np.log(periods), np.log(errors), 1)[0])
+
+
+def manutec_failures(
+    found: Mapping[float, tuple[manutec_r3.Comparison, float]],
+) -> Iterator[str]:
+    """Yield each limit that is not kept, as a line: figures at `SHOWN`, order, and modes at all."""
+    at, speed = found[SHOWN]
+    where = f"at {1e6 * SHOWN:g} us"
+    for name, most in MOST.items():
+        value = float(getattr(at, name).max())
+        if not value <= most:
+            yield f"{where}: {name} must be within {most:g}, got {value:.3g}"
+    if not speed >= LEAST_SPEED:
+        yield f"{where}: speed must be >= {LEAST_SPEED:g} times real time, got {speed:.3g}"
+    for period, (one, _) in found.items():
+        if not one.other_modes <= MOST_OTHER_MODES * one.rows:
+            yield (
+                f"at {1e6 * period:g} us: rows in other friction modes must be <= "
+                f"{MOST_OTHER_MODES:.0%}, got {one.other_modes} of {one.rows}"
+            )
+    order = order_of(found)
+    if not ORDER[0] <= order <= ORDER[1]:
+        yield f"order of the angles' error must be {ORDER[0]:g} to {ORDER[1]:g}, got {order:.2f}"
