@@ -74,7 +74,8 @@ def constant_acceleration(run: MeasuredRun, begin: Starts, seconds: float, low: 
             machine does.
     """
     a = smooth_motion(run.q_motor, run.period, low)[2][begin.at]
-    return constant_speed(run, begin, seconds) + 0.5 * seconds**2 * a
+    ends: Array = constant_speed(run, begin, seconds) + 0.5 * seconds**2 * a
+    return ends
 
 
 def _features(data: Filtered, j: int) -> Array:
