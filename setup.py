@@ -13,6 +13,7 @@ PACKAGES = (
     "emulator_node",
     "servo_node",
     "motion_controller_node",
+    "analysis",
     "fieldbus",
     "fmu",
     "microcontroller",

@@ -337,6 +337,11 @@ def _parser() -> argparse.ArgumentParser:
 
     check = commands.add_parser("check-scene", help="say whether scene files are valid")
     check.add_argument("scenes", nargs="+", metavar="SCENE")
+    check.add_argument(
+        "--modes",
+        action="store_true",
+        help="show the eigenvalues of every loop that the scene's drives can be put into",
+    )
     check.set_defaults(run=_check_scene)
 
     record = commands.add_parser("record", help="record the network into a rosbag2 bag")
@@ -593,10 +598,12 @@ def _tune(arguments: argparse.Namespace) -> int:
 
 
 def _check_scene(arguments: argparse.Namespace) -> int:
-    from arm_emulator.check_scene import check_scene
+    from arm_emulator.check_scene import check_scene, modes_of
 
     for name in arguments.scenes:
         print(check_scene(name))
+        if arguments.modes:
+            print(modes_of(name))
     return 0
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from analysis.mode_loops import withheld_words
 from arm_emulator.gains import check_servo, load_gains
 from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
@@ -78,6 +79,8 @@ def canopen(
         print(f"canopen: scene {scene.name}, {name}, clock {clock}")
         for node, joint in zip(segment.nodes, scene.joint_names, strict=True):
             print(f"canopen: node {node.number}: {joint}")
+        for line in withheld_words(scene, segment.drives.withheld):
+            print(f"canopen: {line}")
         print("canopen: ready", flush=True)
         period = None if lockstep else round(scene.servo_period * 1e9)
         try:

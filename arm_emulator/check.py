@@ -302,7 +302,7 @@ class _Checker:
         # answer a tick that is past. Power may be switched while nothing moves.
         if commands and self._lockstep and self._led and session.powered:
             self.tally.commands += 1
-            U = session.scene.supply_voltage
+            U = session.scene.largest_commands
             if not any(_are_equal(applied, np.clip(one, -U, U)) for one in commands):
                 joint = int(np.argmax(applied != commands[-1]))
                 raise Difference(

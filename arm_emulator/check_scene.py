@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from arm_emulator.gains import check_fit, load_gains, warn_of_gravity
-from arm_emulator.servo_loop import warn_of_loops
+import sys
+
+from analysis.mode_loops import withheld_modes, withheld_words
+from analysis.servo_loop import warn_of_loops
+from arm_emulator.gains import check_fit, check_servo, load_gains, warn_of_gravity
+from arm_emulator.mode_table import mode_rows, page_table
 from emulator_node.scene import load_scene
 from motion_controller_node.motion_config import MotionConfig
 from words.config_files import find_beside, find_scene
@@ -31,8 +35,27 @@ def check_scene(name: str) -> str:
     check_fit(scene, gains.servo, gains.motion)
     _check_controller(scene.urdf, scene.joint_names, gains.motion)
     warn_of_loops(scene, gains.servo)
+    for text in withheld_words(scene, withheld_modes(scene, gains.servo)):
+        print(f"warning: {text}", file=sys.stderr)
     warn_of_gravity(scene, gains.motion)
     return line
+
+
+def modes_of(name: str) -> str:
+    """Return the eigenvalues of every loop that the drives of a scene can be put into.
+
+    Raises:
+        Refusal: the scene or its servo's gains are not valid, do not fit together, or a joint has
+            no motor.
+    """
+    file = find_scene(name)
+    scene, servo = load_scene(file), load_gains(file).servo
+    check_servo(scene, servo)
+    for joint in scene.joints:
+        if joint.motor is None:
+            rule = "have a motor, to have loops"
+            raise Refusal(scene.where, f"joints.{joint.name}", rule, "none")
+    return page_table(mode_rows(scene, servo))
 
 
 def _check_controller(urdf: str, joint_names: tuple[str, ...], motion: MotionConfig) -> None:

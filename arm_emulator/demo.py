@@ -24,12 +24,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
+from analysis.servo_loop import warn_of_loops
 from arm_emulator.bringup import Bringup
 from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.demo_safety import tell_safety
 from arm_emulator.fig4 import draw_fig4
 from arm_emulator.gains import Gains, check_fit, load_gains
-from arm_emulator.servo_loop import warn_of_loops
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.scene import Scene, load_scene
 from motion_controller_node.controller import Controller, controller_for

@@ -51,9 +51,11 @@ def _power_cut(scene: Scene, q: Array) -> str:
 
 def _hit(scene: Scene, j: int, stops: EndStops) -> str:
     plant, voltage = Plant(scene), np.zeros(len(scene.joints))
-    voltage[j] = scene.supply_voltage * np.sign(scene.joints[j].gear.ratio)
+    voltage[j] = scene.largest_commands[j] * np.sign(scene.joints[j].gear.ratio)
     name, fastest, deepest, back = scene.joints[j].name, 0.0, 0.0, 0.0
     label = f"end stop of {name}"
+    if not np.isfinite(voltage[j]):
+        return f"{label}: not tried, the joint's command has no limit"
     try:
         for _ in range(round(RUN_UP / scene.servo_period)):
             plant.advance(voltage, scene.steps_per_period)

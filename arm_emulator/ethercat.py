@@ -7,6 +7,7 @@ import os
 import sys
 from pathlib import Path
 
+from analysis.mode_loops import withheld_words
 from arm_emulator.gains import check_servo, load_gains
 from emulator_node.scene import Scene, load_scene
 from fieldbus.esi import esi
@@ -36,6 +37,8 @@ def serve(scene_name: str, interface: str, lockstep: bool) -> int:
     clock = "lockstep" if lockstep else "realtime"
     print(f"ethercat: scene {scene.name}, clock {clock}")
     print(f"ethercat: slaves: {', '.join(scene.joint_names)}")
+    for line in withheld_words(scene, segment.drives.withheld):
+        print(f"ethercat: {line}")
     with contextlib.suppress(OSError, ValueError):
         flags = int(Path(f"/sys/class/net/{interface}/flags").read_text(), 16)
         if not flags & 1:

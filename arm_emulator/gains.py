@@ -61,8 +61,9 @@ def check_joints(scene: Scene, servo: ServoConfig) -> None:
     """Refuse a servo of other joints than the scene's, or of other motors, gears or encoders.
 
     Raises:
-        Refusal: a joint too many or too few, a motor that our servo cannot drive, a gear that turns
-            the other way, or another word length of an absolute encoder.
+        Refusal: a joint too many or too few, a motor that our servo cannot drive or that takes
+            another command, a gear that turns the other way, or another word length of an absolute
+            encoder.
     """
     if sorted(servo.joint_names) != sorted(scene.joint_names):
         rule = "name every moving joint of the scene once"
@@ -74,6 +75,7 @@ def check_joints(scene: Scene, servo: ServoConfig) -> None:
         if joint.motor is not None and not isinstance(joint.motor, DcMotor):
             where = f"joints.{joint.name}.motor.kind"
             raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
+        told.check_command(scene.where, joint.command)
         bits = 0 if joint.encoder is None else joint.encoder.bits or 0
         if told.encoder_bits != bits:
             rule = f"be that of the scene's encoder, {bits}"

@@ -232,7 +232,8 @@ def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
     motor, gear, encoder = drive.joint.motor, drive.joint.gear, drive.joint.encoder
     assert isinstance(motor, DcMotor) and encoder is not None
     friction = drive.joint.friction.viscous
-    current_limit = rounded(drive.peak_torque * gear.ratio / motor.torque_constant)
+    assert motor.current_limit is not None
+    current_limit = motor.current_limit
     gains = design(
         *data_of(drive.joint), demand.inertia, SERVO_PERIOD, friction, supply, current_limit
     )
@@ -245,6 +246,7 @@ def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
         torque_constant=motor.torque_constant,
         back_emf_constant=motor.back_emf_constant,
         rotor_inertia=motor.rotor_inertia,
+        current_bandwidth=drive.joint.current_bandwidth,
         current_limit=current_limit,
         velocity_limit=drive.speed,
         position_gain=rounded(gains.position_gain),

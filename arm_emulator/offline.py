@@ -13,9 +13,9 @@ import time
 import numpy as np
 import numpy.typing as npt
 
+from analysis.servo_loop import warn_of_loops
 from arm_emulator.gains import check_fit, load_gains
 from arm_emulator.run_report import tell, ticks_of
-from arm_emulator.servo_loop import warn_of_loops
 from arm_emulator.servo_step import ServoStep
 from emulator_node.firmware_loop import FirmwareLoop
 from emulator_node.plant import Diverged

@@ -25,7 +25,8 @@ _RULES = """\
 # and the speed beside each joint:
 #   ratio        the joint's full speed at 3000 rpm of the motor
 #   motor        back EMF 60 % of the supply at full speed, 25 % for the winding at peak torque,
-#                L/R 1 ms, rotor accelerates with 14 000 rad/s2
+#                L/R 1 ms, rotor accelerates with 14 000 rad/s2; current of the peak torque
+#   current_loop 1 kHz, of drives that sample at 16 kHz
 #   gear         170 times the peak torque per rad, as strain wave gears; lowest resonance at least
 #                12 Hz (30 Hz of a slide), damped to 5 % of critical
 #   friction     10 % of the peak torque at full speed
@@ -73,6 +74,7 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
     ratio = "m of the slide per rad of the motor" if slide else "link turns per turn of the motor"
     joint = drive.joint
     assert isinstance(joint.motor, DcMotor) and joint.encoder is not None
+    assert joint.current_loop is not None
     motor, gear = joint.motor, joint.gear
     least, most = demand.inertia
     return [
@@ -88,6 +90,8 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
         f"      resistance: {motor.resistance!r}  # ohm",
         f"      inductance: {motor.inductance!r}  # H",
         f"      rotor_inertia: {motor.rotor_inertia!r}  # kg m2",
+        f"      current_limit: {motor.current_limit!r}  # A",
+        f"      current_loop: {{bandwidth: {joint.current_loop.bandwidth!r}}}  # Hz",
         "    gear:",
         f"      ratio: {gear.ratio!r}  # {ratio}",
         f"      stiffness: {gear.stiffness!r}  # {torque}/{angle}",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from emulator_node.parts.current_loop import CurrentLoop
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.encoder import Encoder
@@ -33,6 +34,7 @@ MOTOR_SPEED = 314.0  # rad/s at the joint's full speed: 3000 rpm, rated speed of
 BACK_EMF_PART = 0.6  # of the supply at full speed
 RESISTANCE_PART = 0.25  # of the supply at peak torque; 0.15 are left for control
 ELECTRICAL_TIME = 1e-3  # s, L/R of frameless and small servo motors
+CURRENT_BANDWIDTH = 1000.0  # Hz, of drives that sample at 16 kHz
 ROTOR_ACCELERATION = 1.4e4  # rad/s2 at peak torque, with the gear's primary side
 STIFFNESS_PER_TORQUE = 170.0  # 1/rad: strain wave gears of sizes 14 to 40, to their peak torque
 LOWEST_RESONANCE = {"revolute": 2 * math.pi * 12.0, "prismatic": 2 * math.pi * 30.0}  # rad/s
@@ -152,6 +154,7 @@ def _drive(
             torque_constant=rounded(torque_constant),
             back_emf_constant=rounded(torque_constant),
             rotor_inertia=rounded(torque * ratio / ROTOR_ACCELERATION),
+            current_limit=rounded(current),
         ),
         gear=ElasticGear(
             ratio=rounded(ratio, 6),
@@ -160,6 +163,7 @@ def _drive(
         ),
         sensors=JointSensors(encoder=Encoder(counts_per_turn=COUNTS_PER_TURN)),
         friction=LinkFriction(viscous=rounded(FRICTION_PART * torque / speed)),
+        current_loop=CurrentLoop(bandwidth=CURRENT_BANDWIDTH),
     )
     return Sized(joint, torque, speed, acceleration, notes)
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from analysis.servo_loop import warn_of_loops
 from arm_emulator.gains import check_servo, load_gains
 from arm_emulator.guarded import guarded
 from arm_emulator.run_report import tell, ticks_of
-from arm_emulator.servo_loop import warn_of_loops
 from arm_emulator.servo_step import ServoStep
 from arm_emulator.target_table import TargetTable, load_target_table
 from emulator_node.firmware import Doing, Firmware, Progress

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.servo_loop import ServoLoops, poses, slower, too_little
+from analysis.servo_loop import ServoLoops, poses, slower, too_little
 from emulator_node.parts.dc_motor import DcMotor
 from emulator_node.plant import Plant
 from emulator_node.scene import Joint, Scene
@@ -140,6 +140,7 @@ def data_of(joint: Joint) -> tuple[MotorData, GearData]:
             motor.back_emf_constant,
             motor.rotor_inertia,
             joint.counts_per_turn,
+            joint.current_bandwidth,
         ),
         GearData(gear.ratio, gear.stiffness, gear.damping),
     )

@@ -66,8 +66,8 @@ def up(
 
 def _check_loops(file: Path) -> None:
     """Refuse or warn of servos that do not hold the machine."""
+    from analysis.servo_loop import warn_of_loops
     from arm_emulator.gains import check_fit, load_gains, warn_of_gravity
-    from arm_emulator.servo_loop import warn_of_loops
     from emulator_node.scene import load_scene
 
     try:

@@ -1,5 +1,10 @@
-"""Scenes without what no other simulator of this report has: brakes and end stops."""
+"""Scenes without what no other simulator of this report has: brakes, end stops, current loops."""
 
 from __future__ import annotations
 
-BARE: dict[str, None] = {"joints.*.brake": None, "joints.*.end_stops": None}
+BARE: dict[str, None] = {
+    "joints.*.brake": None,
+    "joints.*.end_stops": None,
+    "joints.*.motor.current_loop": None,
+    "joints.*.motor.current_limit": None,
+}

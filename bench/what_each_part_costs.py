@@ -40,6 +40,10 @@ IN: dict[str, dict[str, Any]] = {
     "current limit": {"joints.*.motor.current_limit": 20.0},
     "Coulomb friction": {"joints.*.friction.coulomb": 1.0},
 }
+# Whose commands are others without it, so that only its time is measured.
+LOOPS: dict[str, dict[str, Any]] = {
+    "current loops": {"joints.*.motor.current_loop": None, "joints.*.motor.current_limit": None}
+}
 FULL = "nothing"
 
 
@@ -51,7 +55,7 @@ def run(quick: bool) -> dict[str, Any]:
         _scene(name, scheme, overrides)
         for name in names
         for scheme in TIMED
-        for overrides in (*variants[name].values(), *IN.values())
+        for overrides in (*variants[name].values(), *_timed(name).values())
     )
     fulls = side_by_side("full machines", _full, names)
     cases = [(full, part) for full in fulls for part in variants[full.name]]
@@ -60,7 +64,7 @@ def run(quick: bool) -> dict[str, Any]:
     repetitions = 5 if quick else 15
     return {
         full.name: {
-            "times": _times(full.name, {**variants[full.name], **IN}, repetitions),
+            "times": _times(full.name, {**variants[full.name], **_timed(full.name)}, repetitions),
             "errors": {part: found[full.name, part] for part in variants[full.name]},
             "travel": _travel(full),
             "dt": DT,
@@ -76,10 +80,21 @@ def _variants(name: str) -> dict[str, dict[str, Any]]:
         "gravity": scene.gravity is None,
         "brakes": not any(joint.brake for joint in scene.joints),
         "end stops": not any(joint.extras for joint in scene.joints),
+        "inductance": _has_loops(scene),  # a current loop is one around it
+        "all of these": _has_loops(scene),
     }
     return {FULL: {}} | {
         part: overrides for part, overrides in OUT.items() if not absent.get(part, False)
     }
+
+
+def _has_loops(scene: Scene) -> bool:
+    return any(joint.current_loop is not None for joint in scene.joints)
+
+
+def _timed(name: str) -> dict[str, dict[str, Any]]:
+    """Return what is put in, and what is taken out, to be timed alone."""
+    return {**IN, **LOOPS} if _has_loops(load_scene(name)) else IN
 
 
 def _scene(name: str, scheme: str, overrides: dict[str, Any], dt: float = DT) -> Scene:
@@ -198,6 +213,10 @@ def report(figures: dict[str, Any]) -> str:
             "Parts that this scene does not have cost, put in: " + "; ".join(put_in)
             + f" ({', '.join(TIMED)}).",
         ]  # fmt: skip
+        for part in LOOPS:
+            if part in scene["times"]:
+                cost = ", ".join(_saved(full[s], scene["times"][part][s]) for s in TIMED)
+                lines += ["", f"Its {part} cost {cost} ({', '.join(TIMED)})."]
     lines += [
         "",
         "A time saved of less than the spread of some per cent is none. An encoder's share is 0 in "

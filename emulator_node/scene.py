@@ -100,6 +100,13 @@ class Joint:
         return self.motor.command if self.motor else "V"
 
     @property
+    def current_bandwidth(self) -> float:
+        """How fast its current follows the command of its drive's loop [Hz]; 0: it has no loop."""
+        if self.current_loop is None or self.motor is None or self.motor.circuit is None:
+            return 0.0
+        return self.current_loop.bandwidth_around(self.motor.circuit)
+
+    @property
     def encoder(self) -> Encoder | None:
         """Of its motor."""
         return self.sensors.encoder
@@ -153,6 +160,18 @@ class Scene:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the moving joints, base to tool."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def largest_commands(self) -> Array:
+        """The largest command of each joint (N,) [V, N m or A]; inf: it has no limit."""
+        return np.array(
+            [
+                self.supply_voltage
+                if joint.command.startswith("V") or joint.motor is None
+                else joint.motor.command_limit or math.inf
+                for joint in self.joints
+            ]
+        )
 
     @property
     def gear_ratios(self) -> Array:

@@ -42,6 +42,8 @@ class SmallMotions:
         B: (n, N), per volt (A, N m); 0 for a joint without a motor.
         theta_m: motor angles by x, (N, n); those of the links for joints without a motor.
         current: motor currents by x, (N, n).
+        fastest: how fast its fastest motion grows [1/s].
+        falls: the same with motors that give no torque: what an arm does by its weight.
         current_by_voltage: the same by u, (N,) [1/ohm, 1]; 0 where it does not follow at once.
 
     Args:
@@ -69,6 +71,7 @@ class SmallMotions:
         n = sum(len(drive.D) for drive in drives)
         D, F, G = np.zeros(n), np.zeros((n, n + 3 * N)), np.zeros((N, n + 3 * N))
         current, theta_m = np.zeros((2, N, n + 3 * N))
+        torque_free = np.ones(n + 3 * N)  # 0 for the currents
         first = 0
         for j, drive in enumerate(drives):
             own = np.arange(first, first + len(drive.D))
@@ -77,35 +80,70 @@ class SmallMotions:
             F[np.ix_(own, columns)] = drive.F
             G[j, columns] = drive.G
             current[j, columns], theta_m[j, columns] = drive.current, drive.motor_angle
+            torque_free[own[drive.current[: len(own)] != 0.0]] = 0.0
             first += len(drive.D)
         # States that follow at once, such as a current without inductance, are no states.
         follows = D == 0.0
         kept = np.concatenate([~follows, np.ones(3 * N, dtype=bool)])
-        all_from_kept = np.eye(n + 3 * N)[:, kept]
-        all_from_kept[:n][follows] = -np.linalg.solve(
-            F[follows][:, :n][:, follows], F[follows][:, kept]
-        )
+
+        def from_kept(F: Array) -> Array:
+            whole = np.eye(n + 3 * N)[:, kept]
+            whole[:n][follows] = -np.linalg.solve(
+                F[follows][:, :n][:, follows], F[follows][:, kept]
+            )
+            return whole
+
         # M + carried rotors: (M + C)^-1 = (1 + M^-1 C)^-1 M^-1.
         carried = np.array([drive.carried for drive in drives])
         by_torque = np.linalg.solve(unit + M_inverse * carried, M_inverse)
         by_q = np.linalg.solve(unit + M_inverse * carried, sag)
 
         self.links = int(np.count_nonzero(~follows))  # where q begins
-        whole = np.vstack(
-            [
-                (F[~follows] / D[~follows, None]) @ all_from_kept,
-                np.eye(N, self.links + 3 * N, self.links + N),  # dq/dt = v
-                by_torque @ G @ all_from_kept,
-            ]
-        )
+        own_places = slice(self.links, self.links + N)
+
+        def rates(F: Array, G: Array) -> Array:
+            of_kept = from_kept(F)
+            return np.vstack(
+                [
+                    (F[~follows] / D[~follows, None]) @ of_kept,
+                    np.eye(N, self.links + 3 * N, self.links + N),  # dq/dt = v
+                    by_torque @ G @ of_kept,
+                ]
+            )
+
+        all_from_kept, whole = from_kept(F), rates(F, G)
         whole, self.B = whole[:, :-N], whole[:, -N:]
         self.theta_m = (theta_m @ all_from_kept)[:, :-N]
         measured = current @ all_from_kept
         self.current, self.current_by_voltage = measured[:, :-N], np.diag(measured[:, -N:])
         self.A = whole.copy()  # what the schemes treat implicitly
-        whole[-N:, self.links : self.links + N] += by_q
+        whole[-N:, own_places] += by_q
         self.J = whole  # all
+        # Without torques of motors: a current acts on nothing but itself.
+        alone = np.where(np.eye(n, n + 3 * N) > 0.0, F, F * torque_free)
+        free = rates(alone, G * torque_free)[:, :-N]
+        free[-N:, own_places] += by_q
+        self.falls = max(0.0, float(np.linalg.eigvals(free).real.max()))  # 1/s
         self.fastest = max(0.0, float(np.linalg.eigvals(self.J).real.max()))  # 1/s
+        self._by_torque = by_torque
+
+    def braked(self, joint: int) -> tuple[Array, Array]:
+        """Return J and B while a brake holds the rotor of a joint, with its link if that is stiff.
+
+        What is held stays where it is: its states are rows of zeros.
+        """
+        J, B = self.J.copy(), self.B.copy()
+        (own,) = np.nonzero(self.theta_m[joint])
+        m, N = self.links, len(self.theta_m)
+        if own[0] < m:
+            held = [own[0], int(np.argmax(J[own[0]]))]  # its angle, and what that grows by
+        else:
+            by = self._by_torque[:, joint] / self._by_torque[joint, joint]
+            for rows in (J, B):  # the torque that keeps the link acts on the others
+                rows[m + N :] -= np.outer(by, rows[m + N + joint])
+            held = [m + joint, m + N + joint]
+        J[held], B[held] = 0.0, 0.0
+        return J, B
 
     def step(self, scheme: str, dt: float) -> Array:
         """Return the matrix of one step of a scheme: of x, and x one step ago if it takes that."""

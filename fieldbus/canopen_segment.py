@@ -19,6 +19,7 @@ class Segment:
 
     Attributes:
         scene: the machine.
+        drives: their object dictionaries.
         nodes: one per joint.
         fault: why the machine stays where it is; None if it goes on.
         uneven: what was set of interpolation times that are not whole servo periods, in words.
@@ -37,7 +38,7 @@ class Segment:
         largest = LARGEST_NODE + 1 - len(scene.joints)
         if not 1 <= first <= largest:
             raise Refusal("canopen", "first node-ID", f"be 1 to {largest}", first)
-        self._drives = drives
+        self.drives = drives
         self._lockstep = lockstep
         self._period = round(scene.servo_period * 1e9)
         self.nodes = [Node(drives, k, first + k) for k in range(len(scene.joints))]
@@ -48,7 +49,7 @@ class Segment:
     @property
     def tick(self) -> int:
         """How many servo periods have passed."""
-        return self._drives.tick
+        return self.drives.tick
 
     @property
     def now(self) -> int:
@@ -71,7 +72,7 @@ class Segment:
                 if frame.data[1:3] == _INTERPOLATION_TIME:
                     self._look_at_interpolation(node)
         if synced and self._lockstep:
-            for _ in range(min(map(self._drives.periods_per_target, range(len(self.nodes))))):
+            for _ in range(min(map(self.drives.periods_per_target, range(len(self.nodes))))):
                 frames += self.pass_period()
         return frames
 
@@ -97,7 +98,7 @@ class Segment:
         """
         if self.fault is None:
             try:
-                self._drives.period()
+                self.drives.period()
             except Diverged as fault:
                 self.fault = fault
         now = self.now

@@ -7,6 +7,7 @@ knows the codes of refusals.
 from __future__ import annotations
 
 import ctypes
+import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator_node.core_calls import JointDescription
-from emulator_node.parts.current_motor import CurrentMotor
-from emulator_node.parts.torque_motor import TorqueMotor
 from emulator_node.scene import Joint, Scene
 from emulator_node.session import Needless, Session
 from fieldbus.modbus_rtu import Code, ModbusException
@@ -56,15 +55,10 @@ def full_scale(scene: Scene, joint: Joint) -> float:
     Raises:
         Refusal: the scene does not tell, because a motor's torque or current has no limit.
     """
-    motor = joint.motor
-    if isinstance(motor, TorqueMotor):
-        limit, name = motor.torque_limit, "torque_limit"
-    elif isinstance(motor, CurrentMotor):
-        limit, name = motor.current_limit, "current_limit"
-    else:
-        limit, name = scene.supply_voltage, ""
-    if limit is None:
-        where = f"joints.{joint.name}.motor.{name}"
+    limit = float(scene.largest_commands[scene.joints.index(joint)])
+    if not math.isfinite(limit):
+        assert joint.motor is not None, "a joint without a motor has the supply's"
+        where = f"joints.{joint.name}.motor.{joint.motor.limit}"
         raise Refusal(scene.where, where, "be given: it is the full scale of its command", "none")
     return limit
 

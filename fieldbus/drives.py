@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.mode_loops import MODES as OFFERED
+from analysis.mode_loops import withheld_modes
 from compiled.unit import Calls, Unit, address, library
 from emulator_node.compiler import CORE
 from emulator_node.core_calls import MODES
@@ -107,6 +109,7 @@ _JOINT = [
     ("servo", JOINT),
     *((name, "i8") for name in ("counts_per_turn", "lower", "upper")),
     *((name, "i4") for name in ("brake", "index", "stops", "mode")),
+    *((name, "u4") for name in ("modes", "reserved")),
 ]
 
 
@@ -234,6 +237,8 @@ class Drives:
 
     Attributes:
         plant: the machine.
+        withheld: the modes that drives do not offer (0x6502), because they would not hold the
+            machine.
         calls: the library.
         pointer: to ``drives``.
 
@@ -254,6 +259,9 @@ class Drives:
         self.calls = calls or drives_library()
         scene = plant.scene
         self._joints = _joints_of(scene, servo)
+        self.withheld = withheld_modes(scene, servo)
+        for one in self.withheld:
+            self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode - 1
         self._names = [name.encode() for name in scene.joint_names]
         self._joints["name"] = [
             ctypes.cast(ctypes.c_char_p(name), _pointer).value for name in self._names
@@ -395,15 +403,17 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> np.ndarray[tuple[int], np.dt
     rows["servo"] = servo_numbers(told, servo.period, servo.supply_voltage)
     limits = limits_of(ET.fromstring(scene.urdf))
     for row, joint in zip(rows, scene.joints, strict=True):
-        if joint.command != "V":
+        if joint.motor is not None and joint.motor.command != "V":
             where = f"joints.{joint.name}.motor.kind"
-            raise Refusal(scene.where, where, "be dc for our servo", joint.command)
+            raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
+        known[joint.name].check_command(scene.where, joint.command)
         row["counts_per_turn"] = joint.counts_per_turn
         row["lower"], row["upper"] = _limits(joint, limits.get(joint.name))
         row["brake"] = joint.brake is not None
         row["index"] = joint.encoder is not None and joint.encoder.index != "none"
         row["stops"] = any(isinstance(part, EndStops) for part in joint.parts)
         row["mode"] = MODES[joint.command]
+        row["modes"] = sum(1 << mode - 1 for mode in OFFERED)
     return rows
 
 

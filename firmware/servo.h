@@ -13,6 +13,10 @@
  * so that the law holds for motors slower and faster than the period alike. For slow ones
  * V = R i_ref + Kb omega + Rc (i_ref - i).
  *
+ * A drive that closes a current loop takes a current in the place of a voltage. To the law that is
+ * a winding of 1 ohm without back EMF whose voltages are amperes (servo_node/commanded.py): read A
+ * for V in all that follows.
+ *
  * Every stage is limited (speed, current, supply voltage), and the integral follows the current
  * that the limits have left over (automatic reset), so that it cannot wind up.
  *

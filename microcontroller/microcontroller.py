@@ -216,6 +216,12 @@ def _board_struct(
     board: Board, scene: Scene, uarts: dict[str, tuple[int, int]]
 ) -> ctypes.Structure:
     """Return a board as runner.h has it."""
+    for one in board.pwms:
+        command = scene.joints[scene.joint_names.index(one.joint)].command
+        if one.kind != "float" and command != "V":
+            rule = "take a voltage: what a timer's duty makes of a bridge is one"
+            where = f"joints.{one.joint}.motor"
+            raise Refusal(scene.where, where, rule, f"a command [{command}]", "kind: float in pwm")
     joints = scene.joint_names.index
     lists: dict[str, Iterable[tuple[float, ...]]] = {
         "region": [(one.at, one.size, _KINDS.index(one.kind)) for one in board.regions],

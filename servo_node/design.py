@@ -33,6 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_node.commanded import Commanded
 from servo_node.held import FloatArray
 from servo_node.linear_servo import LinearServo
 from servo_node.sampled_loop import SampledLoop, SampledPlant
@@ -70,6 +71,7 @@ class MotorData:
     back_emf_constant: float  # V s/rad
     rotor_inertia: float  # kg m2, with the gear's primary side
     counts_per_turn: int | None = None  # of the encoder; None: as good as ideal
+    current_bandwidth: float = 0.0  # Hz, of the drive's current loop; 0: it takes a voltage
 
 
 @dataclass(frozen=True)
@@ -268,6 +270,7 @@ def joint_servo(
         torque_constant=motor.torque_constant,
         back_emf_constant=motor.back_emf_constant,
         rotor_inertia=motor.rotor_inertia,
+        current_bandwidth=motor.current_bandwidth,
         velocity_limit=1e6,
         **dataclasses.asdict(gains),
     )
@@ -277,12 +280,10 @@ def joint_plant(
     motor: MotorData, gear: GearData, link_inertia: float, viscous: float, period: float
 ) -> SampledPlant:
     """Return one joint: motor, gear and a link that nothing else moves."""
-    R, L, Kt, Kb = (
-        motor.resistance,
-        motor.inductance,
-        motor.torque_constant,
-        motor.back_emf_constant,
+    R, L, Kb = Commanded.by(
+        motor.resistance, motor.inductance, motor.back_emf_constant, motor.current_bandwidth
     )
+    Kt = motor.torque_constant
     Ng, Kg, Dg = gear.ratio, gear.stiffness, gear.damping
     # States i, theta, omega, q, v.
     A, B = np.zeros((5, 5)), np.zeros((5, 1))

@@ -14,7 +14,7 @@ from servo_node.linear_servo import INPUTS, STATES, LinearServo
 ComplexArray = npt.NDArray[np.complex128]
 
 _THETA, _CURRENT, _VOLTAGE, _TARGET = (
-    INPUTS.index(name) for name in ("theta", "current", "voltage", "q_target")
+    INPUTS.index(name) for name in ("theta", "current", "voltage", "target")
 )
 _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from servo_node.commanded import Commanded
 from words.bound import Bound, encoder_counts
 from words.parameters import ROS_PARAMETERS, perhaps, ros_parameters
 from words.refusal import Refusal
@@ -92,6 +93,9 @@ class JointServo:
     """Link inertia that turns rigidly with the rotor [kg m2]; 0: behind an elastic gear."""
     current_limit: float = field(default=math.inf, metadata=_positive("A"))
     """Largest current that the drive may ask for [A]; left out: only the voltage limits."""
+    current_bandwidth: float = field(default=0.0, metadata=_not_negative("Hz"))
+    """Of the current loop that the drive closes by itself [Hz]: it is commanded a current [A];
+    left out: a voltage."""
     encoder_bits: int = field(
         default=0,
         metadata={
@@ -102,6 +106,36 @@ class JointServo:
     )
     """Word length of an absolute encoder, whose counts begin anew at 0 after 2**bits; 0: counts
     that go on."""
+
+    @property
+    def commanded(self) -> Commanded:
+        """What the motor's command meets."""
+        emf = self.back_emf_constant
+        return Commanded.by(self.resistance, self.inductance, emf, self.current_bandwidth)
+
+    def largest_command(self, supply_voltage: float) -> float:
+        """Return the largest command [V, A]: what the supply, or the current limit, leaves."""
+        if self.current_bandwidth == 0.0:
+            return supply_voltage
+        return min(self.current_limit, supply_voltage / self.resistance)
+
+    def check_command(self, where: str, unit: str) -> None:
+        """Refuse a motor of a scene that is commanded something else than this servo gives.
+
+        Args:
+            where: the scene's file.
+            unit: of what the scene's motor is commanded.
+
+        Raises:
+            Refusal: it is.
+        """
+        quantity = f"servo.joints.{self.name}.current_bandwidth"
+        if unit == "A" and self.current_bandwidth == 0.0:
+            rule = "be given: the motor's drive closes a current loop"
+            raise Refusal(where, quantity, rule, "nothing")
+        if unit == "V" and self.current_bandwidth > 0.0:
+            rule = "be absent: the scene's motor takes a voltage"
+            raise Refusal(where, quantity, rule, f"{self.current_bandwidth:g} Hz")
 
     @property
     def inertia(self) -> float:

@@ -30,6 +30,7 @@ SERVO_CALLS: Calls = {
     "servo_joint_observe": (None, [_pointer] * 2 + [_int64, _double, _double]),
     "servo_joint_take": (None, [_pointer] * 2 + [_double] * 3),
     "servo_joint_control": (_double, [_pointer] * 2 + [_double] * 3),
+    "servo_joint_drive": (_double, [_pointer] * 3),
 }
 
 FOLLOWS, HOLDS, CUT = range(3)  # enum servo_does
@@ -64,6 +65,14 @@ STATE: list[Any] = [
     *_reals("current", "integral", "voltage", "unknown_voltage"),
     *_reals("q_target", "v_target", "tau", "q_hold"),
 ]
+# ``servo_wish``.
+WISH: list[Any] = [
+    ("wants", "i4"),
+    ("limited", "i4"),
+    *_reals("q_target", "v_target", "tau", "omega", "current"),
+    *_reals("least_omega", "most_omega", "least_current", "most_current"),
+]
+POSITION, SPEED, CURRENT = range(3)  # enum servo_wants
 Rows = npt.NDArray[np.void]
 
 

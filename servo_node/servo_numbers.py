@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from servo_node.commanded import Commanded
 from servo_node.held_motor import HeldMotor, Sum, held_motor
 from servo_node.servo_config import JointServo
 from servo_node.servo_law import JOINT, Rows
@@ -33,8 +34,9 @@ def _row(joint: JointServo, period: float, supply_voltage: float) -> tuple[Any, 
             f"have a winding and a rotor that do not swing together faster than a period of "
             f"{period:g} s can control"
         )
+        winding = joint.commanded
         got = (
-            f"L / R = {joint.inductance / joint.resistance:.3g} s, R Mm / (Kt Kb) = "
+            f"L / R = {winding.inductance / winding.resistance:.3g} s, R Mm / (Kt Kb) = "
             f"{_time_constant(joint):.3g} s"
         )
         raise Refusal("servo", f"joint {joint.name}", rule, got, _period_that_holds(joint, period))
@@ -54,7 +56,8 @@ def _finite_numbers(joint: JointServo, period: float) -> _Numbers | None:
 
 def _time_constant(joint: JointServo) -> float:
     """Return how fast the motor runs up by itself [s]."""
-    torque_per_speed = joint.torque_constant * joint.back_emf_constant / joint.resistance
+    winding = joint.commanded
+    torque_per_speed = joint.torque_constant * winding.back_emf_constant / winding.resistance
     return joint.inertia / torque_per_speed if torque_per_speed else math.inf
 
 
@@ -80,11 +83,12 @@ class _Numbers:
         # Link torque per link speed -> motor current per motor speed.
         self.velocity_gain = joint.velocity_gain * joint.gear_ratio**2 / joint.torque_constant
         self.reset_rate = period / joint.integral_time
+        self.winding: Commanded = joint.commanded
         self.motor: HeldMotor = held_motor(
-            joint.resistance,
-            joint.inductance,
+            self.winding.resistance,
+            self.winding.inductance,
             joint.torque_constant,
-            joint.back_emf_constant,
+            self.winding.back_emf_constant,
             joint.inertia,
             period,
         )
@@ -101,10 +105,10 @@ class _Numbers:
             1.0 / self.ratio,
             self.torque_constant,
             self.ratio / self.torque_constant,
-            joint.back_emf_constant,
+            self.winding.back_emf_constant,
             self.omega_limit,
             joint.current_limit,
-            supply_voltage,
+            joint.largest_command(supply_voltage),
             joint.position_gain,
             self.velocity_gain,
             self.reset_rate,
@@ -117,7 +121,7 @@ class _Numbers:
             motor.turn_per_surplus,
             motor.voltage_per_surplus,
             self.current_memory,
-            self.winding,
+            self.kept_voltage,
             self.current_voltage,
             self.theta_gain,
             self.omega_gain,
@@ -132,14 +136,14 @@ class _Numbers:
         p^2 - z p + z / 2 = 0, |p| = sqrt(z / 2) < 0.71). The mean current of the period is then off
         by `current_memory` of the error at its start.
         """
-        y = joint.inductance / joint.resistance / period
+        y = self.winding.inductance / self.winding.resistance / period
         z = math.exp(-1.0 / y) if y else 0.0
         start = (1.0 - z) * y  # share of the current at the start in the mean, at a given voltage
         share = 0.5 * z / (1.0 - z)
         self.current_memory = start - (1.0 - start) * share
         # The largest voltage that the current limit leaves, beside the back EMF and the current.
-        self.winding = joint.resistance * share
-        self.current_voltage = joint.resistance + self.winding
+        self.kept_voltage = self.winding.resistance * share
+        self.current_voltage = self.winding.resistance + self.kept_voltage
         # The mean current is the change of speed and the load that it has carried.
         speed, to_current = self.motor.speed, joint.inertia / joint.torque_constant / period
         self.mean_current = Sum(

@@ -147,7 +147,7 @@ def test_nodes_boot_and_follow_network_management(scene: Scene) -> None:
 
 def test_whole_dictionary_is_read_and_written_as_the_drive_has_it(scene: Scene) -> None:
     segment, draw = segment_of(scene, 5), random.Random(2)
-    drives = segment._drives
+    drives = segment.drives
     for one in ENTRIES:
         if one.index == 0x1200 and one.sub:
             expected = struct.pack("<I", {1: 0x606, 2: 0x586}[one.sub])
@@ -499,7 +499,7 @@ def test_a_motion_by_frames_is_that_of_the_drives(
         drives.period()
         if mode == 8:  # 0.004 rad at the link, some periods' way
             assert all(abs(drives.read(k, actual) - targets[k]) < 60 for k in range(3))
-    assert segment._drives.plant.save() == drives.plant.save()
+    assert segment.drives.plant.save() == drives.plant.save()
     moved = [abs(drives.read(k, 0x6064) - start[k]) for k in range(3)]
     assert min(moved) > 100, "the arm has moved"
 
@@ -576,7 +576,7 @@ def test_a_machine_that_diverged_stays_and_its_nodes_answer(
     def diverge() -> None:
         raise gone
 
-    monkeypatch.setattr(segment._drives, "period", diverge)
+    monkeypatch.setattr(segment.drives, "period", diverge)
     for _ in range(3):
         assert sent(segment.receive(SYNC), 0x281), "SYNC is answered"
     assert segment.fault is gone and segment.tick == 1
@@ -633,7 +633,7 @@ def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
             assert whole(segment) == before, frame
             looked += 1
     assert looked > FRAMES // 4 // 50 // 8
-    assert np.isfinite(segment._drives.plant.state.q).all()
+    assert np.isfinite(segment.drives.plant.state.q).all()
     segment.receive(Frame(0, b"\x81\0"))
     for number in numbers:
         assert uploaded(segment, number, 0x1000, 0) == b"\x92\x01\x02\0", "it still answers"
@@ -651,7 +651,7 @@ def ids_of(segment: Segment) -> set[int]:
 
 def whole(segment: Segment) -> tuple[object, ...]:
     dumps = [dumped(segment, node.number) for node in segment.nodes]
-    return dumps, [node.state for node in segment.nodes], segment._drives.plant.save()
+    return dumps, [node.state for node in segment.nodes], segment.drives.plant.save()
 
 
 def test_data_sheet_tells_every_entry(scene: Scene) -> None:

@@ -11,8 +11,8 @@ import pytest
 from draws import some
 from machines import MOTOR, moving_joints, random_chain_urdf, write_scene
 
+from analysis.servo_loop import ServoLoops, check_loops
 from arm_emulator.gains import check_fit, check_joints, load_gains
-from arm_emulator.servo_loop import ServoLoops, check_loops
 from emulator_node.plant import Plant
 from emulator_node.scene import SCHEMES, Scene, load_scene
 from emulator_node.session import Session

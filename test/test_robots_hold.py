@@ -23,21 +23,25 @@ def test_without_power_links_drop_by_less_than_their_wind_up(name: str) -> None:
     assert (x.omega_m == 0.0).all(), "rotors stand exactly"
     wind_up = np.abs(scene.wind_up(x.gear_torque)).max()
     assert np.abs(x.q - caught).max() < wind_up, f"wind-up {wind_up:g} rad"
-    assert np.abs(x.q - scene.start).max() < 3e-3, "from where power went"
+    # Bridges are open for the 20 ms that the brakes take: no winding slows the fall.
+    assert np.abs(x.q - scene.start).max() < 6e-3, "from where power went"
 
 
 @pytest.mark.parametrize("name", some(["ur5", "panda"], 1))
 def test_a_stop_takes_a_hit_at_full_speed(name: str) -> None:
-    scene = load_scene(name, {"energy_flow": True})
+    # The moment of the hit is located, so that the stop's damping begins nowhere within a step.
+    exact = {"integrator.events": "located", "integrator.dt": 2.5e-4}
+    scene = load_scene(name, {"energy_flow": True, **exact})
     plant, V = Plant(scene), np.zeros(len(scene.joints))
-    V[0] = scene.supply_voltage
+    V[0] = scene.largest_commands[0]
     before, flow, given, fastest, deepest = plant.energy, 0.0, 0.0, 0.0, 0.0
-    for _ in range(4000):
-        one = plant.advance_metered(V, 2)
+    for _ in range(2000):
+        one = plant.advance_metered(V, 8)
         flow += float((one.given - one.dissipated).sum())
         given += float(np.abs(one.given).sum())
         fastest = max(fastest, float(plant.state.v[0]))
         upper = scene.joints[0].extras[0].upper  # type: ignore[attr-defined]
         deepest = max(deepest, float(plant.state.q[0]) - upper)
-    assert fastest > 3.0 and 0.05 < deepest < 0.25, f"{fastest} rad/s, {deepest} rad deep"
+    # As deep as the joint's own torque, and not that of a stalled winding, pushes it.
+    assert fastest > 3.0 and 0.03 < deepest < 0.25, f"{fastest} rad/s, {deepest} rad deep"
     assert abs(plant.energy - before - flow) < 1e-4 * given, "energy"

@@ -15,8 +15,8 @@ import pytest
 from machines import CONFIG, GRAVITY, LINK, MOTOR, Oracle, write_scene
 from scipy import stats
 
+from analysis.servo_loop import ServoLoops
 from arm_emulator.gains import check_joints
-from arm_emulator.servo_loop import ServoLoops
 from arm_emulator.tuned import run
 from emulator_node.core_calls import Measurement
 from emulator_node.fleet import Fleet

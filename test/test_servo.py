@@ -532,7 +532,9 @@ def test_drives_know_the_motors_of_their_scene(scene: str) -> None:
         assert joint.gear_ratio == section["gear"]["ratio"]
         assert joint.counts_per_turn == section["encoder"]["counts_per_turn"]
         for name, value in section["motor"].items():
-            if name != "current_limit":
+            if name == "current_loop":
+                assert joint.current_bandwidth == value["bandwidth"]
+            elif name != "current_limit":
                 assert getattr(joint, name) == float(value)
 
 

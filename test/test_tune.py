@@ -91,7 +91,7 @@ def test_inertias_are_those_of_the_mass_matrix() -> None:
     """Against Pinocchio over the same poses: M_jj, and 1 / (M^-1)_jj."""
     import pinocchio as pin
 
-    from arm_emulator.servo_loop import poses
+    from analysis.servo_loop import poses
     from arm_emulator.tuned import POSES
 
     scene = load_scene("ur5")

@@ -17,6 +17,7 @@ class CurrentMotor(Motor):
     header = "current_motor.hpp"
     cxx = "CurrentMotor"
     command = "A"
+    limit = "current_limit"
 
     torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
     resistance: Annotated[float, Number("R", "ohm", at_least=0.0)] = 0.0

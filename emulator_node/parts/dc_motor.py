@@ -17,6 +17,7 @@ class DcMotor(Motor):
     has_winding = True
     header = "dc_motor.hpp"
     cxx = "DcMotor"
+    limit = "current_limit"  # with a current loop
 
     resistance: Annotated[float, Number("R", "ohm", above=0.0)]
     inductance: Annotated[float, Number("L", "H", at_least=0.0)] = 0.0

@@ -25,11 +25,18 @@ class Motor(Part):
     kind: ClassVar[str]  # `motor.kind` in the scene
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
     command: ClassVar[str] = "V"  # unit of what it is commanded: V, N m, A or V dq
+    limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
 
     @property
     def follows_speed_at_once(self) -> bool:
         """Whether its current follows the speed at once, for want of an inductance."""
         return False
+
+    @property
+    def command_limit(self) -> float | None:
+        """The bound of a command that is not a voltage [N m or A]; None: there is none."""
+        limit: float | None = getattr(self, self.limit) if self.limit else None
+        return limit
 
     @property
     def circuit(self) -> Circuit | None:

@@ -17,6 +17,7 @@ class TorqueMotor(Motor):
     header = "torque_motor.hpp"
     cxx = "TorqueMotor"
     command = "N m"
+    limit = "torque_limit"
 
     rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
     bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None

@@ -195,6 +195,7 @@ class Drive {
     }
     of.set<0x60C2, 1>(value);
     of.set<0x60C2, 2>(exponent);
+    of.set<0x6502>(joint_.modes);
     int methods = 0;
     for (const int one : Homing::method)
       if (Homing::known(one, joint_.index != 0, joint_.stops != 0))

@@ -29,7 +29,9 @@ typedef struct drives_joint {
   int32_t brake;           /* 1: it has one */
   int32_t index;           /* 1: its encoder at the motor has an index pulse */
   int32_t stops;           /* 1: its way ends at stops on both sides */
-  int32_t mode;            /* enum arm_mode that its motor takes; ARM_VOLTAGE */
+  int32_t mode;            /* enum arm_mode that its motor takes; ARM_VOLTAGE or _CURRENT */
+  uint32_t modes;          /* of 0x6502 that its loops hold the machine in */
+  uint32_t reserved;
 } drives_joint;
 
 /* The machine, the functions of its library, and the joints base to tool. */

@@ -295,7 +295,7 @@ constexpr Table make_table() {
   t.add(0x2003, 0, "Torque of a stop in homing", unsigned16, rw, no, "0.1 %", 300).within(1, 1000);
   t.add(0x2004, 0, "Brake closed", unsigned8, ro, tx);
   t.add(0x2005, 0, "Motor current", integer32, ro, tx, "mA");
-  t.add(0x2006, 0, "Motor voltage", integer32, ro, tx, "mV");
+  t.add(0x2006, 0, "Motor command", integer32, ro, tx, "mV, mA");
 
   // ------------------------------------------------------------------------ the drive, CiA 402
   t.add(0x6007, 0, "Abort connection option code", integer16, rw, no, "", 1).within(0, 3);
@@ -393,7 +393,7 @@ constexpr Table make_table() {
   t.sub("Bit mask", unsigned32, rw);
   t.add(0x60FF, 0, "Target velocity", integer32, rw, rx, "counts/s");
   t.add(0x6402, 0, "Motor type", unsigned16, c, no, "", 1);  // phase-modulated DC motor
-  t.add(0x6502, 0, "Supported drive modes", unsigned32, c, no, "", 0x3AD);
+  t.add(0x6502, 0, "Supported drive modes", unsigned32, ro, no, "", 0x3AD);
   return t;
 }
 

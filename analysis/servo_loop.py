@@ -49,17 +49,27 @@ def poses(scene: Scene, count: int = POSES) -> list[Array]:
     return [scene.start, *drawn]
 
 
-def sampled_plant(motions: SmallMotions, servo: ServoConfig, period: float) -> SampledPlant:
-    """Return the machine over a servo period, its motor angles as the servo's encoders tell."""
+def sampled_plant(
+    motions: SmallMotions, servo: ServoConfig, period: float, braked: int | None = None
+) -> SampledPlant:
+    """Return the machine over a servo period, its motor angles as the servo's encoders tell.
+
+    Args:
+        motions: the machine.
+        servo: whose encoders.
+        period: [s].
+        braked: the joint whose brake is closed; None: no joint's.
+    """
     scene = motions.scene
     N, n = len(scene.joints), len(motions.J)
     q = np.eye(N, n, motions.links)
     known = {joint.name: joint.counts_per_turn for joint in servo.joints}
     # A servo that is told of another encoder takes the angle for another one.
     scale = np.array([[joint.counts_per_turn / known[joint.name]] for joint in scene.joints])
+    J, B = (motions.J, motions.B) if braked is None else motions.braked(braked)
     return SampledPlant.of(
-        motions.J,
-        motions.B,
+        J,
+        B,
         scale * motions.theta_m,
         motions.current,
         motions.current_by_voltage,

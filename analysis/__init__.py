@@ -1,0 +1,1 @@
+"""What a machine and its servos do together, worked out before anything moves."""

@@ -1,0 +1,205 @@
+"""Loops of every mode that a drive can be put into: eigenvalues, what is offered, torques."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from draws import FULL, some
+from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults
+
+from analysis.mode_loops import MODES, LoopFigure, ModeLoops, withheld_modes, withheld_words
+from arm_emulator.gains import load_gains
+from arm_emulator.mode_table import mode_rows, page_table
+from arm_emulator.new import write_new
+from bench.any_arm import arms
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+from emulator_node.stability import SmallMotions
+from fieldbus.drives import Aborted
+from servo_node.linear_servo import Loop
+from servo_node.servo_config import ServoConfig
+from words.config_files import find_scene
+from words.refusal import Refusal
+
+ROOT = Path(__file__).resolve().parents[1]
+SHIPPED = ("ur5", "three_axis", "panda")
+TORQUE_BITS = sum(1 << mode - 1 for mode in (PROFILE_TORQUE, CYCLIC_TORQUE))
+
+
+def shipped(name: str) -> tuple[Scene, ServoConfig]:
+    file = find_scene(name)
+    return load_scene(file), load_gains(file).servo
+
+
+def by_voltage() -> tuple[Scene, ServoConfig]:
+    """ur5 as if its drives closed no current loop: K^2/R is large against the period."""
+    servo = load_gains(find_scene("ur5")).servo
+    joints = tuple(dataclasses.replace(one, current_bandwidth=0.0) for one in servo.joints)
+    scene = load_scene(
+        "ur5", {"joints.*.motor.current_loop": None, "joints.*.motor.current_limit": None}
+    )
+    return scene, dataclasses.replace(servo, joints=joints)
+
+
+@pytest.mark.parametrize("name", some(SHIPPED, 2))
+def test_every_mode_of_the_arms_that_come_along_is_offered_and_holds(name: str) -> None:
+    scene, servo = shipped(name)
+    assert withheld_modes(scene, servo) == []
+    seen = {(one.joint, one.loop, one.braked) for one in ModeLoops(scene, servo).figures}
+    for j, joint in enumerate(scene.joints):
+        for loop in set(Loop) - {Loop.POSITION}:
+            assert (j, loop, False) in seen
+            assert ((j, loop, True) in seen) == (joint.brake is not None)
+
+
+@pytest.mark.parametrize("name", some(SHIPPED, 2))
+def test_torques_are_what_was_asked_for_on_every_joint(name: str) -> None:
+    assert list(faults(*shipped(name))) == []
+
+
+@pytest.mark.skipif(not FULL, reason="some 60 arms are made and compiled: make test-in-full")
+def test_torques_are_what_was_asked_for_on_arms_that_are_made_new() -> None:
+    bad, count = [], 0
+    for robot in arms().values():
+        if not isinstance(robot, Path):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                file = write_new(robot, Path(folder) / "new").file
+            except Refusal:
+                continue  # is no arm
+            scene, servo = load_scene(file), load_gains(file).servo
+            withheld = withheld_modes(scene, servo)
+            bad += withheld_words(scene, withheld)
+            if not any(one.mode in (PROFILE_TORQUE, CYCLIC_TORQUE) for one in withheld):
+                bad += list(faults(scene, servo))
+        count += 1
+    assert count >= 40, f"{count} arms"
+    assert bad == []
+
+
+def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
+    scene, servo = by_voltage()
+    withheld = withheld_modes(scene, servo)
+    modes = {(one.joint, one.mode) for one in withheld}
+    assert modes == {(j, mode) for j in range(6) for mode in (PROFILE_TORQUE, CYCLIC_TORQUE)}
+    drives = enabled(scene, servo)
+    assert drives.withheld == withheld
+    for j in range(6):
+        assert drives.read(j, 0x6502) == 0x3AD & ~TORQUE_BITS
+        for mode in (PROFILE_TORQUE, CYCLIC_TORQUE):
+            with pytest.raises(Aborted, match="06090030"):
+                drives.write(j, 0x6060, mode)
+        drives.period()
+        assert drives.read(j, 0x6061) == 8, "it stays in its mode"
+    lines = withheld_words(scene, withheld)
+    assert len(lines) == 6
+    for line in lines:
+        assert re.match(
+            r"ur5.yaml: \w+_joint: a drive offers no profile torque \(4\) or cyclic torque \(10\): "
+            r"small motions of its torque loop.* grow by [\d.]+ 1/s.* at q = \[.*\]$",
+            line,
+        ), line
+
+
+def test_it_swings_as_its_eigenvalues_say() -> None:
+    """What is withheld does swing, at the frequency and by the factor that the table tells."""
+    scene, servo = by_voltage()
+    loops = ModeLoops(scene, servo)
+    torque = [one for one in loops.figures if one.loop is Loop.TORQUE and one.joint == 0]
+    (one,) = [one for one in torque if not one.braked and not one.alike]
+    assert not one.holds and one.swing > 1.01
+    # Its own drives, asked for the mode behind the dictionary's back.
+    drives = enabled(scene, servo)
+    drives.set(0, 0x6502, 0x3AD)
+    drives.write(0, 0x6071, 0)
+    drives.write(0, 0x6060, CYCLIC_TORQUE)
+    drives.period()
+    drives.write(0, 0x6071, 3)
+    currents = []
+    for _ in range(600):
+        drives.period()
+        currents.append(drives.plant.state.current[0])
+    late = np.array(currents[300:])
+    spectrum = np.abs(np.fft.rfft((late - late.mean()) * np.hanning(len(late)), 4096))
+    heard = float(np.argmax(spectrum)) / 4096.0 / servo.period
+    assert late.std() > 1.0, "A: it swings to the limits of its current"
+    # Limits and the pose bend the frequency of small motions a little.
+    assert heard == pytest.approx(one.frequency, rel=0.35)
+
+
+def test_a_held_rotor_is_one_of_infinite_inertia() -> None:
+    """The machine with a brake closed, against one whose rotor nothing turns."""
+    name = "joints.elbow.motor.rotor_inertia"
+    for gear in ({}, {"joints.elbow.gear.stiffness": None, "joints.elbow.gear.damping": None}):
+        scene = load_scene("three_axis", {"joints.elbow.brake": {"torque": 1.0}, **gear})
+        heavy = load_scene("three_axis", {name: 1e9, **gear})
+        q = np.array([0.3, -0.4, 0.8])
+        J, _ = SmallMotions(Plant(scene), q).braked(2)
+        other = SmallMotions(Plant(heavy), q).J
+        # The slowest are the rotor's own, 0 and nearly so.
+        one, two = (np.sort_complex(np.linalg.eigvals(matrix)) for matrix in (J, other))
+        size = np.abs(one).max()
+        assert np.abs(one - two).max() < 1e-4 * size, f"{one} {two}"
+
+
+def test_without_motor_torques_an_arm_falls_as_its_links_do() -> None:
+    scene = load_scene("ur5")
+    plant = Plant(scene)
+    motions = SmallMotions(plant, scene.start)
+    assert 0.0 < motions.falls < 10.0
+    upright = np.array([0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0])
+    hanging = np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0])
+    standing = SmallMotions(plant, upright).falls
+    assert standing > 2.0 * SmallMotions(plant, hanging).falls, "a pendulum that stands"
+
+
+def test_check_scene_shows_all_loops_and_warns_of_what_is_withheld(tmp_path: Path) -> None:
+    for place in ("", "servo/", "motion/"):
+        text = (ROOT / "config" / f"{place}ur5.yaml").read_text()
+        # Drives that close no current loop.
+        text = re.sub(r"^ +(current_loop|bandwidth|current_bandwidth):.*\n", "", text, flags=re.M)
+        (tmp_path / place).mkdir(exist_ok=True)
+        (tmp_path / f"{place}ur5.yaml").write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-m", "arm_emulator", "check-scene", tmp_path / "ur5.yaml", "--modes"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = [line for line in done.stdout.splitlines() if line.endswith("| withheld |")]
+    assert len(rows) == 7, "the torque loop of each joint, and of all: " + done.stdout
+    assert all("| torque |" in row for row in rows)
+    warned = [line for line in done.stderr.splitlines() if "a drive offers no" in line]
+    assert len(warned) == 6 and warned[0].startswith("warning: ur5.yaml: shoulder_pan_joint: ")
+
+
+@pytest.mark.parametrize("name", some(["three_axis", "ur5", "panda"], 2))
+def test_the_page_has_the_table_of_every_mode(name: str) -> None:
+    """Its eigenvalues are those of today, but for a unit of their last place."""
+    page = (ROOT / "docs" / "modes.md").read_text()
+    scene, servo = shipped(name)
+    table = page_table(mode_rows(scene, servo))
+    number = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
+    start = page.index(f"#### {scene.name}\n")
+    there = page[start:].split("\n\n", 2)[1]
+    advice = f"make it anew: python -m arm_emulator check-scene {name} --modes"
+    for line, expected in zip(there.splitlines(), table.splitlines(), strict=True):
+        assert number.sub("#", line) == number.sub("#", expected), advice
+        found = [float(one) for one in number.findall(line)]
+        now = [float(one) for one in number.findall(expected)]
+        assert found == pytest.approx(now, rel=2e-2, abs=2e-3), f"{line}: {advice}"
+
+
+def test_modes_are_those_of_the_dictionary() -> None:
+    assert sum(1 << mode - 1 for mode in MODES) == 0x3AD
+    assert {loop for _, loops in MODES.values() for loop in loops} == set(Loop)
+    assert isinstance(LoopFigure.holds, property)
