@@ -86,7 +86,7 @@ class Segment:
             return
         self._periods[node.number] = periods
         if periods > 1.0 and abs(periods - round(periods)) > 1e-9 * periods:
-            taken = self._drives.periods_per_target(self.nodes.index(node))
+            taken = self.drives.periods_per_target(self.nodes.index(node))
             self.uneven.append(
                 f"node {node.number}: 0x60C2 is {periods:g} servo periods: SYNC stands for {taken}"
             )
