@@ -372,6 +372,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     check_bag.add_argument("bag", type=Path)
     check_bag.add_argument("--scene", help="scene file or name (default: as the bag tells)")
+    check_bag.add_argument(
+        "--strict",
+        action="store_true",
+        help="exit code 1 also where anything is not compared",
+    )
     check_bag.set_defaults(run=_check)
     return parser
 
@@ -638,7 +643,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> int:
     from arm_emulator.check import check
 
-    return check(arguments.bag, arguments.scene)
+    return check(arguments.bag, arguments.scene, arguments.strict)
 
 
 if __name__ == "__main__":

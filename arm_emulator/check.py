@@ -11,7 +11,6 @@ from tick 0 on.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,9 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from arm_emulator.checked import Tally
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorCommand, MotorState
-from emulator_node.measured import told_by
+from emulator_node.measured import MORE_SENSORS, told_by
 from emulator_node.plant import SET, Plant
 from emulator_node.scene import Scene, load_scene
 from emulator_node.session import Session
@@ -46,6 +46,7 @@ TYPES: dict[str, tuple[Any, str]] = {
     "robot_description": (String, "std_msgs/msg/String"),
     "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
 }
+OF_STATE = ("stamp", "tick", "encoder_counts", "current", "voltage")
 PER_UNIT = ("specific_force", "angular_rate")  # of motor states: three values per IMU
 COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator/events")
 KINDS = {
@@ -62,48 +63,25 @@ class Difference(Exception):
     """The first bit that is not as recorded."""
 
 
-@dataclass
-class Tally:
-    """What was compared, and what could not be.
+def check(path: Path, scene_name: str | None, strict: bool = False) -> int:
+    """Compare, and print what was compared, what was not, and the outcome.
 
-    Attributes:
-        runs: from tick 0 on.
-        states: motor states.
-        truths: messages on `emulator/joint_states`.
-        commands: ticks whose voltages are those of a recorded command.
-        changes: by hand, within runs.
-        refused: commands that no machine would have taken.
-        lost: motor states missing in the bag; the run was continued with commands.
-        free: ticks at 0 V before the first command of a run.
-        skipped: motor states of runs whose beginning is not in the bag.
-    """
-
-    runs: int = 0
-    states: int = 0
-    truths: int = 0
-    commands: int = 0
-    changes: int = 0
-    refused: int = 0
-    lost: int = 0
-    free: int = 0
-    skipped: int = 0
-
-
-def check(path: Path, scene_name: str | None) -> int:
-    """Compare and print the outcome; the exit code is 0 if all is equal, 1 if not.
+    The exit code is 0 if all is equal; 1 at a difference, and where states behind the beginning of
+    a run could not be compared; with `strict` also where anything else could not.
 
     Args:
         path: the bag.
         scene_name: scene file or name; None: the one that the bag names.
+        strict: let nothing be left out.
 
     Raises:
-        Refusal: a bad bag, one that cannot be checked, or no scene.
+        Refusal: a bad bag, one of which nothing can be checked, or no scene.
     """
     bag = Bag(path)
     topics = _topics(bag)
     scene = load_scene(scene_name or _scene_of(bag, topics))
     lockstep = not _in_real_time(bag, topics)
-    checker = _Checker(Session(scene, "lockstep", "first_answer"), str(path), lockstep)
+    checker = _Checker(Session(scene, "lockstep", "first_answer"), bag, lockstep)
     tally = checker.tally
     difference: Difference | None = None
     try:
@@ -112,39 +90,65 @@ def check(path: Path, scene_name: str | None) -> int:
     except Difference as found:
         difference = found
     if not tally.runs:
-        raise Refusal(
-            str(path),
-            "the bag",
-            "hold a run from tick 0 on",
-            f"{tally.skipped} states of later ticks",
-            "record, then call emulator/reset",
-        )
+        rule, got = "hold a run from tick 0 on", f"{tally.before} states of later ticks"
+        raise Refusal(str(path), "the bag", rule, got, "record, then call emulator/reset")
+    if difference is None and not tally.periods:
+        rule, got = "hold a servo period of a run", f"{tally.states} states of tick 0"
+        raise Refusal(str(path), "the bag", rule, got, "record while the machine runs")
     clock = "" if lockstep else " in real time"
-    print(f"scene {scene.name}{clock}: {_told(tally, bag.complete)}")
-    if difference is None:
-        print("equal to the last bit")
-        return 0
-    print(f"the first difference: {difference}")
-    for hint in _hints(bag, topics, scene):
-        print(f"note: {hint}")
-    return 1
+    print(f"scene {scene.name}{clock}: {tally.compared}")
+    fields = [f"{name} ({of})" for name, of in checker.fields.items() if name in topics]
+    print(f"compared: {'; '.join(fields)}")
+    left_out = [*tally.left_out, *_not_known(bag)]
+    for line in left_out:
+        print(f"not compared: {line}")
+    others = sorted(set(bag.topics) - {topics[name] for name in COMPARED if name in topics})
+    if others:
+        print(f"topics that are not compared: {', '.join(others)}")
+    if difference is not None:
+        print(f"the first difference: {difference}")
+        for hint in _hints(bag, topics, scene):
+            print(f"note: {hint}")
+        return 1
+    if tally.after:
+        print("not checked to its end; what was compared is equal to the last bit")
+    else:
+        print(f"equal to the last bit{', as far as it was compared' if left_out else ''}")
+    return int(bool(tally.after or (strict and left_out)))
 
 
 class _Checker:
     """Takes the messages of a bag in the order of publication, and does what the machine did."""
 
-    def __init__(self, session: Session, where: str, lockstep: bool) -> None:
+    def __init__(self, session: Session, bag: Bag, lockstep: bool) -> None:
         self.tally = Tally()
         self._session = session
-        self._where = where
+        self._where = str(bag.path)
         self._lockstep = lockstep
+        # A recorder that takes up all topics knows of changes by hand, be it that none came.
+        self._tells_changes = any(name.endswith("/emulator/events") for name in bag.topics)
+        self._tells_commands = any(name.endswith("/motor_commands") for name in bag.topics)
+        self._machine = 0  # whose states the run has
         self._commanded = JointOrder("motor_commands", session.scene.joint_names)
         self._inside = False  # a run that began at tick 0
-        self._per_joint = [name for name in told_by(session.scene) if name not in PER_UNIT]
+        told = told_by(session.scene)
+        self._per_joint = [name for name in told if name not in PER_UNIT]
+        self._absent = [name for name in MORE_SENSORS if name not in told]
         self._told = Plant(session.scene)  # machines as events tell them
         self._event = (0, 0)  # emulator and number of the newest one
         self._waiting: list[MachineEvent] = []  # at tick 0 of a run whose first state is to come
         self._begin()
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """What of each message is compared."""
+        imus = PER_UNIT if self._session.scene.imus else ()
+        return {
+            "motor_states": ", ".join((*OF_STATE, *self._per_joint, *imus)),
+            "motor_commands": "voltage",
+            "emulator/joint_states": "position, velocity, effort",
+            "emulator/events": "tick, stamp, state",
+        }
 
     def take(self, name: str, message: Any) -> None:
         {
@@ -249,31 +253,58 @@ class _Checker:
     def _on_state(self, state: MotorState) -> None:
         session, tick = self._session, int(state.tick)
         self._same_joints("motor_states", state.joint_names)
-        if tick == 0 and (not self._inside or session.tick > 0):
+        if tick < session.tick and self._inside:
+            self._end_run(state)
+        begins = tick == 0 and not self._inside
+        if begins:
             self._begin()
             self._inside = True
+            self._machine = int(state.machine)
             self.tally.runs += 1
             for event in self._waiting:
                 self._change(event)
             self._waiting.clear()
-        elif not self._inside or tick < session.tick:
+        elif not self._inside:
             # A reset whose first state is not in the bag, or a bag that begins within a run.
-            self._inside = False
-            self.tally.skipped += 1
+            self.tally.leave_out(f"one of tick {tick}")
             return
         order = self._order(state.joint_names)
         if tick > session.tick + 1:
             rule = f"tell tick {session.tick + 1}"
             got = f"nothing, and the next state is that of tick {tick}"
             raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
+        first = begins or tick == session.tick + 1
         if tick == session.tick + 1:
             self._advance(self._applied(state, order))
         self.tally.states += 1
+        stamp = nanoseconds_of(state.header.stamp)
+        if stamp != session.logical_ns:
+            raise Difference(
+                f"run {self.tally.runs}, tick {session.tick}, stamp: "
+                f"recorded {stamp} ns, computed {session.logical_ns} ns"
+            )
         now = session.measured
+        if first:  # one that diverges then, and is told again, has other ones
+            self._compare("voltage", order, np.array(state.voltage), session.voltage)
         for name in ("encoder_counts", "current", *self._per_joint):
             self._compare(name, order, np.array(getattr(state, name)), getattr(now, name))
+        for name in (*self._absent, "imu_names"):
+            if len(getattr(state, name)) and (name != "imu_names" or not session.scene.imus):
+                raise Difference(
+                    f"run {self.tally.runs}, tick {session.tick}, {name}: "
+                    "recorded, and the scene has no such sensor"
+                )
         if session.scene.imus:
             self._compare_imus(state)
+
+    def _end_run(self, state: MotorState) -> None:
+        """Take a tick that goes back: without a reset only another machine's may."""
+        self._inside = False
+        if self._tells_changes and state.machine == self._machine:
+            raise Difference(
+                f"run {self.tally.runs}: tick {state.tick} comes after tick {self._session.tick}, "
+                "and no reset is recorded"
+            )
 
     def _compare_imus(self, state: MotorState) -> None:
         known = [one.name for one in self._session.scene.imus]
@@ -298,9 +329,12 @@ class _Checker:
         commands = self._commands.pop(session.tick, [])
         self._led = self._led or bool(applied.any())
         self.tally.free += not self._led and not commands
+        led = self._led and session.powered
+        self.tally.uncommanded += led and self._lockstep and self._tells_commands and not commands
+        self.tally.held += 0 if self._lockstep else len(commands)
         # In real time a command may answer any tick, and before the first one was taken it may
         # answer a tick that is past. Power may be switched while nothing moves.
-        if commands and self._lockstep and self._led and session.powered:
+        if commands and self._lockstep and led:
             self.tally.commands += 1
             U = session.scene.largest_commands
             if not any(_are_equal(applied, np.clip(one, -U, U)) for one in commands):
@@ -315,6 +349,7 @@ class _Checker:
     def _on_truth(self, truth: JointState) -> None:
         session, now = self._session, self._session.state
         if not self._inside or nanoseconds_of(truth.header.stamp) != session.logical_ns:
+            self.tally.stray_truths += self._inside
             return
         self._same_joints("emulator/joint_states", truth.name)
         self.tally.truths += 1
@@ -325,6 +360,7 @@ class _Checker:
 
     def _advance(self, voltage: NDArray[np.float64]) -> None:
         self._session.advance_under(voltage)
+        self.tally.periods += 1
         if self._session.fault is not None:
             fault = self._session.fault
             raise Difference(f"run {self.tally.runs}, {fault}; the recorded run went on")
@@ -453,24 +489,18 @@ def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
     return fitting[0]
 
 
-def _told(tally: Tally, complete: bool) -> str:
-    parts = [
-        f"{tally.runs} run{'s' if tally.runs > 1 else ''}",
-        f"{tally.states} motor states",
-        f"{tally.truths} true joint states",
-        f"{tally.commands} commands",
-    ]
-    extra = {
-        "changes by hand": tally.changes,
-        "commands answer no state": tally.refused,
-        "states are missing": tally.lost,
-        "ticks at 0 V before the first command": tally.free,
-        "states of a run that began before the recording are left out": tally.skipped,
-    }
-    parts += [f"{number} {what}" for what, number in extra.items() if number]
-    if not complete:
-        parts.append("the recorder did not end the bag")
-    return ", ".join(parts)
+def _not_known(bag: Bag) -> Iterator[str]:
+    """Yield what the bag does not tell of."""
+    if not bag.complete:
+        yield "what came after the bag's end: its recorder did not end it"
+    for name, what in (
+        ("motor_commands", "what was commanded"),
+        ("emulator/joint_states", "the true state of the machine"),
+        ("emulator/events", "whether the machine was changed by hand"),
+        ("emulator/status", "whether this was lock-step, as assumed"),
+    ):
+        if not any(known.endswith(f"/{name}") for known in bag.topics):
+            yield f"{what}: the bag has no {name}"
 
 
 def _hints(bag: Bag, topics: dict[str, str], scene: Scene) -> Iterator[str]:

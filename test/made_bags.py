@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
 
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 from emulator_node.scene import load_scene
 from emulator_node.session import Session
 from ros_shell.bag import BagWriter, Topic
 from ros_shell.message_types import definition_of
+from ros_shell.node_shell import stamp
 
 TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
 
@@ -44,6 +46,7 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
             say(
                 "/motor_states",
                 MotorState(
+                    header=Header(stamp=stamp(session.logical_ns)),
                     tick=session.tick,
                     joint_names=names,
                     powered=session.powered,

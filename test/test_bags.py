@@ -164,11 +164,21 @@ def messages(bag: Path) -> list[Any]:
     return [deserialize_message(m.data, kinds[m.topic]) for m in Bag(bag).messages(kinds)]
 
 
-def rewrite(bag: Path, copy: Path, change: Callable[[BagMessage], bytes | None]) -> Path:
-    """Write a copy in which `change` gives each message's bytes, None to leave it out."""
+def rewrite(
+    bag: Path,
+    copy: Path,
+    change: Callable[[BagMessage], bytes | None],
+    tells_changes: bool = False,
+) -> Path:
+    """Write a copy in which `change` gives each message's bytes, None to leave it out.
+
+    With `tells_changes` it has a topic of changes by hand, on which none came.
+    """
     original = Bag(bag)
     with BagWriter(copy) as writer:
         numbers = {}
+        if tells_changes:
+            writer.add_topic(Topic("/emulator/events", "arm_emulator_msgs/msg/MachineEvent"))
         for name, topic in original.topics.items():
             new = Topic(topic.name, topic.type, topic.definition, topic.offered, topic.type_hash)
             numbers[name] = writer.add_topic(new)
@@ -426,6 +436,98 @@ def test_resets_power_and_a_free_run_are_followed(tmp_path: Path) -> None:
     code, said = run("check", synthetic(tmp_path / "free", powers, first=4))
     assert code == 0, said
     assert "8 ticks at 0 V before the first command" in said
+
+
+def changed_state(tick: int, change: Callable[[Any], None]) -> Callable[[BagMessage], bytes]:
+    """Change every motor state of a tick."""
+
+    def of(one: BagMessage) -> bytes:
+        if one.topic != "/motor_states":
+            return one.data
+        message = deserialize_message(one.data, MotorState)
+        if message.tick == tick:
+            change(message)
+        return serialize_message(message)
+
+    return of
+
+
+def _set(name: str, value: Any) -> Callable[[Any], None]:
+    return lambda message: setattr(message, name, value)
+
+
+def _set_stamp(message: Any) -> None:
+    message.header.stamp.nanosec += 1
+
+
+# What is changed in the states of tick 7, whether the bag tells changes by hand, and the outcome.
+EDITS: list[tuple[Callable[[Any], None], bool, int, str]] = [
+    (_set("tick", 3), False, 1, "not compared: 18 motor states that belong to no run, from one of"),
+    (_set("tick", 0), False, 1, "the first difference: run 2, tick 0"),
+    (_set("tick", 3), True, 1, "tick 3 comes after tick 6, and no reset is recorded"),
+    (_set("tick", 0), True, 1, "tick 0 comes after tick 6, and no reset is recorded"),
+    (_set_stamp, False, 1, "tick 7, stamp: recorded 7000001 ns, computed 7000000 ns"),
+    (_set("torque", [1.0] * 3), False, 1, "tick 7, torque: recorded, and the scene has no such"),
+    (_set("imu_names", ["a"]), False, 1, "tick 7, imu_names: recorded, and the scene has no"),
+    (_set("voltage", [1e9] * 3), False, 1, "tick 6, joint waist, voltage: commanded"),
+]
+
+
+@pytest.mark.parametrize(("edit", "tells_changes", "exit_code", "words"), EDITS)
+def test_nothing_of_a_state_is_passed_over_in_silence(
+    edit: Callable[[Any], None], tells_changes: bool, exit_code: int, words: str, tmp_path: Path
+) -> None:
+    bag = synthetic(tmp_path / "bag", [True] * 15, runs=1)
+    copy = rewrite(bag, tmp_path / "copy", changed_state(7, edit), tells_changes)
+    code, said = run("check", copy, "--scene", "three_axis")
+    assert code == exit_code and words in said, said
+
+
+def test_what_is_not_compared_is_published_and_strict_takes_it_for_a_failure(
+    tmp_path: Path,
+) -> None:
+    bag = synthetic(tmp_path / "bag", [True] * 15)
+    code, said = run("check", bag)
+    assert code == 0 and "equal to the last bit, as far as it was compared" in said, said
+    for what in ("the true state of the machine", "whether this was lock-step, as assumed"):
+        assert f"not compared: {what}" in said, said
+    code, strict = run("check", bag, "--strict")
+    assert code == 1 and strict == said, "the same words, another exit code"
+
+    def later(one: BagMessage) -> bytes | None:
+        """Without the beginning of the first run, which a recorder that came late lacks."""
+        kind = TYPES[one.topic]
+        early = one.received < 10**18 + 30_000
+        return None if early and deserialize_message(one.data, kind).tick < 5 else one.data
+
+    code, said = run("check", rewrite(bag, tmp_path / "later", later))
+    assert code == 0 and "motor states of a run that began before the recording" in said, said
+
+
+def test_a_check_that_compares_nothing_is_refused(tmp_path: Path) -> None:
+    bag = synthetic(tmp_path / "bag", [True] * 5)
+
+    def at_rest(one: BagMessage) -> bytes | None:
+        return one.data if deserialize_message(one.data, TYPES[one.topic]).tick == 0 else None
+
+    code, said = run("check", rewrite(bag, tmp_path / "rest", at_rest))
+    assert code == 2 and "must hold a servo period of a run, got 2 states of tick 0" in said, said
+
+
+def test_a_true_state_of_no_tick_is_counted(recording: tuple[Path, str], tmp_path: Path) -> None:
+    code, said = run("check", recording[0], "--strict")
+    assert "true joint states of no tick" not in said, said
+
+    def other(one: BagMessage) -> bytes:
+        if one.topic != "/emulator/joint_states":
+            return one.data
+        message = deserialize_message(one.data, JointState)
+        message.header.stamp.nanosec += 1
+        return serialize_message(message)
+
+    code, said = run("check", rewrite(recording[0], tmp_path / "copy", other), "--strict")
+    assert code == 1, said
+    assert "true joint states of no tick that the bag has" in said, said
 
 
 def damaged(folder: Path) -> Path:
