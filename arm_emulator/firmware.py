@@ -69,7 +69,11 @@ def run(
     figures = chip.figures
     awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
     each = figures.instructions / ticks
-    print(f"microcontroller   {each:.0f} instructions per servo period, {awake:.1%} awake")
+    happened = {"faults": figures.faults, "resets": figures.resets}
+    more = "".join(f", {count} {what}" for what, count in happened.items() if count)
+    print(f"microcontroller   {each:.0f} instructions per servo period, {awake:.1%} awake{more}")
+    if figures.faults:
+        print(f"first fault       {chip.fault}")
     return 0
 
 

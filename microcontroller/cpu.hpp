@@ -7,8 +7,11 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <cstring>
 #include <limits>
 #include <memory>
+#include <unordered_set>
+#include <utility>
 #include <vector>
 
 #include "clock.hpp"
@@ -42,9 +45,22 @@ class Cpu {
 
   // Why it cannot go on.
   struct Fault {
+    enum class Kind {
+      NONE,  // of the emulator's own: no processor has a handler for it
+      BUS,
+      BUS_FETCH,
+      MEMORY_FETCH,
+      UNDEFINED,
+      STATE,
+      COPROCESSOR,
+      UNALIGNED,
+      BREAKPOINT,
+      ESCALATED  // a supervisor call that is masked
+    };
     const char* what = nullptr;
     uint32_t address = 0;
     bool has_address = false;
+    Kind kind = Kind::NONE;
   };
 
   Time now = 0;
@@ -75,6 +91,7 @@ class Cpu {
   Cpu(const Cpu&) = delete;
   Cpu& operator=(const Cpu&) = delete;
   ~Cpu() {
+    if (new_) uc_context_free(new_);
     if (open_) uc_close(uc_);
   }
 
@@ -109,10 +126,30 @@ class Cpu {
 
   // As after a reset, with stack pointer and program counter of the vector table.
   void reset(uint32_t sp, uint32_t start) {
+    if (new_)
+      uc_context_restore(uc_, new_);
+    else if (uc_context_alloc(uc_, &new_) == UC_ERR_OK)
+      uc_context_save(uc_, new_);
     set(UC_ARM_REG_SP, sp);
+    masked_wait = false;
     pc = start & ~1u;
     inside_until_ = 0;
   }
+
+  // When the instruction that runs now, and accesses a register `at`, began. `now` is the end of
+  // its block. Where in it the instruction stands is known from the second time on that the block
+  // asks; the first time it is looked for.
+  Time instant(uint32_t at) {
+    if (!block_) return now;
+    if (!exact_.count(block_->at)) {
+      asks_ = {block_->at, block_->size};
+      attend();
+      at_ = accessing(at);
+    }
+    return now - block_->cost + count_to(at_) * cost_;
+  }
+  // When the next instruction begins, for a debugger.
+  Time instant() const { return block_ ? now - block_->cost + count_to(pc) * cost_ : now; }
 
   // Run until something stops it; `deadline` lets it stop between blocks.
   Stop run(Time deadline) {
@@ -121,6 +158,7 @@ class Cpu {
     until_ = by_time ? deadline : ALWAYS;
     deadline_ = deadline;
     stepping_ = false;
+    watch_closely();
     return start(0);
   }
 
@@ -128,6 +166,7 @@ class Cpu {
   Stop step() {
     // What was translated for a run does not stop within blocks.
     if (!stepping_) uc_ctl_flush_tb(uc_);
+    if (!inside()) watch_closely();
     stepping_ = true;
     until_ = ALWAYS;
     const uint32_t before = pc;
@@ -231,14 +270,26 @@ class Cpu {
     return true;
   }
 
-  bool fail(const char* what, uint32_t address) {
-    fault = {what, address, true};
+  // A debugger has changed what lets exceptions in, or which stack is used.
+  void masks_changed() {
+    refresh();
+    masked_wait = false;
+    attend();
+  }
+  // Set N, Z, C, V and Q; what else xPSR holds is the processor's own.
+  void set_flags(uint32_t xpsr) {
+    set(UC_ARM_REG_XPSR_NZCVQG, (get(UC_ARM_REG_XPSR) & 0x07ffffffu) | (xpsr & 0xf8000000u));
+  }
+
+  bool fail(const char* what, uint32_t address, Fault::Kind kind = Fault::Kind::NONE) {
+    fault = {what, address, true, kind};
     return false;
   }
-  bool fail(const char* what) {
-    fault = {what, 0, false};
+  bool fail(Fault::Kind kind, const char* what) {
+    fault = {what, 0, false, kind};
     return false;
   }
+  bool fail(const char* what) { return fail(Fault::Kind::NONE, what); }
 
  private:
   static constexpr Time ALWAYS = std::numeric_limits<Time>::min();
@@ -278,6 +329,7 @@ class Cpu {
         stop_ = !count || sleeps(from) ? Stop::SLEEP : Stop::STEPPED;
       }
     }
+    if (stop_ != Stop::STEPPED) block_ = nullptr;
     return stop_;
   }
 
@@ -306,7 +358,66 @@ class Cpu {
     const Block& block = known(at, size);
     instructions += block.count;
     now += block.cost;
+    block_ = &block;
+    at_ = NOWHERE;
   }
+
+  // Have Unicorn tell each instruction of a block that has asked for the time.
+  void watch_closely() {
+    const auto [at, size] = std::exchange(asks_, {});
+    if (!size || exact_.size() >= MOST_EXACT || !exact_.insert(at).second) return;
+    const uint64_t end = static_cast<uint64_t>(at) + size;
+    hook(UC_HOOK_CODE, reinterpret_cast<void*>(instruction_begins), at, end - 1);
+    uc_ctl_remove_cache(uc_, at, end);
+  }
+  static void instruction_begins(uc_engine*, uint64_t address, uint32_t, void* self) {
+    static_cast<Cpu*>(self)->at_ = static_cast<uint32_t>(address);
+  }
+  // How many instructions of the block stand before an address.
+  Time count_to(uint32_t at) const {
+    Time count = 0;
+    each_instruction([&](uint32_t one, const uint16_t*) {
+      if (one >= at) return false;
+      ++count;
+      return true;
+    });
+    return count;
+  }
+  // The next instruction of the block, from the last one that accessed a register, that may access
+  // this one: base and offset are right. The next of all, if none is.
+  uint32_t accessing(uint32_t at) const {
+    uint32_t found = 0, next = 0;
+    each_instruction([&](uint32_t one, const uint16_t* code) {
+      if (one <= at_ && at_ != NOWHERE) return true;
+      if (!next) next = one;
+      if (accesses(code, at)) found = one;
+      return !found;
+    });
+    return found ? found : next ? next : at_;
+  }
+  // Whether it is a load or a store with an offset from a register, and leads there.
+  bool accesses(const uint16_t* code, uint32_t at) const {
+    static constexpr int LOW[] = {UC_ARM_REG_R0,  UC_ARM_REG_R1, UC_ARM_REG_R2,  UC_ARM_REG_R3,
+                                  UC_ARM_REG_R4,  UC_ARM_REG_R5, UC_ARM_REG_R6,  UC_ARM_REG_R7,
+                                  UC_ARM_REG_R8,  UC_ARM_REG_R9, UC_ARM_REG_R10, UC_ARM_REG_R11,
+                                  UC_ARM_REG_R12, UC_ARM_REG_SP, UC_ARM_REG_LR,  UC_ARM_REG_PC};
+    if ((code[0] & 0xf000) == 0x6000)
+      return get(LOW[code[0] >> 3 & 7]) + 4u * (code[0] >> 6 & 31) == at;
+    if ((code[0] & 0xffe0) == 0xf8c0) return get(LOW[code[0] & 15]) + (code[1] & 0xfffu) == at;
+    return false;
+  }
+  // body(address, its halfwords) for the instructions of the block, while it returns true.
+  template <class Body>
+  void each_instruction(Body&& body) const {
+    const uint8_t* code = memory_.find(block_->at, block_->size);
+    for (uint32_t k = 0; code && k + 1 < block_->size; k += length(code + k)) {
+      uint16_t halves[2] = {};
+      std::memcpy(halves, code + k, std::min(4u, block_->size - k));
+      if (!body(block_->at + k, halves)) return;
+    }
+  }
+  // The first half of a long one: 0b11101 and up.
+  static uint32_t length(const uint8_t* code) { return (code[1] & 0xf8) >= 0xe8 ? 4 : 2; }
 
   // Whether a block may begin although something looks due.
   bool may_begin(uint32_t at, uint32_t size) {
@@ -344,8 +455,7 @@ class Cpu {
     if (block.at == at && block.size == size) return block;
     block = {at, size, 0, 0};
     const uint8_t* code = memory_.find(at, size);
-    for (uint32_t k = 0; code && k + 1 < size; ++block.count)
-      k += (code[k + 1] & 0xf8) >= 0xe8 ? 4 : 2;  // the first half of a long one: 0b11101 and up
+    for (uint32_t k = 0; code && k + 1 < size; ++block.count) k += length(code + k);
     block.cost = block.count * cost_ + branch_cost_;
     return block;
   }
@@ -358,8 +468,28 @@ class Cpu {
       cpu.pc |= 1;
       return cpu.tell(Stop::RETURN);
     }
-    cpu.fault.what = reason_of(number);
+    cpu.fail(kind_of(number), reason_of(number));
     cpu.tell(Stop::FAULT);
+  }
+
+  static Fault::Kind kind_of(uint32_t number) {
+    switch (number) {  // of Unicorn's
+      case 3:
+        return Fault::Kind::BUS_FETCH;
+      case 4:
+      case 20:
+        return Fault::Kind::BUS;
+      case 7:
+        return Fault::Kind::BREAKPOINT;
+      case 17:
+        return Fault::Kind::COPROCESSOR;
+      case 18:
+        return Fault::Kind::STATE;
+      case 22:
+        return Fault::Kind::UNALIGNED;
+      default:
+        return Fault::Kind::NONE;
+    }
   }
 
   static const char* reason_of(uint32_t number) {
@@ -393,7 +523,7 @@ class Cpu {
       return true;
     }
     if (before == 0xbf10) return true;  // YIELD
-    cpu.fault.what = "an undefined instruction";
+    cpu.fail(Fault::Kind::UNDEFINED, "an undefined instruction");
     cpu.tell(Stop::FAULT);
     return true;
   }
@@ -405,7 +535,9 @@ class Cpu {
     if (type == UC_MEM_WRITE_PROT) what = "write to flash";
     if (type == UC_MEM_FETCH_UNMAPPED || type == UC_MEM_FETCH_PROT)
       what = "instructions from an address where none are";
-    cpu.fail(what, static_cast<uint32_t>(address));
+    const bool fetch = type == UC_MEM_FETCH_UNMAPPED || type == UC_MEM_FETCH_PROT;
+    cpu.fail(what, static_cast<uint32_t>(address),
+             fetch ? Fault::Kind::BUS_FETCH : Fault::Kind::BUS);
     return false;
   }
 
@@ -419,8 +551,8 @@ class Cpu {
     if (!region || !region->writable || region->code) return true;
     out->perms = static_cast<uc_prot>(UC_PROT_READ | UC_PROT_WRITE);
     if (type == UC_MEM_FETCH)
-      cpu.fail("instructions from RAM that is not of kind code_ram",
-               static_cast<uint32_t>(address));
+      cpu.fail("instructions from RAM that is not of kind code_ram", static_cast<uint32_t>(address),
+               Fault::Kind::MEMORY_FETCH);
     return true;
   }
 
@@ -447,9 +579,16 @@ class Cpu {
   Bus& bus_;
   Time cost_, branch_cost_;
   uc_engine* uc_ = nullptr;
+  uc_context* new_ = nullptr;  // registers before the first instruction
   bool open_ = false;
   std::vector<std::unique_ptr<Window>> windows_;
   std::array<Block, 1 << 14> blocks_;
+  static constexpr size_t MOST_EXACT = 1000;  // each takes time of those that are watched
+  std::unordered_set<uint32_t> exact_;        // blocks of which each instruction is told
+  const Block* block_ = nullptr;              // that runs
+  std::pair<uint32_t, uint32_t> asks_;  // at, size: has asked for the time, is not in `exact_`
+  static constexpr uint32_t NOWHERE = ~0u;
+  uint32_t at_ = NOWHERE;  // of the instruction that runs, as far as that is known
   Time until_ = 0, deadline_ = 0;
   Masks waited_{};
   Stop stop_ = Stop::FAULT;

@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <cstdlib>
+#include <iterator>
 #include <set>
 #include <string>
 #include <string_view>
@@ -17,7 +18,8 @@
 
 namespace mcu {
 
-// What is debugged. Registers: 0 to 15, 16 xPSR, from 17 on S0 to S31, 49 FPSCR.
+// What is debugged. Registers: 0 to 15, 16 xPSR, from 17 on S0 to S31, 49 FPSCR, 50 MSP, 51 PSP,
+// 52 PRIMASK, 53 BASEPRI, 54 FAULTMASK, 55 CONTROL.
 class Debugged {
  public:
   virtual ~Debugged() = default;
@@ -74,7 +76,18 @@ class GdbServer {
   }
 
  private:
-  static constexpr int REGISTERS = 17, DOUBLES = 16;  // gdb's: core, then d0 to d15 and fpscr
+  // gdb's: core, then d0 to d15, then those of one word that follow.
+  static constexpr int REGISTERS = 17, DOUBLES = 16;
+  static constexpr const char* WORDS[] = {"fpscr",   "msp",       "psp",    "primask",
+                                          "basepri", "faultmask", "control"};
+  static constexpr int FIRST_WORD = REGISTERS + DOUBLES, ALL = FIRST_WORD + std::size(WORDS);
+  // The first of a register's words, as `Debugged` numbers them.
+  static int place_of(int number) {
+    if (number < REGISTERS) return number;
+    if (number < FIRST_WORD) return REGISTERS + 2 * (number - REGISTERS);
+    return number - FIRST_WORD + REGISTERS + 2 * DOUBLES;
+  }
+  static int words_in(int number) { return number >= REGISTERS && number < FIRST_WORD ? 2 : 1; }
 
   void halt(int signal) {
     halted_ = true;
@@ -228,36 +241,34 @@ class GdbServer {
         "</feature><feature name=\"org.gnu.gdb.arm.vfp\">";
     for (int k = 0; k < DOUBLES; ++k)
       xml += "<reg name=\"d" + std::to_string(k) + "\" bitsize=\"64\" type=\"ieee_double\"/>";
-    return xml +
-           "<reg name=\"fpscr\" bitsize=\"32\" type=\"int\" group=\"float\"/></feature></target>";
+    xml += "<reg name=\"fpscr\" bitsize=\"32\" type=\"int\" group=\"float\"/></feature>";
+    xml += "<feature name=\"org.gnu.gdb.arm.m-system\">";
+    for (size_t k = 1; k < std::size(WORDS); ++k)
+      xml += std::string("<reg name=\"") + WORDS[k] + "\" bitsize=\"32\" type=\"" +
+             (k < 3 ? "data_ptr" : "int") + "\" group=\"system\"/>";
+    return xml + "</feature></target>";
   }
 
   std::string one_register(size_t number) const {
+    if (number >= static_cast<size_t>(ALL)) return "E01";
     std::string out;
-    if (number < REGISTERS) {
-      put_word(out, debugged_.get_register(static_cast<int>(number)));
-    } else if (number < REGISTERS + DOUBLES) {
-      const int first = static_cast<int>(REGISTERS + 2 * (number - REGISTERS));
-      put_word(out, debugged_.get_register(first));
-      put_word(out, debugged_.get_register(first + 1));
-    } else if (number == REGISTERS + DOUBLES) {
-      put_word(out, debugged_.get_register(49));
-    } else {
-      return "E01";
-    }
+    const int one = static_cast<int>(number);
+    for (int k = 0; k < words_in(one); ++k)
+      put_word(out, debugged_.get_register(place_of(one) + k));
     return out;
   }
 
   std::string all_registers() const {
     std::string out;
-    for (size_t k = 0; k <= REGISTERS + DOUBLES; ++k) out += one_register(k);
+    for (size_t k = 0; k < static_cast<size_t>(ALL); ++k) out += one_register(k);
     return out;
   }
 
   void set_all(const char* text) {
     const std::vector<uint8_t> bytes = take_bytes(text);
-    for (size_t k = 0; k + 4 <= bytes.size() && k / 4 < 50; k += 4)
-      debugged_.set_register(static_cast<int>(k / 4), word_of(&bytes[k]));
+    const size_t words = std::min<size_t>(bytes.size() / 4, place_of(ALL));
+    for (size_t k = 0; k < words; ++k)
+      debugged_.set_register(static_cast<int>(k), word_of(&bytes[4 * k]));
     send("OK");
   }
 
@@ -265,13 +276,10 @@ class GdbServer {
     char* end = nullptr;
     const size_t number = std::strtoul(text, &end, 16);
     const std::vector<uint8_t> bytes = take_bytes(*end == '=' ? end + 1 : end);
-    const bool is_double = number >= REGISTERS && number < REGISTERS + DOUBLES;
-    if (number > REGISTERS + DOUBLES || bytes.size() != (is_double ? 8u : 4u)) return send("E01");
-    int first = static_cast<int>(number);
-    if (is_double) first = static_cast<int>(REGISTERS + 2 * (number - REGISTERS));
-    if (number == REGISTERS + DOUBLES) first = 49;
-    for (size_t k = 0; k < bytes.size() / 4; ++k)
-      debugged_.set_register(first + static_cast<int>(k), word_of(&bytes[4 * k]));
+    const int one = number < static_cast<size_t>(ALL) ? static_cast<int>(number) : ALL;
+    if (one == ALL || bytes.size() != 4u * static_cast<size_t>(words_in(one))) return send("E01");
+    for (int k = 0; k < words_in(one); ++k)
+      debugged_.set_register(place_of(one) + k, word_of(&bytes[4 * static_cast<size_t>(k)]));
     send("OK");
   }
 

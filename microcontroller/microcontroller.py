@@ -101,14 +101,17 @@ class Fault(ctypes.Structure):
         ("pc", _uint32),
         ("address", _uint32),
         ("time", _double),
-        ("what", ctypes.c_char * 120),
+        ("what", ctypes.c_char * 240),
     )
+
+
+_FIGURES = ("instructions", "cycles", "asleep", "exceptions", "faults", "resets")
 
 
 class Figures(ctypes.Structure):
     """``mcu_figures``: what the processor has done, in instructions and cycles."""
 
-    _fields_ = tuple((name, _uint64) for name in ("instructions", "cycles", "asleep", "exceptions"))
+    _fields_ = tuple((name, _uint64) for name in _FIGURES)
 
 
 class FirmwareEnd(RuntimeError):
@@ -195,14 +198,18 @@ class Microcontroller:
         """Why the firmware has ended, None if it goes on."""
         if not ctypes.c_int32.from_address(self.stop).value:
             return None
+        return FirmwareEnd(f"{self.name}: {self.fault or 'ended by the debugger'}")
+
+    @property
+    def fault(self) -> str:
+        """What has ended the firmware, or the first fault that it handled itself; "" for none."""
         fault = Fault()
         self._calls.mcu_get_fault(self.with_, ctypes.byref(fault))
-        what = fault.what.decode()
-        if not what:
-            return FirmwareEnd(f"{self.name}: ended by the debugger")
+        if not fault.what:
+            return ""
         symbol = self._image.symbol(fault.pc)
         at = f"{fault.pc:#010x}" + (f" in {symbol}" if symbol else "")
-        return FirmwareEnd(f"{self.name}: {what}, pc {at}, at {fault.time:.9g} s")
+        return f"{fault.what.decode()}, pc {at}, at {fault.time:.9g} s"
 
     @property
     def figures(self) -> Figures:

@@ -16,7 +16,17 @@ struct Masks {
 
 class Nvic {
  public:
-  enum Exception { NMI = 2, HARD_FAULT = 3, SVCALL = 11, PENDSV = 14, SYSTICK = 15, EXTERNAL = 16 };
+  enum Exception {
+    NMI = 2,
+    HARD_FAULT = 3,
+    MEMORY_FAULT = 4,
+    BUS_FAULT = 5,
+    USAGE_FAULT = 6,
+    SVCALL = 11,
+    PENDSV = 14,
+    SYSTICK = 15,
+    EXTERNAL = 16
+  };
   static constexpr int MOST = 256;
   static constexpr int LOWEST = 256;  // priority of code that is no handler
 

@@ -119,7 +119,7 @@ typedef struct mcu_board {
 typedef struct mcu_fault {
   uint32_t pc, address;
   double time; /* s of the microcontroller */
-  char what[120];
+  char what[240];
 } mcu_fault;
 
 typedef struct mcu_figures {
@@ -127,6 +127,8 @@ typedef struct mcu_figures {
   uint64_t cycles;
   uint64_t asleep; /* cycles in sleep */
   uint64_t exceptions;
+  uint64_t faults; /* that went to handlers of the firmware */
+  uint64_t resets; /* that the firmware asked for */
 } mcu_figures;
 
 typedef struct mcu_runner mcu_runner;
@@ -142,6 +144,7 @@ void mcu_debug(mcu_runner* runner, int socket);
 void mcu_step(void* with, const firmware_input* in, firmware_output* out);
 /* Where it is told that the run has ended: 0, or 1 after a fault or the debugger's kill. */
 const int32_t* mcu_stopped(const mcu_runner* runner);
+/* What has ended the run, or the first fault that went to a handler. */
 void mcu_get_fault(const mcu_runner* runner, mcu_fault* out);
 void mcu_get_figures(const mcu_runner* runner, mcu_figures* out);
 

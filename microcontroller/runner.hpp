@@ -35,37 +35,16 @@ class Runner : public Bus, public Debugged {
         cpu_(memory_, *this, board.cycles_per_instruction, board.cycles_per_branch),
         nvic_(board.interrupts, board.priority_bits),
         systick_(nvic_),
-        system_(nvic_, systick_, cpu_.now, board.vectors) {
+        system_(
+            nvic_, systick_,
+            [this](uint32_t at, bool look) { return look ? cpu_.instant() : cpu_.instant(at); },
+            board.vectors) {
     for (int k = 0; k < board.regions; ++k) {
       const mcu_region& one = board.region[k];
-      if (one.kind == MCU_REGISTERS)
-        registers_.add(one.at, one.size);
-      else
+      if (one.kind != MCU_REGISTERS)
         memory_.add(one.at, one.size, one.kind != MCU_FLASH, one.kind != MCU_RAM);
     }
-    for (int k = 0; k < board.words; ++k) {
-      const mcu_word word = board.word[k];
-      registers_.word(word.at) = word.value;
-      if (word.fixed)
-        registers_.on_read(word.at, [word](uint32_t stored, bool) {
-          return (stored & ~word.fixed) | (word.value & word.fixed);
-        });
-    }
-    for (int k = 0; k < board.encoders; ++k) encoders_.emplace_back(board.encoder[k], registers_);
-    for (int k = 0; k < board.adcs; ++k) adcs_.emplace_back(board.adc[k], registers_);
-    for (int k = 0; k < board.channels; ++k)
-      adcs_[static_cast<size_t>(board.channel[k].adc)].add(board.channel[k]);
-    for (int k = 0; k < board.ports; ++k) add_port(board.port[k], registers_);
-    for (int k = 0; k < board.pins; ++k) pins_.emplace_back(board.pin[k], registers_);
-    for (int k = 0; k < board.pwms; ++k)
-      pwms_.emplace_back(board.pwm[k], board.supply_voltage, registers_);
-    for (int k = 0; k < board.uarts; ++k)
-      uarts_.emplace_back(board.uart[k], board.clock, cpu_.now, registers_);
-    for (const Adc& adc : adcs_)
-      if (adc.interrupt() >= 0) lines_.insert(adc.interrupt());
-    for (const Uart& uart : uarts_)
-      if (uart.interrupt() >= 0) lines_.insert(uart.interrupt());
-    if (board.mailbox) mailbox_.emplace(*board.mailbox, board.joints, registers_);
+    wire();
   }
 
   // Return null, or why it does not work.
@@ -87,6 +66,7 @@ class Runner : public Bus, public Debugged {
 
   void step(const firmware_input& in, firmware_output& out) {
     if (stopped) return;
+    in_ = &in;
     if (!begun_) {
       begun_ = true;
       measure(in, false);
@@ -125,8 +105,11 @@ class Runner : public Bus, public Debugged {
   void set_register(int number, uint32_t value) override {
     if (number == 15)
       cpu_.jump(value & ~1u);
-    else if (number != 16)
+    else if (number == 16)
+      cpu_.set_flags(value);
+    else
       cpu_.set(register_of(number), value);
+    if (number >= 50) cpu_.masks_changed();
   }
   bool look(uint32_t at, uint8_t* out) override {
     if (memory_.read(at, out, 1)) return true;
@@ -157,6 +140,7 @@ class Runner : public Bus, public Debugged {
   int32_t stopped = 0;
 
  private:
+  using Kind = Cpu::Fault::Kind;
   static constexpr uint64_t LONGEST_AWAKE = 200'000'000;  // instructions, where they take no time
 
   static int register_of(int number) {
@@ -166,11 +150,46 @@ class Runner : public Bus, public Debugged {
                                     UC_ARM_REG_R12, UC_ARM_REG_SP, UC_ARM_REG_LR};
     if (number < 15) return NAMES[number];
     if (number < 49) return UC_ARM_REG_S0 + (number - 17);
-    return UC_ARM_REG_FPSCR;
+    static constexpr int SYSTEM[] = {UC_ARM_REG_FPSCR,   UC_ARM_REG_MSP,     UC_ARM_REG_PSP,
+                                     UC_ARM_REG_PRIMASK, UC_ARM_REG_BASEPRI, UC_ARM_REG_FAULTMASK,
+                                     UC_ARM_REG_CONTROL};
+    return SYSTEM[number - 49];
   }
 
   Time cycles_of(double seconds) const {
     return static_cast<Time>(seconds * board_.clock + 0.5) * CYCLE;
+  }
+
+  // Make registers, and what is behind them, as after a reset.
+  void wire() {
+    registers_ = {};
+    encoders_.clear(), adcs_.clear(), pins_.clear(), pwms_.clear(), uarts_.clear();
+    for (int k = 0; k < board_.regions; ++k)
+      if (const mcu_region& one = board_.region[k]; one.kind == MCU_REGISTERS)
+        registers_.add(one.at, one.size);
+    for (int k = 0; k < board_.words; ++k) {
+      const mcu_word word = board_.word[k];
+      registers_.word(word.at) = word.value;
+      if (word.fixed)
+        registers_.on_read(word.at, [word](uint32_t stored, bool) {
+          return (stored & ~word.fixed) | (word.value & word.fixed);
+        });
+    }
+    for (int k = 0; k < board_.encoders; ++k) encoders_.emplace_back(board_.encoder[k], registers_);
+    for (int k = 0; k < board_.adcs; ++k) adcs_.emplace_back(board_.adc[k], registers_);
+    for (int k = 0; k < board_.channels; ++k)
+      adcs_[static_cast<size_t>(board_.channel[k].adc)].add(board_.channel[k]);
+    for (int k = 0; k < board_.ports; ++k) add_port(board_.port[k], registers_);
+    for (int k = 0; k < board_.pins; ++k) pins_.emplace_back(board_.pin[k], registers_);
+    for (int k = 0; k < board_.pwms; ++k)
+      pwms_.emplace_back(board_.pwm[k], board_.supply_voltage, registers_);
+    for (int k = 0; k < board_.uarts; ++k)
+      uarts_.emplace_back(board_.uart[k], board_.clock, cpu_.now, registers_);
+    for (const Adc& adc : adcs_)
+      if (adc.interrupt() >= 0) lines_.insert(adc.interrupt());
+    for (const Uart& uart : uarts_)
+      if (uart.interrupt() >= 0) lines_.insert(uart.interrupt());
+    if (board_.mailbox) mailbox_.emplace(*board_.mailbox, board_.joints, registers_);
   }
 
   void reset() {
@@ -300,13 +319,14 @@ class Runner : public Bus, public Debugged {
     const Cpu::Stop stop = steps ? cpu_.step() : cpu_.run(deadline);
     near_ = !steps && stop == Cpu::Stop::BETWEEN && cpu_.stop_near();
     if (debugger_ && !near_) debugger_->moved();
+    if (system_.reset_asked) return restart();  // whatever came behind it in its line
     switch (stop) {
       case Cpu::Stop::CALL:
         return call();
       case Cpu::Stop::RETURN:
         return leave();
       case Cpu::Stop::FAULT:
-        return failed();
+        return faulted();
       case Cpu::Stop::SLEEP:
         asleep_ = true;
         break;
@@ -316,8 +336,9 @@ class Runner : public Bus, public Debugged {
       default:
         break;
     }
-    if (system_.reset_asked) {
-      cpu_.fail("a reset that the firmware asked for");
+    if (system_.active == Nvic::HARD_FAULT && stop == Cpu::Stop::BETWEEN && stands_still(cpu_.pc)) {
+      cpu_.fault = first_fault_;
+      cpu_.pc = first_fault_pc_;
       return failed();
     }
     if (cpu_.instructions >= cpu_.awake_until) {
@@ -330,8 +351,59 @@ class Runner : public Bus, public Debugged {
   bool call() {
     nvic_.pend(Nvic::SVCALL);
     if (nvic_.may_enter(Nvic::SVCALL, cpu_.masks())) return true;
-    cpu_.fail("hard fault: a supervisor call where its priority is masked");
-    return failed();
+    nvic_.pend(Nvic::SVCALL, false);
+    cpu_.pc -= 2;  // of a fault it is the instruction that made it
+    cpu_.fail(Kind::ESCALATED, "hard fault: a supervisor call where its priority is masked");
+    return faulted();
+  }
+
+  // Begin again, as the reset pin does it: memory keeps what it holds, and time goes on.
+  bool restart() {
+    nvic_ = Nvic(board_.interrupts, board_.priority_bits);
+    std::destroy_at(&systick_);
+    std::construct_at(&systick_, nvic_);
+    system_.begin_again(board_.vectors);
+    wire();
+    measure(*in_, false);
+    asleep_ = event_ = false;
+    told_ = nullptr;
+    ++figures.resets;
+    reset();
+    return !stopped;
+  }
+
+  // Go on in the handler of the fault; false: the run has ended, since none handles it.
+  bool faulted() {
+    const Cpu::Fault fault = cpu_.fault;
+    if (fault.kind == Kind::NONE || debugger_halts(fault)) return failed();
+    system_.record(fault);
+    const Masks masks = cpu_.masks();
+    int handler = SystemControl::handler_of(fault.kind);
+    if (!system_.handles(handler) || !nvic_.may_enter(handler, masks)) {
+      if (handler != Nvic::HARD_FAULT) system_.escalate();
+      handler = Nvic::HARD_FAULT;
+    }
+    if (!nvic_.may_enter(handler, masks)) {
+      locked_up_ = true;
+      return failed();
+    }
+    uint32_t vector = 0;
+    const bool is_there =
+        memory_.read(system_.vectors + 4 * static_cast<uint32_t>(handler), &vector, 4);
+    if (!is_there || !(vector & 1) || stands_still(vector & ~1u)) return failed();
+    if (!figures.faults) put_fault(fault.what, fault.address, fault.has_address);
+    if (!figures.faults++ || system_.active != Nvic::HARD_FAULT)
+      first_fault_ = fault, first_fault_pc_ = cpu_.pc;
+    return enter(handler);
+  }
+  // A breakpoint instruction is the debugger's, if there is one.
+  bool debugger_halts(const Cpu::Fault& fault) const {
+    return debugger_ && fault.kind == Kind::BREAKPOINT;
+  }
+  // Whether there is nothing but a branch to itself.
+  bool stands_still(uint32_t at) const {
+    uint16_t code = 0;
+    return memory_.read(at, &code, 2) && code == 0xe7fe;
   }
 
   bool leave() {
@@ -357,13 +429,19 @@ class Runner : public Bus, public Debugged {
   }
 
   void end(const char* what, uint32_t address, bool has_address = true) {
-    char at[24] = "";
+    put_fault(what, address, has_address);
+    stopped = 1;
+  }
+  void put_fault(const char* what, uint32_t address, bool has_address) {
+    char at[24] = "", of[120] = "";
     if (has_address) std::snprintf(at, sizeof at, " (0x%08x)", address);
-    std::snprintf(fault.what, sizeof fault.what, "%s%s", what, at);
+    if (locked_up_ && first_fault_.what)
+      std::snprintf(of, sizeof of, "lock-up in the handler of %s at pc 0x%08x: ", first_fault_.what,
+                    first_fault_pc_);
+    std::snprintf(fault.what, sizeof fault.what, "%s%s%s", of, what, at);
     fault.pc = cpu_.pc;
     fault.address = address;
     fault.time = static_cast<double>(cpu_.now) / CYCLE / board_.clock;
-    stopped = 1;
   }
 
   mcu_board board_;
@@ -381,6 +459,10 @@ class Runner : public Bus, public Debugged {
   std::optional<Mailbox> mailbox_;
   std::set<int> lines_;  // interrupts that devices ask for
   std::unique_ptr<GdbServer> debugger_;
+  const firmware_input* in_ = nullptr;  // of the step that is under way
+  Cpu::Fault first_fault_;
+  uint32_t first_fault_pc_ = 0;
+  bool locked_up_ = false;
   const double* told_ = nullptr;
   uint64_t awake_from_ = 0;  // instructions
   Time boot_ = 0, deadline_ = 0;

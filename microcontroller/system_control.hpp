@@ -3,9 +3,12 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <unordered_map>
+#include <utility>
 
 #include "clock.hpp"
+#include "cpu.hpp"
 #include "nvic.hpp"
 #include "systick.hpp"
 
@@ -15,9 +18,11 @@ class SystemControl {
  public:
   static constexpr uint32_t AT = 0xe0000000, SIZE = 0x100000;
 
-  SystemControl(Nvic& nvic, SysTick& systick, const Time& now, uint32_t vectors)
-      : vectors(vectors), nvic_(nvic), systick_(systick), now_(now) {
-    words_[0xe000ef34] = 0xc0000000;  // FPCCR: registers of the FPU are kept
+  // `instant` gives the time of the instruction that accesses a register now, or is looked at.
+  SystemControl(Nvic& nvic, SysTick& systick, std::function<Time(uint32_t, bool)> instant,
+                uint32_t vectors)
+      : vectors(vectors), nvic_(nvic), systick_(systick), instant_(std::move(instant)) {
+    words_[FPCCR] = 0xc0000000;  // registers of the FPU are kept
   }
 
   uint32_t vectors;            // VTOR
@@ -37,12 +42,85 @@ class SystemControl {
       const uint32_t mask = (size == 1 ? 0xffu : 0xffffu) << shift;
       value = value << shift & mask;
       // Registers of which only the ones count keep the rest by zeros.
-      if (!(whole >= 0xe000e100 && whole < 0xe000e300)) value |= read_word(whole, true) & ~mask;
+      const bool by_ones =
+          (whole >= 0xe000e100 && whole < 0xe000e300) || whole == CFSR || whole == HFSR;
+      if (!by_ones) value |= read_word(whole, true) & ~mask;
     }
     write_word(whole, value);
   }
 
+  // As after a reset; the cycle counter goes on.
+  void begin_again(uint32_t table) {
+    vectors = table;
+    sleep_on_exit = reset_asked = false;
+    active = prigroup_ = sleep_control_ = 0;
+    words_ = {{FPCCR, 0xc0000000}};
+  }
+
+  // Whether firmware has a handler of its own for a kind of faults switched on.
+  bool handles(int exception) const {
+    if (exception == Nvic::HARD_FAULT) return true;
+    const auto found = words_.find(SHCSR);
+    return found != words_.end() && found->second >> (exception - Nvic::MEMORY_FAULT + 16) & 1;
+  }
+  static int handler_of(Cpu::Fault::Kind kind) {
+    using Kind = Cpu::Fault::Kind;
+    switch (kind) {
+      case Kind::BUS:
+      case Kind::BUS_FETCH:
+        return Nvic::BUS_FAULT;
+      case Kind::MEMORY_FETCH:
+        return Nvic::MEMORY_FAULT;
+      case Kind::BREAKPOINT:
+      case Kind::ESCALATED:
+        return Nvic::HARD_FAULT;
+      default:
+        return Nvic::USAGE_FAULT;
+    }
+  }
+  // Have the status registers say what it was (ARMv7-M, B3.2.15).
+  void record(const Cpu::Fault& fault) {
+    using Kind = Cpu::Fault::Kind;
+    switch (fault.kind) {
+      case Kind::MEMORY_FETCH:
+        words_[CFSR] |= 1u << 0;
+        break;
+      case Kind::BUS_FETCH:
+        words_[CFSR] |= 1u << 8;
+        break;
+      case Kind::BUS:
+        words_[CFSR] |= 1u << 9;
+        if (fault.has_address) words_[CFSR] |= 1u << 15, words_[BFAR] = fault.address;
+        break;
+      case Kind::UNDEFINED:
+        words_[CFSR] |= 1u << 16;
+        break;
+      case Kind::STATE:
+        words_[CFSR] |= 1u << 17;
+        break;
+      case Kind::COPROCESSOR:
+        words_[CFSR] |= 1u << 19;
+        break;
+      case Kind::UNALIGNED:
+        words_[CFSR] |= 1u << 24;
+        break;
+      case Kind::BREAKPOINT:
+        words_[HFSR] |= 1u << 31;
+        break;
+      case Kind::ESCALATED:
+        escalate();
+        break;
+      case Kind::NONE:
+        break;
+    }
+  }
+  // Another handler is not switched on, or may not enter now.
+  void escalate() { words_[HFSR] |= 1u << 30; }
+
  private:
+  static constexpr uint32_t SHCSR = 0xe000ed24, CFSR = 0xe000ed28, HFSR = 0xe000ed2c,
+                            BFAR = 0xe000ed38, FPCCR = 0xe000ef34;
+
   template <class Bit>
   uint32_t gather(uint32_t first, Bit bit) const {
     uint32_t value = 0;
@@ -88,7 +166,7 @@ class SystemControl {
       case 0xe000e014:
         return systick_.load();
       case 0xe000e018:
-        return systick_.value(now_);
+        return systick_.value(instant_(at, look));
       case 0xe000ed00:
         return 0x410fc241;  // Cortex-M4 r0p1
       case 0xe000ed04:
@@ -102,9 +180,9 @@ class SystemControl {
       case 0xe000ed18:
       case 0xe000ed1c:
       case 0xe000ed20:
-        return at == 0xe000ed18 ? 0 : priorities(at == 0xe000ed1c ? 8 : 12);
+        return priorities(static_cast<int>(4 + at - 0xe000ed18));
       case 0xe0001004:
-        return static_cast<uint32_t>(now_ / CYCLE - cycles_from_);  // DWT CYCCNT
+        return static_cast<uint32_t>(instant_(at, look) / CYCLE - cycles_from_);  // DWT CYCCNT
     }
     const auto found = words_.find(at);
     return found == words_.end() ? 0 : found->second;
@@ -128,11 +206,11 @@ class SystemControl {
       return set_priorities(static_cast<int>(Nvic::EXTERNAL + at - 0xe000e400), value);
     switch (at) {
       case 0xe000e010:
-        return systick_.set_control(value, now_);
+        return systick_.set_control(value, instant_(at, false));
       case 0xe000e014:
         return systick_.set_load(value);
       case 0xe000e018:
-        return systick_.clear_value(now_);
+        return systick_.clear_value(instant_(at, false));
       case 0xe000ed00:
         return;
       case 0xe000ed04:
@@ -150,15 +228,19 @@ class SystemControl {
         sleep_control_ = value & 0x16;
         sleep_on_exit = value & 2;
         return;
+      case 0xe000ed18:
       case 0xe000ed1c:
-        return set_priorities(8, value);
       case 0xe000ed20:
-        return set_priorities(12, value);
+        return set_priorities(static_cast<int>(4 + at - 0xe000ed18), value);
+      case CFSR:
+      case HFSR:
+        words_[at] &= ~value;
+        return;
       case 0xe000ef00:
         if (const int n = exception(value & 0x1ff)) nvic_.pend(n);  // STIR
         return;
       case 0xe0001004:
-        cycles_from_ = now_ / CYCLE - value;
+        cycles_from_ = instant_(at, false) / CYCLE - value;
         return;
     }
     words_[at] = value;
@@ -166,7 +248,8 @@ class SystemControl {
 
   void set_priorities(int first, uint32_t value) {
     for (int k = 0; k < 4; ++k)
-      if (first + k >= Nvic::SVCALL) nvic_.set_priority(first + k, value >> 8 * k & 0xff);
+      if (first + k >= Nvic::SVCALL || first + k <= Nvic::USAGE_FAULT)
+        nvic_.set_priority(first + k, value >> 8 * k & 0xff);
   }
 
   uint32_t interrupt_state() const {  // ICSR
@@ -187,7 +270,7 @@ class SystemControl {
 
   Nvic& nvic_;
   SysTick& systick_;
-  const Time& now_;
+  std::function<Time(uint32_t, bool)> instant_;
   uint32_t prigroup_ = 0, sleep_control_ = 0;
   Time cycles_from_ = 0;
   std::unordered_map<uint32_t, uint32_t> words_;

@@ -250,7 +250,6 @@ CULPRITS = {
     "undefined": ('__asm__ volatile("udf #{number}");', "an undefined instruction"),
     "breakpoint": ('__asm__ volatile("bkpt #{number}");', "a breakpoint instruction"),
     "call": ('__asm__ volatile("cpsid i\\n svc #{number}");', "hard fault"),
-    "reset": ("REGISTER(0xe000ed0c) = 0x05fa0004;", "a reset that the firmware asked for"),
     "recursion": ("again(k + 1);", "where nothing is"),
 }
 
