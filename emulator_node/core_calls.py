@@ -31,6 +31,8 @@ ARM_CALLS: Calls = {
     "arm_set_parameter": (_int, [_pointer, ctypes.c_char_p, _double]),
     "arm_set_external_wrench": (_int, [_pointer, _int32, _pointer]),
     "arm_get_external_wrench": (_int, [_pointer, _int32, _pointer]),
+    "arm_measure_time": (None, [_pointer]),
+    "arm_spent": (_count, [_pointer]),
     "arm_saved_size": (_count, []),
     "arm_save": (_int, [_pointer, _pointer, _count]),
     "arm_restore": (_int, [_pointer, _pointer, _count]),

@@ -294,6 +294,15 @@ class Plant:
         if result == DIVERGED:
             raise self._diverged(self._measured["voltage"])
 
+    def measure_time(self) -> None:
+        """Measure from now on the wall time that steps take, for `spent_ns`."""
+        self.core.arm_measure_time(self.machine)
+
+    @property
+    def spent_ns(self) -> int:
+        """Wall time that steps have taken since `measure_time` [ns]."""
+        return int(self.core.arm_spent(self.machine))
+
     @property
     def commanded(self) -> Array:
         """The newest commands of `exchange` or `exchange_in`, (N,) [V, N m, A]."""

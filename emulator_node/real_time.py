@@ -183,6 +183,7 @@ class RealTimeSession(Session):
 
     def __init__(self, scene: Scene, start: str) -> None:
         self._loop: RealTimeLoop | None = None
+        self._spent_ns = 0  # on exchanges
         self._running = False
         self._held = False  # between two ticks,
         self._goes_on = False  # after which the loop goes on where it was
@@ -272,6 +273,11 @@ class RealTimeSession(Session):
         self._loop.command(tick, self._commanded)
         self._follow_phase()
 
+    @property
+    def step_wall_ns(self) -> int:
+        """Wall time that the loop's exchanges have taken so far [ns]."""
+        return self._spent_ns
+
     def wait(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick."""
         assert self._loop is not None
@@ -285,7 +291,7 @@ class RealTimeSession(Session):
             return False
         self.tick, self._energy, self._measured = reached.tick, reached.energy, reached.measured
         self.voltage = reached.measured.voltage
-        self.step_wall_ns += reached.spent
+        self._spent_ns += reached.spent
         t = reached.tick * self.scene.servo_period
         current, theta_m, omega_m, q, v, gear_torque = reached.rows
         counts = reached.measured.encoder_counts

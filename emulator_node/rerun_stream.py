@@ -27,6 +27,7 @@ from emulator_node.rerun_batches import QUANTITIES, RerunBatches
 from emulator_node.sample_queue import Array, SampleQueue
 from words.bound import TOOL_POSITION
 from words.refusal import Refusal
+from words.wheel import need_wheel
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -73,8 +74,8 @@ class RerunStream:
         server_memory: how much the server keeps for viewers that come late.
 
     Raises:
-        Refusal: the port is taken, the file cannot be written, a number is below 1, or a joint, the
-            tool or the URDF does not fit.
+        Refusal: rerun-sdk is missing, the port is taken, the file cannot be written, a number is
+            below 1, or a joint, the tool or the URDF does not fit.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class RerunStream:
             _check_file(Path(file))
         if port is not None:
             _check_port(port)
+        need_wheel("Rerun", "rerun", "rerun-sdk")
 
         import rerun as rr
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ros_shell.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
+
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (
     "arm_emulator|bench|compiled|config|docs|emulator_node|firmware|motion_controller_node|msg|"
@@ -110,3 +112,35 @@ def test_every_topic_and_service_is_listed() -> None:
             assert f"| `{topic}` |" in text, topic
         for service in re.findall(r"create_service\(\w+, \"~/(\w+)\"", source):
             assert f"| `{node}/{service}` |" in text, service
+
+
+def test_no_page_neglects_what_has_a_page_of_its_own() -> None:
+    text = (ROOT / "docs" / "physics.md").read_text()
+    neglected = text[text.index("## What is neglected") :].lower()
+    for page in (ROOT / "docs" / "parts").glob("*.md"):
+        words = page.stem.replace("_gear", "").replace("_", " ")
+        if page.stem not in ("README", "friction"):
+            assert words not in neglected, f"{page.name} says how a scene has it"
+
+
+def test_the_depths_of_queues_are_those_of_the_nodes() -> None:
+    page = (ROOT / "docs" / "topics.md").read_text()
+    text = " ".join(
+        page[page.index("QoS: commands") : page.index("`tool_target`: `header")].split()
+    )
+    for words, profile in (
+        ("receivers queue {} messages", COMMAND_SUB_QOS),
+        ("subscribed best effort, depth {}", STATE_SUB_QOS),
+        ("Publishers keep {} messages", STATE_PUB_QOS),
+        ("Publishers keep {} messages", COMMAND_QOS),
+    ):
+        assert words.format(profile.depth) in text
+    nodes = "".join(file.read_text() for file in ROOT.glob("*_node/node.py"))
+    assert not re.search(r"create_subscription\([^)]*, \d+\s*\)", nodes), "a depth of its own"
+
+
+def test_tolerances_named_in_the_physics_are_those_of_the_core() -> None:
+    text = (ROOT / "docs" / "physics.md").read_text()
+    located = (ROOT / "emulator_node" / "core" / "located.hpp").read_text()
+    instant = re.search(r"kInstant = (\S+);", located)
+    assert instant and f"found to {instant[1]} of the" in text

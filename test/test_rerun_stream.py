@@ -1,6 +1,7 @@
 """What the Rerun stream writes is what it was offered, and nothing that Rerun does reaches back."""
 
 import contextlib
+import importlib.util
 import os
 import random
 import signal
@@ -470,3 +471,12 @@ def run(code):
     with started(code) as process:
         _, errors = process.communicate(timeout=200.0)
         assert process.returncode == 0, errors.decode()
+
+
+def test_a_machine_without_rerun_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    rule = "Rerun: Python package rerun-sdk must be installed, got none; valid: pip install"
+    with pytest.raises(Refusal, match=rule):
+        RerunStream("<robot/>", ["joint"], file=tmp_path / "x.rrd")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -232,3 +234,19 @@ def test_a_diverged_machine_stops_until_reset() -> None:
     assert one.step().startswith("stopped, reset first: Plant.advance: joint ")
     one.reset()
     assert one.may_advance
+
+
+def test_the_time_of_steps_is_that_of_the_core_alone() -> None:
+    session = Session(load_scene("three_axis"), "lockstep", "first_answer")
+    assert session.step_wall_ns == 0
+    began = time.perf_counter_ns()
+    for _ in range(20):
+        session.offer(session.tick, list(session.scene.joint_names), [1.0, 0.0, 0.0])
+        session.advance()
+    assert 0 < session.step_wall_ns < time.perf_counter_ns() - began
+    spent = session.step_wall_ns
+    session.plant.exchange([0.0, 0.0, 0.0])
+    assert session.step_wall_ns > spent, "each exchange counts"
+    spent = session.step_wall_ns
+    _ = session.state, session.measured, session.energy, session.plant.save()
+    assert session.step_wall_ns == spent, "looking at the machine does not"

@@ -230,6 +230,14 @@ typedef struct arm_wrench {
 int arm_set_external_wrench(arm_machine* machine, int32_t joint, const arm_wrench* wrench);
 int arm_get_external_wrench(const arm_machine* machine, int32_t joint, arm_wrench* out);
 
+/* ------------------------------------------------------------------------------ measuring time */
+
+/* Measure from now on the wall time that steps take: two readings of the clock, some 50 ns, per
+ * exchange. */
+void arm_measure_time(arm_machine* machine);
+/* Wall time that steps have taken since [ns]. */
+int64_t arm_spent(const arm_machine* machine);
+
 /* ------------------------------------------------------------------------------ whole states */
 
 /* Bytes of a saved machine. */

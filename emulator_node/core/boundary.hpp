@@ -2,6 +2,7 @@
 // `struct Scene`.
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 
 #include "arm.h"
@@ -116,9 +117,17 @@ struct arm_machine {
   std::int64_t tick() const { return machine.steps() / steps_per_period; }
   int result() const { return machine.faulty_joint() < 0 ? ARM_OK : ARM_DIVERGED; }
 
+  using Instant = std::chrono::steady_clock::time_point;
+
   // Go through `steps` steps by advance(so many of them), and let the sensors look at every tick.
   template <class Advance>
   void go(std::int64_t steps, Advance&& advance) {
+    const auto began = measures_time ? std::chrono::steady_clock::now() : Instant{};
+    take_steps(steps, advance);
+    if (measures_time) spent += std::chrono::steady_clock::now() - began;
+  }
+  template <class Advance>
+  void take_steps(std::int64_t steps, Advance& advance) {
     if constexpr (!Sensors::present) {
       advance(steps);
     } else {
@@ -222,6 +231,8 @@ struct arm_machine {
   std::int64_t answered = -1;  // tick that the newest command answered
   double voltage[N] = {};      // in the period that has passed
   std::int64_t powered = true;
+  bool measures_time = false;
+  Instant::duration spent = {};  // wall time of steps, while it is measured
   arm::GivenWrench given[Scene::external_wrench ? N : 1] = {};
   mutable arm_refusal why = {sizeof(arm_refusal), -1, "", "", 0.0};
 };
@@ -490,6 +501,15 @@ ARM_ONCE std::int64_t arm_saved_size(void) {
     return words * kWord;
   }();
   return size;
+}
+
+ARM_ONCE void arm_measure_time(arm_machine* machine) {
+  if (machine) machine->measures_time = true;
+}
+
+ARM_ONCE std::int64_t arm_spent(const arm_machine* machine) {
+  using std::chrono::nanoseconds;
+  return machine ? std::chrono::duration_cast<nanoseconds>(machine->spent).count() : 0;
 }
 
 ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
