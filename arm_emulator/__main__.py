@@ -18,6 +18,9 @@ CODE = 0 if sys.argv[1:2] and sys.argv[1] in UNTIL_TOLD else None
 if __name__ == "__main__":
     end_at_once(CODE)
 
+# Before NumPy is loaded: matrices here are small, and threads that share them wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import argparse
 from pathlib import Path
 

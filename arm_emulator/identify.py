@@ -11,18 +11,13 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from arm_emulator.identification.filtered import filtered
-from arm_emulator.identification.fitted_scene import in_urdf, write_fitted
+from arm_emulator.identification import inertia
+from arm_emulator.identification.fitted_scene import with_followers, write_fitted
 from arm_emulator.identification.found import Found, bodies_of, numbers_found
-from arm_emulator.identification.free_run_fit import fit_free_runs, torque_driven
+from arm_emulator.identification.free_run_fit import fit_free_runs
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.picture import draw_torques
-from arm_emulator.identification.plausibility import (
-    Plausibility,
-    check_fit,
-    check_movement,
-    check_speeds,
-)
+from arm_emulator.identification.plausibility import check_fit, looked_over
 from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.torque_fit import TorqueFit, explained, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel, matches
@@ -34,6 +29,7 @@ from words.refusal import Refusal
 
 DELAYED = ("tau", "q_link")
 LONGEST_DELAY = 0.1  # s
+FAR = 3.0  # deviations known before, beyond which a number is doubted
 
 
 def identify(
@@ -88,12 +84,7 @@ def identify(
         late = _delays(delays)
         run = read_run(data, scene, angles, side).shifted(late)
         bar.update(task, description="look the record over")
-        ratio = scene.gear_ratios
-        motion = filtered(run, ratio, low_pass)
-        check_movement(run, motion)
-        check_speeds(run, motion)
-        if not as_is:
-            Plausibility(scene, run, low_pass).check()
+        run, motion, doubts = looked_over(scene, run, low_pass, as_is=as_is)
         bar.update(task, description="fit torques")
         typical = motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)
         model = TorqueModel(scene, typical, trust)
@@ -104,21 +95,22 @@ def identify(
         found = fit_torques(model, motion, fitted, torques)
         check_fit(run.where, run.joints, found.explained)
         if simulate:
-            bar.update(task, description="compile")
-            driven = torque_driven(file, run.period)
-            bar.update(task, description="fit by simulating")
-            found = fit_free_runs(found, driven, run, bar.console.print)
+            bar.update(task, description="compile, fit by simulating")
+            found = fit_free_runs(found, scene, run, bar.console.print)
             share = explained(motion.tau, torques.torques(found.values) - motion.tau, motion.moving)
             found = dataclasses.replace(found, explained=share)
         bar.update(task, description="write")
         numbers = numbers_found(scene, found)
-        _write(out, file, scene, found, numbers, data.name)
+        doubts += _doubts(scene, found, numbers)
+        _write(out, file, scene, found, numbers, doubts, data.name)
         # Gears give way to the load that the fitted links are.
         wanted = [one for one in gears if matches(one, fit)]
         numbers += _stiffness(load_scene(out), run, wanted, hold)
         console.print(_heading(run, late, low_pass, motion.t, found))
         console.print(_table(numbers))
-        _write(out, file, scene, found, numbers, data.name)
+        for doubt in doubts:
+            console.print(f"warning: {doubt}", markup=False, highlight=False)
+        _write(out, file, scene, found, numbers, doubts, data.name)
         picture = out.with_suffix(".png")
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
         draw_torques(motion, torques.torques(found.values), scene.joint_names, picture, title)
@@ -189,11 +181,41 @@ def _table(numbers: Sequence[Found]) -> Table:
     return table
 
 
+def _doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
+    """Return what speaks against the numbers found, in words."""
+    names, doubts = scene.joint_names, list[str]()
+    for of, body in zip(scene.chain.joints, scene.bare, strict=True):
+        if not inertia.is_body(body):
+            doubts.append(f"links.{of.link}: no body has its inertia; it is held as it is")
+    for effect in fit.effects:
+        joints = ", ".join(names[j] for j in effect.joints)
+        if len(effect.joints) == len(names) > 1:
+            joints = "all joints"
+        size = f", by {effect.size:.3g} {effect.unit}" if effect.unit else ""
+        doubts.append(
+            f"{joints}: {effect.name}{size}: {100.0 * effect.share:.0f} % of what the scene does "
+            "not explain; deviations have in them what this may hide"
+        )
+    for joint, count in zip(names, fit.far_out, strict=True):
+        if count:
+            doubts.append(f"{joint}: {count} rows stand out, and count little")
+    for one in numbers:
+        if one.told and one.far > FAR:
+            doubts.append(
+                f"{one.name}: {one.value:.4g} {one.unit} is {one.far:.1f} of the deviations known "
+                f"before from {one.before:.4g}; is the record in the units and of the scale told?"
+            )
+        if one.left:
+            doubts.append(f"{one.name}: {one.left}")
+    return doubts
+
+
 def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequence[Found],
-           record: str) -> None:  # fmt: skip
+           doubts: Sequence[str], record: str) -> None:  # fmt: skip
     values = {one.name: one.value for one in numbers if one.name.startswith("joints.")}
     values = {name: value for name, value in values.items() if "measured_torque" not in name}
     heading = [f"Made of {scene.where} by `arm_emulator identify`, of the record {record}.", ""]
     heading += [one.line for one in numbers]
-    bodies = in_urdf(scene, file, bodies_of(fit))
-    write_fitted(out, file, scene, values, bodies, "\n".join(heading))
+    heading += [f"warning: {doubt}" for doubt in doubts]
+    values = with_followers(scene, values)
+    write_fitted(out, file, scene, values, bodies_of(scene, fit), "\n".join(heading))

@@ -34,7 +34,15 @@ SECTIONS = (
 )
 # What is measured only when it is named, how well controllers and given machines do:
 # docs/motion.md, docs/assumed.md, docs/validation.md and docs/identify.md.
-BY_NAME = ("tool_line", "hard_places", "convergence", "assumed", "validation", "identification")
+BY_NAME = (
+    "tool_line",
+    "hard_places",
+    "convergence",
+    "assumed",
+    "validation",
+    "identification",
+    "doubtful_records",
+)
 
 NOT_PROVEN = """\
 These are times of one processor, in one run, of arms of a few joints. They say nothing about

@@ -36,6 +36,7 @@ from emulator_node.parts.known import (
 from emulator_node.parts.motor import Motor
 from emulator_node.parts.part import Part
 from emulator_node.parts.sensors import JointSensors
+from emulator_node.parts.torque_motor import TorqueMotor
 from emulator_node.parts.torque_ripple import TorqueRipple
 from emulator_node.parts.winding import Winding
 from emulator_node.section import LARGEST, LARGEST_COUNT, SMALLEST, Section
@@ -92,6 +93,16 @@ class Joint:
         of_motor = (*motor, *loop, *winding, *ripple)
         return (*of_motor, self.gear, self.friction, *rotor, *brake, *self.extras)
 
+    def torque_driven(self) -> Joint:
+        """Return the joint with a motor that gives what torque it is commanded, all else kept.
+
+        What stands between a voltage or a current and the torque of the windings goes.
+        """
+        if self.motor is None or self.command == TorqueMotor.command:
+            return self
+        motor = TorqueMotor(rotor_inertia=vars(self.motor)["rotor_inertia"])
+        return replace(self, motor=motor, current_loop=None, winding=None)
+
     @property
     def command(self) -> str:
         """Unit of what its motor is commanded: V, N m or A."""
@@ -140,6 +151,7 @@ class Scene:
     supply_voltage: float  # V
     joints: tuple[Joint, ...]  # base to tool
     chain: Chain  # the same joints' geometry and inertia
+    bare: tuple[Body, ...]  # what they move, without the payload
     integrator: Integrator
     servo_period: float  # s
     external_wrench: bool  # whether there may be one, see core/external_wrench.hpp
@@ -209,7 +221,7 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     file = find_config(str(path), ".yaml")
     data = read_yaml(file)
     for dotted, value in (overrides or {}).items():
-        _override(data, dotted, value, file.name)
+        override(data, dotted, value, file.name)
     return _build(Section(data, file.name), file)
 
 
@@ -235,6 +247,13 @@ def _build(root: Section, file: Path) -> Scene:
         return read_chain(robot, urdf_file.name, locked=locked, tool=tool, payload=load)
 
     chain = read(payload_body)
+    bare = tuple(joint.body for joint in chain.joints)
+    if payload_body is not None:
+        # What a second one adds is the first.
+        twice = (joint.body for joint in read(payload_body.scaled(2.0)).joints)
+        bare = tuple(
+            one.scaled(2.0) + two.scaled(-1.0) for one, two in zip(bare, twice, strict=True)
+        )
     if lock_joints(robot, locked, urdf_file.name):
         urdf = ET.tostring(robot, encoding="unicode")
     supply_voltage = root.number("supply_voltage", "V", above=0.0, at_most=1e5)
@@ -258,9 +277,7 @@ def _build(root: Section, file: Path) -> Scene:
     cores = _cores(root)
     imus = _imus(root, chain)
     seed = root.integer("seed", default=0, at_least=0, at_most=LARGEST_SEED)
-    possible = _could_vary(joints, imus) + [
-        one for joint in chain.joints for one in varied_body(joint)
-    ]
+    possible = could_vary(joints, chain, imus)
     if payload_body is not None:
         possible.append(Varied("payload.mass", payload_body.mass, SMALLEST, LARGEST))
     if root.has("seed"):
@@ -290,6 +307,7 @@ def _build(root: Section, file: Path) -> Scene:
         supply_voltage=supply_voltage,
         joints=joints,
         chain=chain,
+        bare=bare,
         integrator=integrator,
         servo_period=servo_period,
         external_wrench=external_wrench,
@@ -447,15 +465,17 @@ def _imus(root: Section, chain: Chain) -> tuple[Imu, ...]:
     return tuple(Imu.read(name, section.required_section(name), chain) for name in section.keys())
 
 
-def _could_vary(joints: tuple[Joint, ...], imus: tuple[Imu, ...]) -> list[Varied]:
-    """Return the numbers of joints and inertial measurement units that may be varied."""
+def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -> list[Varied]:
+    """Return the numbers of joints, measurement units and links that may be varied."""
     of_joints = [
         one
         for joint in joints
         for part in (*joint.parts, *joint.sensors.parts.values())
         for one in part.could_vary(joint.name)
     ]
-    return of_joints + [one for imu in imus for one in imu.could_vary()]
+    of_imus = [one for imu in imus for one in imu.could_vary()]
+    of_links = [one for joint in chain.joints for one in varied_body(joint)]
+    return of_joints + of_imus + of_links
 
 
 def _dividing(servo_period: float, dt: float, where: str) -> float:
@@ -520,7 +540,8 @@ def _find_urdf(text: str, scene_file: Path) -> Path:
     return file
 
 
-def _override(data: dict[str, Any], dotted: str, value: object, where: str) -> None:
+def override(data: dict[str, Any], dotted: str, value: object, where: str) -> None:
+    """Put a value into what a scene file holds, see `load_scene`."""
     places: list[tuple[dict[str, Any], list[str]]] = [(data, dotted.split("."))]
     while places:
         place, steps = places.pop()

@@ -23,7 +23,27 @@ ORDER = 4
 FOR_SIGN = 4.0  # times the low-pass: of the speed whose sign tells the direction of friction
 EDGE = 2.0  # periods of the low-pass, at either end, in which the filter is not yet settled
 REACH = 0.1  # periods of the low-pass
+MOST_ROWS = 5000  # of which a fit is made, however long a record is
 ROWS_PER_PERIOD = 2.5  # of the low-pass: more tell nothing new
+
+
+@dataclass(frozen=True)
+class FineMotion:
+    """Every sample of a record, so fast that reversals are sharp. Arrays are (K, N).
+
+    What goes with speed or angle in a way that is not linear is worked out here, and low-passed
+    then as the torque is.
+    """
+
+    t: Array  # s, (K,)
+    q: Array  # rad or m, at the link
+    v: Array  # 0 where a joint stands
+    a: Array
+    tau: Array  # N m, at the motor's shaft
+    period: float  # s
+    frequency: float  # Hz, of the low-pass
+    kept: slice  # samples that are rows of `Filtered`
+    causal: bool  # of the low-pass
 
 
 @dataclass(frozen=True)
@@ -37,6 +57,13 @@ class Filtered:
     direction: Array  # of the motion, -1 to 1, filtered as the torque is
     tau: Array  # N m or N, of the motors, times the gears' ratios
     moving: Mask  # where friction has a direction
+    fine: FineMotion
+
+    def settle(self, rows: Array) -> Array:
+        """Return what samples of `fine` (K, ...) are below the low-pass, at the rows of this."""
+        fine = self.fine
+        smooth: Array = low_pass(rows, fine.period, fine.frequency, fine.causal)[fine.kept]
+        return smooth
 
 
 def low_pass(rows: Array, period: float, frequency: float, causal: bool = False) -> Array:
@@ -93,9 +120,9 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
         raise Refusal(run.where, "record", rule, f"{run.t[-1] - run.t[0]:.3g} s")
     q, v, a = smooth_motion(run.q_motor, period, frequency, causal)
     quick = min(FOR_SIGN * frequency, 0.2 / period)
-    speed = np.gradient(low_pass(run.q_motor, period, quick), period, axis=0)
+    sharp, speed, acceleration = smooth_motion(run.q_motor, period, quick)
     top = np.quantile(np.abs(speed), 0.99, axis=0)
-    sign = np.sign(speed) * (np.abs(speed) > 1e-3 * top)
+    turning = speed * (np.abs(speed) > 1e-3 * top)
     from_speed = SLOWEST * top if slowest is None else np.full_like(top, slowest)
     moving = np.abs(speed) > np.maximum(from_speed, 1e-12)
     if slowest is None:
@@ -103,10 +130,12 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
         reach = int(REACH / (frequency * period))
         moving = minimum_filter1d(moving, 2 * reach + 1, axis=0)
     edge = int(EDGE / (frequency * period))
-    step = every or max(1, int(1.0 / (ROWS_PER_PERIOD * frequency * period)))
+    few = max(int(1.0 / (ROWS_PER_PERIOD * frequency * period)), len(q) // MOST_ROWS)
+    step = every or max(1, few)
     kept = slice(edge, len(q) - edge, step)
     tau = low_pass(run.tau / ratio, period, frequency, causal)
-    direction = low_pass(sign, period, frequency, causal)
+    direction = low_pass(np.sign(turning), period, frequency, causal)
+    fine = FineMotion(run.t, sharp, turning, acceleration, run.tau, period, frequency, kept, causal)
     return Filtered(
-        run.t[kept], q[kept], v[kept], a[kept], direction[kept], tau[kept], moving[kept]
+        run.t[kept], q[kept], v[kept], a[kept], direction[kept], tau[kept], moving[kept], fine
     )

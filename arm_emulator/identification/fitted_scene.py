@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,15 +11,30 @@ import numpy as np
 import yaml
 
 from emulator_node.chain import Body, Frame
-from emulator_node.scene import Scene, load_scene
+from emulator_node.scene import Scene, load_scene, override
 from words.refusal import Refusal
 from words.text_file import read_text
 from words.yaml_edit import edited
-from words.yaml_file import MOST_BYTES
+from words.yaml_file import MOST_BYTES, read_yaml
+
+
+def with_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:
+    """Return numbers with those that follow them and are not equal to what they follow."""
+    found = dict(numbers)
+    for joint in scene.joints:
+        for part in joint.parts:
+            place = f"joints.{joint.name}.{part.section}"
+            known = part.numbers()
+            own = {key: found[f"{place}.{key}"] for key in known if f"{place}.{key}" in found}
+            new = part.with_numbers(**own)
+            for key, one in known.items():
+                if one.follows in own and getattr(part, key) != getattr(part, one.follows):
+                    found[f"{place}.{key}"] = getattr(new, key)
+    return found
 
 
 def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[str, float],
-                 bodies: Mapping[str, Body], heading: str) -> None:  # fmt: skip
+                 bodies: Sequence[Body], heading: str) -> None:  # fmt: skip
     """Write a scene with other numbers, and a URDF with other bodies beside it.
 
     Args:
@@ -26,38 +42,57 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
         scene_file: the scene that it is made of.
         scene: the same, loaded.
         numbers: values by their dotted names below the scene.
-        bodies: what each moving link of the URDF is, with all that is fixed to it, see `in_urdf`.
+        bodies: what its joints move, without the payload, in the core's frames.
         heading: lines to stand at its top, as comments.
 
     Raises:
-        Refusal: it cannot be written, or what is found is no sound scene.
+        Refusal: it cannot be written, or what is read again is not what was found.
     """
     urdf = file.parent / "urdf" / f"{file.stem}.urdf"
-    text = read_text(scene_file, MOST_BYTES)
-    values = {name: f"{value:.6g}" for name, value in numbers.items()} | {
-        "name": file.stem, "urdf": f"urdf/{urdf.name}"
-    }  # fmt: skip
+    values: dict[str, float | str] = {name: float(f"{v:.9g}") for name, v in numbers.items()}
+    values |= {"name": file.stem, "urdf": f"urdf/{urdf.name}"}
     comments = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())
     try:
         urdf.parent.mkdir(parents=True, exist_ok=True)
-        urdf.write_text(_with_bodies(scene, bodies), encoding="utf-8")
-        file.write_text(comments + _replaced(text, values, scene.where), encoding="utf-8")
+        urdf.write_text(_with_bodies(scene, in_urdf(scene, bodies)), encoding="utf-8")
+        file.write_text(comments + _replaced(scene_file, values), encoding="utf-8")
     except OSError as error:
         raise Refusal("identify", f"file {file}", "be writable", error.strerror) from None
-    load_scene(file)
+    _check_written(load_scene(file), numbers)
 
 
-def _replaced(text: str, values: Mapping[str, str], where: str) -> str:
-    """Return a YAML text with some values replaced, by their dotted places."""
+def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:
+    """Refuse a scene that has not the numbers that were to be written."""
+    for joint in scene.joints:
+        for part in joint.parts:
+            for key in part.numbers():
+                name = f"joints.{joint.name}.{part.section}.{key}"
+                wanted, got = numbers.get(name), getattr(part, key)
+                if wanted is not None and abs(got - wanted) > 1e-6 * abs(wanted):
+                    raise Refusal(scene.where, name, f"be {wanted:g}, as found", got)
+
+
+def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
+    """Return a scene's text with some values by their dotted places.
+
+    Where each has a place of its own, the rest of the text stays as it is. Where joints share a
+    section by an alias, or a place is not there yet, the scene is written anew.
+    """
+    text = read_text(file, MOST_BYTES)
     nodes = dict[str, yaml.Node]()
     _collect(yaml.compose(text, yaml.SafeLoader), "", nodes)
-    edits = []
-    for name, value in values.items():
-        node = nodes.get(name)
-        if not isinstance(node, yaml.ScalarNode):
-            rule = "stand in the scene by itself to be fitted, if only as 0"
-            raise Refusal(where, name, rule, "nothing")
-        edits.append((node.start_mark.index, node.end_mark.index, value))
+    shared = Counter(id(node) for node in nodes.values())
+    wanted = [nodes.get(name) for name in values]
+    if not all(isinstance(node, yaml.ScalarNode) and shared[id(node)] == 1 for node in wanted):
+        data = read_yaml(file)
+        for name, value in values.items():
+            override(data, name, value, file.name)
+        return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    edits = [
+        (node.start_mark.index, node.end_mark.index, str(value))
+        for node, value in zip(wanted, values.values(), strict=True)
+        if node is not None
+    ]
     return edited(text, edits)
 
 
@@ -89,25 +124,20 @@ def _inertial(body: Body) -> ET.Element:
     com = body.moment / body.mass
     tensor = body.inertia - body.mass * (com @ com * np.eye(3) - np.outer(com, com))
     element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(f"{x:.6g}" for x in com))
-    ET.SubElement(element, "mass", value=f"{body.mass:.7g}")
+    ET.SubElement(element, "origin", xyz=" ".join(f"{x:.12g}" for x in com))
+    ET.SubElement(element, "mass", value=f"{body.mass:.12g}")
     places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-    numbers = {f"i{name}": f"{tensor[at]:.7g}" for name, at in places.items()}
+    numbers = {f"i{name}": f"{tensor[at]:.12g}" for name, at in places.items()}
     ET.SubElement(element, "inertia", numbers)
     return element
 
 
-def in_urdf(scene: Scene, scene_file: Path, bodies: Sequence[Body]) -> dict[str, Body]:
-    """Return what the joints' child links are, in their frames, without the scene's payload.
+def in_urdf(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
+    """Return what the joints' child links are, in their frames, by name.
 
     Args:
         scene: the machine.
-        scene_file: the file that it was loaded from.
         bodies: of its chain, in the core's frames.
     """
-    bare = load_scene(scene_file, {"payload": None, "varied": []})
-    found = {}
-    for joint, light, body in zip(scene.chain.joints, bare.chain.joints, bodies, strict=True):
-        payload = joint.body + light.body.scaled(-1.0)
-        found[joint.link] = (body + payload.scaled(-1.0)).seen_from(Frame(joint.axes.T))
-    return found
+    pairs = zip(scene.chain.joints, bodies, strict=True)
+    return {joint.link: body.seen_from(Frame(joint.axes.T)) for joint, body in pairs}

@@ -26,13 +26,22 @@ class Found:
     value: float
     deviation: float  # standard deviation; NaN: unknown
     told: bool  # whether the record tells of it by itself, or it is much as it was taken to be
+    width: float = np.inf  # standard deviation of what was known of it before
+    left: str = ""  # why it was left as it was
 
     @property
     def remark(self) -> str:
         """What there is to say of it, if anything."""
+        if self.left:
+            return self.left
         if self.deviation == 0.0:
             return "held"
         return "" if self.told else "not identifiable"
+
+    @property
+    def far(self) -> float:
+        """By how many of the deviations known before it has moved."""
+        return abs(self.value - self.before) / self.width if self.width > 0.0 else 0.0
 
     @property
     def line(self) -> str:
@@ -41,11 +50,14 @@ class Found:
         return f"{self.name}: {self.value:.6g} {self.unit}, {told}, before {self.before:.6g}"
 
 
-def bodies_of(fit: TorqueFit, values: Array | None = None) -> list[Body]:
-    """Return the links' bodies, in the core's frames."""
-    count = sum(one.name.startswith("links.") for one in fit.unknowns)
-    rows = (fit.values if values is None else values)[:count].reshape(-1, inertia.NUMBERS)
-    return [inertia.body_of(inertia.exponential(row)) for row in rows]
+def bodies_of(scene: Scene, fit: TorqueFit) -> list[Body]:
+    """Return the links' bodies, in the core's frames, without the payload."""
+    n = inertia.NUMBERS
+    rows = [slice(n * k, n * (k + 1)) for k in range(len(scene.joints))]
+    return [
+        inertia.body_of(inertia.exponential(fit.values[row])) if fit.fitted[row].any() else bare
+        for row, bare in zip(rows, scene.bare, strict=True)
+    ]
 
 
 def numbers_found(scene: Scene, fit: TorqueFit) -> list[Found]:
@@ -57,9 +69,12 @@ def numbers_found(scene: Scene, fit: TorqueFit) -> list[Found]:
     units = fit.unknowns[n * len(scene.chain.joints) :]
     for u, one in enumerate(units, len(fit.unknowns) - len(units)):
         if fit.fitted[u]:
-            deviation = float(fit.deviations[u])
+            value, deviation = float(fit.values[u]), float(fit.deviations[u])
             told = deviation < NOT_TOLD * one.width
-            found.append(Found(one.name, one.unit, one.value, fit.values[u], deviation, told))
+            found.append(Found(one.name, one.unit, one.value, value, deviation, told, one.width))
+        elif u in fit.left:
+            left = fit.left[u]
+            found.append(Found(one.name, one.unit, one.value, one.value, np.nan, False, left=left))
     return found
 
 
@@ -75,7 +90,10 @@ def _link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
     for k, name in enumerate(NAMES):
         unit = UNITS[name.split("_")[0]]
         told = bool(after[k] < NOT_TOLD * before[k])
-        yield Found(f"links.{joint.link}.{name}", unit, old[k], new[k], float(after[k]), told)
+        yield Found(
+            f"links.{joint.link}.{name}", unit, float(old[k]), float(new[k]), float(after[k]), told,
+            float(before[k]),
+        )  # fmt: skip
 
 
 def _in_child(joint: ChainJoint, numbers: Array) -> list[float]:

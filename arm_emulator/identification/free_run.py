@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
-from arm_emulator.identification.link_regressor import LinkRegressor, torques_of_links
+from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
 from emulator_node.chain import Array
 from emulator_node.fleet import Fleet
@@ -64,7 +64,7 @@ def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
         raise Refusal(run.where, "record", f"be faster than {faster:g} rad/s or m/s", "at rest")
     v = speeds[at]
     slow, speed, a = smooth_motion(run.q_motor, period, min(LOAD_BELOW, 0.2 / period))
-    load = torques_of_links(scene, LinkRegressor(scene), slow[at], speed[at], a[at])
+    load = torques_of_links(scene, run.t, slow, speed, a)[at]
     ratio = scene.gear_ratios
     q_motor = run.q_motor[at]
     give = np.array([scene.wind_up(row) for row in load])

@@ -8,8 +8,7 @@ fitted is what is run. What the scene says counts as in the first stage.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,9 @@ from numpy.typing import NDArray
 from arm_emulator.identification import inertia
 from arm_emulator.identification.free_run import Starts, free_runs, starts
 from arm_emulator.identification.measured_run import MeasuredRun
-from arm_emulator.identification.torque_fit import TorqueFit
+from arm_emulator.identification.torque_fit import TorqueFit, with_discrepancy
 from emulator_node.chain import Array
-from emulator_node.scene import Scene, load_scene
+from emulator_node.scene import Scene, could_vary
 from emulator_node.varied_body import of_child
 
 Indices = NDArray[np.signedinteger[Any]]
@@ -34,33 +33,21 @@ NUDGE = 0.05  # of each deviation, by which it is changed for the differences
 ENOUGH = 1e-2  # share by which a turn must still be better
 
 
-def torque_driven(file: Path, period: float) -> Scene:
-    """Return a scene with motors that are commanded torques, and with its numbers varied.
+def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene:
+    """Return a scene with motors that are commanded torques, all else as it is.
 
     Args:
-        file: the scene.
+        scene: the machine.
         period: of the commands [s].
+        sought: names of numbers that shall be varied.
     """
-    scene = load_scene(file)
-    changes: dict[str, Any] = {"servo_period": period}
+    joints = tuple(joint.torque_driven() for joint in scene.joints)
     steps = max(1, round(period / scene.integrator.dt))
-    changes["integrator.dt"] = period / steps
-    for joint in scene.joints:
-        if joint.motor is None or joint.command == "N m":
-            continue
-        motor: dict[str, Any] = {"kind": "torque"}
-        motor["rotor_inertia"] = vars(joint.motor)["rotor_inertia"]
-        if joint.rotor_friction is not None:
-            own = joint.rotor_friction
-            motor["friction"] = {"viscous": own.viscous, "coulomb": own.coulomb}
-        changes[f"joints.{joint.name}.motor"] = motor
-    names = ["links.*", "joints.*.motor.rotor_inertia"]
-    if any(joint.rotor_friction is not None for joint in scene.joints):
-        names += ["joints.*.motor.friction.viscous", "joints.*.motor.friction.coulomb"]
-    names += ["joints.*.friction.viscous", "joints.*.friction.coulomb"]
-    if any(part.section == "counterbalance" for joint in scene.joints for part in joint.extras):
-        names += ["joints.*.counterbalance.force"]
-    return load_scene(file, changes | {"payload": None, "varied": names})
+    varied = tuple(one for one in could_vary(joints, scene.chain, ()) if one.name in sought)
+    return dataclasses.replace(
+        scene, joints=joints, servo_period=period, varied=varied, load=None,
+        integrator=dataclasses.replace(scene.integrator, dt=period / steps),
+    )  # fmt: skip
 
 
 def fit_free_runs(
@@ -70,13 +57,16 @@ def fit_free_runs(
 
     Args:
         fit: of the first stage, where the search begins.
-        scene: see `torque_driven`; its links are those of the fit or of the scene before.
+        scene: the machine as it was known.
         run: the record.
         told: is told how far runs end, turn by turn.
     """
+    sought = numbers_of(fit, scene, fit.values)
+    scene = torque_driven(scene, run.period, sought)
     speeds = np.abs(np.gradient(run.q_motor, run.period, axis=0))
     begin = starts(run, scene, SECONDS, EVERY, FASTER * float(np.quantile(speeds, 0.999)))
     least = np.array([one.least for one in fit.unknowns])
+    most = np.array([one.most for one in fit.unknowns])
     before = np.array([one.value for one in fit.unknowns])
     widths = np.array([one.width for one in fit.unknowns])
     which = np.flatnonzero(fit.fitted)
@@ -100,7 +90,7 @@ def fit_free_runs(
         g = A.T @ (errors / noise).ravel() + (values - before)[which] / widths[which] ** 2
         step = -np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
         tried = values.copy()
-        tried[which] = np.maximum(values[which] + step, least[which])
+        tried[which] = np.clip(values[which] + step, least[which], most[which])
         new_errors, new_J = _errors(fit, scene, run, begin, tried, which)
         new = cost(new_errors, tried)
         if new < now:
@@ -117,7 +107,7 @@ def fit_free_runs(
     covariance = np.zeros_like(fit.covariance)
     H = A.T @ A + np.diag(1.0 / widths[which] ** 2)
     covariance[np.ix_(which, which)] = np.linalg.inv(H)
-    return dataclasses.replace(fit, values=values, covariance=covariance)
+    return with_discrepancy(fit, values, covariance)
 
 
 def _shown(errors: Array, spread: Array) -> str:
@@ -135,8 +125,7 @@ def _errors(fit: TorqueFit, scene: Scene, run: MeasuredRun, begin: Starts, value
     rows = np.tile(values, (len(which) + 1, 1))
     rows[np.arange(1, len(rows)), which] += nudge
     numbers = [numbers_of(fit, scene, row) for row in rows]
-    known = {one.name for one in scene.varied}
-    varied = {name: [one[name] for one in numbers] for name in numbers[0] if name in known}
+    varied = {one.name: [row[one.name] for row in numbers] for one in scene.varied}
     looks = [max(1, round(look * SECONDS / run.period)) for look in LOOKS]
     angles = free_runs(scene, run, begin, looks, varied, len(rows))
     measured = np.array([run.q_motor[begin.at + k] for k in looks])
@@ -146,11 +135,17 @@ def _errors(fit: TorqueFit, scene: Scene, run: MeasuredRun, begin: Starts, value
 
 
 def numbers_of(fit: TorqueFit, scene: Scene, values: Array) -> dict[str, float]:
-    """Return the scene's numbers of some values of the unknowns, by the names of varied ones."""
+    """Return the scene's numbers of some values of the unknowns, by the names of varied ones.
+
+    Those of links are with the payload.
+    """
     numbers, n = dict[str, float](), inertia.NUMBERS
-    for k, joint in enumerate(scene.chain.joints):
-        body = inertia.body_of(inertia.exponential(values[n * k : n * k + n]))
-        of = of_child(joint, body).items()
+    for k, (joint, bare) in enumerate(zip(scene.chain.joints, scene.bare, strict=True)):
+        here = slice(n * k, n * (k + 1))
+        if not fit.fitted[here].any():
+            continue
+        body = inertia.body_of(inertia.exponential(values[here]))
+        of = of_child(joint, body + joint.body + bare.scaled(-1.0)).items()
         numbers |= {f"links.{joint.link}.{name}": value for name, value in of}
     first = n * len(scene.chain.joints)
     pairs = zip(fit.unknowns[first:], values[first:], strict=True)

@@ -30,10 +30,27 @@ def body_of(numbers: Array) -> Body:
     return Body(float(numbers[0]), np.array(numbers[1:4]), inertia)
 
 
+def is_body(body: Body) -> bool:
+    """Whether there can be such a body, if only a thin one. Models reduced by hand have others."""
+    P = _pseudo_inertia(body)
+    size = 1.0 / np.sqrt(np.maximum(np.diag(P), 1e-300))
+    return bool(np.linalg.eigvalsh(P * size[:, None] * size[None, :]).min() > -0.5 * THIN)
+
+
+def ball(body: Body) -> Body:
+    """Return a ball in the place of what is no body."""
+    return Body(max(body.mass, 1e-6), np.zeros(3), max(np.trace(body.inertia), 1e-9) * np.eye(3))
+
+
+def _pseudo_inertia(body: Body) -> Array:
+    second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
+    return np.block([[second, body.moment[:, None]], [body.moment[None, :], body.mass]])
+
+
 def log_cholesky(body: Body) -> Array:
     """Return the ten numbers of a body whose exponential map is that body, or one less thin."""
-    second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
-    P = np.block([[second, body.moment[:, None]], [body.moment[None, :], body.mass]])
+    P = _pseudo_inertia(body)
+    second = P[:3, :3]
     size = max(float(np.trace(second)), 1e-12)
     P += np.diag([THIN * size] * 3 + [THIN * max(body.mass, 1e-12)])
     # Upper triangle: the lower one of the matrix turned round.

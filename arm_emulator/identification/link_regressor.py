@@ -8,9 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.identification.inertia import dynamic
-from arm_emulator.identification.spring_torque import known_torque
 from emulator_node.chain import Array
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.scene import Scene
+
+ROUNDS = 3  # in which friction that grows with the gear's torque is found, which it is part of
 
 
 class LinkRegressor:
@@ -38,20 +40,26 @@ class LinkRegressor:
     def __call__(self, q: Array, v: Array, a: Array) -> Array:
         """Return Y of every row: (K, N, 10 N)."""
         find, model, data = pin.computeJointTorqueRegressor, self.model, self._data
-        rows = [find(model, data, *row).copy() for row in zip(q, v, a, strict=True)]
         N = self.model.nv
-        return np.array(rows).reshape(len(q), N, 10 * N)
+        rows = np.empty((len(q), N, 10 * N))
+        for k, row in enumerate(zip(q, v, a, strict=True)):
+            rows[k] = find(model, data, *row)
+        return rows
 
 
-def torques_of_links(scene: Scene, regressor: LinkRegressor, q: Array, v: Array, a: Array) -> Array:
+def torques_of_links(scene: Scene, t: Array, q: Array, v: Array, a: Array) -> Array:
     """Return what a scene's gears put on the links in a motion (K, N) [N m or N].
 
-    That is inertia, weight and friction of the links, less what springs at them do.
+    That is inertia and weight of the links, and what the parts at them take.
     """
     phi = np.concatenate([dynamic(joint.body) for joint in scene.chain.joints])
-    tau: Array = regressor(q, v, a) @ phi
+    alone: Array = LinkRegressor(scene)(q, v, a) @ phi
+    tau = alone.copy()
+    none = np.zeros_like(t)
     for j, joint in enumerate(scene.joints):
-        friction = joint.friction
-        tau[:, j] += friction.viscous * v[:, j] + friction.coulomb * np.sign(v[:, j])
-        tau[:, j] -= known_torque(joint, q[:, j])
+        parts = [part for part in joint.parts if part.shaft == "link"]
+        for _ in range(ROUNDS):
+            at = ShaftMotion(t, q[:, j], v[:, j], a[:, j], tau[:, j], none, joint.gear.ratio)
+            taken = (part.effort(at) for part in parts)
+            tau[:, j] = alone[:, j] + sum(one for one in taken if one is not None)
     return tau

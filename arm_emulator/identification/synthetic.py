@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
 from arm_emulator.identification.measured_run import MeasuredRun
@@ -15,7 +17,9 @@ AROUND = 0.6  # rad or m: how far joints go about
 
 
 def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.0,
-                torque_noise: float = 0.0) -> MeasuredRun:  # fmt: skip
+                torque_noise: float = 0.0, numbers: Mapping[str, float] | None = None,
+                drift: Callable[[float], Mapping[str, float]] | None = None,
+                ) -> MeasuredRun:  # fmt: skip
     """Drive a scene's torque motors along a smooth motion and record what drives would measure.
 
     The torques of each motor are those of a stiff controller of the motor's angle, which needs to
@@ -27,6 +31,8 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
         seconds: of the record.
         angle_noise: standard deviation of motors' angles at the link [rad or m].
         torque_noise: of torques, as a share of their standard deviation.
+        numbers: values of the scene's varied numbers.
+        drift: of varied numbers, from 0 at the beginning to 1 at the end of the record.
     """
     rng = np.random.default_rng(seed)
     N, period = len(scene.joints), scene.servo_period
@@ -35,10 +41,15 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
     wanted = _motion(rng, t, scene.start)
     rate = np.gradient(wanted, period, axis=0)
     plant = Plant(scene)
+    for name, value in (numbers or {}).items():
+        plant.set_parameter(name, value)
     plant.reset(wanted[0], rate[0])
     stiff = _gains(scene)
     q, tau = np.empty((len(t), N)), np.zeros((len(t), N))
     for k in range(len(t)):
+        if drift is not None and k % 25 == 0:
+            for name, value in drift(k / len(t)).items():
+                plant.set_parameter(name, value)
         state = plant.state
         q[k] = state.theta_m * ratio
         position, speed = wanted[k] - q[k], rate[k] - state.omega_m * ratio

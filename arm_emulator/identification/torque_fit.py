@@ -2,24 +2,30 @@
 
 Least squares, each joint weighted by its own unexplained torque; what the scene says counts as a
 measurement with a standard deviation of its own. So a number of which the motion tells nothing
-keeps the scene's value, and its confidence says so.
+keeps the scene's value, and its confidence says so. Rows that stand out count little. What is left
+is searched for effects that the model lacks, and the confidence is that beside these.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from arm_emulator.identification.filtered import Filtered, Mask
+from arm_emulator.identification.structure import Effect, find_structure, lasting
 from arm_emulator.identification.torque_model import MotionTorques, TorqueModel, Unknown
 from emulator_node.chain import Array
 
-TURNS = 4  # in which fit and weights are found in turn
+TURNS = 5  # in which fit, weights and loads are found in turn
 BEGIN = 0.3  # of each torque, at first taken to be noise
 INSIDE = 0.03  # of their widths, by which the search begins away from bounds
 NOT_TOLD = 0.7  # of the width before: what stays as uncertain is not identifiable
+STANDS_OUT = 3.0  # times what is left usually: from here on rows count less
+FAR_OUT = 6.0  # times: rows that are counted
+AT_BOUND = 0.02  # of its width, within which a number has reached its bound
 
 
 @dataclass(frozen=True)
@@ -30,23 +36,17 @@ class TorqueFit:
     fitted: Mask  # which of them were looked for (U,)
     values: Array  # (U,)
     covariance: Array  # (U, U); 0 where not looked for
-    noise: Array  # N m or N at the links (N,): what stays unexplained, as of independent samples
-    independent: Array  # (N,) samples that are worth one, since errors last
     directions: int  # of the unknowns' space that the motion tells of, by SVD
     explained: Array  # (N,) %, see `explained`
+    effects: tuple[Effect, ...] = ()  # that the model lacks
+    far_out: Array = field(default_factory=lambda: np.zeros(0))  # rows that stand out (N,)
+    left: dict[int, str] = field(default_factory=dict)  # why numbers were left as they were
 
     @property
     def deviations(self) -> Array:
         """Standard deviation of each value (U,)."""
         deviations: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return deviations
-
-    @property
-    def identifiable(self) -> Mask:
-        """Which of the unknowns the motion tells of by themselves (U,)."""
-        widths = np.array([one.width for one in self.unknowns])
-        told: Mask = self.fitted & (self.deviations < NOT_TOLD * widths)
-        return told
 
 
 def explained(torque: Array, error: Array, moving: Mask) -> Array:
@@ -62,6 +62,8 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
                 motion: MotionTorques | None = None) -> TorqueFit:  # fmt: skip
     """Return the unknowns that explain the torques of a motion.
 
+    A number above 0 that the record drives to its bound is left as it was.
+
     Args:
         model: the machine.
         data: the motion, low-passed.
@@ -69,77 +71,120 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
         motion: of `model.of(data)`, if it is there already.
     """
     motion = motion or model.of(data)
-    start, widths = model.start, model.widths
-    least = np.array([one.least for one in model.unknowns])[fitted]
+    fitted = fitted.copy()
+    left = dict[int, str]()
+    while True:
+        values, weights, motion = _search(model, data, fitted, motion)
+        driven = _driven(model, fitted, values)
+        if not driven:
+            break
+        for u, bound in driven.items():
+            left[u] = f"left as it was: this record drives it to {bound:.3g}"
+            fitted[u] = False
+    error = motion.torques(values) - data.tau
+    slopes = motion.slopes(values)[:, :, fitted]
+    widths = model.widths[fitted]
+    structure = find_structure(data, slopes, error, weights, widths, motion.load[data.fine.kept])
+    covariance = np.zeros((len(values), len(values)))
+    # Effects that the model lacks bend the numbers: by how much is part of the confidence.
+    shift = structure.shift
+    covariance[np.ix_(fitted, fitted)] = structure.covariance + np.outer(shift, shift)
+    spread = [_spread(error[r, j]) for j, r in enumerate(data.moving.T)]
     rows = data.moving
-    spread = np.array([_spread(y[r]) for y, r in zip(data.tau.T, rows.T, strict=True)])
-    noise, independent = BEGIN * spread, np.ones(len(spread))
+    per_noise = (slopes / np.array(spread)[:, None])[rows] * widths
+    far_out = np.array([int(((weights[:, j] < STANDS_OUT / FAR_OUT) & r).sum())
+                        for j, r in enumerate(rows.T)])  # fmt: skip
+    return TorqueFit(
+        model.unknowns, fitted, values, covariance, _directions(per_noise),
+        explained(data.tau, error, rows), structure.effects, far_out, left,
+    )  # fmt: skip
+
+
+def _search(model: TorqueModel, data: Filtered, fitted: Mask,
+            motion: MotionTorques) -> tuple[Array, Array, MotionTorques]:  # fmt: skip
+    """Return values (U,), weights of rows (K, N), and the motion under the gears' loads then."""
+    start, widths = model.start, model.widths[fitted]
+    least = np.array([one.least for one in model.unknowns])[fitted]
+    most = np.array([one.most for one in model.unknowns])[fitted]
+    inner = np.minimum(INSIDE * widths, 0.1 * (most - least))
+    rows = data.moving
+    spread = np.array([_spread(y[r] - y[r].mean() if r.any() else y[r])
+                       for y, r in zip(data.tau.T, rows.T, strict=True)])  # fmt: skip
+    noise, weights = BEGIN * spread, np.ones_like(data.tau)
     values = start.copy()
     # Well inside the bounds, near which steps become short.
-    values[fitted] = np.maximum(values[fitted], least + INSIDE * widths[fitted])
+    values[fitted] = np.clip(values[fitted], least + inner, most - inner)
 
     def whole(some: Array) -> Array:
         every = start.copy()
         every[fitted] = some
         return every
 
-    def residuals(some: Array) -> Array:
-        every = whole(some)
-        error = (motion.torques(every) - data.tau) / noise
-        return np.concatenate([error[rows], (every - start)[fitted] / widths[fitted]])
-
-    def slopes(some: Array) -> Array:
-        per_noise = motion.slopes(whole(some))[:, :, fitted] / noise[:, None]
-        return np.concatenate([per_noise[rows], np.diag(1.0 / widths[fitted])])
-
     for _ in range(TURNS):
-        inside = np.maximum(values[fitted], least + 1e-6 * widths[fitted])
+        per = (np.sqrt(weights) / noise)[rows]
+
+        def residuals(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
+            every = whole(some)
+            error = (at.torques(every) - data.tau)[rows] * per
+            return np.concatenate([error, (every - start)[fitted] / widths])
+
+        def slopes(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
+            found = at.slopes(whole(some))[:, :, fitted][rows] * per[:, None]
+            return np.concatenate([found, np.diag(1.0 / widths)])
+
+        inside = np.clip(values[fitted], least + 1e-4 * inner, most - 1e-4 * inner)
         found = least_squares(
-            residuals, inside, slopes, bounds=(least, np.inf), x_scale=widths[fitted], max_nfev=60
+            residuals, inside, slopes, bounds=(least, most), x_scale=widths, max_nfev=60
         )
         values = whole(found.x)
+        motion = motion.under(values)
         error = motion.torques(values) - data.tau
-        last = [_lasting(e, r) for e, r in zip(error.T, rows.T, strict=True)]
-        independent = np.array(last)
-        of_error = [_spread(e[r], 0.0) for e, r in zip(error.T, rows.T, strict=True)]
+        samples = used = 0.0
+        for j, r in enumerate(rows.T):
+            usual = max(1.4826 * float(np.median(np.abs(error[r, j]))) if r.any() else 1.0, 1e-12)
+            weights[:, j] = np.minimum(
+                1.0, STANDS_OUT * usual / np.maximum(np.abs(error[:, j]), 1e-300)
+            )
+            last = lasting(error[:, j], r)
+            noise[j] = _spread(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
+            samples += r.sum() / last
+        used = _directions(slopes(values[fitted])[: rows.sum()] * widths)
         # What the fit has bent to itself is missing in the residual.
-        told = _directions(slopes(values[fitted])[: rows.sum()] * widths[fitted])
-        samples = float((rows.sum(axis=0) / independent).sum())
-        bent = np.sqrt(samples / max(samples - told, 0.2 * samples))
-        noise = np.array(of_error) * np.sqrt(independent) * bent
+        noise *= np.sqrt(samples / max(samples - used, 0.2 * samples))
         noise = np.clip(noise, 1e-9 * spread, spread)
-    J = slopes(values[fitted])
-    covariance = np.zeros((len(values), len(values)))
-    covariance[np.ix_(fitted, fitted)] = np.linalg.inv(J.T @ J)
-    told = _directions(J[: rows.sum()] * widths[fitted])
-    error = motion.torques(values) - data.tau
-    return TorqueFit(
-        model.unknowns, fitted, values, covariance, noise, independent, told,
-        explained(data.tau, error, rows),
-    )  # fmt: skip
+    return values, weights, motion
+
+
+def _driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]:
+    """Return the bounds that numbers above 0 were driven to, by unknown."""
+    found = {}
+    for u in np.flatnonzero(fitted):
+        one = model.unknowns[u]
+        near = AT_BOUND * min(one.width, abs(one.value))
+        for bound in (one.least, one.most):
+            if np.isfinite(bound) and one.value and bound and abs(values[u] - bound) < near:
+                found[int(u)] = bound
+    return found
 
 
 def _directions(per_width: Array) -> int:
     """Return in how many directions of the unknowns the record tells more than was known."""
-    return int((np.linalg.svd(per_width, compute_uv=False) > 1.0).sum())
+    return int((np.linalg.eigvalsh(per_width.T @ per_width) > 1.0).sum())
 
 
-def _spread(values: Array, mean: float | None = None) -> float:
+def _spread(values: Array) -> float:
     if not len(values):
         return 1.0
-    about = values.mean() if mean is None else mean
-    return max(float(np.sqrt(np.mean((values - about) ** 2))), 1e-12)
+    return max(float(np.sqrt(np.mean(values**2))), 1e-12)
 
 
-def _lasting(error: Array, rows: Mask) -> float:
-    """Return of how many samples an error lasts: 1 + 2 sum of its correlations, while positive."""
-    some = np.where(rows, error, 0.0)
-    power, total = float(some @ some), 1.0
-    if power == 0.0:
-        return 1.0
-    for lag in range(1, len(some) // 4):
-        correlation = float(some[lag:] @ some[:-lag]) / power
-        if correlation < 0.05:
-            break
-        total += 2.0 * correlation
-    return total
+def with_discrepancy(fit: TorqueFit, values: Array, covariance: Array) -> TorqueFit:
+    """Return a fit with values of another kind, whose confidence has in it by how much they differ.
+
+    Args:
+        fit: of torques.
+        values: found otherwise (U,).
+        covariance: of these (U, U).
+    """
+    apart = values - fit.values
+    return dataclasses.replace(fit, values=values, covariance=covariance + np.outer(apart, apart))

@@ -2,34 +2,39 @@
 
 At the link, per joint, with motors that turn along with their links:
 
-    tau / Ng = Y phi + Jm / Ng^2 a + (Dv_m / Ng^2 + Dv) v + (Dc_m / |Ng| + Dc) sign(v) - T(q) + e
+    tau / Ng = Y phi + sum of what the parts at the link take + of those at the rotor / Ng + e
 
-phi follows from log-Cholesky parameters, all else is linear. T is the torque of springs and tables;
-e is the offset of the measured torque, and no number of the machine.
+phi follows from log-Cholesky parameters. What a part takes it states itself, as a function of its
+numbers (`Part.effort`); of which of them it is linear is found out by trying. e is the offset of
+the measured torque, and no number of the machine.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import fnmatch
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.identification.link_regressor import LinkRegressor
-from arm_emulator.identification.spring_torque import spring_torque, table_torque
 from emulator_node.chain import Array
-from emulator_node.parts.counterbalance import Counterbalance
-from emulator_node.parts.torque_table import TorqueTable
+from emulator_node.parts.part import Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.scene import Joint, Scene
 from words.refusal import Refusal
 
 LINK = ("log_mass", "log_x", "log_y", "log_z", "xy", "yz", "xz", "x", "y", "z")  # log-Cholesky
 EVERYTHING = "*"
 UNKNOWN = 3.0  # times what the torque could at most hide: how far friction may be off
+FARTHEST = 20.0  # times smaller or larger than the scene's a number above 0 is not
+TRIED = 0.1  # of its width, by which a number is changed to see what a part takes then
+LINEAR = 1e-9  # share of its effort to which a part is linear in its numbers
+SMALL = 1e-4  # of its width, by which a number is changed for a difference
 
 
 @dataclass(frozen=True)
@@ -41,14 +46,21 @@ class Unknown:
     value: float  # that the scene has
     width: float  # standard deviation of what is known of it before
     least: float = -np.inf
+    most: float = np.inf
 
 
 @dataclass(frozen=True)
-class _Column:
-    """What a number adds to the torque at one joint, for 1 of its unit."""
+class Piece:
+    """A part of a joint, and what is looked for in it."""
 
     joint: int
-    of: Callable[[Filtered], Array]  # (K,)
+    part: Part
+    first: int  # of its unknowns, in the row of all
+    keys: tuple[str, ...]
+
+    def numbers(self, unknowns: Array) -> dict[str, float]:
+        """Return its numbers of a row of unknowns, by key."""
+        return {key: float(unknowns[self.first + k]) for k, key in enumerate(self.keys)}
 
 
 def matches(name: str, patterns: Sequence[str]) -> bool:
@@ -65,67 +77,72 @@ class TorqueModel:
     """Torques of a scene's motors for any motion, and their slopes in the unknowns.
 
     Attributes:
-        unknowns: all that could be found.
+        unknowns: all that could be found: of the links, without the payload, then of the parts,
+            then offsets.
         start: their values in the scene.
+        links: how many are of links, the first ones.
+        rest: what the links are beside these: payload, and links that are no bodies (10 N,).
+        pieces: the parts.
 
     Args:
         scene: the machine as it is known.
         typical: how large torques (N,) at the links and speeds (N,) are that friction belongs to.
         trust: share to which inertias and forces of the scene are good.
+
+    Raises:
+        Refusal: a part of the scene does not state what torque a motion takes.
     """
 
     def __init__(self, scene: Scene, typical: tuple[Array, Array], trust: float) -> None:
         self.scene = scene
-        self._regressor = LinkRegressor(scene)
+        _check_stated(scene)
+        self.regressor = LinkRegressor(scene)
         self.unknowns = list[Unknown]()
-        self._columns = list[_Column]()
-        for geometry in scene.chain.joints:
-            numbers = inertia.log_cholesky(geometry.body)
-            width = inertia.widths(geometry.body, trust)
-            for name, value, off in zip(LINK, numbers, width, strict=True):
+        self.rest = np.zeros(inertia.NUMBERS * len(scene.joints))
+        for k, (geometry, body) in enumerate(zip(scene.chain.joints, scene.bare, strict=True)):
+            sound = inertia.is_body(body)
+            numbers = inertia.log_cholesky(body if sound else inertia.ball(body))
+            widths = inertia.widths(body, trust) if sound else np.zeros(inertia.NUMBERS)
+            beside = inertia.dynamic(body) if sound else inertia.exponential(numbers)
+            here = slice(inertia.NUMBERS * k, inertia.NUMBERS * (k + 1))
+            self.rest[here] = inertia.dynamic(geometry.body) - beside
+            for name, value, off in zip(LINK, numbers, widths, strict=True):
                 unit = "" if name.startswith("log") else "m"
-                self._unknown(f"links.{geometry.link}.{name}", unit, value, off)
-        self._links = len(self.unknowns)
+                whole = f"links.{geometry.link}.{name}"
+                self.unknowns.append(Unknown(whole, unit, float(value), float(off)))
+        self.links = len(self.unknowns)
+        self.pieces = list[Piece]()
         for j, joint in enumerate(scene.joints):
-            self._add(j, joint, float(typical[0][j]), float(typical[1][j]), trust)
+            self._add(j, joint, (float(typical[0][j]), float(typical[1][j])), trust)
+        self.offsets = len(self.unknowns)
+        for joint, torque in zip(scene.joints, typical[0], strict=True):
+            name = f"joints.{joint.name}.measured_torque.offset"
+            off = abs(joint.gear.ratio) * float(torque)
+            self.unknowns.append(Unknown(name, "N m", 0.0, off))
         self.start = np.array([one.value for one in self.unknowns])
         self.widths = np.array([one.width for one in self.unknowns])
 
-    def _unknown(self, name: str, unit: str, value: float, width: float,
-                 least: float = -np.inf) -> None:  # fmt: skip
-        self.unknowns.append(Unknown(name, unit, float(value), float(width), least))
-
-    def _add(self, j: int, joint: Joint, torque: float, speed: float, trust: float) -> None:
-        place, Ng = f"joints.{joint.name}", joint.gear.ratio
-
-        def add(name: str, unit: str, value: float, width: float, of: Callable[[Filtered], Array],
-                least: float = 0.0) -> None:  # fmt: skip
-            self._unknown(f"{place}.{name}", unit, value, width, least)
-            self._columns.append(_Column(j, of))
-
-        if joint.motor is not None:
-            Jm = float(vars(joint.motor)["rotor_inertia"])
-            add("motor.rotor_inertia", "kg m2", Jm, trust * Jm, lambda d: d.a[:, j] / Ng**2)
-        rotor = joint.rotor_friction
-        own, at, per = (joint.friction, "friction", 1.0)
-        if rotor is not None:
-            own, at, per = rotor, "motor.friction", 1.0 / abs(Ng)
-        viscous, coulomb = getattr(own, "viscous", 0.0), getattr(own, "coulomb", 0.0)
-        add(f"{at}.viscous", "N m s/rad", viscous, UNKNOWN * torque / speed / per**2,
-            lambda d: per**2 * d.v[:, j])  # fmt: skip
-        add(f"{at}.coulomb", "N m", coulomb, UNKNOWN * torque / per,
-            lambda d: per * d.direction[:, j])  # fmt: skip
-        for part in joint.extras:
-            if isinstance(part, Counterbalance):
-                of = partial(_of_spring, part, j)
-                least = -np.inf if part.force < 0.0 else 0.0
-                add("counterbalance.force", "N", part.force, trust * abs(part.force),
-                    partial(of, 1.0, 0.0), least)  # fmt: skip
-                if part.stiffness:
-                    add("counterbalance.stiffness", "N/m", part.stiffness,
-                        trust * part.stiffness, partial(of, 0.0, 1.0))  # fmt: skip
-        add("measured_torque.offset", "N m", 0.0, abs(Ng) * torque,
-            lambda d: np.full(len(d.q), 1.0 / Ng), -np.inf)  # fmt: skip
+    def _add(self, j: int, joint: Joint, typical: tuple[float, float], trust: float) -> None:
+        place = f"joints.{joint.name}"
+        sought = _sought(joint)
+        for part in joint.parts:
+            piece = Piece(j, part, len(self.unknowns), tuple(sought.get(part.section, ())))
+            per = abs(joint.gear.ratio) if part.shaft == "rotor" else 1.0
+            torque, speed = typical[0] * per, typical[1] / per
+            for key in piece.keys:
+                one, value = part.numbers()[key], float(getattr(part, key))
+                if one.sought == "unknown":
+                    width = UNKNOWN * (torque / speed if one.unit == "N m s/rad" else torque)
+                else:
+                    width = trust * abs(value)
+                least, most = one.least, one.most
+                if one.above is not None:
+                    least, most = max(least, value / FARTHEST), min(most, value * FARTHEST)
+                if least < 0.0 and value:  # what pulls does not push
+                    least, most = (0.0, most) if value > 0.0 else (least, 0.0)
+                name = f"{place}.{part.section}.{key}"
+                self.unknowns.append(Unknown(name, one.unit, value, width, least, most))
+            self.pieces.append(piece)
 
     def choose(self, patterns: Sequence[str], where: str) -> Mask:
         """Return which unknowns (U,) the patterns name.
@@ -142,50 +159,178 @@ class TorqueModel:
                 rule = "name what can be found of this scene"
                 raise Refusal(where, "--fit", rule, pattern, ", ".join(known))
         offsets = [one for one in patterns if "offset" in one or "measured" in one]
-        return np.array(
-            [matches(name, offsets if name.endswith(".offset") else patterns) for name in names]
-        )
+        wanted = [
+            matches(name, offsets if name.endswith(".offset") else patterns) for name in names
+        ]
+        chosen: Mask = np.array(wanted) & (self.widths > 0.0)
+        return chosen
 
     def of(self, data: Filtered) -> MotionTorques:
-        """Return the torques of a motion as a function of the unknowns."""
-        Y = self._regressor(data.q, data.v, data.a)
-        X = np.zeros((len(data.q), len(self.scene.joints), len(self._columns)))
-        for k, column in enumerate(self._columns):
-            X[:, column.joint, k] = column.of(data)
-        known = np.zeros_like(data.q)
-        for j, joint in enumerate(self.scene.joints):
-            for part in joint.extras:
-                if isinstance(part, TorqueTable):
-                    known[:, j] -= table_torque(part, data.q[:, j])
-        return MotionTorques(Y, X, known, self._links)
+        """Return the torques of a motion as a function of the unknowns.
+
+        Gears carry what the scene's links are, see `MotionTorques.under`.
+        """
+        Y = self.regressor(data.q, data.v, data.a)
+        empty = MotionTorques(self, data, Y, np.zeros_like(data.fine.q), [])
+        return empty.under(self.start).under(self.start)
+
+    def bodies(self, unknowns: Array) -> Array:
+        """Return the ten numbers of each link (N, 10), without the payload."""
+        links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)
+        return np.array([inertia.exponential(one) for one in links])
 
 
-def _of_spring(
-    spring: Counterbalance, joint: int, force: float, stiffness: float, data: Filtered
-) -> Array:
-    return -spring_torque(spring, data.q[:, joint], force, stiffness)
+def _check_stated(scene: Scene) -> None:
+    """Refuse a scene with a part that does not state what torque a motion takes."""
+    t, none = np.linspace(0.0, 1.0, 3), np.zeros(3)
+    for joint in scene.joints:
+        at_rest = ShaftMotion(t, none, none, none, none, none, joint.gear.ratio)
+        for part in joint.parts:
+            if part.effort(at_rest) is None:
+                rule = "be without parts whose torque does not follow from the measured motion"
+                valid = "the scene without this section, where the motion was recorded without it"
+                place = f"joints.{joint.name}.{part.section}"
+                raise Refusal(scene.where, place, rule, type(part).__name__, valid)
+
+
+def _sought(joint: Joint) -> dict[str, list[str]]:
+    """Return the keys to look for in each part of a joint, by its section.
+
+    Of several parts with the same number, such as friction of link and of rotor, one has it: one
+    where the scene gives it, and rather the rotor's.
+    """
+    ranked = sorted(joint.parts, key=lambda part: part.shaft != "rotor")
+    found = dict[str, list[str]]()
+    for key in {key: None for part in ranked for key in part.numbers()}:
+        having = [part for part in ranked if key in part.numbers() and part.numbers()[key].sought]
+        having = [part for part in having if getattr(part, key) is not None]
+        if not having:
+            continue
+        one = next((part for part in having if getattr(part, key)), having[0])
+        if getattr(one, key) or one.numbers()[key].sought == "unknown":
+            found.setdefault(one.section, []).append(key)
+    return found
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """What a part takes at the link: linear in its unknowns, or to be asked anew each time."""
+
+    piece: Piece
+    constant: Array  # (K,), with all its unknowns 0
+    columns: Array | None  # (K, keys); None: not linear
 
 
 @dataclass(frozen=True)
 class MotionTorques:
     """Torques of one motion, at the links."""
 
+    model: TorqueModel
+    data: Filtered
     Y: Array  # (K, N, 10 N), see `LinkRegressor`
-    X: Array  # (K, N, columns)
-    known: Array  # (K, N)
-    links: int  # unknowns that are log-Cholesky parameters of links, the first ones
+    load: Array  # N m or N, of the gears on the links, at the samples of `data.fine`
+    efforts: list[_Effort]
+
+    def under(self, unknowns: Array) -> MotionTorques:
+        """Return the torques with gears that carry what the links are by these unknowns."""
+        carried = self._links(unknowns)
+        for one in self.efforts:
+            if one.piece.part.shaft == "link":
+                carried[:, one.piece.joint] += self._effort(one, unknowns)
+        rigid = [joint.gear.stiffness is None for joint in self.model.scene.joints]
+        carried[:, rigid] = self.data.tau[:, rigid]  # there, all that the motor gives
+        # Below the low-pass, a curve through the rows is what the samples were.
+        t = np.clip(self.data.fine.t, self.data.t[0], self.data.t[-1])
+        load = CubicSpline(self.data.t, carried)(t)
+        return dataclasses.replace(
+            self, load=load, efforts=[self._look(one, load) for one in self.model.pieces]
+        )
 
     def torques(self, unknowns: Array) -> Array:
         """Return the torques (K, N) [N m or N]."""
-        links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)
-        phi = np.concatenate([inertia.exponential(one) for one in links])
-        torques: Array = self.known + self.Y @ phi + self.X @ unknowns[self.links :]
-        return torques
+        torques = self._links(unknowns)
+        for one in self.efforts:
+            torques[:, one.piece.joint] += self._effort(one, unknowns)
+        return torques + self._offsets * unknowns[self.model.offsets :]
 
     def slopes(self, unknowns: Array) -> Array:
         """Return the derivatives of the torques in the unknowns (K, N, U)."""
+        model = self.model
         K, N, _ = self.Y.shape
-        links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)
+        links = unknowns[: model.links].reshape(-1, inertia.NUMBERS)
         pieces = self.Y.reshape(K, N, len(links), inertia.NUMBERS)
-        of_links = [pieces[:, :, k] @ inertia.slope(one) for k, one in enumerate(links)]
-        return np.concatenate([*of_links, self.X], axis=2)
+        found = np.zeros((K, N, len(model.unknowns)))
+        for k, one in enumerate(links):
+            here = slice(inertia.NUMBERS * k, inertia.NUMBERS * (k + 1))
+            found[:, :, here] = pieces[:, :, k] @ inertia.slope(one)
+        for effort in self.efforts:
+            here = slice(effort.piece.first, effort.piece.first + len(effort.piece.keys))
+            found[:, effort.piece.joint, here] = self._slopes_of(effort, unknowns)
+        for j, offset in enumerate(self._offsets):
+            found[:, j, model.offsets + j] = offset
+        return found
+
+    @property
+    def _offsets(self) -> Array:
+        return 1.0 / self.model.scene.gear_ratios
+
+    def _links(self, unknowns: Array) -> Array:
+        phi = self.model.bodies(unknowns).ravel() + self.model.rest
+        tau: Array = self.Y @ phi
+        return tau
+
+    def _effort(self, effort: _Effort, unknowns: Array) -> Array:
+        piece = effort.piece
+        if effort.columns is None:
+            return self._asked(piece, self.load, piece.numbers(unknowns))
+        here = unknowns[piece.first : piece.first + len(piece.keys)]
+        found: Array = effort.constant + effort.columns @ here
+        return found
+
+    def _slopes_of(self, effort: _Effort, unknowns: Array) -> Array:
+        if effort.columns is not None:
+            return effort.columns
+        piece, columns = effort.piece, []
+        for k, (key, value) in enumerate(piece.numbers(unknowns).items()):
+            one = self.model.unknowns[piece.first + k]
+            by = SMALL * one.width
+            ends = [min(value + by, one.most), max(value - by, one.least)]
+            up, down = (
+                self._asked(piece, self.load, piece.numbers(unknowns) | {key: end}) for end in ends
+            )
+            columns.append((up - down) / (ends[0] - ends[1]))
+        return np.column_stack(columns)
+
+    def _look(self, piece: Piece, load: Array) -> _Effort:
+        """Find out whether a part is linear in its unknowns."""
+        known = {key: float(getattr(piece.part, key)) for key in piece.keys}
+        by = {
+            key: TRIED * self.model.unknowns[piece.first + k].width
+            for k, key in enumerate(piece.keys)
+        }
+        base = self._asked(piece, load, known)
+        nothing = np.zeros((len(base), 0))
+        columns = [
+            (self._asked(piece, load, known | {key: known[key] + by[key]}) - base) / by[key]
+            for key in piece.keys
+        ]
+        X = np.column_stack(columns) if columns else nothing
+        twice = self._asked(piece, load, {key: known[key] + 2.0 * by[key] for key in piece.keys})
+        expected = base + 2.0 * (X @ np.array(list(by.values())) if columns else 0.0)
+        size = np.abs(twice).max() + np.abs(base).max()
+        if np.abs(twice - expected).max() > LINEAR * size:
+            return _Effort(piece, base, None)
+        return _Effort(piece, base - X @ np.array(list(known.values())), X)
+
+    def _asked(self, piece: Piece, load: Array, numbers: Mapping[str, float]) -> Array:
+        """Return what a part with some numbers takes at the link (K,), low-passed."""
+        fine, j = self.data.fine, piece.joint
+        ratio = self.model.scene.joints[j].gear.ratio
+        per = ratio if piece.part.shaft == "rotor" else 1.0
+        at = ShaftMotion(
+            fine.t, fine.q[:, j] / per, fine.v[:, j] / per, fine.a[:, j] / per,
+            load[:, j] * per, fine.tau[:, j] * per / ratio, ratio,
+        )  # fmt: skip
+        effort = piece.part.with_numbers(**numbers).effort(at)
+        assert effort is not None, "checked at the beginning"
+        return self.data.settle(effort) / per

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
-from arm_emulator.identification.link_regressor import LinkRegressor, torques_of_links
+from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
 from emulator_node.chain import Array
 from emulator_node.scene import Scene
@@ -47,7 +47,7 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
     q, v, a = smooth_motion(run.q_motor, period, frequency)
     edge = int(EDGE / (frequency * period))
     kept = slice(edge, len(q) - edge)
-    load = torques_of_links(scene, LinkRegressor(scene), q[kept], v[kept], a[kept])
+    load = torques_of_links(scene, run.t, q, v, a)[kept]
     K = len(load)
     measured, computed = np.full((K, N), np.nan), np.full((K, N), np.nan)
     residual, unexplained, stiffness, deviation = (np.full(N, np.nan) for _ in range(4))

@@ -6,8 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.friction import Friction, OfRotor, RotorFriction
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,6 +19,7 @@ class Brake(Part):
     """Dry friction that comes when power goes, and goes when power comes."""
 
     section = "brake"
+    shaft = "rotor"
     header = "brake.hpp"
     cxx = "Brake"
 
@@ -25,6 +30,10 @@ class Brake(Part):
     release_delay: Annotated[
         float, Number("release_delay", "s", at_least=0.0, at_most=10.0, varied=False)
     ] = 0.0
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: in motion it is open."""
+        return np.zeros_like(motion.t)
 
     def rotor(
         self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from emulator_node.chain import Array
 from emulator_node.parts.part import Part
-from emulator_node.parts.waves import Wave, cxx_waves, read_waves
+from emulator_node.parts.shaft_motion import ShaftMotion
+from emulator_node.parts.waves import Wave, cxx_waves, read_waves, wave_sum
 from emulator_node.section import Section
 
 
@@ -16,10 +18,14 @@ class Cogging(Part):
     """Magnets that are drawn to the teeth of the stator, with or without current."""
 
     section = "motor.cogging"
+    shaft = "rotor"
     header = "cogging.hpp"
     cxx = "Cogging"
 
     waves: tuple[Wave, ...] = ()  # N m
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        return wave_sum(self.waves, motion.angle)
 
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102

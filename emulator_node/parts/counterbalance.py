@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
 
@@ -20,10 +24,21 @@ class Counterbalance(Part):
     base_distance: Annotated[float, Number("a", "m", above=0.0, at_most=100.0, varied=False)]
     link_distance: Annotated[float, Number("b", "m", above=0.0, at_most=100.0, varied=False)]
     angle: Annotated[float, Number("phi", "rad", at_least=-1e4, at_most=1e4)] = 0.0
-    force: Annotated[float, Number("F0", "N", at_least=-1e7, at_most=1e7)]
+    force: Annotated[float, Number("F0", "N", at_least=-1e7, at_most=1e7, sought="known")]
     length: Annotated[float, Number("l0", "m", above=0.0, at_most=200.0)]
-    stiffness: Annotated[float, Number("k", "N/m", at_least=0.0)] = 0.0
+    stiffness: Annotated[float, Number("k", "N/m", at_least=0.0, sought="known")] = 0.0
     gas_column: Annotated[float, Number("h", "m", at_least=0.0, varied=False)] = 0.0
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        a, b, at = self.base_distance, self.link_distance, motion.angle - self.angle
+        l = np.sqrt(a * a + b * b - 2.0 * a * b * np.cos(at))  # noqa: E741
+        longer = l - self.length
+        if h := self.gas_column:
+            F = self.force * h / (h + np.copysign(1.0, self.force) * longer)
+        else:
+            F = self.force - self.stiffness * longer
+        torque: Array = -F * a * b * np.sin(at) / l
+        return torque
 
     def check(self, section: Section) -> None:  # noqa: D102
         least = 0.01 * self.base_distance

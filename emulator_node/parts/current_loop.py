@@ -6,9 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from emulator_node import cxx_literals
+from emulator_node.chain import Array
 from emulator_node.parts.motor import Circuit
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
 
@@ -20,6 +24,7 @@ class CurrentLoop(Part):
     """
 
     section = "motor.current_loop"
+    shaft = "rotor"
     header = "current_loop.hpp"
     cxx = "CurrentControl"
 
@@ -27,6 +32,10 @@ class CurrentLoop(Part):
     proportional_gain: Annotated[float | None, Number("P", "V/A", above=0.0)] = None
     integral_gain: Annotated[float | None, Number("I", "V/(A s)", at_least=0.0)] = None
     emf_feedforward: Annotated[float, Number("feedforward", "1", at_least=0.0, at_most=1.0)] = 1.0
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: what is measured is the torque behind it."""
+        return np.zeros_like(motion.t)
 
     def check(self, section: Section) -> None:  # noqa: D102
         gains = {"proportional_gain": self.proportional_gain, "integral_gain": self.integral_gain}

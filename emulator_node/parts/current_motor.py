@@ -21,7 +21,7 @@ class CurrentMotor(Motor):
 
     torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
     resistance: Annotated[float, Number("R", "ohm", at_least=0.0)] = 0.0
-    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
     bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
     current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
 

@@ -24,7 +24,7 @@ class DcMotor(Motor):
     torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
     back_emf_constant: Annotated[float, Number("Kb", "V s/rad", at_least=0.0)]
     # With the gear's primary side.
-    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
     current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
 
     @property

@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
 
@@ -21,6 +25,14 @@ class EndStops(Part):
     upper: Annotated[float, Number("upper", "rad", at_least=-1e4, at_most=1e4)]
     stiffness: Annotated[float, Number("K", "N m/rad", above=0.0)]
     damping: Annotated[float, Number("D", "N m s/rad", at_least=0.0)] = 0.0
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        q, v = motion.angle, motion.speed
+        K, D = self.stiffness, self.damping
+        above = np.where(q > self.upper, np.maximum(K * (q - self.upper) + D * v, 0.0), 0.0)
+        below = np.where(q < self.lower, np.maximum(K * (self.lower - q) - D * v, 0.0), 0.0)
+        torque: Array = above - below
+        return torque
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.lower >= self.upper:

@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
 
@@ -18,9 +22,16 @@ class Friction(Part):
     cxx = "Friction"
     told_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
 
-    viscous: Annotated[float, Number("Dv", "N m s/rad", at_least=0.0)] = 0.0
-    coulomb: Annotated[float, Number("Dc", "N m", at_least=0.0)] = 0.0
+    viscous: Annotated[float, Number("Dv", "N m s/rad", at_least=0.0, sought="unknown")] = 0.0
+    coulomb: Annotated[float, Number("Dc", "N m", at_least=0.0, sought="unknown")] = 0.0
     breakaway: Annotated[float, Number("Ds", "N m", follows="coulomb")] = 0.0
+
+    def sliding(self, motion: ShaftMotion) -> Array:
+        """Return the dry torque (K,) against a shaft that turns [N m]."""
+        return np.full_like(motion.speed, self.coulomb)
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        return self.viscous * motion.speed + self.sliding(motion) * np.sign(motion.speed)
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.breakaway > 0.0 and self.coulomb == 0.0:
@@ -39,6 +50,7 @@ class OfRotor(Friction):
     """Any law of friction at the motor's shaft."""
 
     section = "motor.friction"
+    shaft = "rotor"
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 
 RATIO_UNIT = "link turns per motor turn"  # m per rad for a prismatic joint
 
@@ -15,6 +19,7 @@ class Gear(Part):
     """What may be asked of any gear."""
 
     section = "gear"
+    shaft = "rotor"
     told_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
 
     # Negative: the link turns the other way.
@@ -23,6 +28,10 @@ class Gear(Part):
     ]
     stiffness: float | None = None  # at the link, not wound up; None: rigid
     damping: float = 0.0  # at the link
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: rotor and link move alike below the resonances."""
+        return np.zeros_like(motion.t)
 
     def wind_up(self, torque: float) -> float:
         """Return the angle by which the gear gives way at rest [rad], seen at the link."""

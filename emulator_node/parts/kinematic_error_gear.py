@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from emulator_node.chain import Array
 from emulator_node.parts.elastic_gear import ElasticGear
-from emulator_node.parts.waves import Wave, cxx_waves, read_waves
+from emulator_node.parts.shaft_motion import ShaftMotion
+from emulator_node.parts.waves import Wave, cxx_waves, read_waves, wave_slope
 from emulator_node.section import Section
 
 
@@ -21,6 +23,13 @@ class KinematicErrorGear(ElasticGear):
 
     motor: tuple[Wave, ...] = ()
     link: tuple[Wave, ...] = ()
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """What the rotor feels of the gear's torque beside the nominal ratio of it."""
+        by_motor = wave_slope(self.motor, motion.angle) / self.ratio
+        by_link = wave_slope(self.link, motion.angle * self.ratio)
+        torque: Array = motion.gear_torque * ((1.0 + by_motor) / (1.0 - by_link) - 1.0)
+        return torque
 
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102

@@ -5,8 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.friction import Friction, LinkFriction, OfRotor
 from emulator_node.parts.part import Number
+from emulator_node.parts.shaft_motion import ShaftMotion
+from emulator_node.parts.stribeck import stribeck_torque
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,8 +22,17 @@ class LoadFriction(Friction):
     cxx = "LoadFriction"
     told_by = ("load",)
 
-    stribeck: Annotated[float | None, Number("vs", "rad/s", above=0.0)] = None
-    load: Annotated[float, Number("mu", "N m/(N m)", at_least=0.0, at_most=10.0)] = field()
+    stribeck: Annotated[float | None, Number("vs", "rad/s", above=0.0, sought="known")] = None
+    load: Annotated[
+        float, Number("mu", "N m/(N m)", at_least=0.0, at_most=10.0, sought="known")
+    ] = field()
+
+    def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        dry = super().sliding(motion)
+        if self.stribeck is not None:
+            dry = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
+        torque: Array = dry + self.load * np.abs(motion.gear_torque)
+        return torque
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.shaft_motion import ShaftMotion
+from emulator_node.parts.stribeck import stribeck_torque
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,17 +19,33 @@ class LuGre(Part):
 
     header = "lugre.hpp"
     cxx = "LuGre"
-    place: ClassVar[str]
 
-    coulomb: Annotated[float, Number("Dc", "N m", above=0.0)]
+    coulomb: Annotated[float, Number("Dc", "N m", above=0.0, sought="unknown")]
     breakaway: Annotated[float, Number("Ds", "N m", follows="coulomb")] = 0.0
     stribeck: Annotated[float, Number("vs", "rad/s", above=0.0)] = 0.1
     bristle_stiffness: Annotated[float, Number("s0", "N m/rad", above=0.0)]
     bristle_damping: Annotated[float, Number("s1", "N m s/rad", at_least=0.0)] = 0.0
 
+    def effort(self, motion: ShaftMotion) -> Array:
+        """Bend the bristles along the motion, from straight ones."""
+        w = motion.speed
+        g = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
+        rate = self.bristle_stiffness * np.abs(w) / g  # 1/s, at which they let go
+        kept = np.exp(-np.gradient(motion.t) * rate)
+        # Where they slip in no time, this is where they end.
+        end = np.sign(w) * g / self.bristle_stiffness
+        step = np.where(rate > 0.0, (1.0 - kept) * end, 0.0)
+        z = np.empty_like(w)
+        bent = 0.0
+        for k, (share, more) in enumerate(zip(kept.tolist(), step.tolist(), strict=True)):
+            bent = share * bent + more
+            z[k] = bent
+        torque: Array = self.bristle_stiffness * z + self.bristle_damping * (w - rate * z)
+        return torque
+
     @property
     def cxx_type(self) -> str:  # noqa: D102
-        return f"arm::{self.cxx}<arm::Place::{self.place}>"
+        return f"arm::{self.cxx}<arm::Place::{self.shaft}>"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +53,7 @@ class LinkLuGre(LuGre):
     """At the link."""
 
     section = "lugre"
-    place = "link"
+    shaft = "link"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,4 +61,4 @@ class RotorLuGre(LuGre):
     """At the motor's shaft."""
 
     section = "motor.lugre"
-    place = "rotor"
+    shaft = "rotor"

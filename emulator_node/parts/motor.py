@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from emulator_node.chain import Array
 from emulator_node.parts.part import Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 
 
 @dataclass(frozen=True)
@@ -22,10 +24,16 @@ class Motor(Part):
     """A motor, with the gear's primary side on its rotor."""
 
     section = "motor"
+    shaft = "rotor"
     kind: ClassVar[str]  # `motor.kind` in the scene
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
     command: ClassVar[str] = "V"  # unit of what it is commanded: V, N m, A or V dq
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """The rotor's inertia; what is measured is the torque that the windings give."""
+        torque: Array = vars(self)["rotor_inertia"] * motion.acceleration
+        return torque
 
     @property
     def follows_speed_at_once(self) -> bool:

@@ -18,6 +18,8 @@ from functools import cache
 from typing import Any, ClassVar, Self, get_type_hints
 
 from emulator_node import cxx_literals
+from emulator_node.chain import Array
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import LARGEST, SMALLEST, Section
 from emulator_node.varied import Varied
 
@@ -36,6 +38,8 @@ class Number:
         in_size: whether the bounds are those of the number's size, and it may be negative.
         varied: whether a scene may list it as varied, unless it follows another one.
         whole: whether it is a whole number, from `at_least` to `at_most`; such a one is not varied.
+        sought: whether identification looks for it: "known" roughly beforehand, as the scene says,
+            or "unknown".
     """
 
     symbol: str
@@ -47,6 +51,7 @@ class Number:
     in_size: bool = False
     varied: bool = True
     whole: bool = False
+    sought: str = ""
 
     @property
     def least(self) -> float:
@@ -69,6 +74,7 @@ class Part:
     section: ClassVar[str]  # where it stands below its owner's, such as "motor.friction"
     header: ClassVar[str]  # that has the C++ part
     cxx: ClassVar[str]  # and its name
+    shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
 
     @classmethod
     def numbers(cls) -> dict[str, Number]:
@@ -114,6 +120,23 @@ class Part:
 
     def check(self, section: Section) -> None:
         """Refuse numbers that do not go together."""
+
+    def effort(self, motion: ShaftMotion) -> Array | None:
+        """Return the torque (K,) that a motion of its shaft takes because of this part [N m].
+
+        So much more the motor must give. None: the motion alone does not determine it, and what
+        asks refuses the part.
+        """
+        return None
+
+    def with_numbers(self, **values: float) -> Self:
+        """Return the part with other numbers; those that follow one keep their ratio to it."""
+        for key, one in self.numbers().items():
+            if one.follows in values and key not in values:
+                leader = getattr(self, one.follows)
+                ratio = getattr(self, key) / leader if leader > 0.0 else 1.0
+                values[key] = ratio * values[one.follows]
+        return dataclasses.replace(self, **values)
 
     def could_vary(self, joint: str) -> list[Varied]:
         """Return the numbers that a scene may list as varied."""

@@ -24,7 +24,7 @@ class Pmsm(Motor):
     inductance_q: Annotated[float, Number("Lq", "H", above=0.0)]
     flux: Annotated[float, Number("psi", "V s", at_least=0.0)]
     pole_pairs: Annotated[int, Number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True)]
-    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {

@@ -5,8 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.friction import Friction, LinkFriction, OfRotor
 from emulator_node.parts.part import Number
+from emulator_node.parts.shaft_motion import ShaftMotion
+
+
+def stribeck_torque(coulomb: float, breakaway: float, stribeck: float, speed: Array) -> Array:
+    """Return the torque against sliding that falls from `breakaway` to `coulomb` [N m]."""
+    fallen = np.exp(-np.minimum((speed / stribeck) ** 2, 700.0))
+    torque: Array = coulomb + (breakaway - coulomb) * fallen
+    return torque
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +28,10 @@ class Stribeck(Friction):
     cxx = "Stribeck"
     told_by = ("stribeck",)
 
-    stribeck: Annotated[float, Number("vs", "rad/s", above=0.0)] = field()
+    stribeck: Annotated[float, Number("vs", "rad/s", above=0.0, sought="known")] = field()
+
+    def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        return stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ class TorqueMotor(Motor):
     command = "N m"
     limit = "torque_limit"
 
-    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0)]
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
     bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
     torque_limit: Annotated[float | None, Number("torque_limit", "N m", above=0.0)] = None
 

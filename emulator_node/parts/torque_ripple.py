@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from emulator_node.chain import Array
 from emulator_node.parts.part import Part
-from emulator_node.parts.waves import Wave, cxx_waves, read_waves
+from emulator_node.parts.shaft_motion import ShaftMotion
+from emulator_node.parts.waves import Wave, cxx_waves, read_waves, wave_sum
 from emulator_node.section import Section
 
 
@@ -15,10 +17,16 @@ class TorqueRipple(Part):
     """What a motor makes of its current goes with the angle of its rotor."""
 
     section = "motor.ripple"
+    shaft = "rotor"
     header = "torque_ripple.hpp"
     cxx = "RippledMotor"
 
     waves: tuple[Wave, ...] = ()  # of 1
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """What the motor gives less than its constants say."""
+        torque: Array = -wave_sum(self.waves, motion.angle) * motion.motor_torque
+        return torque
 
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102

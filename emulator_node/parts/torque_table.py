@@ -12,6 +12,7 @@ import numpy as np
 from emulator_node import cxx_literals
 from emulator_node.chain import Array
 from emulator_node.parts.part import Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import LARGEST, Section
 
 LEAST, MOST = 4, 256  # points
@@ -67,6 +68,16 @@ class TorqueTable(Part):
             ("end", cxx_literals.number(q[-1])),
             ("U_end", cxx_literals.number(U[-1])),
         ]
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        from scipy.interpolate import PPoly
+
+        at, q = np.array(self.angles), motion.angle
+        within = np.clip(q, at[0], at[-1])
+        if self.periodic:
+            within = at[0] + np.mod(q - at[0], at[-1] - at[0])
+        torque: Array = -PPoly(self.coefficients()[::-1], at)(within)
+        return torque
 
     def coefficients(self) -> Array:
         """Return T0 to T3 of each piece (4, pieces), by PCHIP of the table with what is beyond it.

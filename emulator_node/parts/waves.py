@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from emulator_node import cxx_literals
+from emulator_node.chain import Array
 from emulator_node.section import Section
 
 MOST = 16  # waves of a shaft
@@ -38,6 +41,22 @@ def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:
             raise section.refusal(key, "have waves of orders > 0", repr(entry))
         waves.append((float(numbers[0]), float(numbers[1]), float(numbers[2])))
     return tuple(waves)
+
+
+def wave_sum(waves: tuple[Wave, ...], angle: Array) -> Array:
+    """Return the sum of waves at angles of the shaft."""
+    total = np.zeros_like(angle)
+    for order, amplitude, phase in waves:
+        total += amplitude * np.sin(order * angle + phase)
+    return total
+
+
+def wave_slope(waves: tuple[Wave, ...], angle: Array) -> Array:
+    """Return the derivative of `wave_sum` in the angle."""
+    total = np.zeros_like(angle)
+    for order, amplitude, phase in waves:
+        total += order * amplitude * np.cos(order * angle + phase)
+    return total
 
 
 def cxx_waves(waves: tuple[Wave, ...]) -> str:

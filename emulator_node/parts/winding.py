@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
+from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
 
@@ -17,6 +21,7 @@ class Winding(Part):
     """
 
     section = "motor.winding"
+    shaft = "rotor"
     header = "winding.hpp"
     cxx = "Winding"
 
@@ -30,6 +35,10 @@ class Winding(Part):
     ] = 0.0039
     magnet_coefficient: Annotated[float, Number("beta", "1/K", at_least=-0.01, at_most=0.0)] = 0.0
     limit: Annotated[float | None, Number("limit", "degC", above=0.0, at_most=1000.0)] = None
+
+    def effort(self, motion: ShaftMotion) -> Array | None:
+        """None, unless magnets keep their strength; then heat changes the resistance alone."""
+        return None if self.magnet_coefficient else np.zeros_like(motion.t)
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.limit is not None and self.limit <= self.ambient:

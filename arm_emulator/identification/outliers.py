@@ -1,0 +1,69 @@
+"""Samples that stand out from their neighbours: found, counted, and replaced by these."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from arm_emulator.identification.measured_run import MeasuredRun
+from emulator_node.chain import Array
+from words.refusal import Refusal
+
+SIGNALS = {"tau": "torque", "q_motor": "angle"}
+NEIGHBOURS = 7  # samples, of which the middle one is judged
+AROUND = 101  # samples, whose usual distance from their neighbours is the measure
+TIMES = 12.0  # the usual distance
+# Of the signal's spread: what is smaller does no harm, and torque may jump where a joint reverses.
+LEAST = {"tau": 0.6, "q_motor": 2e-5}
+ROUNDS = 3  # since neighbours hide each other
+MOST = 0.05  # of the samples: with more it is no measurement
+
+
+def without_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
+    """Return a record without samples that stand out, and what was left out, in words.
+
+    Raises:
+        Refusal: too many of them.
+    """
+    changed, told = dict[str, Any](), list[str]()
+    for name, shown in SIGNALS.items():
+        rows = getattr(run, name).copy()
+        for j, joint in enumerate(run.joints):
+            out = np.zeros(len(rows), bool)
+            for _ in range(ROUNDS):
+                new = _outliers(rows[:, j], LEAST[name]) & ~out
+                if not new.any():
+                    break
+                out |= new
+                rows[out, j] = np.interp(run.t[out], run.t[~out], rows[~out, j])
+            count = int(out.sum())
+            if count > MOST * len(out):
+                rule = f"have outliers in at most {100 * MOST:g} % of the samples"
+                got = f"{100.0 * count / len(out):.1f} %"
+                raise Refusal(run.where, f"{shown} of {joint}", rule, got)
+            if count:
+                first = run.t[int(np.argmax(out))]
+                told.append(
+                    f"{shown} of {joint}: {count} outliers, the first at t = {first:.4g} s; "
+                    "their neighbours stand in their place"
+                )
+        changed[name] = rows
+    return dataclasses.replace(run, **changed), told
+
+
+def _outliers(signal: Array, least: float) -> Array:
+    """Return which samples are farther from their neighbours than is usual around them."""
+    # Of a smooth motion, what a parabola through the neighbours misses is next to nothing.
+    away = np.zeros_like(signal)
+    near, far = signal[1:-3] + signal[3:-1], signal[:-4] + signal[4:]
+    away[2:-2] = signal[2:-2] - (4.0 * near - far) / 6.0
+    beside = np.minimum(
+        np.abs(away), 1.5 * np.abs(signal - median_filter(signal, NEIGHBOURS, mode="nearest"))
+    )
+    usual = 1.4826 * median_filter(np.abs(away), AROUND, mode="nearest")
+    spread = float(np.quantile(signal, 0.95) - np.quantile(signal, 0.05))
+    out: Array = beside > np.maximum(TIMES * usual, least * spread)
+    return out

@@ -1,0 +1,350 @@
+"""Records with effects that the scene lacks, and spoiled ones: what identification makes of them.
+
+Of a record with an effect: whether the numbers lie within two of the deviations told, and whether
+the effect is named. Of a spoiled one: whether it is refused or warned of, with the right cause.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.identification import inertia
+from arm_emulator.identification.found import numbers_found
+from arm_emulator.identification.free_run_fit import torque_driven
+from arm_emulator.identification.measured_run import MeasuredRun, check_samples
+from arm_emulator.identification.plausibility import check_fit, looked_over
+from arm_emulator.identification.read_run import read_run
+from arm_emulator.identification.structure import FALLS, RIPPLE, RISES, WARMS, WAY
+from arm_emulator.identification.synthetic import make_record
+from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
+from arm_emulator.identification.torque_model import TorqueModel
+from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
+from bench.identification import truth as three_axis
+from bench.measure import progress
+from emulator_node.chain import Array
+from emulator_node.parts.friction import RotorFriction
+from emulator_node.parts.lugre import RotorLuGre
+from emulator_node.parts.stribeck import RotorStribeck
+from emulator_node.parts.torque_ripple import TorqueRipple
+from emulator_node.scene import Joint, Scene, could_vary, load_scene
+from emulator_node.varied_body import of_child
+from words.refusal import Refusal
+
+TITLE = "Doubtful records"
+SECONDS, PERIOD = 10.0, 4e-3
+ANGLE_NOISE, TORQUE_NOISE = 2e-6, 0.03
+LOW_PASS = 10.0
+OFF = 0.15  # share by which the machine that is recorded differs from the scene
+TRUST = 0.3
+SIGMAS = 2.0
+SEED = 0  # of the spoiled records
+
+
+def ur5() -> Scene:
+    """Return the arm with friction at its rotors that sticks, and rigid gears."""
+    friction = {"viscous": 3e-4, "coulomb": 0.03}
+    overrides: dict[str, Any] = {"joints.*.friction": None, "joints.*.encoder": None}
+    overrides |= {f"joints.{j}.motor.friction": friction for j in load_scene("ur5").joint_names}
+    overrides |= {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
+    overrides |= {"joints.*.brake": None, "joints.*.end_stops": None}
+    return load_scene("ur5", overrides)
+
+
+def kuka() -> Scene:
+    """Return the machine whose real records are at hand, as published."""
+    return load_scene(DATA / "given.yaml")
+
+
+MACHINES: dict[str, Callable[[], Scene]] = {
+    "three_axis": cache(three_axis), "ur5": cache(ur5), "kuka": cache(kuka),
+}  # fmt: skip
+
+
+def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, float]]:
+    """Return a scene with varied numbers, and values of a machine that differs from it."""
+    links = [
+        f"links.{joint.link}.{name}" for joint in scene.chain.joints for name in of_child(joint)
+    ]
+    inertias = [f"joints.{joint.name}.motor.rotor_inertia" for joint in scene.joints]
+    of_friction = [f"joints.{joint.name}.motor.friction.{key}" for joint in scene.joints
+                   for key in ("viscous", "coulomb")]  # fmt: skip
+    driven = torque_driven(scene, PERIOD, [*links, *inertias, *of_friction])
+    values = {one.name: one.value for one in driven.varied}
+    for joint in scene.chain.joints:
+        numbers = inertia.log_cholesky(joint.body)
+        moved = numbers + OFF * inertia.widths(joint.body, 1.0) * rng.standard_normal(10)
+        body = inertia.body_of(inertia.exponential(moved))
+        of = of_child(joint, body).items()
+        values |= {f"links.{joint.link}.{name}": value for name, value in of}
+    for name in inertias:
+        values[name] *= np.exp(0.5 * OFF * rng.standard_normal())
+    return driven, values
+
+
+# Effects: what a scene has more, and under which names it may go.
+
+
+def _each(scene: Scene, of: Callable[[Joint], Joint]) -> Scene:
+    return dataclasses.replace(scene, joints=tuple(of(joint) for joint in scene.joints))
+
+
+def stribeck(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Friction that falls with speed."""
+
+    def of(joint: Joint) -> Joint:
+        own = joint.rotor_friction
+        assert own is not None
+        slow = rng.uniform(0.03, 0.12) / abs(joint.gear.ratio)
+        most = rng.uniform(1.5, 2.5) * own.coulomb
+        law = RotorStribeck(viscous=own.viscous, coulomb=own.coulomb, breakaway=most, stribeck=slow)
+        return dataclasses.replace(joint, rotor_friction=law)
+
+    return _each(scene, of)
+
+
+def bristles(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Friction that builds up over a way after each reversal."""
+
+    def of(joint: Joint) -> Joint:
+        own = joint.rotor_friction
+        assert own is not None
+        way = rng.uniform(0.01, 0.04) / abs(joint.gear.ratio)
+        law = RotorLuGre(coulomb=own.coulomb, breakaway=own.coulomb, stribeck=10.0,
+                         bristle_stiffness=own.coulomb / way,
+                         bristle_damping=0.02 * own.coulomb / way)  # fmt: skip
+        viscous = RotorFriction(viscous=own.viscous)
+        return dataclasses.replace(joint, rotor_friction=viscous, extras=(*joint.extras, law))
+
+    return _each(scene, of)
+
+
+def ripple(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Torque that goes with the angle of the motor."""
+
+    def of(joint: Joint) -> Joint:
+        order = rng.uniform(10.0, 25.0) * abs(joint.gear.ratio)
+        wave = (order, rng.uniform(0.06, 0.12), rng.uniform(-3.0, 3.0))
+        return dataclasses.replace(joint, ripple=TorqueRipple(waves=(wave,)))
+
+    return _each(scene, of)
+
+
+def as_it_is(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Nothing more."""
+    return scene
+
+
+# How a scene gets an effect, and the names under which it may go.
+EFFECTS: dict[str, tuple[Callable[[Scene, np.random.Generator], Scene], tuple[str, ...]]] = {
+    "stribeck": (stribeck, (FALLS,)),
+    "hysteresis": (bristles, (WAY, RISES)),
+    "ripple": (ripple, (RIPPLE,)),
+    "temperature": (as_it_is, (WARMS,)),
+}
+RECORDS = [("three_axis", 0), ("three_axis", 1), ("ur5", 0), ("ur5", 1), ("kuka", 0)]
+
+
+def warmer(values: Mapping[str, float], share: float) -> dict[str, float]:
+    """Return what friction is at a time of the record, from 0 to 1, its mean that of `values`."""
+    lost = 0.5 * np.exp(-2.0 * share)
+    lost -= 0.25 * (1.0 - np.exp(-2.0))
+    return {
+        name: value * (1.0 + lost) for name, value in values.items() if ".friction." in name
+    }  # fmt: skip
+
+
+def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str], TorqueFit]:
+    """Identify a record with an effect.
+
+    Returns:
+        the share of the numbers within two deviations, effects named, and the fit. Without an
+        effect, "", the machine has what the scene has.
+    """
+    rng = np.random.default_rng([seed, 7])
+    scene = MACHINES[machine]()
+    driven, values = changed(scene, rng)
+    real = EFFECTS[effect][0](driven, rng) if effect else driven
+    has = {one.name for one in real.varied} & _names(real)
+    real = dataclasses.replace(real, varied=tuple(one for one in real.varied if one.name in has))
+    numbers = {name: value for name, value in values.items() if name in has}
+
+    def drift(share: float) -> Mapping[str, float]:
+        return warmer(numbers, share) if effect == "temperature" else {}
+
+    run = make_record(real, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, numbers, drift)
+    run, motion, _ = looked_over(scene, run, LOW_PASS, as_is=True)
+    model = TorqueModel(scene, (motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)), TRUST)
+    fit = fit_torques(model, motion, model.choose(["*"], "bench"))
+    inside = [
+        abs(one.value - values[one.name]) < SIGMAS * one.deviation
+        for one in numbers_found(scene, fit) if one.name in values and one.deviation > 0.0
+    ]  # fmt: skip
+    return float(np.mean(inside)), [one.name for one in fit.effects], fit
+
+
+def _names(scene: Scene) -> set[str]:
+    return {one.name for one in could_vary(scene.joints, scene.chain, ())}
+
+
+# Spoiled records: what is done to them, and which words must be in what is said.
+
+Spoiled = tuple[MeasuredRun, tuple[str, ...]]
+
+
+def spoils(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> dict[str, Spoiled]:
+    """Return a record spoiled in each way, and what must be said: one of the words."""
+    N, K = len(run.joints), len(run.t)
+    every = np.arange(N)
+    j = int(rng.integers(N))
+    i = int((j + rng.integers(1, N)) % N)
+    k = int(rng.integers(1, N - 1))
+    name, other, middle = run.joints[j], run.joints[i], run.joints[k]
+    one = np.where(every == j, 1.0, 0.0)
+    spread, ratio = run.tau.std(axis=0), np.abs(scene.gear_ratios)
+
+    def spoiled(**changes: Any) -> MeasuredRun:
+        return dataclasses.replace(run, **{"v_motor": None, "q_link": None, **changes})
+
+    def late(seconds: float, joints: Array) -> Array:
+        columns = [np.interp(run.t - seconds * s, run.t, column)
+                   for s, column in zip(joints, run.tau.T, strict=True)]  # fmt: skip
+        return np.column_stack(columns)
+
+    def swapped(rows: Array) -> Array:
+        order = every.copy()
+        order[[i, j]] = j, i
+        return rows[:, order]
+
+    def spiked(rows: Array, size: float) -> Array:
+        rows = rows.copy()
+        at = rng.choice(np.arange(5, K - 5), 20, replace=False)
+        rows[at, j] += size * rng.choice([-1.0, 1.0], 20) * rng.uniform(1.0, 3.0, 20)
+        return rows
+
+    def size(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    up = rng.choice([size(1.9, 3.2), 1.0 / size(2.0, 3.0)])
+    tau, q = run.tau, run.q_motor
+    zero = size(0.3, 1.0) * rng.choice([-1.0, 1.0])
+    return {
+        "torques scaled up": (spoiled(tau=size(1.9, 3.2) * tau), ("got torques ", "with torques ")),
+        "torques scaled down": (spoiled(tau=tau / size(2.0, 3.2)),
+                                ("got torques ", "with torques ")),
+        "one torque scaled up": (spoiled(tau=tau * (1.0 + one * size(1.0, 2.5))),
+                                 (f"scale of the torques of {name}",)),
+        "one torque scaled": (spoiled(tau=tau * np.where(every == j, up, 1.0)),
+                              (f"scale of the torques of {name}",)),
+        "one angle scaled": (spoiled(q_motor=q * (1.0 + one)), (f"scale of the angles of {name}",)),
+        "time halved": (spoiled(t=0.5 * run.t), ("time base",)),
+        "time doubled": (spoiled(t=2.0 * run.t), ("time base",)),
+        "time in ms": (spoiled(t=1e3 * run.t), ("t must be in s",)),
+        "torques late": (spoiled(tau=late(size(0.015, 0.05), np.ones(N))), (" late",)),
+        "one torque late": (spoiled(tau=late(size(0.03, 0.06), one)), (" late",)),
+        "torque outliers": (spoiled(tau=spiked(tau, 3.0 * spread[j])), (f"{name}: 2", "outliers")),
+        "angle outliers": (spoiled(q_motor=spiked(q, 0.02)), (f"{name}: 2", "outliers")),
+        "angle zero": (spoiled(q_motor=q + np.where(every == k, zero, 0.0)),
+                       (f"zero of {middle}'s angle",)),
+        "torque zero": (spoiled(tau=tau + one * size(0.6, 1.5) * spread),
+                        (f"zero of {name}'s torque", "offset")),
+        "degrees": (spoiled(q_motor=np.degrees(q)), ("deg, told as rad",)),
+        "N mm": (spoiled(tau=1e3 * tau), ("N mm", "1e+03 times")),
+        "at the links": (spoiled(tau=tau / ratio), ("at the links",)),
+        "torques swapped": (spoiled(tau=swapped(tau)), (f"torques of {name} and {other}",
+                                                       f"torques of {other} and {name}")),
+        "torque's sign": (spoiled(tau=tau * (1.0 - 2.0 * one)), (f"{name}'s torque",)),
+        "angle's sign": (spoiled(q_motor=q * (1.0 - 2.0 * one)), (f"{name}'s angle",)),
+    }  # fmt: skip
+
+
+def said_of(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
+    """Return what identification says of a record, in words, and whether it refuses it."""
+    try:
+        check_samples(run)
+        run, motion, doubts = looked_over(scene, run, LOW_PASS)
+        model = TorqueModel(scene, (motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)), TRUST)
+        fit = fit_torques(model, motion, model.choose(["*"], "bench"))
+        check_fit(run.where, run.joints, fit.explained)
+    except Refusal as refusal:
+        return str(refusal), True
+    effects = [f"{', '.join(run.joints[j] for j in one.joints)}: {one.name}" for one in fit.effects]
+    return "; ".join([*doubts, *effects]), False
+
+
+def clean_record(machine: str, seed: int) -> tuple[Scene, MeasuredRun]:
+    """Return a scene and a record of a machine like it: of the KUKA a measured one."""
+    scene = MACHINES[machine]()
+    if machine == "kuka":
+        path = SHIPPED[seed % len(SHIPPED)]
+        return scene, read_run(path, scene, angles="deg").shifted(DELAYS)
+    driven, values = changed(scene, np.random.default_rng([seed, 3]))
+    return scene, make_record(driven, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, values)
+
+
+def run(quick: bool) -> dict[str, Any]:
+    """Measure both."""
+    effects = [(*one, effect) for effect in EFFECTS for one in RECORDS[: 1 if quick else None]]
+    machines = list(MACHINES)[: 1 if quick else None]
+    rows, spoiled = list[dict[str, Any]](), list[dict[str, Any]]()
+    with progress("records", len(effects) + 20 * len(machines)) as done:
+        for machine, seed, effect in effects:
+            share, names, _ = with_effect(machine, effect, seed)
+            named = any(one in name for one in EFFECTS[effect][1] for name in names)
+            rows.append({"machine": machine, "effect": effect, "seed": seed, "inside": share,
+                         "named": named, "names": sorted(set(names))})  # fmt: skip
+            done(f"{machine}, {effect}")
+        for machine in machines:
+            scene, record = clean_record(machine, SEED)
+            of = spoils(record, scene, np.random.default_rng([SEED, len(machine), 5]))
+            for kind, (bad, words) in of.items():
+                says, refused = said_of(scene, bad)
+                right = any(word in says for word in words)
+                spoiled.append({"machine": machine, "kind": kind, "refused": refused,
+                                "right": right, "says": says})  # fmt: skip
+                done(f"{machine}, {kind}")
+    return {"effects": rows, "spoiled": spoiled}
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section."""
+    rows, spoiled = figures["effects"], figures["spoiled"]
+    well = sum(one["inside"] >= 0.9 for one in rows)
+    named = sum(one["named"] for one in rows)
+    good = sum(one["inside"] >= 0.9 or one["named"] for one in rows)
+    text = (
+        f"Of {len(rows)} records with an effect that the scene lacks, two deviations hold for at "
+        f"least 90 % of the numbers in {well}, the effect is named in {named}, one or the other in "
+        f"{good}.\n\n| machine | effect | within two deviations, % | named |\n|---|---|---|---|\n"
+    )
+    for one in rows:
+        sign = "yes" if one["named"] else "; ".join(one["names"]) or "no"
+        text += f"| {one['machine']} | {one['effect']} | {100 * one['inside']:.0f} | {sign} |\n"
+    right = sum(one["right"] for one in spoiled)
+    silent = sum(not one["says"] for one in spoiled)
+    text += (
+        f"\nOf {len(spoiled)} spoiled records the right cause is named in {right}; of {silent} "
+        "nothing is said.\n"
+    )
+    for one in spoiled:
+        if not one["right"]:
+            text += f"\n- {one['machine']}, {one['kind']}: {one['says'] or 'nothing'}"
+    return text + "\n"
+
+
+def main() -> int:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    print(report(run(parser.parse_args().quick)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
