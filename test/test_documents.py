@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
+import subprocess
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
+from compiled.compiler_command import find_compiler
 from ros_shell.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -144,3 +148,99 @@ def test_tolerances_named_in_the_physics_are_those_of_the_core() -> None:
     located = (ROOT / "emulator_node" / "core" / "located.hpp").read_text()
     instant = re.search(r"kInstant = (\S+);", located)
     assert instant and f"found to {instant[1]} of the" in text
+
+
+def _constants(file: Path) -> dict[str, Any]:
+    """Return the numbers that an example assigns to names in capitals."""
+    found = {}
+    for name, value in re.findall(r"^([A-Z_]+) = ([^#\n]*)", file.read_text(), re.M):
+        found[name] = eval(value, {"math": math, "np": np, **found})
+    return found
+
+
+def test_examples_have_the_numbers_of_the_scene() -> None:
+    from emulator_node.scene import load_scene
+    from motion_controller_node.motion_config import load_motion_config
+    from servo_node.servo_config import load_servo_config
+
+    scene = load_scene("three_axis")
+    servo = load_servo_config(ROOT / "config" / "servo" / "three_axis.yaml")
+    motion = load_motion_config(ROOT / "config" / "motion" / "three_axis.yaml")
+    counts = {joint.count_angle for joint in servo.joints}
+    ratios = {joint.gear_ratio for joint in servo.joints}
+    folder = ROOT / "docs" / "examples"
+    mine = _constants(folder / "my_servo.py")
+    assert {mine["COUNT"]} == counts, "my_servo.py: COUNT"
+    assert mine["MOTION_TICKS"] * scene.servo_period == pytest.approx(motion.period)
+    volts = float(re.findall(r"(\S+) V for each radian", (folder / "my_servo.py").read_text())[0])
+    assert {mine["GAIN"]} == {volts / ratio for ratio in ratios}, "my_servo.py: GAIN"
+    assert _constants(folder / "my_motion_controller.py")["PERIOD"] == round(1e9 * motion.period)
+    unit = _constants(folder / "simulate_fmu.py")
+    assert ({unit["COUNT"]}, unit["PERIOD"]) == (counts, scene.servo_period), "simulate_fmu.py"
+    assert unit["TARGET"][1:].tolist() == list(scene.start[1:]), "simulate_fmu.py: TARGET"
+
+
+@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda"])
+def test_a_servo_has_the_data_sheet_of_its_scene(name: str) -> None:
+    scene = yaml.safe_load((ROOT / "config" / f"{name}.yaml").read_text())
+    (servo,) = yaml.safe_load((ROOT / "config" / "servo" / f"{name}.yaml").read_text()).values()
+    servo = servo["ros__parameters"]
+    assert servo["supply_voltage"] == scene["supply_voltage"], "supply"
+    assert servo["period"] == scene["servo_period"], "period"
+    assert servo["joint_names"] == list(scene["joints"]), "joints"
+    for joint, section in scene["joints"].items():
+        drive, motor = servo["joints"][joint], section["motor"]
+        wanted = {
+            **{key: motor[key] for key in ("resistance", "torque_constant", "back_emf_constant",
+                                           "rotor_inertia")},
+            "inductance": motor.get("inductance", 0.0),
+            "current_bandwidth": motor.get("current_loop", {}).get("bandwidth", 0.0),
+            "gear_ratio": section["gear"]["ratio"],
+            "counts_per_turn": section["encoder"]["counts_per_turn"],
+        }  # fmt: skip
+        for key, value in wanted.items():
+            assert drive.get(key, 0.0) == pytest.approx(value, rel=1e-9), f"{joint}: {key}"
+        if "current_limit" in motor:
+            assert drive["current_limit"] <= motor["current_limit"], f"{joint}: current_limit"
+
+
+TOLD = """#include <stdio.h>
+#include "board.h"
+#include "converters.h"
+#define AT(name) (unsigned)(uintptr_t)&name
+int main(void) {
+  for (int j = 0; j < 6; ++j)
+    printf("%u %u %u %u %u %g ", AT(ENCODER(j)), AT(ADC_JDR(j)), AT(COMPARE(j)), AT(TARGET(j)),
+           j < 4 ? AT(TIM1_ARR) : AT(TIM8_ARR), (double)adc_scale(j));
+  printf("%d %d %g", PWM_TOP, ADC_MIDDLE, (double)SUPPLY);
+}
+"""
+
+
+def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> None:
+    """Addresses and numbers of its headers, as C has them, against board.yaml and ur5."""
+    folder = ROOT / "microcontroller" / "examples" / "stm32f4_like"
+    board = yaml.safe_load((folder / "board.yaml").read_text())
+    scene = yaml.safe_load((ROOT / "config" / "ur5.yaml").read_text())
+    (tmp_path / "told.c").write_text(TOLD)
+    include = [f"-I{folder}", f"-I{ROOT / 'firmware'}"]
+    command = [*find_compiler(), "-x", "c", "-w", *include, str(tmp_path / "told.c"), "-o", "told"]
+    subprocess.run(command, check=True, cwd=tmp_path)
+    words = subprocess.run(tmp_path / "told", capture_output=True, text=True, check=True).stdout
+    *rows, top, middle, supply = map(float, words.split())
+    channels = {name: one for adc in board["adc"].values() for name, one in adc["channels"].items()}
+    for joint, row in zip(scene["joints"], np.reshape(rows, (-1, 6)).tolist(), strict=True):
+        pwm, channel = board["pwm"][joint], channels[joint]
+        wanted = [
+            *(board["encoders"][joint]["at"], channel["at"], pwm["compare"]),
+            *(board["targets"]["joints"][joint], pwm["reload"], channel["counts_per_ampere"]),
+        ]
+        assert row == wanted, f"{joint}: addresses, and counts per ampere"
+        assert (channel["offset"], 2 ** channel["bits"]) == (middle, 2 * middle), joint
+    assert supply == scene["supply_voltage"], "supply"
+    assert float(board["clock"]) / top * scene["servo_period"] % 1.0 == 0.0, (
+        "whole periods of the PWM"
+    )
+    first = (folder / "targets.csv").read_text().splitlines()[1].split(",")
+    begins = [section["start"] for section in scene["joints"].values()]
+    assert [float(one) for one in first[1:]] == begins, "targets.csv begins where ur5 does"

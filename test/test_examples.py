@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 from network import PATIENCE, network
 
 from emulator_node.scene import load_scene
@@ -69,6 +70,17 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
         with subprocess.Popen([sys.executable, str(EXAMPLES / "move_tool.py"), *words]) as sender:
             user.wait("the tool at its target", settled)
         assert sender.returncode == 0
+
+
+@pytest.mark.parametrize(
+    "words", ["", "0.4 0.5", "0.4 0.5 0.6 0.7", "0.4 O.5 0.6", "0,4 0.5 0.6", "0.4 nan 0.6"]
+)
+def test_a_target_that_is_mistyped_is_one_line(words: str) -> None:
+    command = [sys.executable, str(EXAMPLES / "move_tool.py"), *words.split()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+    rule = "move_tool: the target must be three finite numbers, x y z [m], got"
+    assert done.stderr == f"{rule} {words or 'none'}\n", done.stderr
 
 
 def test_a_motion_controller_of_ones_own_swings_the_waist(tmp_path: Path) -> None:

@@ -3,12 +3,19 @@
 For arms whose target is a position; one whose target is a pose would turn its tool upright, too.
 """
 
+import math
 import sys
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
 
-x, y, z = map(float, sys.argv[1:4])
+try:
+    x, y, z = map(float, sys.argv[1:])
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ValueError
+except ValueError:
+    got = " ".join(sys.argv[1:]) or "none"
+    sys.exit(f"move_tool: the target must be three finite numbers, x y z [m], got {got}")
 rclpy.init()
 node = rclpy.create_node("move_tool")
 publisher = node.create_publisher(PoseStamped, "tool_target", 1)

@@ -14,6 +14,8 @@ COUNT = 0.01 * 2.0 * np.pi / 1024  # rad of a joint per encoder count: gear 1/10
 GAIN = 100.0  # V/rad, at the joint
 TARGET = np.array([0.2, 0.5, 0.8])  # rad
 
+if len(sys.argv) != 2 or not sys.argv[1].endswith(".fmu"):
+    sys.exit("simulate_fmu: one FMU must be named, such as arm.fmu")
 folder = extract(sys.argv[1])
 description = read_model_description(folder)
 reference = {one.name: one.valueReference for one in description.modelVariables}
