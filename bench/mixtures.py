@@ -324,7 +324,7 @@ def push(plant: Plant, seed: int) -> None:
         plant.set_external_wrench(plant.scene.chain.joints[-1].link, ExternalWrench(force, moment))
 
 
-def _run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
+def run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
     """Return positions after each row, and what is left of the energy, of what was exchanged."""
     plant = Plant(scene)
     push(plant, seed)
@@ -351,20 +351,32 @@ def judge(seed: int) -> Verdict:
         if first.external_wrench:
             parts.append("ExternalWrench")
         rows = commands(first, seed)
-        runs: list[tuple[np.ndarray, float]] = []
         try:
-            for steps in STEPS:
-                runs.append(_run(scene(steps), seed, rows, steps))
-            verdict = _verdict(seed, parts, runs, STEPS)
-            while not (verdict.in_order and verdict.balanced) and 2 * steps <= FINEST:
-                steps *= 2
-                runs = [*runs[1:], _run(scene(steps), seed, rows, steps)]
-                verdict = _verdict(seed, parts, runs, (steps // 4, steps // 2, steps))
+            verdict, _ = converge(seed, parts, lambda steps: run(scene(steps), seed, rows, steps))
             if seed % 3 == 0:
-                verdict = replace(verdict, lanes=_lanes(scene(STEPS[1], "step"), seed, rows))
+                verdict = replace(verdict, lanes=lanes_apart(scene(STEPS[1], "step"), seed, rows))
         except Diverged as fault:
             return Verdict(seed, parts, 0.0, (0.0, 0.0), (), (), 0.0, f"Diverged: {fault.joint}")
     return verdict
+
+
+def converge(
+    seed: int, parts: list[str], run_in: Callable[[int], tuple[np.ndarray, float]]
+) -> tuple[Verdict, np.ndarray]:
+    """Run in smaller and smaller steps until order shows; return that and the finest positions.
+
+    Args:
+        seed: of the mixture.
+        parts: their names.
+        run_in: positions after each row, and what is left of the energy, by steps in a period.
+    """
+    steps, runs = STEPS[-1], [run_in(steps) for steps in STEPS]
+    verdict = _verdict(seed, parts, runs, STEPS)
+    while not (verdict.in_order and verdict.balanced) and 2 * steps <= FINEST:
+        steps *= 2
+        runs = [*runs[1:], run_in(steps)]
+        verdict = _verdict(seed, parts, runs, (steps // 4, steps // 2, steps))
+    return verdict, runs[-1][0]
 
 
 def _verdict(
@@ -375,7 +387,7 @@ def _verdict(
     return Verdict(seed, parts, order, (d[0], d[1]), tuple(left for _, left in runs), steps, 0.0)
 
 
-def _lanes(scene: Scene, seed: int, rows: np.ndarray) -> float:
+def lanes_apart(scene: Scene, seed: int, rows: np.ndarray) -> float:
     """Return by how much machines side by side differ from the same machines alone."""
     fleet, worst = Fleet(scene, LANES), 0.0
     factors = 1.0 - 0.1 * np.arange(LANES)

@@ -34,26 +34,31 @@ class Coulomb {
 
   explicit Coulomb(const Numbers<S, X>& numbers) : n(numbers) {}
 
-  // Let friction be that at x.
-  void take([[maybe_unused]] const State<S, X>& x, [[maybe_unused]] const X* u) {
+  // Let friction be that at x, where modes(drive, j, lane) are those of the drives.
+  template <class ModesOf>
+  void take([[maybe_unused]] const State<S, X>& x, [[maybe_unused]] const X* u,
+            [[maybe_unused]] const ModesOf& modes) {
     if constexpr (varies) {
       for (int lane = 0; lane < kWidth<X>; ++lane)
         n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-          const auto at = input_in_lane(drive, j, x, u[j], lane);
-          set_lane(of.Dc[j], lane, drive.sliding(at));
-          set_lane(of.Ds[j], lane, drive.holding(at));
+          const auto now = modes(drive, j, lane);
+          const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), now);
+          set_lane(of.Dc[j], lane, drive.sliding(at, now.held()));
+          set_lane(of.Ds[j], lane, drive.holding(at, now.held()));
           set_lane(of.dry[j], lane, drive.is_dry());
         });
     }
   }
   // Torque by which friction at y differs from that taken, against the motion of joint j [N m].
-  void add_change(const State<S, X>& y, const X* u, X* change) const {
+  template <class ModesOf>
+  void add_change(const State<S, X>& y, const X* u, const ModesOf& modes, X* change) const {
     for (int lane = 0; lane < kWidth<X>; ++lane)
       n.for_each_drive_of(lane, [&](const auto& drive, int j) {
         if (!drive.friction_varies || lane_of(X{} + select(locked[j], X{} + 1.0, X{}), lane) != 0.0)
           return;
-        const double more =
-            drive.sliding(input_in_lane(drive, j, y, u[j], lane)) - lane_of(of.Dc[j], lane);
+        const auto now = modes(drive, j, lane);
+        const auto at = drive.with(input_in_lane(drive, j, y, u[j], lane), now);
+        const double more = drive.sliding(at, now.held()) - lane_of(of.Dc[j], lane);
         set_lane(change[j], lane, lane_of(change[j], lane) - more * lane_of(direction[j], lane));
       });
   }

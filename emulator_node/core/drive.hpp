@@ -152,7 +152,8 @@ struct Drive {
     return all;
   }
 
-  // Dry friction that the link feels, that of a rotor which turns with it included.
+  // Dry friction that the link feels, that of a rotor which turns with it included. It goes with
+  // the load in the modes that are given, as the load itself does.
   static constexpr bool friction_varies = LinkFriction::varies || (carries_rotor && Rotor::varies);
   constexpr bool is_dry() const {
     if constexpr (carries_rotor && Rotor::modes > 0)
@@ -160,8 +161,8 @@ struct Drive {
     return friction.is_dry();
   }
   template <class X>
-  ARM_INLINE constexpr X sliding(const Input<X>& x) const {
-    return sliding_under(x, load_on_link(x));
+  ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned held) const {
+    return sliding_under(x, load_on_link(x, held));
   }
   // The same under the torque T of the gear on its link.
   template <class X>
@@ -172,8 +173,8 @@ struct Drive {
     return dry;
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const Input<X>& x) const {
-    const X T = load_on_link(x);
+  ARM_INLINE constexpr X holding(const Input<X>& x, unsigned held) const {
+    const X T = load_on_link(x, held);
     X dry = friction.holding(T);
     if constexpr (carries_rotor && Rotor::modes > 0)
       dry += rotor.law.holding(gear.Ng * T) / magnitude(gear.Ng);
@@ -212,7 +213,8 @@ struct Drive {
   }
   // Torque of the gear on its link, which accelerates at `a` [N m].
   constexpr double gear_torque(const Input<double>& x, double a) const {
-    return load_on_link(x) - carried() * a;
+    const Modes now = modes_at(x);
+    return load_on_link(with(x, now), now.held()) - carried() * a;
   }
 
   // Energy in windings, rotor, gear and extras; and power that friction, windings, the gear's
@@ -238,11 +240,8 @@ struct Drive {
     return U;
   }
   constexpr double dissipated(const Input<double>& x, unsigned held) const {
-    double T = 0.0;  // in the modes given: at the end of a part of a step x may call for others
-    if constexpr (elastic)
-      T = gear_on_link(x, held);
-    else
-      T = load_on_link(x);
+    // In the modes given: at the end of a part of a step x may call for others.
+    const double T = load_on_link(x, held);
     double P = friction.Dv * x.v * x.v + sliding_under(x, T) * magnitude(x.v);
     if constexpr (driven) P += motor.dissipated(x.z);
     if constexpr (elastic)
@@ -425,18 +424,13 @@ struct Drive {
     else
       return gear.Ng * T;
   }
-  // Torque of the gear on its link, in the modes that x calls for; of a rigid one that which the
-  // motor gives it.
+  // Torque of the gear on its link; of a rigid one that which the motor gives it.
   template <class X>
-  ARM_INLINE constexpr X load_on_link(const Input<X>& x) const {
-    if constexpr (elastic && Gear::modes > 0) {
-      const auto mode = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
-      return gear.torque(x.z[tm], x.z[wm], x.q, x.v, X{} + mode.offset, mode.held);
-    } else if constexpr (elastic) {
-      return gear_on_link(x, 0);
-    } else if constexpr (driven) {
+  ARM_INLINE constexpr X load_on_link(const Input<X>& x, unsigned held) const {
+    if constexpr (elastic)
+      return gear_on_link(x, held);
+    else if constexpr (driven)
       return motor.torque(x.z, motor_angle(x)) / gear.Ng;
-    }
     return X{};
   }
 

@@ -315,6 +315,15 @@ class DriveTables {
     put_offsets(j, lane);
   }
   const Modes& served(int j, int lane) const { return now[lane][j]; }
+  // The same for the drive of a joint, as it counts its modes.
+  auto modes() const {
+    return [this]<class Drive>(const Drive&, int j, int lane) {
+      if constexpr (Drive::modes > 0)
+        return resized<Drive::modes>(now[lane][j]);
+      else
+        return typename Drive::Modes{};
+    };
+  }
   // Whether all joints are served in their usual modes.
   bool serves_usual() const {
     bool usual = true;

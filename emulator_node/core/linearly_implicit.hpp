@@ -173,7 +173,7 @@ class LinearlyImplicit {
   ARM_INLINE void stages_of(const State<S, X>& x, const X (&u)[row], Dynamics& links, Inputs& in,
                             Accelerations& k1) {
     for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n.carried(j); });
-    coulomb.take(x, u);
+    coulomb.take(x, u, tables.modes());
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
@@ -234,7 +234,7 @@ class LinearlyImplicit {
         },
         y.q);
     store([&](auto g) { return in[In::v].at[g] + h * in[In::k1].at[g]; }, y.v);
-    if constexpr (Coulomb<S, X>::varies) coulomb.add_change(y, u, change);
+    if constexpr (Coulomb<S, X>::varies) coulomb.add_change(y, u, tables.modes(), change);
     const auto rest = tables.rest_at(y, u);
     for_each<Tables::R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
       const Numbers there = Numbers::gather(rest.at[r]);

@@ -34,7 +34,7 @@ class Modes {
       Dynamics at = links;
       double a[N];
       torques(x, u, at, a);
-      coulomb.take(x, u);
+      coulomb.take(x, u, of_drives());
       coulomb.solve(at.M.at, x.v, a);
       friction = coulomb.modes();
     }
@@ -50,7 +50,7 @@ class Modes {
   void accelerations(const State<S>& x, const double* u, Dynamics links, double (&a)[N],
                      Friction& coulomb) const {
     torques(x, u, links, a);
-    coulomb.take(x, u);
+    coulomb.take(x, u, of_drives());
     coulomb.solve_in(friction, links.M.at, a);
   }
 
@@ -101,6 +101,9 @@ class Modes {
  private:
   const Numbers<S>* n;
 
+  auto of_drives() const {
+    return [this](const auto& drive, int j, int) { return of(drive, j); };
+  }
   bool any_locked() const {
     bool found = false;
     if constexpr (Friction::present)

@@ -91,7 +91,7 @@ class PaperScheme {
       links.M.at[j][j] += n.carried(j);
       a[j] -= links.nle[j];
     });
-    coulomb.take(x, u);
+    coulomb.take(x, u, tables.modes());
     coulomb.solve(links.M.at, x.v, a);
   }
 
