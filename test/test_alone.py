@@ -1,4 +1,4 @@
-"""Random mixtures in which each law of friction stands alone, against a solution without decisions."""
+"""Random mixtures of laws that stand alone, against a solution without decisions."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from draws import some
 from bench.alone import judge
 
 
-# 15: a gap and friction with the load, where teeth part within a step. 4: a brake and a rigid gear.
-@pytest.mark.parametrize("seed", some([15, 4, 1, 7, 23, *range(30, 60)], 2))
+# 15: a gap and friction with the load, where teeth part within a step.
+@pytest.mark.parametrize("seed", some([15, 1, 4, 7, 23, *range(30, 60)], 2))
 def test_the_motion_is_that_of_smooth_equations_and_converges_to_it(seed: int) -> None:
     verdict = judge(seed)
     broken = [name for name, holds in verdict.claims.items() if not holds]
