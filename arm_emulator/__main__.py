@@ -25,6 +25,7 @@ import argparse
 from pathlib import Path
 
 from words.config_files import ROBOTS
+from words.memory import is_want_of_memory
 from words.refusal import Refusal
 
 
@@ -37,6 +38,11 @@ def main() -> None:
             sys.exit(arguments.run(arguments))
         except Refusal as refusal:
             print(refusal, file=sys.stderr)
+            sys.exit(2)
+        except Exception as error:
+            if not is_want_of_memory(error):
+                raise
+            print(Refusal("arm_emulator", "memory", "suffice", repr(error)), file=sys.stderr)
             sys.exit(2)
     sys.exit(exit_code(ctrl_c.told, CODE))
 

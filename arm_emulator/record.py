@@ -24,6 +24,7 @@ from ros_shell.end_anyway import end_anyway
 from ros_shell.lean_executor import LeanExecutor
 from ros_shell.message_types import definition_of, message_class
 from ros_shell.recorder_presence import STATES, RecorderPresence
+from ros_shell.shared_memory import clear_left_over
 from words.refusal import Refusal
 
 LOOK_PERIOD = 0.1  # s, wall: how often new topics are looked for
@@ -61,6 +62,7 @@ def record(
     failure: Exception | None = None
     try:
         with bag, contextlib.suppress(_Ended):
+            clear_left_over()
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             node = _Recorder(bag, topics, presence.recorder, from_start, told)
             LeanExecutor(node).spin()

@@ -31,6 +31,8 @@ from ros_shell.ctrl_c import CtrlC, until_shut_down
 from ros_shell.end_anyway import end_anyway
 from ros_shell.end_with_parent import end_with_parent
 from ros_shell.lean_executor import HOUSEKEEPING, LeanExecutor
+from ros_shell.shared_memory import clear_left_over
+from words.memory import is_want_of_memory
 from words.parameters import ROS_PARAMETERS, Parameters, checked, perhaps
 from words.refusal import Refusal
 
@@ -323,6 +325,7 @@ class StartAnew(Exception):
 
 
 def _init() -> None:
+    clear_left_over()
     try:
         rclpy.init()
     except RuntimeError as error:  # rcl's, of the arguments after --ros-args
@@ -350,6 +353,11 @@ def run_node(create: Callable[[], Closable]) -> None:
                     ctrl_c.break_off_again()
     except (Refusal, ParameterException) as refusal:
         print(refusal, file=sys.stderr)
+        sys.exit(2)
+    except Exception as error:
+        if not is_want_of_memory(error):
+            raise
+        print(Refusal("node", "memory", "suffice", repr(error)), file=sys.stderr)
         sys.exit(2)
     finally:
         # A second Ctrl-C, from the terminal beside the launcher's, must not break off the ending.

@@ -1,0 +1,27 @@
+"""Little memory ends a command with one line."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+
+import pytest
+from draws import some
+
+SIZES = (400, 80, 60, 100, 160, 200, 240, 280, 320, 360, 450, 500)  # MB
+
+
+@pytest.mark.parametrize("size", some(SIZES, 3))
+def test_little_memory_is_one_line(size: int) -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (size * 10**6,) * 2)
+
+    done = subprocess.run(
+        [sys.executable, "-m", "arm_emulator", "check-scene", "three_axis"],
+        preexec_fn=limit, capture_output=True, text=True, timeout=120.0, check=False,
+    )  # fmt: skip
+    said = done.stderr.splitlines()
+    assert done.returncode in (0, 1, 2) and len(said) == bool(done.returncode), done.stderr
+    if done.returncode == 2:
+        assert said[0].startswith("arm_emulator: memory must suffice, got "), said

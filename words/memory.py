@@ -1,0 +1,19 @@
+"""Whether an error means that no memory is left: libraries say so in various ways."""
+
+from __future__ import annotations
+
+import errno
+
+_WORDS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")
+
+
+def is_want_of_memory(error: BaseException | None) -> bool:
+    """Return whether an error, or what led to it, is want of memory."""
+    while error is not None:
+        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+            return True
+        text = str(error).lower()
+        if any(words in text for words in _WORDS):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
