@@ -9,11 +9,16 @@ from itertools import pairwise
 import numpy as np
 
 from emulator_node.chain import Array
+from words.bound import EFFORT, POSITION, VELOCITY, Bound
 from words.refusal import Refusal
 
 SHORTEST = 200  # samples
 UNEVEN = 0.01  # of a sample: what clocks do
 FROZEN = 8  # equal samples in a row while a joint moves are no measurement
+BOUNDS = {
+    "q_motor": POSITION, "q_link": POSITION, "q_ref": POSITION, "v_motor": VELOCITY, "tau": EFFORT,
+}  # fmt: skip
+LATEST = 1e9  # s
 SLOWEST = 0.04  # of a joint's top speed: below it counts as standing
 
 
@@ -58,6 +63,7 @@ def check_samples(run: MeasuredRun) -> None:
     if not np.isfinite(t).all():
         at = int(np.flatnonzero(~np.isfinite(t))[0])
         raise Refusal(run.where, f"t of sample {at}", "be finite [s]", t[at])
+    Bound("t", "s", LATEST).check(run.where, [float(np.abs(t).max())])
     steps = np.diff(t)
     usual = float(np.median(steps))
     bad = np.flatnonzero(steps <= 0.0)
@@ -83,6 +89,8 @@ def check_samples(run: MeasuredRun) -> None:
                     run.where, f"{name} of {joint}", "be finite in every sample",
                     f"{column[at]} at t = {t[at]:g} s, {missing.size} of {len(column)}",
                 )  # fmt: skip
+            bound = BOUNDS[name].named(f"{name} of {joint}")
+            bound.check(run.where, [float(np.abs(column).max())])
             if name in ("q_motor", "q_link"):
                 _check_frozen(run, name, joint, column)
 
