@@ -8,8 +8,9 @@ the loop that is judged and the others held in position, then with all joints in
 A loop holds if no small motion grows with the command as it acts, and none that is faster than the
 position loop with a command that acts `GAIN` times as strongly or as weakly. (A torque by a voltage
 takes the back EMF from a data sheet: what it takes too much makes a speed grow slowly, which
-whoever commands torques sees and meets.) A torque does not hold a link up: what grows no faster
-than the arm falls with motors that give no torque, is its weight and no fault of the loop.
+whoever commands torques sees and meets.) A torque does not hold a link up, and a speed only as
+far as its integral does: what grows no faster than the arm falls with motors that give no torque,
+by a speed than a tenth of it, is its weight and no fault of the loop.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ from servo_node.servo_config import ServoConfig
 
 POSES = 4
 GAIN = 1.25
-FALLING = 1.1  # of how fast an arm falls: gears give way, too
+# Of how fast an arm falls, what a loop that does not hold it up may leave: gears give way, too; the
+# integral of a speed holds against some weight.
+FALLING = {Loop.POSITION: 0.0, Loop.SPEED: 0.1, Loop.TORQUE: 1.1, Loop.SPEED_LIMIT: 1.1}
 
 # Modes of CiA 402 by their numbers, 0x6060, and what they control.
 MODES: dict[int, tuple[str, tuple[Loop, ...]]] = {
@@ -45,7 +48,6 @@ MODES: dict[int, tuple[str, tuple[Loop, ...]]] = {
     10: ("cyclic torque", (Loop.TORQUE, Loop.SPEED_LIMIT)),
 }
 _STANDS = 1e-4  # rad per period: what turns more slowly does not swing; rounding splits poles at 1
-_BY_ITSELF = (Loop.TORQUE, Loop.SPEED_LIMIT)  # in which a link may fall
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,7 @@ class ModeLoops:
         poles = one.poles[np.abs(one.poles) > 1e-300]
         rates = np.log(poles) / self._period
         growth = rates.real[np.abs(rates) >= least].max(initial=-math.inf)
-        return float(growth) - (FALLING * falls if loop in _BY_ITSELF else 0.0)
+        return float(growth) - FALLING[loop] * falls
 
     def withheld(self) -> list[Withheld]:
         """Return the modes that do not hold, by joint and mode, each with its worst loop."""
@@ -204,7 +206,8 @@ def _scaled(plant: SampledPlant, factor: float, joint: int | None) -> SampledPla
     )
 
 
-_KNOWN: dict[tuple[str, bytes, ServoConfig], list[Withheld]] = {}
+_Key = tuple[str, bytes, tuple[float, ...], ServoConfig]
+_KNOWN: dict[_Key, list[Withheld]] = {}
 _MOST_KNOWN = 64
 
 
@@ -216,7 +219,8 @@ def withheld_modes(scene: Scene, servo: ServoConfig, plant: Plant | None = None)
     """
     if any(joint.motor is None for joint in scene.joints):
         return []
-    key = scene_unit(scene), scene.start.tobytes(), servo
+    values = tuple(one.value for one in scene.varied)
+    key = scene_unit(scene), scene.start.tobytes(), values, servo
     if key not in _KNOWN:
         while len(_KNOWN) >= _MOST_KNOWN:
             del _KNOWN[next(iter(_KNOWN))]

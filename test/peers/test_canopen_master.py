@@ -257,4 +257,4 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
         drives.period(CYCLE)
         assert worst < 0.02, "rad at the links, behind the targets"
         print(f"worst distance to the targets {worst:.4f} rad")
-    assert segment._drives.plant.save() == drives.plant.save()
+    assert segment.drives.plant.save() == drives.plant.save()

@@ -1,0 +1,45 @@
+"""The page of eigenvalues, docs/modes.md: every loop of the drives of the scenes that come along.
+
+    python -m bench.modes
+
+writes it anew.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from arm_emulator.gains import load_gains
+from arm_emulator.mode_table import mode_rows, page_table
+from emulator_node.scene import load_scene
+from words.config_files import find_scene
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "modes.md"
+SCENES = ("three_axis", "ur5", "panda")
+HEAD = """\
+# Eigenvalues of every mode
+
+    python -m arm_emulator check-scene SCENE --modes
+
+prints these tables: for each joint and each loop that a mode of its drive ([drives.md](drives.md)) can put it into, the eigenvalues of one servo period at their
+worst over four poses, with the brake open and closed. `largest` is the factor by which the fastest motion grows per period (1 is what stands or drifts, more in torque loops is the
+arm's own fall), `slowest swing` the largest of those that swing. `growth` is what is left of the fastest growth at its worst, of torques less the arm's fall, of speeds less a tenth
+of it. Modes 1 and 8 are position, 3 and 9 speed, 4 and 10 torque and torque at the speed limit, 6 position and speed. Friction that sticks, encoder steps and limits are not in them.
+`python -m bench.modes` writes this page, and a test holds it against the code.
+"""
+
+
+def table_of(name: str) -> str:
+    """Return a scene's section of the page."""
+    file = find_scene(name)
+    rows = mode_rows(load_scene(file), load_gains(file).servo)
+    return f"#### {name}\n\n{page_table(rows)}\n"
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text("\n".join([HEAD, *map(table_of, SCENES)]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
