@@ -332,6 +332,13 @@ def _parser() -> argparse.ArgumentParser:
         default=1e-4,
         help="largest error of a link on the way (rad or m, default: %(default)s)",
     )
+    advise.add_argument(
+        "--motion",
+        type=Path,
+        metavar="FILE",
+        help="to judge by: a bag, or a CSV of commands with t and the joints' names "
+        "(default: the scene's demo and motions of many kinds)",
+    )
     advise.add_argument("--write", action="store_true", help="put the result into the scene file")
     advise.set_defaults(run=_advise)
 
@@ -602,7 +609,7 @@ def _cache(arguments: argparse.Namespace) -> int:
 def _advise(arguments: argparse.Namespace) -> int:
     from arm_emulator.advise import advise_scene
 
-    return advise_scene(arguments.scene, arguments.error, arguments.write)
+    return advise_scene(arguments.scene, arguments.error, arguments.motion, write=arguments.write)
 
 
 def _tune(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`arm_emulator advise`: the cheapest scheme and step for a wanted error, on the scene's motion."""
+"""`arm_emulator advise`: the cheapest scheme, events and step for a wanted error."""
 
 from __future__ import annotations
 
@@ -12,71 +12,102 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from arm_emulator.commands import read_commands
 from arm_emulator.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.gains import load_gains
 from arm_emulator.offline import OfflineRun
-from emulator_node.advice import Motion, Setting, advise, write_integrator
+from emulator_node.advice import Advice, Judge, Setting, advise, check_error
+from emulator_node.integrator_text import write_integrator
+from emulator_node.judged_motions import FINE, Motion, judged_motions
 from emulator_node.plant import Diverged
 from emulator_node.reference import reference
 from emulator_node.scene import Scene, load_scene
+from emulator_node.true_motion import Method
 from motion_controller_node.pose import Pose
-from words.config_files import find_scene
+from words.config_files import check_own, find_scene
 from words.refusal import Refusal
 from words.yaml_file import read_yaml
 
 Array = NDArray[np.float64]
 
-SECONDS = 1.0  # of the motion, after the arm has settled
-FINE = 20  # steps per servo period while the motion is recorded
+SECONDS = 1.0  # of motions, and of the demo after the arm has settled
 
 
-def advise_scene(scene_name: str, error: float, write: bool) -> int:
+def advise_scene(scene_name: str, error: float, commands: Path | None, *, write: bool) -> int:
     """Find, show and, if asked, write the cheapest setting.
 
     Args:
         scene_name: scene file or name.
         error: largest error of a link that is wanted [rad or m].
+        commands: a bag or a table with the motion to judge by; None: the scene's demo and others.
         write: whether to put the setting into the scene file.
 
     Returns:
-        Exit code: 1 if no setting reaches the error.
+        Exit code: 1 if no setting keeps the error.
+
+    Raises:
+        Refusal: a file that is not taken, or an error that cannot be asked for.
     """
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     file = find_scene(scene_name)
-    scene = load_scene(file)
-    voltages, what = record(scene, file)
-    motion = Motion(scene, voltages)
-    with console.status(f"trying schemes and steps on {what}"):
-        settings = advise(motion, error)
-        truth, why = _truth(scene, file, voltages, error)
-        now = motion.setting(scene.integrator.scheme, scene.steps_per_period)
-        table = _table(motion, settings, now, truth)
-    console.print(f"scene {scene.name}, {what}; wanted: error <= {error:g} rad or m on the way")
-    console.print(table)
-    console.print(why)
-    if not settings:
-        console.print(f"no scheme reaches {error:g} with a step that can be tried")
-        return 1
-    best = settings[0]
-    console.print(f"cheapest: integrator: {{scheme: {best.scheme}, dt: {best.dt:.6g}}}")
+    check_error(error)
     if write:
-        write_integrator(file, best.scheme, best.dt)
+        check_own("advise", file)
+    scene = load_scene(file)
+    with console.status("leading the arm along motions"):
+        motions, what = _motions(scene, file, commands)
+    judge = Judge(scene, motions)
+    with console.status(f"trying schemes, events and steps on {what}"):
+        found = advise(judge, error)
+    console.print(f"scene {scene.name}, {what}; wanted: error <= {error:g} rad or m on the way")
+    if not found.settings:
+        console.print(f"no setting keeps it: {found.why_none}")
+        return 1
+    best = found.settings[0]
+    console.print(_table(judge, found))
+    console.print(_statement(best, len(motions)))
+    console.print(_checked(judge, file, error))
+    events = f", events: {best.method.events}" if best.method.events != "step" else ""
+    threads = f"; threads: {best.method.threads}" if scene.threads != best.method.threads else ""
+    step = f"scheme: {best.method.scheme}, dt: {best.dt:.6g}{events}"
+    console.print(f"cheapest: integrator: {{{step}}}{threads}")
+    if write:
+        write_integrator(file, best.method, best.dt)
         console.print(f"written into {file}")
     return 0
 
 
-def record(scene: Scene, file: Path) -> tuple[Array, str]:
-    """Return voltages (K, N) [V] of the scene's own motion, a row per servo period, and its name.
+def _motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Motion], str]:
+    """Return the motions to judge by, and what they are."""
+    if commands is not None:
+        rows = read_commands(commands, scene)
+        return [Motion(commands.name, rows)], f"{_seconds(scene, rows):g} s of {commands.name}"
+    try:
+        motions = judged_motions(scene, SECONDS)
+    except Diverged as fault:
+        rule = "move on its own to be judged: give a motion with --motion"
+        raise Refusal("advise", scene.where, rule, str(fault).splitlines()[0]) from None
+    what = f"{len(motions)} motions of {SECONDS:g} s"
+    demo = demo_commands(scene, file)
+    if demo is None:
+        return motions, f"{what} (it has no demo)"
+    return [*motions, Motion("demo", demo)], f"{what} and {_seconds(scene, demo):g} s of its demo"
 
-    With gains and a demo beside the scene: its demo, in closed loop, recorded
-    once on the finely integrated machine. Played back open loop, errors are those of the
-    integration, and not what the control made of them. Else sines of a quarter of the supply.
+
+def _seconds(scene: Scene, rows: Array) -> float:
+    return len(rows) * scene.servo_period
+
+
+def demo_commands(scene: Scene, file: Path) -> Array | None:
+    """Return the commands (K, N) of the scene's own demo, a row per servo period.
+
+    Recorded in closed loop, once, on the finely integrated machine. Played back open loop, errors
+    are those of the integration, and not what the control made of them. None: there is no demo, or
+    it diverges.
     """
     fine = dataclasses.replace(
         scene,
-        integrator=dataclasses.replace(
-            scene.integrator, scheme="rosenbrock", dt=scene.servo_period / FINE
-        ),
+        integrator=Method("rosenbrock", "located").integrator(scene, FINE),
         threads=1,
     )
     rows: list[Array] = []
@@ -85,7 +116,7 @@ def record(scene: Scene, file: Path) -> tuple[Array, str]:
         plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
         run = OfflineRun(fine, gains.servo, gains.motion)
     except Refusal:
-        return _sines(scene), "sines of a quarter of the supply voltage for 1 s (it has no demo)"
+        return None
     R_WT, p_WT = run.controller.kinematics.forward(scene.start)
     settle = plan.settle_ns / NANOSECONDS
     run.instructor.add(plan.settle_ns, Pose(p_WT + plan.displacement, R_WT))
@@ -94,42 +125,48 @@ def record(scene: Scene, file: Path) -> tuple[Array, str]:
             run.advance(1)
             rows.append(run.session.voltage)
     except Diverged:
-        return _sines(scene), "sines of a quarter of the supply voltage for 1 s (its demo diverges)"
-    return np.array(rows), f"{settle + SECONDS:g} s of its demo"
+        return None
+    return np.array(rows)
 
 
-def _sines(scene: Scene) -> Array:
-    j = np.arange(len(scene.joints))
-    t = scene.servo_period * np.arange(math.ceil(SECONDS / scene.servo_period))[:, None]
-    out: Array = 0.25 * scene.supply_voltage * np.sin(2.0 * np.pi * (0.5 + 0.1 * j) * t + j)
-    return out
+def _statement(best: Setting, motions: int) -> str:
+    """Return what the errors of the table are worth."""
+    if math.isinf(best.others):
+        return "errors: a bound for what was judged; of other motions nothing is known"
+    return (
+        f"errors: a bound for the {motions} motions judged; for others of their kinds an estimate, "
+        f"with a reserve of {best.others / best.error:.1f}"
+    )
 
 
-def _truth(scene: Scene, file: Path, voltages: Array, error: float) -> tuple[Array | None, str]:
-    """Return the motion by the independent reference, (K, N), or None and why there is none."""
+def _checked(judge: Judge, file: Path, error: float) -> str:
+    """Return how far the truth of the last motion is from an independent solution, if any."""
+    scene, motion, truth = judge.scene, judge.motions[-1], judge.truth(len(judge.motions) - 1)
     payload: Any = read_yaml(file).get("payload")
     # Per step of the reference, of which there are some thousand: far below the error it judges.
     rtol = max(1e-4 * error, 1e-11)
     try:
-        truth = reference(scene, voltages, scene.servo_period, rtol, payload=payload)
+        q = reference(scene, motion.commands, scene.servo_period, rtol, payload=payload)
     except Refusal as reason:
-        return None, f"no reference for this scene: {reason}"
-    told = "on Pinocchio's dynamics (emulator_node/reference.py)"
-    return truth, f"reference: SciPy at {rtol:.0e} {told}"
+        return f"no independent solution: {reason}"
+    off = float(np.abs(q - truth.q).max())
+    return f"SciPy at {rtol:.0e} on Pinocchio's dynamics: {off:.1e} from the truth of {motion.name}"
 
 
-def _table(motion: Motion, settings: list[Setting], now: Setting, truth: Array | None) -> Table:
+def _table(judge: Judge, found: Advice) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("")
-    table.add_column("scheme")
-    for name in ("dt [s]", "estimate", "reference says", "us per second"):
+    table.add_column("setting")
+    for name in ("dt [s]", "error, judged", "others", "us per second"):
         table.add_column(name, justify="right")
-    labels = ["cheapest", *[""] * (len(settings) - 1)] if settings else []
-    for label, one in [*zip(labels, settings, strict=True), ("now", now)]:
-        steps = round(motion.scene.servo_period / one.dt)
-        q = motion.q(one.scheme, steps)
-        off = "-" if truth is None or q is None else f"{np.abs(q - truth).max():.2e}"
-        estimate = f"{one.estimate:.2e}" if math.isfinite(one.estimate) else "diverges"
-        cost = f"{one.cost * 1e6:.0f}" if math.isfinite(one.cost) else "-"
-        table.add_row(label, one.scheme, f"{one.dt:.6g}", estimate, off, cost)
+    scene = judge.scene
+    own = Method(scene.integrator.scheme, scene.integrator.events, scene.threads)
+    kept = [(one.method, round(scene.servo_period / one.dt)) for one in found.settings]
+    # All in one round of timing, so that costs can be compared.
+    timed = judge.settings([*kept, (own, scene.steps_per_period)])
+    labels = ["cheapest", *[""] * (len(kept) - 1), "now"]
+    for label, one in zip(labels, timed, strict=True):
+        errors = (f"{x:.2e}" if math.isfinite(x) else "-" for x in (one.error, one.others))
+        cost = f"{one.cost * 1e6:.0f}" if math.isfinite(one.cost) else "diverges"
+        table.add_row(label, str(one.method), f"{one.dt:.6g}", *errors, cost)
     return table

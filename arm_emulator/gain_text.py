@@ -7,6 +7,7 @@ from pathlib import Path
 import yaml
 
 from servo_node.servo_config import ServoConfig, load_servo_config
+from words.config_files import check_own
 from words.refusal import Refusal
 from words.text_file import read_text
 from words.yaml_edit import edited
@@ -20,9 +21,10 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
     """Put the gains of `servo` into its parameter file, in place of those that are there.
 
     Raises:
-        Refusal: a file that is not writable, or that says the same for several joints at once, as
-            with anchors. Nothing is written then.
+        Refusal: a file that came along, that is not writable, or that says the same for several
+            joints at once, as with anchors. Nothing is written then.
     """
+    check_own("tune", file)
     new = _replaced(read_text(file, MOST_BYTES), servo)
     trial = file.with_name(f".{file.name}")
     try:

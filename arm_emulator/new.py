@@ -25,6 +25,7 @@ from emulator_node.scene import Scene, load_scene
 from motion_controller_node.kinematics import Kinematics
 from servo_node.design import design
 from servo_node.servo_config import JointServo, ServoConfig
+from words.config_files import check_own
 from words.refusal import Refusal
 from words.urdf_text import parse_urdf
 
@@ -127,7 +128,7 @@ def write_new(
         force: whether to write over files that are there.
 
     Raises:
-        Refusal: a robot that cannot be emulated, or files that are there already.
+        Refusal: a robot that cannot be emulated, or files that are there already, or came along.
     """
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
@@ -137,6 +138,7 @@ def write_new(
     file = folder / f"{name}.yaml"
     for place in PLACES:
         there = folder / place.format(name)
+        check_own("new", there)
         if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)

@@ -14,7 +14,7 @@ from arm_emulator.gains import check_joints
 from arm_emulator.tuned import Range, Tuned, compute, examine, link_inertias, predicted_swing
 from emulator_node.scene import Scene, load_scene
 from servo_node.servo_config import ServoConfig, load_servo_config
-from words.config_files import find_beside, find_scene
+from words.config_files import check_own, find_beside, find_scene
 from words.refusal import Refusal
 from words.yaml_file import read_yaml
 
@@ -35,6 +35,8 @@ def tune(scene_name: str, out: Path | None, payload: float | None, *, write: boo
     console = Console(highlight=False, soft_wrap=True)
     file = find_scene(scene_name)
     servo_file = find_beside(file, "servo")
+    if write:
+        check_own("tune", servo_file)
     has = read_yaml(file).get("payload") is not None
     loaded = {} if payload is None else {"payload.mass": payload}
     scene = load_scene(file, loaded)

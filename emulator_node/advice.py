@@ -1,215 +1,266 @@
-"""Which scheme and step are the cheapest for a wanted error, found by step doubling.
+"""Which scheme, events and step are the cheapest for a wanted error.
 
-Take the motion with n steps per servo period, with 2 n, 4 n, ... The differences d(n) between two
-of them in a row sum up to the error of the first:
-
-    error(n) <= d(n) + d(2 n) + d(4 n) + ...
-
-The first two terms are measured; the others are taken as a geometric series, whose ratio is that of
-the first two, within what the scheme's order and good sense allow.
+Every setting is compared with the true motion (emulator_node/true_motion.py) on each of some
+motions, and the error of that truth is added: the largest error is a bound for these motions. For
+others of their kinds it is an estimate, by how far apart the errors on these motions are.
 """
 
 from __future__ import annotations
 
-import dataclasses
+import math
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from pathlib import Path
+from functools import cached_property
 
 import numpy as np
-import yaml
 
 from emulator_node.chain import Array
+from emulator_node.judged_motions import Motion
 from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import SCHEMES, Scene, load_scene
+from emulator_node.scene import EVENTS, SCHEMES, Scene, odds
+from emulator_node.true_motion import (
+    FINEST,
+    OTHERWISE,
+    Method,
+    Runs,
+    Truth,
+    find_truth,
+    is_confirmed,
+)
 from words.refusal import Refusal
-from words.text_file import read_bytes
-from words.yaml_edit import edited
-from words.yaml_file import MOST_BYTES
 
 ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
-# Of the differences. They may stay for a while what they are where a fast motion is not resolved,
-# such as the ringing of a stiff gear; they do not sum up then.
-SLOWEST_DECAY = 0.8
+SHARE = 0.05  # of the error asked for, which the truth may be off
+LOOK = 4  # steps per servo period at which it is seen whether there are events
+SPACING = 1.04  # between numbers of steps that are tried
+ROUNDS = 7  # of timing
+DEARER = 2.0  # than the cheapest by times that were taken in passing: not tried any further
+LEAST_RESERVE = 5.0
+ENOUGH = 12  # motions, for an estimate of others
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A scheme at a step, what it costs and how far it is from the truth."""
+    """A method at a step, what it costs and how far it is from the truth."""
 
-    scheme: str
+    method: Method
     dt: float  # s
-    estimate: float  # rad or m, largest error of a link on the way, by step doubling
+    error: float  # rad or m, largest of a link on the way: a bound for the motions judged
+    others: float  # rad or m, the same for other motions of these kinds: an estimate; inf: unknown
     cost: float  # s, wall per simulated second
 
 
-class Motion:
-    """One motion of a scene, open loop, with any scheme and step.
+@dataclass(frozen=True)
+class Advice:
+    """What was found for an error.
 
-    Args:
-        scene: the machine; its own integrator plays no part.
-        voltages: (K, N) [V], each row held over a servo period.
+    Attributes:
+        settings: each method's cheapest, the cheapest of all first; empty: none keeps the error.
+        why_none: why there are no settings.
     """
 
-    def __init__(self, scene: Scene, voltages: Array) -> None:
-        self.scene = scene
-        self.voltages = np.ascontiguousarray(voltages)
-        self.seconds = len(voltages) * scene.servo_period
-        self._done: dict[tuple[str, int], Array | None] = {}
-
-    def plant(self, scheme: str, steps: int) -> Plant:
-        """Return the machine with `steps` steps per servo period."""
-        integrator = dataclasses.replace(
-            self.scene.integrator, scheme=scheme, dt=self.scene.servo_period / steps
-        )
-        return Plant(dataclasses.replace(self.scene, integrator=integrator, threads=1))
-
-    def q(self, scheme: str, steps: int) -> Array | None:
-        """Return link positions after each period (K, N) [rad or m]; None if it diverges."""
-        if (scheme, steps) not in self._done:
-            try:
-                motion = self.plant(scheme, steps).run(self.voltages, steps)
-            except Diverged:
-                motion = None
-            self._done[scheme, steps] = motion
-        return self._done[scheme, steps]
-
-    def estimate(self, scheme: str, steps: int) -> float:
-        """Return the error by step doubling; infinite where the motion diverges."""
-        runs = [q for factor in (1, 2, 4) if (q := self.q(scheme, factor * steps)) is not None]
-        if len(runs) < 3:
-            return float("inf")
-        first, second = (float(np.abs(one - other).max()) for one, other in pairwise(runs))
-        if second == 0.0:
-            return first
-        ratio = max(second / first, 0.5 ** ORDERS[scheme]) if first > 0.0 else SLOWEST_DECAY
-        return first + second / (1.0 - min(ratio, SLOWEST_DECAY))
-
-    def cost(self, scheme: str, steps: int) -> float:
-        """Return the wall time per simulated second [s], the least of some runs."""
-        plant, best = self.plant(scheme, steps), float("inf")
-        for _ in range(5):
-            plant.reset()
-            started = time.perf_counter()
-            plant.run(self.voltages, steps)
-            best = min(best, time.perf_counter() - started)
-        return best / self.seconds
-
-    def setting(self, scheme: str, steps: int) -> Setting:
-        """Return what a scheme gives and costs at one step."""
-        dt, estimate = self.scene.servo_period / steps, self.estimate(scheme, steps)
-        cost = self.cost(scheme, steps) if np.isfinite(estimate) else float("inf")
-        return Setting(scheme, dt, estimate, cost)
-
-    def cheapest(self, scheme: str, error: float) -> Setting | None:
-        """Return a scheme's largest step that keeps the error; None if none within reach does.
-
-        Steps per servo period are products of 2s and 5s, so that dt is a short decimal.
-        """
-        most = MOST_STEPS / (4.0 * len(self.voltages))
-        steps = 1
-        while self.estimate(scheme, steps) > error:
-            steps *= 2
-            if steps > most:
-                return None
-        for between in round_numbers(steps // 2 + 1, steps):
-            if self.estimate(scheme, between) <= error:
-                return self.setting(scheme, between)
-        return self.setting(scheme, steps)
+    settings: list[Setting]
+    why_none: str = ""
 
 
-def advise(motion: Motion, error: float) -> list[Setting]:
-    """Return each scheme's cheapest setting for an error, the cheapest of all first.
+class Judge:
+    """Compares methods with the true motions of a scene.
 
     Args:
-        motion: on which the error is judged.
+        scene: the machine; its own integrator plays no part but for two threads.
+        motions: on which it is judged, all of them.
+    """
+
+    def __init__(self, scene: Scene, motions: Sequence[Motion]) -> None:
+        self.scene = scene
+        self.motions = tuple(motions)
+        self.runs = Runs(scene)
+        self._truths: dict[int, Truth] = {}
+        self._errors: dict[tuple[Method, int, int], float] = {}
+        self._hardest = list(range(len(self.motions)))
+
+    @property
+    def methods(self) -> list[Method]:
+        """All that the scene may be integrated by: in two threads if it is so now.
+
+        Where no motion meets an event there is nothing to locate.
+        """
+        found = []
+        for threads in sorted({1, self.scene.threads}):
+            for events in reversed(EVENTS) if self._meets_events else EVENTS[:1]:
+                for scheme in SCHEMES:
+                    one = Method(scheme, events, threads)
+                    if odds(one.integrator(self.scene, 1), threads) is None:
+                        found.append(one)
+        return found
+
+    @cached_property
+    def _meets_events(self) -> bool:
+        rows = [motion.commands for motion in self.motions]
+        pairs = ((self.runs.q(one, LOOK, row) for one in (FINEST, OTHERWISE)) for row in rows)
+        return not all(np.array_equal(one, other) for one, other in pairs)  # type: ignore[arg-type]
+
+    def error(self, method: Method, steps: int, limit: float = math.inf) -> float:
+        """Return the largest error on the motions, inf where one diverges.
+
+        Beyond `limit` that of the first motion which is beyond it will do.
+        """
+        worst = 0.0
+        for m in tuple(self._hardest):
+            one = self._error_on(method, steps, m)
+            worst = max(worst, one)
+            if one > limit:
+                # It is asked first from now on.
+                self._hardest.remove(m)
+                self._hardest.insert(0, m)
+                break
+        return worst
+
+    def _error_on(self, method: Method, steps: int, m: int) -> float:
+        key = method, steps, m
+        if key not in self._errors:
+            q, truth = self.runs.q(method, steps, self.motions[m].commands), self._truths[m]
+            off = math.inf if q is None else float(np.abs(q - truth.q).max())
+            self._errors[key] = off + truth.error
+        return self._errors[key]
+
+    def errors(self, method: Method, steps: int) -> Array:
+        """Return the error on each motion (M,)."""
+        return np.array([self._error_on(method, steps, m) for m in range(len(self.motions))])
+
+    def truth(self, m: int) -> Truth:
+        """Return the truth of a motion, by its number, as far as it is known by now."""
+        return self._truths[m]
+
+    def know_truths(self, error: float) -> str:
+        """Find the truths to a share of an error; return why that cannot be done, or nothing."""
+        for m, motion in enumerate(self.motions):
+            known = self._truths.get(m)
+            if known is not None and known.error <= SHARE * error:
+                continue
+            most = int(MOST_STEPS / len(motion.commands))
+            found = find_truth(self.runs, motion.commands, SHARE * error, most)
+            if isinstance(found, str):
+                return f"motion {motion.name}: {found}"
+            if known is None and not is_confirmed(self.runs, motion.commands, found, error, most):
+                return (
+                    f"motion {motion.name}: with events at the ends of steps it does not come "
+                    "nearer to what it is with events located"
+                )
+            self._truths[m] = found
+            self._errors = {key: one for key, one in self._errors.items() if key[2] != m}
+        return ""
+
+    def cheapest(self, method: Method, error: float, most_cost: float) -> int | None:
+        """Return the fewest steps per servo period that keep the error; None: none within reach.
+
+        Args:
+            method: of which it is asked.
+            error: on the motions judged.
+            most_cost: no setting that is expected to cost more is tried [s/s].
+        """
+        most = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
+        failed, steps = 0, 1
+        while (off := self.error(method, steps, error)) > error:
+            failed, steps = steps, _next(steps, off / error, ORDERS[method.scheme])
+            if steps > most or self.runs.least_cost(method, steps) > most_cost:
+                return None
+        for fewer in step_counts(failed + 1, steps):
+            if self.error(method, fewer, error) <= error:
+                return fewer
+        return steps
+
+    def cost(self, chosen: Sequence[tuple[Method, int]]) -> list[float]:
+        """Return wall times per simulated second [s]: of each motion the least of some rounds.
+
+        All take turns on each motion, so that a machine's changing speed is no difference.
+        """
+        plants = [(self.runs.plant(method, steps), steps) for method, steps in chosen]
+        least = np.full((len(plants), len(self.motions)), math.inf)
+        for _ in range(ROUNDS):
+            for m, motion in enumerate(self.motions):
+                for k, (plant, steps) in enumerate(plants):
+                    least[k, m] = min(least[k, m], _time(plant, steps, motion))
+        seconds = self.scene.servo_period * sum(len(motion.commands) for motion in self.motions)
+        return [float(one) / seconds for one in least.sum(axis=1)]
+
+    def settings(self, chosen: Sequence[tuple[Method, int]]) -> list[Setting]:
+        """Return what methods give and cost at so many steps per servo period."""
+        costs = self.cost(chosen)
+        found = []
+        for (method, steps), cost in zip(chosen, costs, strict=True):
+            errors = self.errors(method, steps)
+            dt, worst = self.scene.servo_period / steps, float(errors.max())
+            found.append(Setting(method, dt, worst, reserve(errors) * worst, cost))
+        return found
+
+
+def check_error(error: float) -> None:
+    """Refuse an error that cannot be asked for [rad or m]."""
+    if not 1e-11 <= error <= 1.0:
+        raise Refusal("advise", "error", "be from 1e-11 to 1 rad", error)
+
+
+def advise(judge: Judge, error: float) -> Advice:
+    """Return each method's cheapest setting for an error, the cheapest of all first.
+
+    Args:
+        judge: of the scene and its motions.
         error: largest error of a link on the way [rad or m].
 
     Raises:
         Refusal: an error that cannot be asked for.
     """
-    if not 1e-11 <= error <= 1.0:
-        raise Refusal("advise", "error", "be from 1e-11 to 1 rad", error)
-    settings = [motion.cheapest(scheme, error) for scheme in SCHEMES]
-    return sorted((s for s in settings if s is not None), key=lambda s: s.cost)
+    check_error(error)
+    why = judge.know_truths(error)
+    if why:
+        return Advice([], why)
+    kept, best = list[tuple[Method, int]](), math.inf
+    for method in judge.methods:
+        steps = judge.cheapest(method, error, DEARER * best)
+        if steps is not None:
+            kept.append((method, steps))
+            best = min(best, judge.runs.cost(method, steps))
+    if not kept:
+        return Advice([], "no step that can be tried is small enough")
+    return Advice(sorted(judge.settings(kept), key=lambda one: one.cost))
 
 
-def round_numbers(low: int, high: int) -> list[int]:
-    """Return the numbers 2^a 5^b from `low` to below `high`."""
-    found = []
-    five = 1
-    while five < high:
-        number = five
-        while number < high:
-            if number >= low:
-                found.append(number)
-            number *= 2
-        five *= 5
-    return sorted(found)
+def reserve(errors: Array) -> float:
+    """Return how much larger than the largest of some errors those of other motions may be.
 
-
-# Into the scene file
-
-
-def write_integrator(file: Path, scheme: str, dt: float) -> None:
-    """Put scheme and step into a scene file, where everything else stays as it is written.
-
-    Raises:
-        Refusal: a file that cannot be read or written, or that is built so that the change would
-            reach further; the file is as before then.
+    `LEAST_RESERVE`, or more where the largest stands out: the next one may stand out as much.
+    `python -m bench.advice` measures how often that is enough. Of few motions nothing follows for
+    others.
     """
-    before = load_scene(file)
-    # Bytes, so that line ends stay what they are.
-    text = read_bytes(file, MOST_BYTES).decode("utf-8")
-    number = np.format_float_scientific(dt, trim="0", exp_digits=1)
-    new = _replaced(text, {"scheme": scheme, "dt": number}).encode("utf-8")
-    # Tried in a file beside the scene first: the URDF is named relative to it.
-    trial = file.with_name(f".{file.stem}.advised.yaml")
+    if len(errors) < ENOUGH or not np.isfinite(errors).all():
+        return math.inf
+    second, largest = np.sort(errors)[-2:].tolist()
+    return max(LEAST_RESERVE, largest / second if second > 0.0 else 0.0)
+
+
+def _time(plant: Plant, steps: int, motion: Motion) -> float:
+    """Return how long a motion takes [s, wall]; inf where it diverges."""
+    plant.reset()
+    began = time.perf_counter()
     try:
-        try:
-            trial.write_bytes(new)
-            after = load_scene(trial)
-        finally:
-            trial.unlink(missing_ok=True)
-        wanted = dataclasses.replace(before.integrator, scheme=scheme, dt=dt)
-        if after.integrator != wanted or _rest(after) != _rest(before):
-            raise Refusal(
-                file.name,
-                "integrator",
-                "stand for itself in the file",
-                "a section that others use too",
-                f"change it by hand: scheme: {scheme}, dt: {number}",
-            )
-        file.write_bytes(new)
-    except OSError as reason:
-        raise Refusal(file.name, "file", "be writable", reason.strerror or reason) from None
+        plant.run(motion.commands, steps)
+    except Diverged:
+        return math.inf
+    return time.perf_counter() - began
 
 
-def _rest(scene: Scene) -> tuple[object, ...]:
-    """Return what of a scene has nothing to do with its integrator."""
-    return (
-        scene.name, scene.urdf, scene.tool, scene.gravity, scene.supply_voltage, scene.joints,
-        scene.servo_period, scene.threads, scene.cores,
-    )  # fmt: skip
+def _next(steps: int, off: float, order: int) -> int:
+    """Return how many steps to try where so many are `off` times too far from the truth."""
+    # Less than its order asks for: a method may be lucky, or not yet fall by its order.
+    factor = 0.7 * off ** (1.0 / order) if math.isfinite(off) else 2.0
+    return max(steps + 1, math.ceil(steps * min(max(factor, SPACING), 2.0)))
 
 
-def _replaced(text: str, values: dict[str, str]) -> str:
-    """Return YAML text with values of the section `integrator` replaced, or added at its end."""
-    root = yaml.compose(text, yaml.SafeLoader)
-    assert isinstance(root, yaml.MappingNode)
-    section = next(value for key, value in root.value if key.value == "integrator")
-    assert isinstance(section, yaml.MappingNode)
-    found = {key.value: value for key, value in section.value}
-    edits = []
-    for key, value in values.items():
-        if key in found:
-            node = found[key]
-            edits.append((node.start_mark.index, node.end_mark.index, value))
-        else:
-            first, _ = section.value[0]
-            at = first.start_mark.index
-            gap = ", " if section.flow_style else "\n" + " " * first.start_mark.column
-            edits.append((at, at, f"{key}: {value}{gap}"))
-    return edited(text, edits)
+def step_counts(low: int, high: int) -> Iterator[int]:
+    """Yield numbers of steps from `low` to below `high`, a few per cent apart."""
+    while low < high:
+        yield low
+        low = max(low + 1, round(SPACING * low))

@@ -118,6 +118,28 @@ class Joint:
         return self.current_loop.bandwidth_around(self.motor.circuit)
 
     @property
+    def torque_per_command(self) -> float:
+        """Torque of the link at rest for a unit of command, of its sign; 0 without a motor."""
+        if self.motor is None:
+            return 0.0
+        return self.motor.torque_per_command * self._volts_per_command / self.gear.ratio
+
+    def largest_command(self, supply_voltage: float) -> float | None:
+        """Return what its drive can be commanded in either direction; None: anything.
+
+        Args:
+            supply_voltage: of the scene [V].
+        """
+        largest = 0.0 if self.motor is None else self.motor.largest_command(supply_voltage)
+        return None if largest is None else largest / self._volts_per_command
+
+    @property
+    def _volts_per_command(self) -> float:
+        """What its motor gets at rest for a unit of command; 1 but behind a current loop."""
+        circuit = self.motor.circuit if self.motor and self.current_loop else None
+        return circuit.resistance if circuit else 1.0
+
+    @property
     def encoder(self) -> Encoder | None:
         """Of its motor."""
         return self.sensors.encoder

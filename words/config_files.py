@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from sysconfig import get_path
 
 from words.refusal import Refusal
 from words.text_file import why_no_file
@@ -17,8 +18,7 @@ def config_folder() -> Path:
     checkout = Path(__file__).resolve().parents[1] / "config"
     if checkout.is_dir():
         return checkout
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-        installed = Path(prefix) / "share" / "arm_emulator" / "config"
+    for installed in _installed():
         if installed.is_dir():
             return installed
     raise Refusal(
@@ -28,6 +28,30 @@ def config_folder() -> Path:
         os.environ.get("AMENT_PREFIX_PATH", "nothing"),
         "source install/setup.bash first",
     )
+
+
+def check_own(where: str, file: Path) -> None:
+    """Refuse to write over a file that came along: with the emulator or with an installed package.
+
+    Raises:
+        Refusal: it did, be it through a link.
+    """
+    real = Path(os.path.realpath(file))
+    folders = [config_folder(), *map(Path, (get_path("purelib"), get_path("platlib")))]
+    folders += _installed()
+    if real.exists() and any(real.is_relative_to(os.path.realpath(one)) for one in folders):
+        raise Refusal(
+            where,
+            f"file {file}",
+            "be one of yours, to be written into",
+            "one that came along",
+            f"a copy of it, such as `cp -r {real.parent} mine`",
+        )
+
+
+def _installed() -> list[Path]:
+    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    return [Path(prefix) / "share" / "arm_emulator" / "config" for prefix in prefixes]
 
 
 def find_config(name: str, ending: str, kind: str = ".") -> Path:

@@ -12,6 +12,7 @@ import yaml
 
 from emulator_node.chain import Body, Frame
 from emulator_node.scene import Scene, load_scene, override
+from words.config_files import check_own
 from words.refusal import Refusal
 from words.text_file import read_text
 from words.yaml_edit import edited
@@ -46,9 +47,11 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
         heading: lines to stand at its top, as comments.
 
     Raises:
-        Refusal: it cannot be written, or what is read again is not what was found.
+        Refusal: it cannot be written, or came along, or what is read again is not what was found.
     """
     urdf = file.parent / "urdf" / f"{file.stem}.urdf"
+    for one in (file, urdf):
+        check_own("identify", one)
     values: dict[str, float | str] = {name: float(f"{v:.9g}") for name, v in numbers.items()}
     values |= {"name": file.stem, "urdf": f"urdf/{urdf.name}"}
     comments = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())

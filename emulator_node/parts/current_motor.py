@@ -25,6 +25,13 @@ class CurrentMotor(Motor):
     bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
     current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
 
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return self.torque_constant
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return self.current_limit
+
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,

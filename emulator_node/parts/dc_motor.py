@@ -41,6 +41,13 @@ class DcMotor(Motor):
             return None
         return Circuit(self.resistance, self.inductance, self.back_emf_constant)
 
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return self.torque_constant / self.resistance
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return supply_voltage
+
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,

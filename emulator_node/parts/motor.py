@@ -54,3 +54,16 @@ class Motor(Part):
     def felt_at_link(self, ratio: float) -> dict[str, float]:
         """Return sizes of what the link feels of it through a gear, by what it is."""
         raise NotImplementedError
+
+    @property
+    def torque_per_command(self) -> float:
+        """Torque at rest for a unit of its command [N m/V, N m/(N m), N m/A]."""
+        raise NotImplementedError
+
+    def largest_command(self, supply_voltage: float) -> float | None:
+        """Return what it can be commanded in either direction; None: anything.
+
+        Args:
+            supply_voltage: of the scene [V].
+        """
+        raise NotImplementedError

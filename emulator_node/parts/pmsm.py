@@ -26,6 +26,13 @@ class Pmsm(Motor):
     pole_pairs: Annotated[int, Number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True)]
     rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
 
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return 1.5 * self.pole_pairs * self.flux / self.resistance
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return supply_voltage
+
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,

@@ -23,5 +23,12 @@ class TorqueMotor(Motor):
     bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
     torque_limit: Annotated[float | None, Number("torque_limit", "N m", above=0.0)] = None
 
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return 1.0
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return self.torque_limit
+
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {"rotor inertia": self.rotor_inertia / ratio**2}

@@ -1,0 +1,238 @@
+"""What `advise` says, held against brute force and against motions that it has not seen.
+
+    python -m bench.advice --count 20
+
+Each scene is a random chain of one or two links: with dry friction, with play, with limits, with
+synchronous motors, with motors that are commanded torques or currents, in turns. For each error
+that is asked for, claims of the setting that is advised:
+
+- on its own motions and on five others its true error is at most what was said;
+- it costs at most 1.3 times as much as the cheapest setting that keeps the error on all of these,
+  of all schemes, events and steps.
+
+The true motions are found anew, five times as well; test/test_advice.py holds them against
+independent solutions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.console import Console
+from rich.table import Table
+
+from bench import mixtures
+from bench.measure import progress
+from bench.random_chain import moving_joints, random_chain_urdf
+from emulator_node.advice import Advice, Judge, advise, step_counts
+from emulator_node.judged_motions import KINDS, SECONDS, Leader, Motion, judged_motions
+from emulator_node.scene import Scene, load_scene
+from emulator_node.true_motion import Method
+
+CLASSES = ("friction", "play", "limits", "pmsm", "torque")
+ERRORS = (1e-3, 1e-4, 1e-5, 1e-6)  # rad or m
+OTHERS = 5
+DEARER = 1.3  # than the cheapest, at most
+MANY = 64  # times the steps that are advised, of methods whose steps may cost less
+
+Rng = np.random.Generator
+Numbers = dict[str, Any]
+
+
+def _joint(rng: Rng, kind: str) -> Numbers:
+    """Return the scene's section of a joint that has what its class is about."""
+    log = mixtures._log
+    joint: Numbers = {"friction": {"viscous": log(rng, 0.05, 0.5)}}
+    motor: Numbers = {"kind": "dc", **mixtures._dc(rng), "rotor_inertia": log(rng, 5e-5, 3e-4)}
+    gear = mixtures._elastic(rng) if rng.random() < 0.5 else mixtures._gear(rng)
+    dry = mixtures._friction(rng, log(rng, 0.2, 2.0), 1.3, 0.1, log(rng, 0.05, 0.5))
+    if kind == "friction":
+        joint["friction"] = dry
+        if rng.random() < 0.5:
+            motor["friction"] = mixtures._friction(rng, log(rng, 0.003, 0.02), 1.2, 1e-5, 5.0)
+    elif kind == "play":
+        gear = mixtures._backlash(rng)
+        if rng.random() < 0.5:
+            joint["friction"] = dry
+    elif kind == "limits":
+        motor["current_limit"] = log(rng, 2.0, 8.0)
+        joint["end_stops"] = mixtures._stops(rng)
+    elif kind == "pmsm":
+        motor = {"kind": "pmsm", **mixtures._pmsm(rng), "rotor_inertia": motor["rotor_inertia"]}
+    elif kind == "torque":
+        which = {"torque": mixtures._torque, "current": mixtures._current}
+        name = str(rng.choice(list(which)))
+        motor = {"kind": name, **which[name](rng), "rotor_inertia": motor["rotor_inertia"]}
+        if rng.random() < 0.5:
+            joint["friction"] = dry
+    return {**joint, "motor": motor, "gear": gear}
+
+
+def drawn_scene(folder: Path, seed: int) -> tuple[str, Scene]:
+    """Write a scene of one of the classes; return the class and the scene."""
+    rng, kind = np.random.default_rng([seed, 31]), CLASSES[seed % len(CLASSES)]
+    urdf = random_chain_urdf(rng, int(rng.integers(1, 3)))
+    (folder / "advised.urdf").write_text(urdf)
+    file = folder / "advised.yaml"
+    scene = {
+        "name": "advised",
+        "urdf": "advised.urdf",
+        "tool": "base",
+        "gravity": [0.0, 0.0, -9.81],
+        "supply_voltage": 24.0,
+        "joints": {name: _joint(rng, kind) for name in moving_joints(urdf)},
+        "integrator": {"dt": 1e-3},
+        "servo_period": 1e-3,
+    }
+    file.write_text(yaml.safe_dump(scene))
+    return kind, load_scene(file)
+
+
+def other_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> list[Motion]:
+    """Return motions that `advise` has not seen."""
+    rng, leader = np.random.default_rng([seed, 32]), Leader(scene, seconds)
+    kinds = [str(kind) for kind in rng.choice(list(KINDS), OTHERS)]
+    return [leader.drawn(kind, rng) for kind in kinds]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came out of one scene for one error."""
+
+    seed: int
+    kind: str
+    wanted: float  # rad or m
+    setting: str = ""
+    dt: float = 0.0  # s
+    said: float = 0.0  # rad or m, on its own motions
+    own: float = 0.0  # true
+    said_of_others: float = 0.0
+    others: float = 0.0  # true
+    cost: float = 0.0  # of the cheapest of all settings; at least what was tried of them
+    cheapest: str = ""
+    tried: int = 0
+    none: str = ""  # why no setting was advised
+
+    @property
+    def true(self) -> bool:
+        """Whether errors are what was said."""
+        return bool(self.none) or (
+            self.own <= self.said <= self.wanted and self.others <= self.said_of_others
+        )
+
+    @property
+    def cheap(self) -> bool:
+        """Whether hardly anything is cheaper."""
+        return self.cost <= DEARER
+
+
+def judge_scene(
+    seed: int, seconds: float = SECONDS, errors: Sequence[float] = ERRORS
+) -> list[Verdict]:
+    """Draw a scene and hold the claims against it, for every error."""
+    with tempfile.TemporaryDirectory() as folder:
+        kind, scene = drawn_scene(Path(folder), seed)
+        own = Judge(scene, judged_motions(scene, seconds))
+        others = Judge(scene, other_motions(scene, seed, seconds))
+        found = {wanted: advise(own, wanted) for wanted in sorted(errors, reverse=True)}
+        # All that was said is held against truths that are known five times as well.
+        fine = 0.2 * min((one for one, advice in found.items() if not advice.why_none), default=1.0)
+        why = own.know_truths(fine) or others.know_truths(fine)
+        return [
+            Verdict(seed, kind, wanted, none=advice.why_none or why)
+            if advice.why_none or why
+            else _verdict(seed, kind, wanted, advice, own, others)
+            for wanted, advice in found.items()
+        ]
+
+
+def _verdict(
+    seed: int, kind: str, wanted: float, advice: Advice, own: Judge, others: Judge
+) -> Verdict:
+    best = advice.settings[0]
+    steps = round(own.scene.servo_period / best.dt)
+    tried, cheaper = 0, list[tuple[Method, int]]()
+    for method in own.methods:
+        for fewer in step_counts(1, steps * MANY):
+            if own.runs.least_cost(method, fewer) > best.cost:
+                break  # it is not cheaper
+            tried += 1
+            if (
+                own.error(method, fewer, wanted) <= wanted
+                and others.error(method, fewer, best.others) <= best.others
+            ):
+                cheaper.append((method, fewer))
+                break
+    costs = own.cost([(best.method, steps), *cheaper])
+    k = int(np.argmin(costs))
+    method, fewer = [(best.method, steps), *cheaper][k]
+    return Verdict(
+        seed,
+        kind,
+        wanted,
+        str(best.method),
+        best.dt,
+        best.error,
+        own.error(best.method, steps),
+        best.others,
+        others.error(best.method, steps),
+        costs[0] / costs[k],
+        f"{method}, {fewer} steps",
+        tried,
+    )
+
+
+def table(verdicts: list[Verdict]) -> Table:
+    """Return what came out, a row per scene and error."""
+    out = Table(box=None, pad_edge=False)
+    for name in ("scene", "wanted", "setting", "dt [s]", "said", "true", "others: said", "true",
+                 "cost", "cheapest", "tried"):  # fmt: skip
+        out.add_column(name)
+    for one in verdicts:
+        first = f"{one.seed} {one.kind}", f"{one.wanted:.0e}"
+        if one.none:
+            out.add_row(*first, one.none)
+            continue
+        errors = (one.said, one.own, one.said_of_others, one.others)
+        out.add_row(*first, one.setting, f"{one.dt:.3g}", *(f"{x:.1e}" for x in errors),
+                    f"{one.cost:.2f}", one.cheapest, str(one.tried))  # fmt: skip
+    return out
+
+
+def main() -> int:
+    """Judge scenes; exit code 1 where a claim does not hold."""
+    parser = argparse.ArgumentParser(prog="bench.advice", description=__doc__)
+    parser.add_argument("--count", type=int, default=20, help="scenes (default: %(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of each motion")
+    parser.add_argument("--out", type=Path, default=Path("out/advice.json"))
+    arguments = parser.parse_args()
+    console, verdicts = Console(width=180), list[Verdict]()
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    with progress("advice", arguments.count) as step:
+        for seed in range(arguments.first, arguments.first + arguments.count):
+            step(f"scene {seed}")
+            verdicts += judge_scene(seed, arguments.seconds)
+            arguments.out.write_text(json.dumps([asdict(one) for one in verdicts], indent=1))
+    console.print(table(verdicts))
+    told = [one for one in verdicts if not one.none]
+    untrue, dear = [one for one in told if not one.true], [one for one in told if not one.cheap]
+    console.print(
+        f"{len(told)} of {len(verdicts)} advised: {len(untrue)} beyond what was said, "
+        f"{len(dear)} dearer than {DEARER} times the cheapest; {sum(one.tried for one in told)} "
+        f"settings tried; -> {arguments.out}"
+    )
+    return 1 if untrue or dear else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
