@@ -64,7 +64,7 @@ def advise_scene(scene_name: str, error: float, commands: Path | None, *, write:
         console.print(f"no setting keeps it: {found.why_none}")
         return 1
     best = found.settings[0]
-    console.print(_table(judge, found))
+    console.print(_table(found))
     console.print(_statement(best, len(motions)))
     console.print(_checked(judge, file, error))
     events = f", events: {best.method.events}" if best.method.events != "step" else ""
@@ -153,19 +153,15 @@ def _checked(judge: Judge, file: Path, error: float) -> str:
     return f"SciPy at {rtol:.0e} on Pinocchio's dynamics: {off:.1e} from the truth of {motion.name}"
 
 
-def _table(judge: Judge, found: Advice) -> Table:
+def _table(found: Advice) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("")
-    table.add_column("setting")
+    table.add_column("setting", no_wrap=True)
     for name in ("dt [s]", "error, judged", "others", "us per second"):
-        table.add_column(name, justify="right")
-    scene = judge.scene
-    own = Method(scene.integrator.scheme, scene.integrator.events, scene.threads)
-    kept = [(one.method, round(scene.servo_period / one.dt)) for one in found.settings]
-    # All in one round of timing, so that costs can be compared.
-    timed = judge.settings([*kept, (own, scene.steps_per_period)])
-    labels = ["cheapest", *[""] * (len(kept) - 1), "now"]
-    for label, one in zip(labels, timed, strict=True):
+        table.add_column(name, justify="right", no_wrap=True)
+    labels = ["cheapest", *[""] * (len(found.settings) - 1), "now"]
+    for label, one in zip(labels, [*found.settings, found.now], strict=True):
+        assert one is not None, "timed along with the others"
         errors = (f"{x:.2e}" if math.isfinite(x) else "-" for x in (one.error, one.others))
         cost = f"{one.cost * 1e6:.0f}" if math.isfinite(one.cost) else "diverges"
         table.add_row(label, str(one.method), f"{one.dt:.6g}", *errors, cost)

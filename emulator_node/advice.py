@@ -59,10 +59,12 @@ class Advice:
     Attributes:
         settings: each method's cheapest, the cheapest of all first; empty: none keeps the error.
         why_none: why there are no settings.
+        now: the scene's own setting, timed along with them; None where there are none.
     """
 
     settings: list[Setting]
     why_none: str = ""
+    now: Setting | None = None
 
 
 class Judge:
@@ -95,6 +97,13 @@ class Judge:
                     if odds(one.integrator(self.scene, 1), threads) is None:
                         found.append(one)
         return found
+
+    @property
+    def now(self) -> tuple[Method, int]:
+        """The scene's own method, and its steps per servo period."""
+        scene = self.scene
+        own = Method(scene.integrator.scheme, scene.integrator.events, scene.threads)
+        return own, scene.steps_per_period
 
     @cached_property
     def _meets_events(self) -> bool:
@@ -225,7 +234,8 @@ def advise(judge: Judge, error: float) -> Advice:
             best = min(best, judge.runs.cost(method, steps))
     if not kept:
         return Advice([], "no step that can be tried is small enough")
-    return Advice(sorted(judge.settings(kept), key=lambda one: one.cost))
+    *settings, now = judge.settings([*kept, judge.now])
+    return Advice(sorted(settings, key=lambda one: one.cost), now=now)
 
 
 def reserve(errors: Array) -> float:

@@ -409,7 +409,7 @@ def test_what_came_along_is_never_written_into(tmp_path: Path) -> None:
         with pytest.raises(Refusal, match="must be one of yours, to be written into"):
             write_integrator(path, Method("implicit", STEP), 5e-4)
         with pytest.raises(Refusal, match=r"identify: file .* must be one of yours"):
-            write_fitted(path, CONFIG / "three_axis.yaml", scene, {}, {}, "")
+            write_fitted(path, CONFIG / "three_axis.yaml", scene, {}, [], "")
     with pytest.raises(Refusal, match=r"tune: file .* must be one of yours"):
         tune("three_axis", None, None, write=True)
     mine = scene_copy(tmp_path)
@@ -442,6 +442,9 @@ def test_command_shows_what_errors_are_worth_and_writes(
     assert not end.value.code, "exit code"
     said = capsys.readouterr().out
     lines = said.splitlines()
+    now = next(line.split() for line in lines if line.startswith("now  "))
+    shipped = load_scene("three_axis").integrator
+    assert now[1:3] == [shipped.scheme, f"{shipped.dt:g}"], "what the scene has, beside"
     words = "scene three_axis, 28 motions of 0.2 s and 0.4 s of its demo; wanted: error <= 1e-05"
     assert lines[0].startswith(words), said
     cheapest = next(line.split() for line in lines if line.startswith("cheapest  "))
