@@ -80,6 +80,7 @@ class Judge:
         self.motions = tuple(motions)
         self.runs = Runs(scene)
         self._truths: dict[int, Truth] = {}
+        self._confirmed: dict[int, float] = {}  # the error for which each was
         self._errors: dict[tuple[Method, int, int], float] = {}
         self._hardest = list(range(len(self.motions)))
 
@@ -146,20 +147,21 @@ class Judge:
     def know_truths(self, error: float) -> str:
         """Find the truths to a share of an error; return why that cannot be done, or nothing."""
         for m, motion in enumerate(self.motions):
-            known = self._truths.get(m)
-            if known is not None and known.error <= SHARE * error:
-                continue
             most = int(MOST_STEPS / len(motion.commands))
-            found = find_truth(self.runs, motion.commands, SHARE * error, most)
-            if isinstance(found, str):
-                return f"motion {motion.name}: {found}"
-            if known is None and not is_confirmed(self.runs, motion.commands, found, error, most):
-                return (
-                    f"motion {motion.name}: with events at the ends of steps it does not come "
-                    "nearer to what it is with events located"
-                )
-            self._truths[m] = found
-            self._errors = {key: one for key, one in self._errors.items() if key[2] != m}
+            known = self._truths.get(m)
+            if known is None or known.error > SHARE * error:
+                found = find_truth(self.runs, motion.commands, SHARE * error, most)
+                if isinstance(found, str):
+                    return f"motion {motion.name}: {found}"
+                self._truths[m] = known = found
+                self._errors = {key: one for key, one in self._errors.items() if key[2] != m}
+            if error < self._confirmed.get(m, math.inf):
+                if not is_confirmed(self.runs, motion.commands, known, error, most):
+                    return (
+                        f"motion {motion.name}: with events at the ends of steps it does not come "
+                        "nearer to what it is with events located"
+                    )
+                self._confirmed[m] = error
         return ""
 
     def cheapest(self, method: Method, error: float, most_cost: float) -> int | None:
