@@ -52,6 +52,7 @@ ALONE: dict[str, Any] = {
     "joints.*.motor.friction": None,
     "joints.*.brake": None,
     "joints.*.counterbalance": None,
+    "joints.*.end_stops": None,
 }
 
 Numbers = dict[str, float]
