@@ -26,7 +26,7 @@ from analysis.servo_loop import HARMLESS, late, poses, sampled_plant
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene
 from emulator_node.scene_unit import scene_unit
-from emulator_node.stability import SmallMotions
+from emulator_node.stability import SmallMotions, contacts
 from servo_node.linear_servo import LinearServo, Loop
 from servo_node.sampled_loop import SampledLoop, SampledPlant
 from servo_node.servo_config import ServoConfig
@@ -116,9 +116,10 @@ class ModeLoops:
         self._servos = {
             loop: [LinearServo(joint, servo.period, loop) for joint in joints] for loop in Loop
         }
-        self._poses = poses(scene, POSES)
         plant = plant or Plant(scene)
-        motions = [SmallMotions(plant, q) for q in self._poses]
+        stand = [(q, loaded) for loaded in contacts(plant) for q in poses(scene, POSES)]
+        self._poses = [q for q, _ in stand]
+        motions = [SmallMotions(plant, *one) for one in stand]
         self._falls = [one.falls for one in motions]
         self._free = [sampled_plant(one, servo, servo.period) for one in motions]
         self._braked = {

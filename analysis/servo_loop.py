@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.scene_warnings import warn_of_scene
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene
-from emulator_node.stability import SmallMotions
+from emulator_node.stability import SmallMotions, contacts
 from servo_node.linear_servo import LinearServo
 from servo_node.sampled_loop import Margins, SampledLoop, SampledPlant
 from servo_node.servo_config import JointServo, ServoConfig
@@ -113,11 +114,15 @@ class ServoLoops:
         self.delay = delay = delay + late(scene)
         self.poses = poses(scene) if at is None else at
         plant = plant or Plant(scene)
-        self._motions = [SmallMotions(plant, q) for q in self.poses]
-        self.loops = self.closed(self.joints, servo.period, delay)
+        self._motions = [
+            SmallMotions(plant, q, loaded) for loaded in contacts(plant) for q in self.poses
+        ]
+        # With play first all poses with teeth in contact, then all without.
+        self._all = self.closed(self.joints, servo.period, delay)
+        self.loops = self._all[: len(self.poses)]
 
     def closed(self, joints: list[JointServo], period: float, delay: int) -> list[SampledLoop]:
-        """Return the loops, one per pose, with other gains or another period."""
+        """Return the loops with other gains or another period, one per pose, with play two."""
         servos = [LinearServo(joint, period) for joint in joints]
         return [
             SampledLoop(sampled_plant(motions, self.servo, period), servos, delay)
@@ -126,7 +131,7 @@ class ServoLoops:
 
     def margins(self) -> list[Margins]:
         """Return each joint's worst margins over the poses."""
-        every = [loop.margins() for loop in self.loops]
+        every = [loop.margins() for loop in self._all]
         return [
             Margins(
                 min(one.gain_up for one in row),
@@ -140,12 +145,19 @@ class ServoLoops:
 
     def unstable(self) -> Unstable | None:
         """Return what grows fastest, None where all small motions die away or only drift."""
-        period = self.servo.period
-        worst = max(range(len(self.loops)), key=lambda k: self.loops[k].radius)
-        loop = self.loops[worst]
-        if growth(loop, period) <= HARMLESS:
+        beyond = self._beyond(self._all, self.servo.period)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= HARMLESS:
             return None
-        return Unstable(loop.loudest(), worst, loop.radius, *self._what_holds(loop.loudest()))
+        loop = self._all[worst]
+        pose = worst % len(self.poses)
+        return Unstable(loop.loudest(), pose, loop.radius, *self._what_holds(loop.loudest()))
+
+    def _beyond(self, loops: list[SampledLoop], period: float) -> list[float]:
+        """Return how fast small motions grow [1/s], beyond the fall of links that hang in play."""
+        held = len(self.poses)
+        falls = [one.fastest if k >= held else 0.0 for k, one in enumerate(self._motions)]
+        return [growth(loop, period) - fall for loop, fall in zip(loops, falls, strict=True)]
 
     def _what_holds(self, joint: int) -> tuple[JointServo | None, float | None]:
         softer = self.joints[joint]
@@ -182,7 +194,7 @@ class ServoLoops:
             loops = self.closed(joints, period, self.delay)
         except Refusal:
             return False
-        return all(growth(loop, period) <= HARMLESS for loop in loops)
+        return all(beyond <= HARMLESS for beyond in self._beyond(loops, period))
 
 
 @dataclass(frozen=True)
@@ -228,11 +240,12 @@ def slower(joint: JointServo, share: float, period: float) -> JointServo:
 
 
 def warn_of_loops(scene: Scene, servo: ServoConfig) -> None:
-    """Print what `check_loops` has to say to stderr.
+    """Print the warnings of a scene, and what `check_loops` finds, to stderr.
 
     Raises:
         Refusal: see `check_loops`.
     """
+    warn_of_scene(scene)
     for line in check_loops(scene, servo):
         print(f"warning: {line}", file=sys.stderr)
 

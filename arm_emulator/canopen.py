@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from analysis.mode_loops import withheld_words
+from analysis.scene_warnings import warn_of_scene
 from arm_emulator.gains import check_servo, load_gains
 from emulator_node.plant import Plant
 from emulator_node.scene import load_scene
@@ -29,6 +30,7 @@ def load_segment(scene_name: str, first: int = 1, *, lockstep: bool = True) -> S
     """
     file = find_scene(scene_name)
     scene, servo = load_scene(file), load_gains(file).servo
+    warn_of_scene(scene)
     check_servo(scene, servo)
     return Segment(Drives(Plant(scene), servo, CANOPEN), first, lockstep=lockstep)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from analysis.mode_loops import withheld_modes, withheld_words
+from analysis.scene_warnings import warn_of_scene
 from analysis.servo_loop import warn_of_loops
 from arm_emulator.gains import check_fit, check_servo, load_gains, warn_of_gravity
 from arm_emulator.mode_table import mode_rows, page_table
@@ -30,6 +31,7 @@ def check_scene(name: str) -> str:
         except Refusal as reason:
             missing.append(f"no {kind} parameters: they must {reason.rule}")
     if missing:
+        warn_of_scene(scene)
         return "; ".join((line, *missing))
     gains = load_gains(file)
     check_fit(scene, gains.servo, gains.motion)

@@ -30,11 +30,11 @@ from arm_emulator.demo_plan import DemoPlan
 from arm_emulator.demo_safety import tell_safety
 from arm_emulator.fig4 import draw_fig4
 from arm_emulator.gains import Gains, check_fit, load_gains
+from arm_emulator.predicted_rest import Arrival, PredictedRest, predicted_rest
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.scene import Scene, load_scene
 from motion_controller_node.controller import Controller, controller_for
 from motion_controller_node.pose import Pose
-from motion_controller_node.predicted_residual import PredictedResidual, predicted_residual
 from ros_shell.node_shell import (
     COMMAND_QOS,
     NANOSECONDS,
@@ -48,6 +48,7 @@ from words.refusal import Refusal
 
 Array = NDArray[np.float64]
 
+LATELY = 20  # the last of so many parts of the instructions, and of a prediction's radius
 PATIENCE = 120.0  # s, wall: for what the nodes do within a second or two on an idle machine
 
 
@@ -57,7 +58,6 @@ class DemoResult:
 
     deviations: Array  # m (K + 1, 3): target minus tool before instruction 0 .. K
     rotations: Array  # rad (K + 1,): angle between tool and target
-    predicted: PredictedResidual
     real_time_factor: float
     arrived: Array  # rad (N,), the joints at the end
 
@@ -71,6 +71,7 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
     check_fit(scene, gains.servo, gains.motion)
     warn_of_loops(scene, gains.servo)
     plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
+    predicted = _predict(scene, gains, plan, console)
     out.mkdir(parents=True, exist_ok=True)
     # A domain of its own, so that a network that is already running is not disturbed.
     with own_domain(unless_named=True) as domain:
@@ -92,14 +93,40 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
     unclean = {name: code for name, code in codes.items() if code != 0}
     if unclean:
         console.print(f"[red]not ended cleanly: {unclean}, see {out / 'log'}")
-    _tell(scene, clock, result, out, console)
+    _tell(scene, clock, predicted, result, out, console)
     return 1 if unclean else 0
+
+
+def _predict(
+    scene: Scene, gains: Gains, plan: DemoPlan, console: Console
+) -> PredictedRest | Refusal:
+    """Return, and print, where the tool will rest, or why nobody knows."""
+    try:
+        predicted = predicted_rest(scene, gains, plan)
+    except Refusal as reason:
+        console.print(f"no prediction: {reason}")
+        return reason
+    console.print(f"predicted residual (mm)   {_row(predicted.centre[:3])}")
+    console.print(f"give or take (mm)         {_row(predicted.within[:3])}   (+-)")
+    console.print(f"so within                 {predicted.radius * 1e3:.4f} mm of that")
+    if predicted.arrival is Arrival.UNREACHABLE:
+        left = float(np.linalg.norm(predicted.reference[:3])) * 1e3
+        console.print(f"the target is out of reach: motion control ends {left:.4f} mm from it")
+    if predicted.arrival is Arrival.NOT_YET:
+        console.print(f"motion control takes more than {plan.instructions} instructions")
+    return predicted
+
+
+def _row(values: Array) -> str:
+    return "  ".join(
+        f"{axis} {value * 1e3:+9.4f}" for axis, value in zip("xyz", values, strict=False)
+    )
 
 
 def _run(
     scene: Scene, gains: Gains, plan: DemoPlan, network: Bringup, console: Console
 ) -> DemoResult:
-    motion, servo = gains.motion, gains.servo
+    motion = gains.motion
     controller = controller_for(scene.urdf, scene.joint_names, motion)
     period_ns = round(motion.period * NANOSECONDS)
     R_WT, p_WT = controller.kinematics.forward(scene.start)
@@ -134,13 +161,9 @@ def _run(
     finally:
         observer.destroy_node()
     logical = (plan.settle_ns + plan.instructions * period_ns) / NANOSECONDS
-    count_angle = servo.count_angles(scene.joint_names)
-    wind_up = scene.wind_up(observer.gear_torque)
-    predicted = predicted_residual(controller, observer.q[-1], count_angle, wind_up)
     return DemoResult(
         deviations=np.array([observer.deviation(k) for k in range(len(observer.q))]),
         rotations=np.array([observer.rotation(k) for k in range(len(observer.q))]),
-        predicted=predicted,
         real_time_factor=logical / wall,
         arrived=observer.q[-1],
     )
@@ -154,7 +177,6 @@ class _Observer(Node):
     ) -> None:
         super().__init__("demo")
         self.q: list[Array] = []  # true joint angles at each instruction
-        self.gear_torque = np.zeros(len(controller.kinematics.joint_names))
         self.answered = False
         self.target_taken = False
         self._kinematics, self._target = controller.kinematics, target
@@ -240,50 +262,67 @@ class _Observer(Node):
         expected = self._start_ns + len(self.q) * self._period_ns
         if now == expected:
             self.q.append(np.array(truth.position))
-            self.gear_torque = np.array(truth.effort)
         elif now > expected:
             raise Refusal("demo", "emulator/joint_states", "come without a gap", f"t = {now} ns")
 
 
-def _tell(scene: Scene, clock: str, result: DemoResult, out: Path, console: Console) -> None:
-    deviations, predicted = result.deviations, result.predicted
+def verdict(predicted: PredictedRest, deviations: Array) -> str:
+    """Return in words how the tool came to rest, by its deviations before each instruction."""
+    residual = deviations[-1]
+    if predicted.contains(residual):
+        if predicted.arrival is Arrival.UNREACHABLE:
+            return "the target is out of reach, and the residual is within the prediction"
+        return "the residual is within the prediction"
+    before = deviations[-1 - max(1, len(deviations) // LATELY)]
+    moving = float(np.linalg.norm(residual - before)) > predicted.radius / LATELY
+    if predicted.arrival is Arrival.NOT_YET or moving:
+        return "the tool is [red]not yet there[/red]: it still moves"
+    return "the residual is [red]outside[/red] the prediction"
+
+
+def _tell(
+    scene: Scene,
+    clock: str,
+    predicted: PredictedRest | Refusal,
+    result: DemoResult,
+    out: Path,
+    console: Console,
+) -> None:
+    deviations = result.deviations
     residual = deviations[-1]
     draw_fig4(
         deviations,
-        predicted.total[:3],
+        predicted.total[:3] if isinstance(predicted, PredictedRest) else np.zeros(3),
         out / "fig4.png",
         title=f"{scene.name}: deviation of the tool from its target",
     )
     start = float(np.linalg.norm(deviations[0]))
     distance = np.linalg.norm(deviations, axis=1)
     below = np.flatnonzero(distance < 0.01 * start)
-    inside = bool(np.all(np.abs(residual - predicted.wind_up[:3]) <= predicted.encoder[:3]))
     summary = {
         "scene": scene.name,
         "clock": clock,
         "start_mm": start * 1e3,
         "residual_mm": (residual * 1e3).tolist(),
-        "predicted_encoder_mm": (predicted.encoder[:3] * 1e3).tolist(),
-        "predicted_wind_up_mm": (predicted.wind_up[:3] * 1e3).tolist(),
-        "residual_within_prediction": inside,
         "rotation_mrad": float(result.rotations[-1] * 1e3),
         "instructions_to_1_percent": int(below[0]) if len(below) else None,
         "real_time_factor": result.real_time_factor,
         "deviations_m": deviations.tolist(),
     }
+    console.print(f"residual (mm)             {_row(residual)}")
+    if isinstance(predicted, PredictedRest):
+        summary |= {
+            "predicted_mm": (predicted.centre[:3] * 1e3).tolist(),
+            "predicted_within_mm": (predicted.within[:3] * 1e3).tolist(),
+            "predicted_radius_mm": predicted.radius * 1e3,
+            "target": predicted.arrival.value,
+            "residual_within_prediction": predicted.contains(residual),
+        }
+        console.print(verdict(predicted, deviations))
+    else:
+        summary |= {"not_predicted": str(predicted), "residual_within_prediction": None}
     (out / "demo.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
-
-    def row(values: Array) -> str:
-        return "  ".join(
-            f"{axis} {value * 1e3:+9.4f}" for axis, value in zip("xyz", values, strict=False)
-        )
-
-    console.print(f"residual (mm)             {row(residual)}")
-    console.print(f"predicted, encoders (mm)  {row(predicted.encoder[:3])}   (+-)")
-    console.print(f"predicted, wind-up (mm)   {row(predicted.wind_up[:3])}   (torque / Kg)")
-    verdict = "within" if inside else "[red]outside[/red]"
-    console.print(f"the residual is {verdict} the prediction")
-    if len(predicted.total) > 3:
+    if isinstance(predicted, PredictedRest) and len(predicted.total) > 3:
         console.print(f"orientation off by        {result.rotations[-1] * 1e3:.4f} mrad")
     if len(below):
         console.print(f"below 1 % of {start * 1e3:.1f} mm    after {below[0]} instructions")

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from analysis.mode_loops import withheld_words
+from analysis.scene_warnings import warn_of_scene
 from arm_emulator.gains import check_servo, load_gains
 from emulator_node.scene import Scene, load_scene
 from fieldbus.esi import esi
@@ -71,6 +72,7 @@ def write_esi(scene_name: str, file: Path) -> int:
 def _segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     path = find_scene(scene_name)
     scene = load_scene(path)
+    warn_of_scene(scene)
     servo = load_gains(path).servo
     check_servo(scene, servo)
     return scene, Segment(scene, servo, lockstep)

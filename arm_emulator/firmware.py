@@ -13,6 +13,7 @@ import tty
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from analysis.scene_warnings import warn_of_scene
 from arm_emulator.run_report import tell, ticks_of
 from arm_emulator.table_run import TableRun, ctrl_c_ends_at_once, off_target
 from arm_emulator.target_table import load_target_table
@@ -43,6 +44,7 @@ def run(
         Refusal: a file that is missing or not taken, or what this command needs is not installed.
     """
     scene = load_scene(find_scene(scene_name))
+    warn_of_scene(scene)
     board = load_board(board_file, scene.joint_names)
     table = None if targets is None else load_target_table(targets, scene.joint_names)
     if seconds is None:

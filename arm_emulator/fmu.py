@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from analysis.scene_warnings import warn_of_scene
 from emulator_node.scene import load_scene
 from fmu.export import TARGET, export
 
@@ -32,6 +33,7 @@ def write_fmu(
     """
     overrides: dict[str, Any] = {} if varied is None else {"varied": varied}
     scene = load_scene(scene_name, overrides)
+    warn_of_scene(scene)
     export(scene, out, target or TARGET, version, windows)
     parameters = f", {len(scene.varied)} parameters" if scene.varied else ""
     print(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from analysis.scene_warnings import warn_of_scene
 from emulator_node.real_time import RealTimeSession
 from emulator_node.scene import load_scene
 from emulator_node.session import Session
@@ -38,6 +39,7 @@ def modbus(
         raise Refusal("modbus", "station", f"be 1 to {LARGEST_STATION}", station)
     errors = LineErrors(error_rate, seed)
     scene = load_scene(scene_name)
+    warn_of_scene(scene)
     session: Session
     if clock == "realtime":
         session = RealTimeSession(scene, "first_answer")

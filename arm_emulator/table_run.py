@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from analysis.scene_warnings import warn_of_scene
 from analysis.servo_loop import warn_of_loops
 from arm_emulator.gains import check_servo, load_gains
 from arm_emulator.guarded import guarded
@@ -134,6 +135,7 @@ def load_table_run(
     scene = load_scene(file)
     targets = load_target_table(table, scene.joint_names)
     if library is not None:
+        warn_of_scene(scene)
         return TableRun(scene, targets, Firmware(library, progress)), targets
     config = load_gains(file).servo
     check_servo(scene, config)

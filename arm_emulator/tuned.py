@@ -25,7 +25,7 @@ Range = tuple[float, float]
 
 POSES = 48  # over which link inertias are looked for
 ROWS = 400  # of a step response
-SETTLE, MOVE, REST = 1.0, 1.0, 1.5  # s of the run on the machine
+SETTLE, MOVE, REST = 1.0, 1.0, 6.0  # s of the run on the machine; what sticks creeps to rest
 WATCHED = 0.75  # s of the rest
 TURN, SLIDE = 0.2, 0.05  # rad, m: the move
 _SOFTER = 0.7  # where a whole arm leaves too little margin
@@ -141,6 +141,7 @@ def data_of(joint: Joint) -> tuple[MotorData, GearData]:
             motor.rotor_inertia,
             joint.counts_per_turn,
             joint.current_bandwidth,
+            0.0 if joint.rotor_friction is None else joint.rotor_friction.viscous,
         ),
         GearData(gear.ratio, gear.stiffness, gear.damping),
     )

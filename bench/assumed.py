@@ -72,8 +72,8 @@ def assumed_of(file: Path) -> list[Assumed]:
     """Return what a scene assumes, in the order of the file.
 
     The torque constant is the constant of the back EMF, too. A gear's ratio is no number of a
-    machine but structure: r0/r of it does what motors do whose constants are r0/r times as large,
-    and their rotors (r0/r)^2 times as heavy.
+    machine but structure: r0/r of it does what motors do whose constants and dry friction are r0/r
+    times as large, and their rotors (r0/r)^2 times as heavy and as viscous.
     """
     found = [one for one in origins(file) if one.assumed is not None]
     nominal = {name: one.value for one in found for name in one.names()}
@@ -83,12 +83,13 @@ def assumed_of(file: Path) -> list[Assumed]:
         powers = {
             "motor.torque_constant": {"torque_constant": 1.0, "back_emf_constant": 1.0},
             "gear.ratio": {"torque_constant": -1.0, "back_emf_constant": -1.0,
-                           "rotor_inertia": -2.0},
+                           "rotor_inertia": -2.0, "friction.coulomb": -1.0,
+                           "friction.viscous": -2.0},
         }.get(key)  # fmt: skip
         names = [(name, 1.0) for name in one.names()]
         if powers:
-            names = [(f"joints.{joint}.motor.{of_motor}", power)
-                     for joint in one.joints for of_motor, power in powers.items()]  # fmt: skip
+            names = [(name, power) for joint in one.joints for of_motor, power in powers.items()
+                     if (name := f"joints.{joint}.motor.{of_motor}") in nominal]  # fmt: skip
         assert one.assumed is not None
         return Assumed(key, one.joints, one.value, *one.assumed, tuple(names), nominal)
 

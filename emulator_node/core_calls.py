@@ -43,7 +43,7 @@ ARM_CALLS: Calls = {
     "arm_run": (_int, [_pointer, _pointer, _count, _count, _pointer]),
     "arm_powers": (_int, [_pointer] * 3),
     "arm_advance_metered": (_int, [_pointer, _pointer, _count, _pointer]),
-    "arm_linear_drives": (_int, [_pointer] * 2),
+    "arm_linear_drives": (_int, [_pointer, _int, _pointer]),
     "arm_forward_dynamics": (None, [_pointer, _count] + [_pointer] * 4),
 }
 

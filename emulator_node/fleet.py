@@ -142,7 +142,8 @@ class Fleet:
         """Take `steps` integration steps with the motor voltages held.
 
         Args:
-            voltage: (N,) for all arms or (count, N) [V], clamped to the supply.
+            voltage: (N,) for all arms or (count, N) [V], clamped to the supply; arms without
+                power get none of it.
             steps: of `scene.integrator.dt`, 0 to 1e15.
 
         Returns:

@@ -130,6 +130,8 @@ class EmulatorNode(Node):
         refuse_other_parameters(self, self._config)
         accept_changes(self, self._changed, self._take_parameters)
         scene = load_scene(self._config.scene)
+        for line in scene.warnings:
+            self.get_logger().warn(line)
         self._diagnostics = Diagnostics(self, scene.name)
         self._doubles = Doubles(
             self, self._diagnostics, "emulator", "motor_states", "the one started first rules"

@@ -230,8 +230,8 @@ class Plant:
         """Take `steps` integration steps with the motor voltages held.
 
         Args:
-            voltage: (N,) [V], clamped to the supply voltage as the drives do; a joint without a
-                motor takes no notice.
+            voltage: (N,) [V], clamped to the supply voltage as the drives do, and 0 without power;
+                a joint without a motor takes no notice.
             steps: number of steps of `scene.integrator.dt`, 0 to 1e15.
 
         Raises:
@@ -330,7 +330,7 @@ class Plant:
 
     @property
     def powered(self) -> bool:
-        """Whether the drives have power in `exchange`."""
+        """Whether the drives have power; without it every command is 0."""
         self.core.arm_measure(self.machine, self._structs[1])
         return bool(self.measurement.powered)
 
@@ -630,11 +630,15 @@ class Plant:
             raise Refusal(where, "what v and tau lead to", "be finite [rad/s2 or m/s2]", a)
         return a
 
-    def linear_drives(self) -> list[LinearDrive]:
-        """Return what each joint's drive is for small motions, base to tool."""
-        K = self.core.arm_linear_drives(self.machine, None)
+    def linear_drives(self, loaded: bool = False) -> list[LinearDrive]:
+        """Return what each joint's drive is for small motions, base to tool.
+
+        Args:
+            loaded: whether a tooth is in contact in gears with play.
+        """
+        K = self.core.arm_linear_drives(self.machine, loaded, None)
         numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
-        self.core.arm_linear_drives(self.machine, _pointer(numbers))
+        self.core.arm_linear_drives(self.machine, loaded, _pointer(numbers))
         drives = []
         for row in numbers:
             n, D, rows = int(row[0]), row[2 : 2 + K], row[2 + K :].reshape(K + 3, K + 3)

@@ -52,6 +52,7 @@ SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
 EXCHANGES = ("predict", "lag")
 DEEPEST_EXCHANGE = 4
 EVENTS = ("step", "located")
+LOCATING_SCHEMES = ("rosenbrock", "extrapolated")  # whose order 2 is worth to locate events
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
 
@@ -223,6 +224,20 @@ class Scene:
         return np.array([joint.gear.wind_up(torque) for joint, torque in pairs])
 
     @property
+    def warnings(self) -> list[str]:
+        """What a user of this scene had better know, one line each."""
+        now = self.integrator
+        sticking = [one.name for one in self.joints if any(part.sticks for part in one.parts)]
+        if not sticking or now.events == "located" or now.scheme not in LOCATING_SCHEMES:
+            return []
+        names = ", ".join(sticking)
+        return [
+            f"{self.where}: integrator.events is step, but joints stick ({names}): "
+            f"when one stops or breaks away is known to one step of {now.dt:g} s, and errors there "
+            "are of first order; located keeps order 2, `arm_emulator advise` compares the two"
+        ]
+
+    @property
     def steps_per_period(self) -> int:
         """Integration steps in one servo period."""
         return round(self.servo_period / self.integrator.dt)
@@ -351,9 +366,9 @@ def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] |
         return "threads", rule, 2, "2 with another scheme"
     if integrator.events != "located":
         return None
-    if scheme in ("implicit", "paper"):
+    if scheme not in LOCATING_SCHEMES:
         rule = f"be step with scheme {scheme}, of first order at any event"
-        valid = "step, or located with scheme rosenbrock or extrapolated"
+        valid = f"step, or located with scheme {' or '.join(LOCATING_SCHEMES)}"
     elif threads == 2:
         rule = "be step with 2 threads, whose links come from an earlier sample"
         valid = "step, or located with threads: 1"

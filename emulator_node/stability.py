@@ -49,17 +49,17 @@ class SmallMotions:
     Args:
         plant: whose links are asked for accelerations; its state is not touched.
         q: the pose (N,) [rad or m].
+        loaded: whether a tooth is in contact in gears with play; else links and rotors are apart.
     """
 
-    def __init__(self, plant: Plant, q: Array) -> None:
+    def __init__(self, plant: Plant, q: Array, loaded: bool = False) -> None:
         scene = plant.scene
         self.scene = scene
         N = len(scene.joints)
         zero, unit = np.zeros((N, N)), np.eye(N)
         at = np.tile(q, (N, 1))
-        fall = plant.link_accelerations(q, zero[0], zero[0])
-        M_inverse = (plant.link_accelerations(at, zero, unit) - fall).T
-        holding = np.tile(np.linalg.solve(M_inverse, -fall), (N, 1))
+        M_inverse, torques = at_rest(plant, q)
+        holding = np.tile(torques, (N, 1))
         step = 1e-5  # rad: the difference is good to 1e-10 of the second derivative
         sag = (
             plant.link_accelerations(at + step * unit, zero, holding)
@@ -67,7 +67,7 @@ class SmallMotions:
         ).T / (2.0 * step)
 
         # D z' = F (z, q, v, u) and torque = G (z, q, v, u), all drives in one.
-        drives = plant.linear_drives()
+        drives = plant.linear_drives(loaded)
         n = sum(len(drive.D) for drive in drives)
         D, F, G = np.zeros(n), np.zeros((n, n + 3 * N)), np.zeros((N, n + 3 * N))
         current, theta_m = np.zeros((2, N, n + 3 * N))
@@ -207,6 +207,22 @@ class SmallMotions:
             middle = (low + high) // 2
             low, high = (low, middle) if self.holds(scheme, period / middle) else (middle, high)
         return period / high
+
+
+def contacts(plant: Plant) -> tuple[bool, ...]:
+    """Return the ways in which gears can stand, as `SmallMotions` takes them, loaded first."""
+    pairs = zip(plant.linear_drives(True), plant.linear_drives(False), strict=True)
+    play = any(not np.array_equal(one.G, other.G) for one, other in pairs)
+    return (True, False) if play else (True,)
+
+
+def at_rest(plant: Plant, q: Array) -> tuple[Array, Array]:
+    """Return the inverse of the links' mass matrix at q (N, N), and what holds them there (N,)."""
+    N = len(plant.scene.joints)
+    zero, unit = np.zeros((N, N)), np.eye(N)
+    fall = plant.link_accelerations(q, zero[0], zero[0])
+    M_inverse: Array = (plant.link_accelerations(np.tile(q, (N, 1)), zero, unit) - fall).T
+    return M_inverse, np.linalg.solve(M_inverse, -fall).astype(np.float64)
 
 
 def what_holds(fault: Diverged) -> str:

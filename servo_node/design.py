@@ -72,6 +72,7 @@ class MotorData:
     rotor_inertia: float  # kg m2, with the gear's primary side
     counts_per_turn: int | None = None  # of the encoder; None: as good as ideal
     current_bandwidth: float = 0.0  # Hz, of the drive's current loop; 0: it takes a voltage
+    viscous: float = 0.0  # N m s/rad, friction of the rotor
 
 
 @dataclass(frozen=True)
@@ -284,17 +285,17 @@ def joint_plant(
         motor.resistance, motor.inductance, motor.back_emf_constant, motor.current_bandwidth
     )
     Kt = motor.torque_constant
-    Ng, Kg, Dg = gear.ratio, gear.stiffness, gear.damping
+    Dv, Ng, Kg, Dg = motor.viscous, gear.ratio, gear.stiffness, gear.damping
     # States i, theta, omega, q, v.
     A, B = np.zeros((5, 5)), np.zeros((5, 1))
     A[1, 2] = A[3, 4] = 1.0
     if Kg is None:
         inertia = motor.rotor_inertia + Ng**2 * link_inertia
-        A[2, [0, 2]] = Kt / inertia, -(Ng**2) * viscous / inertia
+        A[2, [0, 2]] = Kt / inertia, -(Dv + Ng**2 * viscous) / inertia
         kept = [0, 1, 2]
     else:
         Mm = motor.rotor_inertia
-        A[2] = Kt / Mm, -(Ng**2) * Kg / Mm, -(Ng**2) * Dg / Mm, Ng * Kg / Mm, Ng * Dg / Mm
+        A[2] = Kt / Mm, -(Ng**2) * Kg / Mm, -(Dv + Ng**2 * Dg) / Mm, Ng * Kg / Mm, Ng * Dg / Mm
         A[4, 1:] = np.array([Ng * Kg, Ng * Dg, -Kg, -Dg - viscous]) / link_inertia
         kept = [0, 1, 2, 3, 4]
     current, by_voltage = np.zeros(5), 0.0

@@ -16,6 +16,7 @@ ComplexArray = npt.NDArray[np.complex128]
 _THETA, _CURRENT, _VOLTAGE, _TARGET = (
     INPUTS.index(name) for name in ("theta", "current", "voltage", "target")
 )
+_DOUBLINGS = 40
 _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
 
 
@@ -121,8 +122,44 @@ class SampledLoop:
         if delay == 0:
             added[:n] = plant.G
         self._added = added
+        self._by_noise = self._noise_of(servos, applied + N * delay, n)
         self.poles: ComplexArray = np.linalg.eigvals(A).astype(np.complex128)
         self.radius = float(np.abs(self.poles).max())
+
+    def _noise_of(
+        self, servos: list[LinearServo], newest: int, n: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what noise of the motors' angles and of their currents adds to a period."""
+        N, s = len(servos), len(STATES)
+        by_noise = np.zeros((2, len(self.A), N))
+        for out, place in zip(by_noise, (_THETA, _CURRENT), strict=True):
+            for j, servo in enumerate(servos):
+                out[n + s * j : n + s * (j + 1), j] = servo.B[:, place]
+                out[newest + j, j] = servo.D[place]
+            if newest == n + s * N:  # no dead time: it acts in this period
+                out[:n] = self.plant.G @ out[newest : newest + N]
+        return by_noise[0], by_noise[1]
+
+    def unrest(self, angle: npt.ArrayLike, current: npt.ArrayLike) -> FloatArray:
+        """Return the covariance of the link positions under white noise (N, N) [rad2].
+
+        Args:
+            angle: standard deviations of the motors' measured angles (N,) [rad].
+            current: and of their currents (N,) [A].
+        """
+        by_angle, by_current = self._by_noise
+        Q = (by_angle * np.square(angle)) @ by_angle.T
+        Q += (by_current * np.square(current)) @ by_current.T
+        # Sum of A^k Q A'^k, its length doubled until nothing is added.
+        P, A = Q, self.A
+        for _ in range(_DOUBLINGS):
+            added = A @ P @ A.T
+            P, A = P + added, A @ A
+            if np.abs(added).max(initial=0.0) <= 1e-12 * np.abs(P).max(initial=0.0):
+                break
+        q = self.plant.q
+        covariance: FloatArray = q @ P[: self._states, : self._states] @ q.T
+        return covariance
 
     @property
     def stable(self) -> bool:

@@ -37,6 +37,8 @@ def test_every_figure_has_a_source_or_a_range(file: Path) -> None:
         if joint.motor is not None or section == "friction"
     }
     told = {name.rpartition(".")[0] for name in names}
+    # A joint's friction stands at its link, at its rotor, or at both.
+    told |= {name.replace(".motor.", ".") for name in told if name.endswith(".motor.friction")}
     assert there <= told, "sections of the scene without figures that tell their origin"
 
 
@@ -86,12 +88,12 @@ def test_the_page_has_a_row_of_every_figure_that_is_assumed(name: str) -> None:
 
 
 def test_a_gear_of_another_ratio_is_as_motors_of_other_constants() -> None:
-    """A rotor turns 1/r times as fast, so that constants grow by r0/r and inertia by its square."""
+    """A rotor turns 1/r times as fast: constants, dry friction grow by r0/r, the rest squared."""
     for one in assumed_of(CONFIG / "ur5.yaml"):
         if one.label == "gear.ratio":
             values = one.at(0.5 * one.value)
             for name, value in values.items():
-                power = 2.0 if name.endswith("rotor_inertia") else 1.0
+                power = 2.0 if name.endswith(("rotor_inertia", "viscous")) else 1.0
                 assert value == pytest.approx(one.nominal[name] * 2.0**power), name
             assert len(values) == 3 * len(one.joints), "constants, back EMF and inertia of each"
 

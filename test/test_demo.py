@@ -72,10 +72,12 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     distance = np.linalg.norm(deviations, axis=1)
     below = np.flatnonzero(distance < 0.01 * distance[0])  # never, where gravity winds gears up
     assert summary["instructions_to_1_percent"] == (int(below[0]) if len(below) else None)
-    off = np.abs(deviations[-1] * 1e3 - summary["predicted_wind_up_mm"])
-    assert (off <= summary["predicted_encoder_mm"]).all() == summary["residual_within_prediction"]
-    assert summary["residual_within_prediction"]
-    assert "the residual is within the prediction" in done.stdout
+    off = float(np.linalg.norm(deviations[-1] * 1e3 - summary["predicted_mm"]))
+    assert (off <= summary["predicted_radius_mm"]) == summary["residual_within_prediction"]
+    assert summary["residual_within_prediction"] and summary["target"] == "reached"
+    said = done.stdout
+    assert "the residual is within the prediction" in said
+    assert said.index("predicted residual (mm)") < said.index("instruction "), "before the run"
     if scene == "three_axis":  # as the paper's arm does
         assert below[0] <= 20
         assert f"after {below[0]} instructions" in done.stdout

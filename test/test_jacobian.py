@@ -602,10 +602,8 @@ def test_what_gravity_adds_is_the_gears_wind_up() -> None:
 
 @pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
-@pytest.mark.parametrize(("method", "settled"), [("paper", 3.0), ("qp", 2.0)])
-def test_robots_move_50_mm_with_the_orientation_held(
-    scene: str, method: str, settled: float
-) -> None:
+@pytest.mark.parametrize("method", ["paper", "qp"])
+def test_robots_move_50_mm_with_the_orientation_held(scene: str, method: str) -> None:
     """By either method, under gravity, through the whole machine."""
     file = find_scene(scene)
     gains = load_gains(file)
@@ -622,18 +620,18 @@ def test_robots_move_50_mm_with_the_orientation_held(
     run.instructor.add(session.period_ns * second, target)
     run.advance(second)
     deviations = []
-    for _ in range(round(4.0 / motion.period)):
+    for _ in range(round(5.0 / motion.period)):
         deviations.append(kinematics.tool_error(session.state.q, target))
         run.advance(run.motion_ticks)
-    stiffness = np.array([joint.gear.stiffness for joint in session.scene.joints])
     bound = predicted_residual(
         run.controller,
         session.state.q,
         [joint.count_angle for joint in servo.joints],
-        session.state.gear_torque / stiffness,
+        session.scene.wind_up(session.state.gear_torque),
     )
     errors = np.array(deviations)
     # Rotation: the wind-up of about 2 mrad, and what the joints' different swing adds on the way.
     assert np.linalg.norm(errors[:, 3:], axis=1).max() < 0.01, "the orientation was not held"  # rad
-    errors = (errors - bound.wind_up)[round(settled / motion.period) :]
+    # Where links stick, the servo's integral winds the gears up by the seconds.
+    errors = (errors - bound.wind_up)[round(4.0 / motion.period) :]
     assert (np.abs(errors) < bound.encoder).all(), "the tool is not where it was predicted"

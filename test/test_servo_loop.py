@@ -523,3 +523,20 @@ def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine
         ):
             error = np.abs(got - expected).max() / np.abs(expected).max()
             assert error < 1e-4, f"{what}: {got} by the core, {expected} by the matrices"
+
+
+def test_a_gear_with_play_is_looked_at_loaded_and_within_its_play() -> None:
+    """Loaded it is the gear without play; within, its rotor turns by itself."""
+    servo = load_gains(find_config("three_axis", ".yaml")).servo
+    plain = load_scene("three_axis", {"gravity": [0.0, 0.0, -9.81]})
+    played = load_scene(
+        "three_axis", {"gravity": [0.0, 0.0, -9.81], "joints.*.gear.backlash": 1e-3}
+    )
+    one, other = ServoLoops(plain, servo), ServoLoops(played, servo)
+    for without, loaded in zip(one.loops, other.loops, strict=True):
+        np.testing.assert_allclose(loaded.A, without.A, atol=1e-9)
+    worst = zip(one.margins(), other.margins(), strict=True)
+    assert all(b.delay <= a.delay + 1e-9 and b.phase <= a.phase + 1e-9 for a, b in worst)
+    assert other.unstable() is None, "links that hang in the play fall; that is no loop's fault"
+    apart = SmallMotions(Plant(played), plain.start)
+    assert not np.array_equal(apart.J, SmallMotions(Plant(played), plain.start, loaded=True).J)

@@ -276,13 +276,14 @@ int arm_set_truth(arm_machine* machine, const arm_truth* truth);
 
 /* ----------------------------------------------------------------------- away from the ticks */
 
-/* Take `steps` integration steps under `voltage` [V], with power or without. */
+/* Take `steps` integration steps under `voltage` [V]; without power the motors get 0. */
 int arm_advance(arm_machine* machine, const double* voltage, int64_t steps);
 /* The same for `rows` rows of voltages, `steps` steps each; q after each row goes to `q`. */
 int arm_run(arm_machine* machine, const double* voltage, int64_t rows, int64_t steps, double* q);
 
 /* What the supply and external wrenches give to each joint and what each dissipates, so many of
- * each in `out`: now and under `voltage` [W]. Both calls need a scene with `energy_flow`. */
+ * each in `out`: now and under `voltage` [W], or 0 without power. Both calls need a scene with
+ * `energy_flow`. */
 int arm_powers(const arm_machine* machine, const double* voltage, double* out);
 /* As `arm_advance`; what was given and dissipated on the way goes to `out` [J]. */
 int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t steps, double* out);
@@ -291,8 +292,9 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t ste
  * schemes treat implicitly, and the linearisation about a gear that is not wound up, wherever the
  * machine is now. Rows of K states; returns K. out, per joint: how many states it has, the carried
  * rotor, D (K), F (K rows of K + 3), G (K + 3), and what motor current and motor angle are (K + 3
- * each); the columns are z, q, v and u. With `out` null only K is returned. */
-int arm_linear_drives(const arm_machine* machine, double* out);
+ * each); the columns are z, q, v and u. A gear with play has a tooth in contact if `loaded`, else
+ * none. With `out` null only K is returned. */
+int arm_linear_drives(const arm_machine* machine, int32_t loaded, double* out);
 
 /* The links alone, for `count` rows of joints: M(q) a + nle(q, v) = tau, under the external
  * wrenches that act now. */

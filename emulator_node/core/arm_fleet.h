@@ -28,7 +28,7 @@ void arm_fleet_delete(arm_fleet* fleet);
 arm_machine* arm_fleet_machine(arm_fleet* fleet, int32_t arm);
 
 /* Advance `arms` arms from `first` on, which is the first of a group, for `rows` rows of voltages
- * [V], `steps` integration steps each, with power or without. The positions after each row go to
+ * [V], `steps` integration steps each; arms without power get 0. The positions after each row go to
  * `q`. Rows are of the whole fleet; only the places of these arms are read and written. An arm that
  * diverges stays at its last sound state, the others go on: ARM_DIVERGED if there is any. */
 int arm_fleet_run(arm_fleet* fleet, int32_t first, int32_t arms, const double* voltage,

@@ -140,13 +140,18 @@ struct arm_machine {
       }
     }
   }
+  // What the motors get of commands: without power nothing.
+  const double* with_power(const double* voltage) const {
+    static constexpr double nothing[N] = {};
+    return powered ? voltage : nothing;
+  }
   // The same for rows of voltages; q after each goes to `q`.
   void follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
-    if constexpr (!Sensors::present) {
+    if (!Sensors::present && powered) {
       machine.follow(voltage, rows, steps, q);
     } else {
       for (; rows > 0; --rows, voltage += N, q += N) {
-        go(steps, [&](std::int64_t some) { machine.advance(voltage, some); });
+        go(steps, [&](std::int64_t some) { machine.advance(with_power(voltage), some); });
         for (int j = 0; j < N; ++j) q[j] = machine.state().q[j];
       }
     }
@@ -386,6 +391,8 @@ void arm_power(arm_machine* machine, int on) {
   if (!machine || machine->powered == (on != 0)) return;
   machine->powered = on != 0;
   for (int k = 0; k < Scene::brakes; ++k) machine->machine.want_brake(k, !machine->powered);
+  if constexpr (arm_machine::Machine::has_second)
+    if (!on) machine->machine.put_second(machine->with_power(nullptr));
 }
 
 int arm_why(const arm_machine* machine, arm_refusal* out) {
@@ -627,7 +634,8 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
 int arm_advance(arm_machine* machine, const double* voltage, std::int64_t steps) {
   if (!machine || machine->check_finite(voltage, "voltage") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
-  machine->go(steps, [&](std::int64_t some) { machine->machine.advance(voltage, some); });
+  const double* given = machine->with_power(voltage);
+  machine->go(steps, [&](std::int64_t some) { machine->machine.advance(given, some); });
   return machine->result();
 }
 
@@ -664,7 +672,7 @@ int arm_powers(const arm_machine* machine, const double* voltage, double* out) {
   } else {
     if (!machine || machine->check_finite(voltage, "voltage") || machine->check_there(out, "out"))
       return ARM_REFUSED;
-    write_flow(machine->machine.powers(voltage), out);
+    write_flow(machine->machine.powers(machine->with_power(voltage)), out);
     return ARM_OK;
   }
 }
@@ -678,14 +686,15 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_
         machine->check_count(steps, "steps"))
       return ARM_REFUSED;
     arm::EnergyFlow<Scene> flow;
+    const double* given = machine->with_power(voltage);
     machine->go(steps,
-                [&](std::int64_t some) { machine->machine.advance_metered(voltage, some, flow); });
+                [&](std::int64_t some) { machine->machine.advance_metered(given, some, flow); });
     write_flow(flow, out);
     return machine->result();
   }
 }
 
-ARM_ONCE int arm_linear_drives(const arm_machine* machine, double* out) {
+ARM_ONCE int arm_linear_drives(const arm_machine* machine, std::int32_t loaded, double* out) {
   constexpr int K = arm::most_states<Scene>();
   if (!out) return K;
   if (!machine) return 0;
@@ -693,7 +702,8 @@ ARM_ONCE int arm_linear_drives(const arm_machine* machine, double* out) {
     for (int k = 0; k < count; ++k) *out++ = from[k];
   };
   machine->machine.numbers_now().for_each_drive([&](const auto& drive, int) {
-    const auto linear = arm::LinearDrive<K, arm::most_modes<Scene>()>::of(drive, 0);
+    const auto linear = arm::LinearDrive<K, arm::most_modes<Scene>()>::of(
+        drive, loaded ? drive.held_under_load : 0);
     *out++ = drive.states;
     *out++ = drive.carried();
     copy(linear.D, K);

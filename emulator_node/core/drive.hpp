@@ -66,6 +66,8 @@ struct Drive {
   static constexpr int of_gear = Motor::modes, of_rotor = of_gear + (elastic ? Gear::modes : 0);
   static constexpr int of_extras = of_rotor + (elastic ? Rotor::modes : 0);
   static constexpr int modes = of_extras + (0 + ... + Extras::modes);
+  // Those that are held wherever the gear carries a load.
+  static constexpr unsigned held_under_load = elastic && Gear::modes > 0 ? 1u << of_gear : 0u;
 
   template <class X>
   using Input = DriveInput<states, modes, X>;

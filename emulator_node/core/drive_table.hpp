@@ -43,7 +43,7 @@ struct LinearDrive {
   double D[kRows], F[kRows][kColumns], G[kColumns];
 
   template <class TheDrive>
-  ARM_ONCE static constexpr LinearDrive of(const TheDrive& whole, unsigned held) {
+  ARM_APART static constexpr LinearDrive of(const TheDrive& whole, unsigned held) {
     LinearDrive linear = {};
     const auto drive = whole.linear();
     const auto D = drive.D(held);
@@ -96,8 +96,8 @@ struct LinearDrive {
 
   // Set the input of a column; false if this drive does not have it.
   template <class TheDrive>
-  ARM_ONCE static constexpr bool set(typename TheDrive::template Input<double>& x, int column,
-                                     double value) {
+  ARM_APART static constexpr bool set(typename TheDrive::template Input<double>& x, int column,
+                                      double value) {
     if (column < K ? column >= TheDrive::states : column >= K + 3 + TheDrive::modes) return false;
     double* const others[] = {&x.q, &x.v, &x.u};
     if (column < K)
@@ -149,9 +149,10 @@ inline constexpr double kSqrt2 = 1.4142135623730951;
 // gamma of the scheme with so many stages: implicit Euler's, and ROS2's.
 constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 : 1.0; }
 
-// The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp).
+// The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp). It is worked
+// out anew for each trial of an event's time (located.hpp), so it is not compiled for size.
 template <int R, int K, int M>
-ARM_ONCE DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, double h, int stages) {
+ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, double h, int stages) {
   using In = StepInput<K, M, R>;
   constexpr int n = LinearDrive<K, M>::kRows;
   const double s = gamma_of(stages) * h;
@@ -180,9 +181,9 @@ ARM_ONCE DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, doub
     double x[In::count] = {};
     x[input] = 1.0;
     double f[n] = {}, g = 0.0;
-    for (int column = 0; column < drive.kColumns; ++column) {
-      for (int k = 0; k < K; ++k) f[k] += drive.F[k][column] * x[column];
-      g += drive.G[column] * x[column];
+    if (input < drive.kColumns) {
+      for (int k = 0; k < K; ++k) f[k] = drive.F[k][input];
+      g = drive.G[input];
     }
     if constexpr (R > 0) {
       for (int k = 0; k < K; ++k) f[k] += x[In::rest + k];
@@ -465,10 +466,10 @@ class DriveTables {
   }
 
   template <class TheDrive>
-  ARM_ONCE DriveTable<K, M, R> table_of(const TheDrive& drive, unsigned held) const {
+  ARM_APART DriveTable<K, M, R> table_of(const TheDrive& drive, unsigned held) const {
     return make.template operator()<R>(LinearDrive<K, M>::of(drive, held));
   }
-  ARM_ONCE void change_table(int joint, int lane, unsigned held) {
+  ARM_APART void change_table(int joint, int lane, unsigned held) {
     n.for_each_drive_of(lane, [&](const auto& drive, int j) {
       if (j == joint) copy(table_of(drive, held), j, lane);
     });

@@ -36,9 +36,28 @@ struct arm_fleet {
   }
   arm_fleet(const arm_fleet&) = delete;
 
-  // Take a group through rows of voltages, see SideBySide; sensors look at every tick.
+  // Take a group through rows of voltages, see SideBySide; sensors look at every tick. Arms without
+  // power get none of them.
   void follow(int g, const double* voltage, std::int64_t stride, std::int64_t rows,
               std::int64_t steps, double* q) {
+    const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
+    bool powered = true;
+    for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
+    if (powered) {
+      follow_given(g, voltage, stride, rows, steps, q);
+      return;
+    }
+    for (; rows > 0; --rows, voltage += stride, q += stride) {
+      double given[lanes * N] = {};
+      for (int k = first; k < end; ++k) {
+        const double* own = machine[k]->with_power(voltage + (k - first) * N);
+        for (int j = 0; j < N; ++j) given[(k - first) * N + j] = own[j];
+      }
+      follow_given(g, given, 0, 1, steps, q);
+    }
+  }
+  void follow_given(int g, const double* voltage, std::int64_t stride, std::int64_t rows,
+                    std::int64_t steps, double* q) {
     if constexpr (!arm_machine::Sensors::present) {
       group[g]->follow(voltage, stride, rows, steps, q);
     } else {

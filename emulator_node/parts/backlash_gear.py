@@ -8,6 +8,9 @@ from typing import Annotated
 
 from emulator_node.parts.elastic_gear import ElasticGear
 from emulator_node.parts.part import Number
+from emulator_node.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
+
+NO_TORQUE = 1e-6  # N m, N: rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +23,16 @@ class BacklashGear(ElasticGear):
 
     # By so much the link turns with the motor held.
     backlash: Annotated[float, Number("play", "rad", at_least=0.0)] = field()
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Where no torque holds its teeth on one side, the link is anywhere within the play."""
+        share = super().rests(at)
+        if abs(at.torque) > at.torque_within + NO_TORQUE or isinstance(share, str):
+            return share
+        play = 0.5 * self.backlash
+        spread = math.hypot(at.torque_spread / self.stiffness, OFTEN_LARGEST * play)
+        within = at.torque_within / self.stiffness + play
+        return Share(ahead=Around(at.torque / self.stiffness, within, spread))
 
     def wind_up(self, torque: float) -> float:
         """Return the angle by which the gear gives way at rest, the play included."""

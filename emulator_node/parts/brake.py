@@ -11,6 +11,7 @@ import numpy as np
 from emulator_node.chain import Array
 from emulator_node.parts.friction import Friction, OfRotor, RotorFriction
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 
 
@@ -34,6 +35,10 @@ class Brake(Part):
     def effort(self, motion: ShaftMotion) -> Array:
         """None: in motion it is open."""
         return np.zeros_like(motion.t)
+
+    def rests(self, at: AtRest) -> Share | str:
+        """It is open while the drives have power."""
+        return Share()
 
     def rotor(
         self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str

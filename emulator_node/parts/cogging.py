@@ -8,6 +8,7 @@ from typing import Any
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Part
+from emulator_node.parts.resting import AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.parts.waves import Wave, cxx_waves, read_waves, wave_sum
 from emulator_node.section import Section
@@ -30,6 +31,10 @@ class Cogging(Part):
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return {"waves": read_waves(section, "waves", "N m")}
+
+    def rests(self, at: AtRest) -> Share | str:
+        """What stands still is taken up by the servo's integral."""
+        return Share()
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

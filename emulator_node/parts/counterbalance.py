@@ -9,6 +9,7 @@ import numpy as np
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import Around, AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
@@ -39,6 +40,9 @@ class Counterbalance(Part):
             F = self.force - self.stiffness * longer
         torque: Array = -F * a * b * np.sin(at) / l
         return torque
+
+    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
+        return Share(torque=Around(-float(self.effort(at.motion)[0])))
 
     def check(self, section: Section) -> None:  # noqa: D102
         least = 0.01 * self.base_distance

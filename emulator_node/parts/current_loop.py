@@ -12,6 +12,7 @@ from emulator_node import cxx_literals
 from emulator_node.chain import Array
 from emulator_node.parts.motor import Circuit
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
@@ -36,6 +37,10 @@ class CurrentLoop(Part):
     def effort(self, motion: ShaftMotion) -> Array:
         """None: what is measured is the torque behind it."""
         return np.zeros_like(motion.t)
+
+    def rests(self, at: AtRest) -> Share | str:
+        """It is within the servo's loop, whose integral takes up what it leaves."""
+        return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102
         gains = {"proportional_gain": self.proportional_gain, "integral_gain": self.integral_gain}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from emulator_node.parts.analog_sensor import AnalogSensor
+from emulator_node.parts.resting import AtRest, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,3 +14,7 @@ class CurrentSensor(AnalogSensor):
 
     section = "current_sensor"
     unit = "A"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """What it is wrong by for good is taken up by the servo's integral."""
+        return Share(current_noise=self.noise or 0.0)

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Self
 
 from emulator_node import cxx_literals
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import Around, AtRest, Share, waves_at
 from emulator_node.section import LARGEST_COUNT, Section
 
 # What a joint without an encoder reports, since encoder counts are whole numbers.
@@ -114,6 +115,30 @@ class Encoder(Part):
         """Counts after which its word begins anew; 0: never."""
         return 2**self.bits if self.bits is not None else 0
 
+    def rests(self, at: AtRest) -> Share | str:
+        """What it shows is the middle of a count; within it our servo asks for no correction."""
+        if self.missed:
+            return "misses edges, which sum up"
+        count, ratio = self.turn / self.counts_per_turn, abs(at.ratio)
+        if self.wrap and abs(at.start) > 0.5 * count * self.wrap:
+            return "does not know how often the motor has turned"
+        waves = [
+            (1.0, self.eccentricity or 0.0, self.eccentricity_phase or 0.0),
+            (float(self.ripple_order), self.ripple or 0.0, self.ripple_phase or 0.0),
+        ]
+        own = sum(amplitude for _, amplitude, _ in waves)  # the servo turns the motor by them
+        errors = waves_at(waves, at.theta, at.theta_within + own)
+        half = 0.5 * count
+        return Share(
+            ahead=Around(
+                at.ratio * ((self.offset or 0.0) + errors.centre),
+                ratio * (half + errors.within),
+                ratio * math.hypot(half / math.sqrt(3.0), errors.spread),
+            ),
+            stuck=Around(0.0, ratio * half),
+            angle_noise=self.noise or 0.0,
+        )
+
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         whole = {
             "kind": f"arm::EncoderKind::{self.kind}",
@@ -133,6 +158,10 @@ class LinkEncoder(Encoder):
     """Encoder at the link."""
 
     section: ClassVar[str] = "link_encoder"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo does not look at it."""
+        return Share()
 
 
 def read_delay(section: Section) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import Around, AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
@@ -33,6 +34,9 @@ class EndStops(Part):
         below = np.where(q < self.lower, np.maximum(K * (self.lower - q) - D * v, 0.0), 0.0)
         torque: Array = above - below
         return torque
+
+    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
+        return Share(torque=Around(-float(self.effort(at.motion)[0])))
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.lower >= self.upper:

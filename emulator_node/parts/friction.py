@@ -10,6 +10,7 @@ import numpy as np
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
@@ -33,6 +34,18 @@ class Friction(Part):
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         return self.viscous * motion.speed + self.sliding(motion) * np.sign(motion.speed)
 
+    @property
+    def sticks(self) -> bool:  # noqa: D102
+        return self.coulomb > 0.0
+
+    def holds(self, torque: float) -> float:
+        """Return what a shaft at rest withstands under a torque of the gear on it [N m]."""
+        return self.breakaway
+
+    def slides(self, torque: float) -> float:
+        """Return what a shaft feels that has just come to rest, likewise [N m]."""
+        return self.coulomb
+
     def check(self, section: Section) -> None:  # noqa: D102
         if self.breakaway > 0.0 and self.coulomb == 0.0:
             raise section.refusal("breakaway", "come with a coulomb friction", self.breakaway)
@@ -44,6 +57,12 @@ class LinkFriction(Friction):
 
     section = "friction"
 
+    def rests(self, at: AtRest) -> Share | str:
+        """Leave a gear wound up; without a spring the link sticks with its rotor."""
+        holds, slides = self.holds(at.torque), self.slides(at.torque)
+        stuck = at.stuck(holds, slides) if at.rigid else Around()
+        return Share(torque=Around(0.0, holds, OFTEN_LARGEST * slides), stuck=stuck)
+
 
 @dataclass(frozen=True, kw_only=True)
 class OfRotor(Friction):
@@ -51,6 +70,11 @@ class OfRotor(Friction):
 
     section = "motor.friction"
     shaft = "rotor"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """A rotor stays where it sticks until the servo's integral has grown beyond."""
+        torque, at_link = at.ratio * at.torque, 1.0 / abs(at.ratio)
+        return Share(stuck=at.stuck(at_link * self.holds(torque), at_link * self.slides(torque)))
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

@@ -9,6 +9,7 @@ import numpy as np
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import Around, AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 
 RATIO_UNIT = "link turns per motor turn"  # m per rad for a prismatic joint
@@ -32,6 +33,13 @@ class Gear(Part):
     def effort(self, motion: ShaftMotion) -> Array:
         """None: rotor and link move alike below the resonances."""
         return np.zeros_like(motion.t)
+
+    def rests(self, at: AtRest) -> Share | str:
+        """The motor is ahead of its link by what the gear gives way."""
+        low, high = sorted(self.wind_up(at.torque + sign * at.torque_within) for sign in (-1, 1))
+        within = 0.5 * (high - low)
+        share = at.torque_spread / at.torque_within if at.torque_within else 0.0
+        return Share(ahead=Around(0.5 * (low + high), within, share * within))
 
     def wind_up(self, torque: float) -> float:
         """Return the angle by which the gear gives way at rest [rad], seen at the link."""

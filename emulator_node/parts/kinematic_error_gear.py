@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from emulator_node.chain import Array
 from emulator_node.parts.elastic_gear import ElasticGear
+from emulator_node.parts.resting import Around, AtRest, Share, waves_at
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.parts.waves import Wave, cxx_waves, read_waves, wave_slope
 from emulator_node.section import Section
@@ -46,6 +48,19 @@ class KinematicErrorGear(ElasticGear):
             if steepest > 0.9 * most:
                 rule = f"have order times amplitude sum up to at most {0.9 * most:g}"
                 raise section.refusal(f"kinematic_error.{shaft}", rule, f"{steepest:g}")
+
+    def rests(self, at: AtRest) -> Share | str:
+        """The error is known as well as the angles are."""
+        share = super().rests(at)
+        if isinstance(share, str):
+            return share
+        motor = waves_at(self.motor, at.theta, at.theta_within)
+        link = waves_at(self.link, at.q, abs(at.ratio) * at.theta_within)
+        parts = (share.ahead, motor, link)
+        within = sum(one.within for one in parts)
+        spread = math.hypot(*(one.spread for one in parts))
+        centre = share.ahead.centre - motor.centre - link.centre
+        return Share(ahead=Around(centre, within, spread))
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

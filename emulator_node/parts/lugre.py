@@ -9,6 +9,7 @@ import numpy as np
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.parts.stribeck import stribeck_torque
 
@@ -55,6 +56,11 @@ class LinkLuGre(LuGre):
     section = "lugre"
     shaft = "link"
 
+    def rests(self, at: AtRest) -> Share | str:
+        """Its bristles stay bent, and the gear stays wound up."""
+        stuck = at.stuck(self.breakaway, self.coulomb) if at.rigid else Around()
+        return Share(torque=Around(0.0, self.breakaway, OFTEN_LARGEST * self.coulomb), stuck=stuck)
+
 
 @dataclass(frozen=True, kw_only=True)
 class RotorLuGre(LuGre):
@@ -62,3 +68,8 @@ class RotorLuGre(LuGre):
 
     section = "motor.lugre"
     shaft = "rotor"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """The rotor stays where it sticks until the servo's integral has grown beyond."""
+        at_link = 1.0 / abs(at.ratio)
+        return Share(stuck=at.stuck(at_link * self.breakaway, at_link * self.coulomb))

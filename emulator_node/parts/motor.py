@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Part
+from emulator_node.parts.resting import AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 
 
@@ -50,6 +51,10 @@ class Motor(Part):
     def circuit(self) -> Circuit | None:
         """Return the winding that a drive can close a current loop around; None: there is none."""
         return None
+
+    def rests(self, at: AtRest) -> Share | str:
+        """What stands still is taken up by the servo's integral."""
+        return Share()
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:
         """Return sizes of what the link feels of it through a gear, by what it is."""

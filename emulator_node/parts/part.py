@@ -19,6 +19,7 @@ from typing import Any, ClassVar, Self, get_type_hints
 
 from emulator_node import cxx_literals
 from emulator_node.chain import Array
+from emulator_node.parts.resting import AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import LARGEST, SMALLEST, Section
 from emulator_node.varied import Varied
@@ -75,6 +76,18 @@ class Part:
     header: ClassVar[str]  # that has the C++ part
     cxx: ClassVar[str]  # and its name
     shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
+
+    @property
+    def sticks(self) -> bool:
+        """Whether a shaft at rest is held exactly, until the torque on it is large enough."""
+        return False
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Return what this part leaves of a target at rest, or why that is not known.
+
+        It is asked twice: for its torque, and then, with all torques known, for the rest.
+        """
+        return "states no share"
 
     @classmethod
     def numbers(cls) -> dict[str, Number]:

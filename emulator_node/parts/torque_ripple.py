@@ -7,6 +7,7 @@ from typing import Any
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Part
+from emulator_node.parts.resting import AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.parts.waves import Wave, cxx_waves, read_waves, wave_sum
 from emulator_node.section import Section
@@ -31,6 +32,10 @@ class TorqueRipple(Part):
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return {"waves": read_waves(section, "waves", "1")}
+
+    def rests(self, at: AtRest) -> Share | str:
+        """What stands still is taken up by the servo's integral."""
+        return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102
         # More would turn the torque about at some angles.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from emulator_node.parts.analog_sensor import AnalogSensor
+from emulator_node.parts.resting import AtRest, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,3 +14,7 @@ class TorqueSensor(AnalogSensor):
 
     section = "torque_sensor"
     unit = "N m"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo does not look at it."""
+        return Share()

@@ -12,6 +12,7 @@ import numpy as np
 from emulator_node import cxx_literals
 from emulator_node.chain import Array
 from emulator_node.parts.part import Part
+from emulator_node.parts.resting import Around, AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import LARGEST, Section
 
@@ -78,6 +79,9 @@ class TorqueTable(Part):
             within = at[0] + np.mod(q - at[0], at[-1] - at[0])
         torque: Array = -PPoly(self.coefficients()[::-1], at)(within)
         return torque
+
+    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
+        return Share(torque=Around(-float(self.effort(at.motion)[0])))
 
     def coefficients(self) -> Array:
         """Return T0 to T3 of each piece (4, pieces), by PCHIP of the table with what is beyond it.

@@ -9,6 +9,7 @@ import numpy as np
 
 from emulator_node.chain import Array
 from emulator_node.parts.part import Number, Part
+from emulator_node.parts.resting import AtRest, Share
 from emulator_node.parts.shaft_motion import ShaftMotion
 from emulator_node.section import Section
 
@@ -39,6 +40,10 @@ class Winding(Part):
     def effort(self, motion: ShaftMotion) -> Array | None:
         """None, unless magnets keep their strength; then heat changes the resistance alone."""
         return None if self.magnet_coefficient else np.zeros_like(motion.t)
+
+    def rests(self, at: AtRest) -> Share | str:
+        """A warm motor gives less torque for its current: the servo's integral asks for more."""
+        return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.limit is not None and self.limit <= self.ambient:

@@ -1,0 +1,197 @@
+"""Whether the tool rests where it was predicted to, over many poses and effects.
+
+    python -m bench.residuals [SCENE ...] [--poses N] [--effects NAME ...] [--out FILE]
+
+Arms with one effect each start in drawn poses and bring their tools to drawn targets, as the demo
+does; where they rest was predicted before. The bound is how far from the target the tool may rest:
+the predicted deviation and the radius around it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.demo_plan import DemoPlan
+from arm_emulator.gains import Gains, load_gains
+from arm_emulator.offline import OfflineRun
+from arm_emulator.predicted_rest import Arrival, PredictedRest, predicted_rest
+from emulator_node.scene import Scene, load_scene
+from motion_controller_node.controller import controller_for
+from motion_controller_node.kinematics import Kinematics
+from motion_controller_node.pose import Pose
+from words.config_files import find_scene
+
+Array = NDArray[np.float64]
+
+ARMS = ("three_axis", "ur5")
+POSES = 100
+AROUND = 0.6  # rad, of the start
+NEAREST_SINGULAR = 0.08  # singular value
+STICKS = {"viscous": 0.5, "coulomb": 2.0, "breakaway": 3.0}
+WAVES = [[2, 5e-5], [1, 2e-5, 0.7]]
+
+# What is changed in a scene, by the name of the effect.
+EFFECTS: dict[str, dict[str, Any]] = {
+    "none": {},
+    "play": {"joints.*.gear.backlash": 4e-4, "joints.*.gear.cubic_stiffness": None},
+    "stiction": {"joints.*.friction": STICKS},
+    "stiction of rotors": {"joints.*.motor.friction": {"coulomb": 0.02, "breakaway": 0.025}},
+    "eccentric encoders": {
+        "joints.*.encoder.eccentricity": 0.02, "joints.*.encoder.eccentricity_phase": 0.7,
+    },
+    "noisy encoders": {"joints.*.encoder.noise": 0.02},
+    "payload": {"payload": {"mass": 2.0, "com": [0.0, 0.0, 0.05]}, "gravity": [0.0, 0.0, -9.81]},
+    "kinematic error": {
+        "joints.*.gear.cubic_stiffness": None,
+        "joints.*.gear.kinematic_error": {"motor": WAVES, "link": [[1, 1e-4]]},
+    },
+    "cogging": {"joints.*.motor.cogging": {"waves": [[12, 5e-3]]}},
+    "torque ripple": {"joints.*.motor.ripple": {"waves": [[6, 0.05]]}},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rest:
+    """One demo: what was predicted, and what was left."""
+
+    residual: float  # m, distance of the tool from its target
+    bound: float  # m
+    off: float  # distance from the predicted place, by the radius
+    inside: bool
+    arrival: str
+
+
+def rests(scene: Scene, gains: Gains, plan: DemoPlan, poses: int, seed: int = 0) -> Iterator[Rest]:
+    """Yield demos from drawn poses to drawn targets."""
+    rng = np.random.default_rng(seed)
+    kinematics = controller_for(scene.urdf, scene.joint_names, gains.motion).kinematics
+    for k in range(poses):
+        q = _pose(scene, kinematics, rng)
+        joints = tuple(
+            replace(joint, start=float(angle)) for joint, angle in zip(scene.joints, q, strict=True)
+        )
+        displacement = rng.normal(size=3)
+        displacement *= np.linalg.norm(plan.displacement) / np.linalg.norm(displacement)
+        own = replace(scene, joints=joints, seed=k)
+        yield rest(own, gains, replace(plan, displacement=displacement))
+
+
+def rest(scene: Scene, gains: Gains, plan: DemoPlan) -> Rest:
+    """Predict a demo, and make it."""
+    predicted = predicted_rest(scene, gains, plan)
+    residual = left_by(scene, gains, plan)
+    off = float(np.linalg.norm(residual - predicted.centre[:3])) / predicted.radius
+    return Rest(
+        float(np.linalg.norm(residual)),
+        bound_of(predicted),
+        off,
+        predicted.contains(residual),
+        predicted.arrival.value,
+    )
+
+
+def bound_of(predicted: PredictedRest) -> float:
+    """Return how far from its target the tool may rest [m]."""
+    return float(np.linalg.norm(predicted.centre[:3])) + predicted.radius
+
+
+def left_by(scene: Scene, gains: Gains, plan: DemoPlan) -> Array:
+    """Return target minus tool (3,) at the end of a demo without a network [m]."""
+    run = OfflineRun(scene, gains.servo, gains.motion)
+    kinematics = run.controller.kinematics
+    R_WT, p_WT = kinematics.forward(scene.start)
+    goal: Array = p_WT + plan.displacement
+    target = Pose.from_quaternion(goal, Pose(p_WT, R_WT).quaternion(), "displacement")
+    run.instructor.add(plan.settle_ns, target)
+    run.advance(plan.settle_ns // run.session.period_ns + plan.instructions * run.motion_ticks)
+    return goal - kinematics.forward(run.session.state.q)[1]
+
+
+def _pose(scene: Scene, kinematics: Kinematics, rng: np.random.Generator) -> Array:
+    while True:
+        q: Array = scene.start + rng.uniform(-AROUND, AROUND, len(scene.start))
+        if kinematics.singular_values(q)[-1] > NEAREST_SINGULAR:
+            return q
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Of one arm with one effect."""
+
+    arm: str
+    effect: str
+    poses: int
+    inside: int
+    reached: int
+    residual: float  # mm, median
+    bound: float  # mm, median
+    largest_bound: float  # mm
+    off: float  # the largest, by the radius
+
+
+def measure(arm: str, effect: str, poses: int) -> Summary:
+    """Make the demos of an arm with one effect."""
+    file = find_scene(arm)
+    changes = dict(EFFECTS[effect])
+    gains = load_gains(file)
+    plan = DemoPlan.load(file, round(gains.motion.period * 1e9))
+    found = list(rests(load_scene(file, changes), gains, plan, poses))
+    residual, bound = (1e3 * np.array([getattr(one, name) for one in found])
+                       for name in ("residual", "bound"))  # fmt: skip
+    return Summary(
+        arm,
+        effect,
+        poses,
+        sum(one.inside for one in found),
+        sum(one.arrival == Arrival.REACHED.value for one in found),
+        float(np.median(residual)),
+        float(np.median(bound)),
+        float(bound.max()),
+        max(one.off for one in found),
+    )
+
+
+HEAD = """\
+| arm | effect | poses | inside | residual, median [mm] | bound, median [mm] | times | largest bound, times | farthest, of the radius |
+|---|---|---|---|---|---|---|---|---|"""  # noqa: E501
+
+
+def row(one: Summary) -> str:
+    """Return it in Markdown."""
+    times, most = one.bound / one.residual, one.largest_bound / one.residual
+    return (
+        f"| {one.arm} | {one.effect} | {one.poses} | {one.inside} | {one.residual:.4f} | "
+        f"{one.bound:.4f} | {times:.2f} | {most:.2f} | {one.off:.2f} |"
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print a row per arm and effect."""
+    parser = argparse.ArgumentParser(prog="bench.residuals", description=__doc__)
+    parser.add_argument("scenes", nargs="*", default=ARMS)
+    parser.add_argument("--poses", type=int, default=POSES)
+    parser.add_argument("--effects", nargs="*", choices=list(EFFECTS), default=list(EFFECTS))
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args(arguments)
+    print(HEAD, flush=True)
+    found = []
+    for arm in options.scenes:
+        for effect in options.effects:
+            found.append(measure(arm, effect, options.poses))
+            print(row(found[-1]), flush=True)
+    if options.out:
+        options.out.write_text(json.dumps([asdict(one) for one in found], indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

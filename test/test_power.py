@@ -1,0 +1,97 @@
+"""Power acts wherever a machine goes on: by exchange, advance, rows, with a meter, in a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from machines import one_link_urdf, write_scene
+
+from emulator_node.chain import Array
+from emulator_node.fleet import Fleet
+from emulator_node.plant import Plant
+from emulator_node.scene import Scene, load_scene
+
+
+def fed(plant: Plant, V: Array) -> None:
+    plant.advance(V, 40)
+
+
+def rows(plant: Plant, V: Array) -> None:
+    plant.run(np.tile(V, (4, 1)), 10)
+
+
+def metered(plant: Plant, V: Array) -> None:
+    flow = plant.advance_metered(V, 40)
+    assert plant.powered or not flow.given.any(), "nothing is given without power"
+
+
+def exchanged(plant: Plant, V: Array) -> None:
+    for _ in range(4):
+        plant.exchange(V)
+
+
+WAYS = [fed, rows, metered, exchanged]
+
+
+def moved(scene: Scene, way: Callable[[Plant, Array], None], on: bool, V: Array) -> Array:
+    plant = Plant(scene)
+    plant.powered = on
+    way(plant, V)
+    state = plant.state
+    return np.array([*state.q, *state.v, *state.current])
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("sensed", [False, True])
+def test_without_power_commands_are_nothing(
+    way: Callable[[Plant, Array], None], sensed: bool
+) -> None:
+    """As under 0 V, to the last bit; and not as with power."""
+    keys: dict[str, object] = {"energy_flow": True, "integrator.dt": 1e-4}
+    if sensed:
+        keys["joints.elbow.encoder.noise"] = 1e-3
+    scene, V = load_scene("three_axis", keys), np.array([9.0, -5.0, 7.0])
+    off = moved(scene, way, False, V)
+    np.testing.assert_array_equal(off, moved(scene, way, True, 0.0 * V))
+    assert np.abs(moved(scene, way, True, V) - off).max() > 1e-3
+    plant = Plant(scene)
+    plant.powered = False
+    assert not plant.powers(V).given.any()
+
+
+def test_arms_of_a_fleet_have_power_each_for_itself() -> None:
+    scene, V = load_scene("three_axis", {"integrator.dt": 1e-4}), np.array([9.0, -5.0, 7.0])
+    fleet = Fleet(scene, 11)
+    off = [0, 3, 4, 10]
+    for arm in off:
+        fleet[arm].powered = False
+    q = fleet.run(np.tile(V, (3, 1)), 20)
+    one = {on: Plant(scene) for on in (True, False)}
+    for on, plant in one.items():
+        plant.powered = on
+        expected = plant.run(np.tile(V, (3, 1)), 20)
+        arms = [k for k in range(11) if (k not in off) == on]
+        np.testing.assert_allclose(
+            q[:, arms], np.repeat(expected[:, None], len(arms), 1), atol=1e-12
+        )
+    assert np.abs(q[-1, 0] - q[-1, 1]).max() > 1e-4
+
+
+def test_both_voltages_of_a_field_oriented_motor_go_with_power(tmp_path: Path) -> None:
+    motor = {
+        "kind": "pmsm", "pole_pairs": 4, "resistance": 0.5, "inductance_d": 1e-3,
+        "inductance_q": 1e-3, "flux": 0.02, "rotor_inertia": 1e-4,
+    }  # fmt: skip
+    file = write_scene(
+        tmp_path, one_link_urdf(), {"joint": {"motor": motor, "gear": {"ratio": 0.1}}},
+        integrator={"scheme": "rosenbrock", "dt": 1e-4}, servo_period=1e-3,
+    )  # fmt: skip
+    plant = Plant(load_scene(file))
+    plant.exchange(np.array([3.0]), voltage_d=[4.0])
+    assert abs(plant.current_d[0]) > 0.1
+    plant.powered = False
+    plant.advance(np.array([3.0]), 1000)
+    assert abs(plant.current_d[0]) < 1e-3, "its current dies away"

@@ -1,0 +1,153 @@
+"""Where the tool rests is computed before it moves, from what each part states of itself."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+
+from analysis.rest_shares import rest_shares
+from arm_emulator.demo import verdict
+from arm_emulator.demo_plan import DemoPlan
+from arm_emulator.gains import Gains, load_gains
+from arm_emulator.predicted_rest import Arrival, predicted_rest
+from bench.residuals import EFFECTS, left_by, rests
+from emulator_node.parts.encoder import Encoder
+from emulator_node.parts.known import PARTS
+from emulator_node.parts.part import Part
+from emulator_node.parts.resting import AtRest
+from emulator_node.parts.sensors import JointSensors
+from emulator_node.scene import Scene, load_scene
+from motion_controller_node.link_torques import LinkTorques
+from words.config_files import find_scene
+from words.refusal import Refusal
+
+
+def given(name: str, changes: dict[str, Any]) -> tuple[Scene, Gains, DemoPlan]:
+    file = find_scene(name)
+    gains = load_gains(file)
+    plan = DemoPlan.load(file, round(gains.motion.period * 1e9))
+    return load_scene(file, changes), gains, plan
+
+
+@pytest.mark.parametrize("effect", some(list(EFFECTS), 4))
+def test_the_tool_rests_where_it_was_predicted(effect: str) -> None:
+    """From drawn poses; bench/residuals.py has 100 of each."""
+    found = list(rests(*given("three_axis", EFFECTS[effect]), poses=10, seed=3))
+    assert all(one.arrival == Arrival.REACHED.value for one in found)
+    outside = [one for one in found if not one.inside]
+    assert not outside, f"{len(outside)} of 10 outside: {outside[0]}"
+    # A prediction that is wide enough for anything says nothing. Of rotors that stick few come to
+    # rest far off; in an arm without weight nothing else is left then.
+    times = 10.0 if effect == "stiction of rotors" else 4.0
+    median = float(np.median([one.residual for one in found]))
+    assert np.median([one.bound for one in found]) < times * median
+
+
+@pytest.mark.parametrize("effect", ["play", "payload"])
+def test_what_the_scene_has_is_in_the_prediction(effect: str) -> None:
+    """Without its share the tool would be outside: the prediction of the arm without the effect."""
+    scene, gains, plan = given("three_axis", EFFECTS[effect])
+    bare = predicted_rest(*given("three_axis", {}))
+    assert not bare.contains(left_by(scene, gains, plan))
+    assert predicted_rest(scene, gains, plan).contains(left_by(scene, gains, plan))
+
+
+def test_shares_are_those_of_closed_forms() -> None:
+    """One number of each kind, by hand: gravity's wind-up, play, counts, friction at the link."""
+    keys = {
+        "gravity": [0.0, 0.0, -9.81],
+        "joints.shoulder.gear.backlash": 1e-3,
+        "joints.elbow.friction": {"coulomb": 1.0, "breakaway": 1.5},
+        "joints.elbow.encoder.offset": 0.02,
+    }
+    scene, gains, _ = given("three_axis", keys)
+    shares = rest_shares(scene, gains.servo, scene.start, 1.0)
+    plain = rest_shares(load_scene("three_axis"), gains.servo, scene.start, 1.0)
+    count = 2.0 * np.pi / 1024 * 0.01
+    np.testing.assert_allclose(plain.ahead, 0.0, atol=1e-12)
+    np.testing.assert_allclose(plain.ahead_within, 0.5 * count)
+    np.testing.assert_allclose(plain.stuck_within, 0.5 * count)
+    # By Pinocchio, which knows nothing of the core.
+    weight = LinkTorques(scene.urdf, scene.joint_names, [0.0, 0.0, -9.81]).at(
+        scene.start, np.zeros(3)
+    )
+    wound = weight / 1e4 + np.array([0.0, 0.5e-3 * np.sign(weight[1]), 0.01 * 0.02])
+    np.testing.assert_allclose(shares.ahead, wound, rtol=1e-6, atol=1e-10)
+    assert shares.ahead_within[2] == pytest.approx(0.5 * count + 1.5 / 1e4)
+
+
+def known_parts() -> list[type[Part]]:
+    sensors = [one for one in JointSensors.__annotations__ if one]
+    assert sensors == ["encoder", "link_encoder", "current", "torque"]
+    return list(PARTS)
+
+
+@pytest.mark.parametrize("part", known_parts(), ids=lambda part: part.__name__)
+def test_every_part_states_its_share(part: type[Part]) -> None:
+    """Its own, or its kind's: what inherits `Part`'s answer would make every demo decline."""
+    assert part.rests is not Part.rests
+
+
+def test_a_part_that_states_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, gains, plan = given("three_axis", {"joints.elbow.encoder.missed": 0.01})
+    with pytest.raises(Refusal, match=r"parts of elbow must state .* got encoder: misses edges"):
+        predicted_rest(scene, gains, plan)
+    monkeypatch.setattr(Encoder, "rests", Part.rests)
+    with pytest.raises(Refusal, match=r"parts of waist .* got encoder: states no share"):
+        predicted_rest(*given("three_axis", {}))
+
+
+def test_out_of_reach_and_not_yet_there_are_told_apart() -> None:
+    scene, gains, plan = given("three_axis", {})
+    qp = dataclasses.replace(gains, motion=dataclasses.replace(gains.motion, method="qp"))
+    far = dataclasses.replace(plan, displacement=np.array([5.0, 0.0, 0.0]), instructions=400)
+    found = predicted_rest(scene, qp, far)
+    assert found.arrival is Arrival.UNREACHABLE and np.linalg.norm(found.reference) > 1.0
+    residual = left_by(scene, qp, far)
+    assert found.contains(residual), "it rests at the nearest point"
+    words = verdict(found, np.tile(residual, (30, 1)))
+    assert "out of reach" in words and "within" in words
+    soon = dataclasses.replace(plan, instructions=3)
+    found = predicted_rest(scene, qp, soon)
+    assert found.arrival is Arrival.NOT_YET
+    near = predicted_rest(scene, qp, plan)
+    still = np.tile(near.centre[:3] + 3.0 * near.radius, (30, 1))
+    assert "outside" in verdict(near, still)
+    moving = still + np.linspace(1.0, 0.0, 30)[:, None] * 50.0 * near.radius
+    assert "not yet there" in verdict(near, moving)
+
+
+def test_noise_of_sensors_moves_the_links_as_computed() -> None:
+    """The covariance of a loop, against the machine that stands still under noise."""
+    from analysis.servo_loop import ServoLoops
+    from servo_node.drives import Drives, Target
+
+    scene = load_scene("three_axis", {"joints.*.encoder.noise": 0.05})
+    gains = load_gains(find_scene("three_axis"))
+    loop = ServoLoops(scene, gains.servo, [scene.start]).loops[0]
+    expected = np.sqrt(np.diag(loop.unrest(np.full(3, 0.05), np.zeros(3))))
+    from emulator_node.session import Session
+
+    session, drives, rows = Session(scene, "lockstep", "first_answer"), Drives(gains.servo), []
+    for tick in range(6000):
+        seen = session.measured
+        drives.measure(session.logical_ns, seen.encoder_counts, seen.current, session.voltage)
+        drives.aim(Target(scene.start))
+        session.offer(tick, scene.joint_names, drives.voltage(powered=True).tolist())
+        session.advance()
+        if tick >= 1000:
+            rows.append(session.state.q)
+    measured = np.array(rows).std(axis=0)
+    # 5 s of noise that the loop makes slow tell the deviation to some 15 %.
+    np.testing.assert_allclose(measured, expected, rtol=0.35)
+
+
+def test_asking_a_part_needs_no_more_than_a_joint_at_rest() -> None:
+    at = AtRest(0.1, 10.0, 0.01, 0.0, 0.01, False, 5.0, 0.5, 0.3, 4e3, 1e4, 6e-5)
+    stuck = at.stuck(3.0, 2.0)
+    assert stuck.within == pytest.approx(2.0 * 3.0 / 1e4)  # a slip of less than ten counts
+    assert at.stuck(300.0, 2.0).within == pytest.approx(600.0 / 1e4 + 596.0 / 4e3)

@@ -1,0 +1,58 @@
+"""What a scene's user is warned of: joints that stick while events are not located."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from arm_emulator.check_scene import check_scene
+from emulator_node.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
+from emulator_node.scene import load_scene
+
+# Sections of each law of friction alone; whether a shaft at rest is held by it.
+LAWS: dict[str, tuple[dict[str, float], bool]] = {
+    "viscous": ({"viscous": 2.0}, False),
+    "none": ({"coulomb": 0.0}, False),
+    "coulomb": ({"coulomb": 0.4}, True),
+    "stribeck": ({"coulomb": 0.4, "breakaway": 0.6, "stribeck": 0.1}, True),
+    "load": ({"load": 0.2}, True),
+    "no load": ({"load": 0.0}, False),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("place", ["elbow.friction", "shoulder.motor.friction"])
+def test_a_joint_that_sticks_is_warned_of_by_name_unless_located(place: str, law: str) -> None:
+    section, sticks = LAWS[law]
+    keys: dict[str, Any] = {f"joints.{place}": section}
+    for events in ("step", "located"):
+        for scheme in ("rosenbrock", "extrapolated", "implicit"):
+            if scheme == "implicit" and events == "located":
+                continue  # refused: of first order anyway
+            overrides = {"integrator.events": events, "integrator.scheme": scheme}
+            found = load_scene("three_axis", keys | overrides).warnings
+            expected = sticks and events == "step" and scheme != "implicit"
+            assert len(found) == expected, f"{events}, {scheme}: {found}"
+            if expected:
+                joint, other = place.split(".", maxsplit=1)[0], "waist"
+                assert f"({joint})" in found[0] and other not in found[0] and "\n" not in found[0]
+
+
+def test_every_law_of_friction_is_tried() -> None:
+    keys = {key for kind in (*LINK_FRICTIONS, *ROTOR_FRICTIONS) for key in kind.told_by}
+    assert keys <= {key for section, _ in LAWS.values() for key in section}, keys
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda"])
+def test_the_arms_that_come_along_stick_and_are_located(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = load_scene(name)
+    for joint in scene.joints:
+        assert any(part.sticks for part in joint.parts), f"{joint.name}: real joints stick"
+    assert scene.warnings == []
+    check_scene(name)
+    assert "stick" not in capsys.readouterr().err
+    taken = load_scene(name, {"integrator.events": "step"}).warnings
+    assert all(joint in taken[0] for joint in scene.joint_names), taken
