@@ -100,11 +100,19 @@ def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
     nan[at, j], held[at : at + 40, j], still[:, j] = np.nan, held[at, j], 0.3
     cut = {n: getattr(RUN_A, n)[kept] for n in ("t", "q_motor", "tau", "q_link", "q_ref")}
     speeds = RUN_A.v_motor * np.where(np.arange(6) == j, -1.0, 1.0)
+    huge = RUN_A.tau.copy()
+    huge[at, j] = 10.0 ** rng.integers(10, 300)
     back = RUN_A.t.copy()
     back[at] = back[at - 1]
     name = f"axis_{j + 1}"
     return {
         "NaN": (other(tau=nan), f"tau of {name} must be finite"),
+        "huge": (other(tau=huge), f"tau of {name} must be within"),
+        "nothing drives": (
+            other(tau=np.where(np.arange(6) == j, 0.0, RUN_A.tau)),
+            f"torque of {name} must change",
+        ),
+        "clock": (other(t=RUN_A.t * 10.0 ** rng.choice([-9, 3, 6])), "t must be in s"),
         "gap": (other(**cut), "without gaps"),
         "frozen": (other(q_motor=held), f"q_motor of {name} must change"),
         "at rest": (other(q_motor=still), f"{name} must move"),
@@ -173,7 +181,8 @@ def test_the_shipped_machine_is_what_identify_makes_of_run_a(
             assert one.gear.stiffness == pytest.approx(same.gear.stiffness, rel=stiffness)
     for one, same in zip(made.chain.joints, shipped.chain.joints, strict=True):
         if simulate:
-            assert one.body.mass == pytest.approx(same.body.mass, rel=0.01), one.name
+            # Masses of links 1 to 5 are not identifiable, to some 50 %.
+            assert one.body.mass == pytest.approx(same.body.mass, rel=0.03), one.name
 
 
 def test_truth_lies_within_the_confidence_told() -> None:

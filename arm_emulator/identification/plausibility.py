@@ -24,9 +24,10 @@ CLOSE = 0.15  # of what it saves: slips that save as much but for this share are
 DOUBTFUL = 1.5  # times: torques of which the scale is off by less are a doubt, not a slip
 NEAREST = 12  # slips that are weighed once more, by what stays unexplained at best
 LEAST_WAY = 1.0e-3  # rad or m: what moves less does not move
+LEAST_TORQUE = 1e-9  # N m or N, at the motor's shaft: what changes less does not change
 SPEEDS_AGREE = 0.7  # correlation, and within a factor of 1.5
 POOR = 50.0  # %: of a fit that nobody should use
-SLOWEST_SAMPLES = 0.1  # s
+SLOWEST_SAMPLES, FASTEST_SAMPLES = 0.1, 1e-6  # s
 
 
 def looked_over(scene: Scene, run: MeasuredRun, low_pass: float, *,
@@ -58,10 +59,10 @@ def check_clock(run: MeasuredRun) -> None:
     Raises:
         Refusal: names what it could be.
     """
-    if run.period > SLOWEST_SAMPLES:
-        got = f"samples every {run.period:g} s: ms, us, or numbers of samples told as s?"
-        raise Refusal(run.where, "t", f"be in s, with samples every {SLOWEST_SAMPLES:g} s at most",
-                      got)  # fmt: skip
+    if not FASTEST_SAMPLES < run.period <= SLOWEST_SAMPLES:
+        slow = "ms, us, or numbers of samples told as s?" if run.period > SLOWEST_SAMPLES else ""
+        rule = f"be in s, with samples every {FASTEST_SAMPLES:g} to {SLOWEST_SAMPLES:g} s"
+        raise Refusal(run.where, "t", rule, f"samples every {run.period:g} s: {slow}".rstrip(": "))
 
 
 def check_movement(run: MeasuredRun, data: Filtered) -> None:
@@ -71,7 +72,7 @@ def check_movement(run: MeasuredRun, data: Filtered) -> None:
         Refusal: says which joint, and how much it moves.
     """
     for j, joint in enumerate(run.joints):
-        if not np.ptp(run.tau[:, j]) > 0.0:
+        if not np.ptp(run.tau[:, j]) > LEAST_TORQUE:
             rule = "change while the joint moves; a joint that nothing drives tells nothing"
             raise Refusal(run.where, f"torque of {joint}", rule, f"{run.tau[0, j]:g} throughout")
         way = float(np.ptp(run.q_motor[:, j]))
