@@ -17,6 +17,7 @@ help:
 	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
 	@echo 'make fuzz               random scenes, files, messages, machines and frames, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
+	@echo 'make pages              measure the tables and draw the pictures of docs/ and README.md anew'
 	@echo 'make lint               check style, types and what imports what'
 	@echo 'make format             put the sources into shape'
 	@echo 'make clean              remove what was built; make distclean: also .venv/ and out/'
@@ -174,6 +175,9 @@ fuzz: setup .venv/.robots
 bench: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench $(ARGS)
 
+pages: setup .venv/.robots .venv/.bench
+	@$(RUN) && python -m bench.pages $(ARGS)
+
 CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h *.c) arm_emulator/*.c \
   fieldbus/core/*.[ch]pp fieldbus/core/*.h fmu/*.[ch]pp fmu/*.h microcontroller/*.[ch]pp microcontroller/*.[ch] microcontroller/examples/*/*.[ch] \
   firmware/*.[ch] \
@@ -194,4 +198,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench lint format clean distclean FORCE
+.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench pages lint format clean distclean FORCE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import re
 import subprocess
@@ -13,8 +14,10 @@ import numpy as np
 import pytest
 import yaml
 
+from bench import pages
 from compiled.compiler_command import find_compiler
 from ros_shell.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
+from words.refusal import Refusal
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (
@@ -244,3 +247,17 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
     first = (folder / "targets.csv").read_text().splitlines()[1].split(",")
     begins = [section["start"] for section in scene["joints"].values()]
     assert [float(one) for one in first[1:]] == begins, "targets.csv begins where ur5 does"
+
+
+def test_one_command_makes_every_picture_and_measured_table() -> None:
+    assert {file.name for file in pages.PICTURES.iterdir()} == set(pages.DRAWN)
+    for name, page in pages.tables().items():
+        bench = importlib.import_module(f"bench.{name}")
+        assert callable(bench.run) and callable(bench.report)
+        text = page.read_text()
+        changed = pages.put(text, name, "| a table |")
+        assert "| a table |\n<!-- end" in changed
+        start, end = text.index(f"<!-- {name}: "), text.index(f"<!-- end {name} -->")
+        assert changed.startswith(text[:start]) and changed.endswith(text[end:])
+    with pytest.raises(Refusal, match="place of nothing must stand on one page once, got 0"):
+        pages.put("no place", "nothing", "")
