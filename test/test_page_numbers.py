@@ -1,0 +1,47 @@
+"""Numbers that pages name are those of the code."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+# Page, words with the number's place, where the number is, and in which unit the page has it.
+NUMBERS: list[tuple[str, str, str, float]] = [
+    ("motion", "uses {} of the description's speed limits", "qp._SPEED_SHARE", 1),
+    ("motion", "more than {} rad (or as many parts of its reach) from", "qp.LOST", 1),
+    ("motion", "brake with {} of its acceleration", "qp._BRAKES", 1),
+    ("motion", "no faster than {} of the way in a period", "qp._APPROACH", 1),
+    ("motion", "with s_i below {} the joints' line", "qp._SINGULAR", 1),
+    ("motion", "effect in first order are tried by {} rad", "joint_goal._PROBE", 1),
+    ("motion", "then from {} sets of joint angles", "configuration_search.STARTS", 1),
+    ("topics", "none or more than {}, stamps", "tool_path.MOST_POSES", 1),
+    ("topics", "a path longer than {} m", "tool_path.LONGEST", 1),
+    ("topics", "while it stands, again every {} s", "emulator_node.node.STATUS_PERIOD", 1),
+    ("gains", "largest amplification of disturbances | {} |", "servo_node.design.SENSITIVITY", 1),
+    ("gains", "overshoot of the link | {} % |", "servo_node.design.OVERSHOOT", 100),
+]
+
+
+def plain(page: str) -> str:
+    """A page's words in one line."""
+    return " ".join((DOCS / f"{page}.md").read_text(encoding="utf-8").split())
+
+
+def value(place: str) -> Any:
+    module, _, name = place.rpartition(".")
+    if "." not in module:
+        module = f"motion_controller_node.{module}"
+    return getattr(import_module(module), name)
+
+
+@pytest.mark.parametrize(("page", "words", "place", "unit"), NUMBERS, ids=[n[2] for n in NUMBERS])
+def test_a_page_has_the_number_of_the_code(page: str, words: str, place: str, unit: float) -> None:
+    before, after = (re.escape(part) for part in words.split("{}"))
+    found = re.findall(rf"{before}([\d.e+-]*\d){after}", plain(page))
+    assert [float(one) for one in found] == [pytest.approx(unit * value(place))], found
