@@ -129,10 +129,10 @@ def test_it_swings_as_its_eigenvalues_say() -> None:
     for _ in range(1500):
         drives.period()
         currents.append(drives.plant.state.current[0])
-    late = np.array(currents[-300:])
-    spectrum = np.abs(np.fft.rfft((late - late.mean()) * np.hanning(len(late)), 4096))
+    growing = np.array(currents[300:600])
+    spectrum = np.abs(np.fft.rfft((growing - growing.mean()) * np.hanning(len(growing)), 4096))
     heard = float(np.argmax(spectrum)) / 4096.0 / servo.period
-    assert late.std() > 1.0, "A: it swings to the limits of its current"
+    assert np.std(currents[-300:]) > 1.0, "A: it swings to the limits of its current"
     # Limits and the pose bend the frequency of small motions a little.
     assert heard == pytest.approx(one.frequency, rel=0.35)
 
