@@ -81,7 +81,7 @@ class Adc:
 
 @dataclass(frozen=True)
 class Pwm:
-    """Registers that say what voltage a motor gets; 0: none."""
+    """Registers that say what voltage a motor gets, or its drive is commanded; 0: none."""
 
     joint: str
     kind: str
@@ -91,6 +91,8 @@ class Pwm:
     minus: int
     direction: int
     direction_bit: int
+    full_scale: float | None
+    """At a duty of 1, in the unit of the motor's command; None: the supply [V]."""
 
 
 @dataclass(frozen=True)
@@ -317,6 +319,9 @@ class _Reader:
             self._register(section, "minus") if kind == "pair" else 0,
             self._register(section, "direction") if unipolar else 0,
             section.integer("direction_bit", at_least=0, at_most=31) if unipolar else 0,
+            section.number("full_scale", "V, A or N m", at_least=1e-9, at_most=1e9)
+            if counted and section.has("full_scale")
+            else None,
         )
 
     def _pin(self, name: str, section: Section) -> Pin:

@@ -12,7 +12,7 @@ from emulator_node.compiler import CORE
 from emulator_node.plant import Plant
 from emulator_node.scene import Scene
 from microcontroller import FOLDER
-from microcontroller.board import Board
+from microcontroller.board import Board, Pwm
 from microcontroller.elf_image import ElfImage
 from microcontroller.unicorn_library import load_unicorn, unicorn_headers, unicorn_version
 from words.refusal import Refusal
@@ -65,6 +65,7 @@ _PWM = _struct(
     *_of(_int32, "kind joint"),
     *_of(_uint32, "compare reload minus direction"),
     *_of(_int32, "direction_bit counts_more"),
+    *_of(_double, "full_scale"),
 )
 _PIN = _struct("mcu_pin", *_of(_uint32, "at"), *_of(_int32, "bit kind joint low reserved"))
 _PORT = _struct("mcu_port", *_of(_uint32, "output set_reset set clear"))
@@ -83,7 +84,7 @@ _BOARD = _struct(
     "mcu_board",
     *_of(_uint32, "size"),
     *_of(_int32, "joints"),
-    *_of(_double, "clock cycles_per_instruction cycles_per_branch boot supply_voltage"),
+    *_of(_double, "clock cycles_per_instruction cycles_per_branch boot"),
     *_of(_int64, "period"),
     *_of(_uint32, "vectors"),
     *_of(_int32, "interrupts priority_bits preload"),
@@ -219,16 +220,22 @@ class Microcontroller:
         return figures
 
 
+def _full_scale(pwm: Pwm, scene: Scene) -> float:
+    """Return what a duty of 1 stands for [V, A or N m]: of a bridge the supply."""
+    command = scene.joints[scene.joint_names.index(pwm.joint)].command
+    if pwm.full_scale is not None or pwm.kind == "float":
+        return pwm.full_scale or 0.0
+    if command != "V":
+        rule = f"be given: the motor takes a command [{command}], and no bridge makes one of a duty"
+        raise Refusal("board", f"pwm.{pwm.joint}.full_scale", rule, "nothing")
+    return scene.supply_voltage
+
+
 def _board_struct(
     board: Board, scene: Scene, uarts: dict[str, tuple[int, int]]
 ) -> ctypes.Structure:
     """Return a board as runner.h has it."""
-    for one in board.pwms:
-        command = scene.joints[scene.joint_names.index(one.joint)].command
-        if one.kind != "float" and command != "V":
-            rule = "take a voltage: what a timer's duty makes of a bridge is one"
-            where = f"joints.{one.joint}.motor"
-            raise Refusal(scene.where, where, rule, f"a command [{command}]", "kind: float in pwm")
+    full_scales = [_full_scale(one, scene) for one in board.pwms]
     joints = scene.joint_names.index
     lists: dict[str, Iterable[tuple[float, ...]]] = {
         "region": [(one.at, one.size, _KINDS.index(one.kind)) for one in board.regions],
@@ -249,8 +256,9 @@ def _board_struct(
                 joints(one.joint),
                 *(one.compare, one.reload, one.minus, one.direction, one.direction_bit),
                 one.aligned == "edge",
+                full_scale,
             )
-            for one in board.pwms
+            for one, full_scale in zip(board.pwms, full_scales, strict=True)
         ],
         "pin": [
             (
@@ -278,7 +286,6 @@ def _board_struct(
         cycles_per_instruction=board.cycles_per_instruction,
         cycles_per_branch=board.cycles_per_branch,
         boot=board.boot,
-        supply_voltage=scene.supply_voltage,
         period=round(scene.servo_period * 1e9),
         vectors=board.vectors,
         interrupts=board.interrupts,

@@ -8,22 +8,21 @@ namespace mcu {
 
 class Pwm {
  public:
-  Pwm(const mcu_pwm& told, double supply, Registers& registers)
-      : told_(told), supply_(supply), registers_(registers) {}
+  Pwm(const mcu_pwm& told, Registers& registers) : told_(told), registers_(registers) {}
 
   int joint() const { return told_.joint; }
 
   double voltage() {
     switch (told_.kind) {
       case MCU_BIPOLAR:
-        return runs() ? supply_ * (2 * duty(told_.compare) - 1) : 0;
+        return runs() ? told_.full_scale * (2 * duty(told_.compare) - 1) : 0;
       case MCU_UNIPOLAR: {
         const bool negative = registers_.word(told_.direction) >> told_.direction_bit & 1;
-        const double size = supply_ * duty(told_.compare);
+        const double size = told_.full_scale * duty(told_.compare);
         return negative ? -size : size;
       }
       case MCU_PAIR:
-        return supply_ * (duty(told_.compare) - duty(told_.minus));
+        return told_.full_scale * (duty(told_.compare) - duty(told_.minus));
       default:
         return registers_.number(told_.compare);
     }
@@ -39,7 +38,6 @@ class Pwm {
   }
 
   mcu_pwm told_;
-  double supply_;
   Registers& registers_;
 };
 

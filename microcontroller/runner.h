@@ -47,9 +47,9 @@ typedef struct mcu_channel {
 
 enum mcu_pwm_kind {
   MCU_VOLTS = 0,    /* the register holds volts as a float */
-  MCU_BIPOLAR = 1,  /* V = supply (2 duty - 1) */
-  MCU_UNIPOLAR = 2, /* V = supply duty, with the sign of the direction */
-  MCU_PAIR = 3      /* V = supply (duty - duty of the other half-bridge) */
+  MCU_BIPOLAR = 1,  /* full scale (2 duty - 1) */
+  MCU_UNIPOLAR = 2, /* full scale duty, with the sign of the direction */
+  MCU_PAIR = 3      /* full scale (duty - duty of the other half-bridge) */
 };
 
 typedef struct mcu_pwm {
@@ -58,6 +58,7 @@ typedef struct mcu_pwm {
   uint32_t compare, reload, minus, direction; /* registers */
   int32_t direction_bit;                      /* set: negative */
   int32_t counts_more;                        /* counts of a PWM period beyond `reload`: 0 or 1 */
+  double full_scale;                          /* V or A, as the motor takes it, at a duty of 1 */
 } mcu_pwm;
 
 enum mcu_pin_kind { MCU_ENABLE = 0, MCU_BRAKE = 1, MCU_FAULT = 2, MCU_POWERED = 3 };
@@ -97,8 +98,7 @@ typedef struct mcu_board {
   double cycles_per_instruction; /* 0, and no cycles_per_branch: time passes in sleep only */
   double cycles_per_branch;      /* more than that, of the last one of a straight line */
   double boot;                   /* s before the machine's time begins */
-  double supply_voltage;
-  int64_t period; /* ns */
+  int64_t period;                /* ns */
   uint32_t vectors;
   int32_t interrupts, priority_bits;
   int32_t preload; /* 1: compare registers take effect when the next period begins */

@@ -181,8 +181,7 @@ class Runner : public Bus, public Debugged {
       adcs_[static_cast<size_t>(board_.channel[k].adc)].add(board_.channel[k]);
     for (int k = 0; k < board_.ports; ++k) add_port(board_.port[k], registers_);
     for (int k = 0; k < board_.pins; ++k) pins_.emplace_back(board_.pin[k], registers_);
-    for (int k = 0; k < board_.pwms; ++k)
-      pwms_.emplace_back(board_.pwm[k], board_.supply_voltage, registers_);
+    for (int k = 0; k < board_.pwms; ++k) pwms_.emplace_back(board_.pwm[k], registers_);
     for (int k = 0; k < board_.uarts; ++k)
       uarts_.emplace_back(board_.uart[k], board_.clock, cpu_.now, registers_);
     for (const Adc& adc : adcs_)

@@ -215,7 +215,7 @@ int main(void) {
   for (int j = 0; j < 6; ++j)
     printf("%u %u %u %u %u %g ", AT(ENCODER(j)), AT(ADC_JDR(j)), AT(COMPARE(j)), AT(TARGET(j)),
            j < 4 ? AT(TIM1_ARR) : AT(TIM8_ARR), (double)adc_scale(j));
-  printf("%d %d %g", PWM_TOP, ADC_MIDDLE, (double)SUPPLY);
+  printf("%d %d %g", PWM_TOP, ADC_MIDDLE, (double)FULL_SCALE);
 }
 """
 
@@ -240,7 +240,7 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
         ]
         assert row == wanted, f"{joint}: addresses, and counts per ampere"
         assert (channel["offset"], 2 ** channel["bits"]) == (middle, 2 * middle), joint
-    assert supply == scene["supply_voltage"], "supply"
+    assert {supply} == {one["full_scale"] for one in board["pwm"].values()}, "full scale"
     assert float(board["clock"]) / top * scene["servo_period"] % 1.0 == 0.0, (
         "whole periods of the PWM"
     )

@@ -102,7 +102,7 @@ class Modes {
   const Numbers<S>* n;
 
   auto of_drives() const {
-    return [this](const auto& drive, int j, int) { return of(drive, j); };
+    return [&](const auto& drive, int j, int) { return of(drive, j); };
   }
   bool any_locked() const {
     bool found = false;

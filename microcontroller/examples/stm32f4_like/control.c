@@ -32,7 +32,7 @@ void control_step(const int64_t* encoder, const uint32_t* adc, const float* q, i
   servo_voltage(&arm, powered, voltage);
   for (int j = 0; j < SERVO_JOINTS; ++j) {
     compare[j] = compare_of(voltage[j]);
-    applied[j] = volts_of(compare[j]);
+    applied[j] = command_of(compare[j]);
   }
   now += SERVO_PERIOD;
 }
