@@ -199,8 +199,8 @@ def motion() -> Motion:
     return Motion(q, v, torque, per)
 
 
-# A motion's largest error [rad] is 2.4e-3 (a lag of the first swing), 2.9e-3 (joints that stick, without
-# a position loop) and 2.0e-3 in-process; about twice as much is another motion.
+# A motion's largest error [rad] is 2.4e-3 (a lag of the first swing), 2.9e-3 (joints that stick,
+# without a position loop) and 2.0e-3 in-process; about twice as much is another motion.
 LARGEST = {8: 5e-3, 9: 6e-3, 10: 4e-3}
 
 
