@@ -20,6 +20,7 @@ from arm_emulator.validation.kuka_kr300 import (
     known,
     load,
     torque_figures,
+    torques_of,
     wind_up_figures,
 )
 from arm_emulator.validation.manutec_table import MOST, SHOWN, manutec_failures
@@ -30,7 +31,7 @@ from words.refusal import Refusal
 def figures(scene: Scene, path: Path) -> Iterator[Figure]:
     """What is judged without a simulation."""
     run = load(path, scene)
-    yield from torque_figures(scene, run)
+    yield from torque_figures(scene, run, *torques_of(scene, run))
     yield from wind_up_figures(run, wind_up(run, scene))
 
 

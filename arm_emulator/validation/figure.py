@@ -57,10 +57,8 @@ class Figure:
         known = [(k, v) for k, v in enumerate(self.values) if np.isfinite(v)]
         for k, value in known:
             if not self.least <= value <= self.most:
-                yield (
-                    f"{self.title}: axis {k + 1} must be {self._rule(self.least, self.most)}, "
-                    + (f"got {value:{self.form}}")
-                )
+                rule = self._rule(self.least, self.most)
+                yield f"{self.title}: axis {k + 1} must be {rule}, got {value:{self.form}}"
         if known and not self.least_mean <= self.mean <= self.most_mean:
             rule = self._rule(self.least_mean, self.most_mean)
             yield f"{self.title}: the mean must be {rule}, got {self.mean:{self.form}}"

@@ -43,10 +43,7 @@ MOST_DRIFT = {0.6: (8.0, 15.0), 2.0: (40.0, 60.0)}  # %, mean and each axis, aft
 MOST_OF_NULL = 0.6  # free runs: their mean, of that of the best null model
 MOST_OF_RIGID = 0.85  # wind-up: of that of rigid gears, each axis
 MOST_BESIDE_WAVE = 0.7  # the same beside the encoder's wave
-LEAST_OF_LARGE, LEAST_OF_WRIST = (
-    80.0,
-    60.0,
-)  # %, our servo's: each of axes 1 to 3, mean of the wrist
+LEAST_OF_LARGE, LEAST_OF_WRIST = 80.0, 60.0  # %, our servo: each of axes 1 to 3, mean of the wrist
 
 
 @dataclass(frozen=True)
@@ -104,12 +101,11 @@ def compare(path: Path, scene: Scene | None = None) -> Comparison:
     """
     scene = scene or load_scene("kuka_kr300")
     run = load(path, scene)
-    data = _filtered(run, scene)
-    torques = _torques(scene, data)
+    data, torques = torques_of(scene, run)
     of_gears = wind_up(run, scene)
     paths, begins, drifting = _free_runs(scene, run)
     figures = (
-        *torque_figures(scene, run),
+        *torque_figures(scene, run, data, torques),
         *drifting,
         *wind_up_figures(run, of_gears),
         *_servo_figures(run, data),
@@ -127,10 +123,16 @@ def _torques(scene: Scene, data: Filtered) -> Array:
     return model.of(data).torques(model.start)
 
 
-def torque_figures(scene: Scene, run: MeasuredRun) -> Iterator[Figure]:
-    """Yield how much of the measured torque a machine explains."""
+def torques_of(scene: Scene, run: MeasuredRun) -> tuple[Filtered, Array]:
+    """Return a run low-passed, and the torques that a machine takes for it (K, N) [N m]."""
     data = _filtered(run, scene)
-    torques = _torques(scene, data)
+    return data, _torques(scene, data)
+
+
+def torque_figures(
+    scene: Scene, run: MeasuredRun, data: Filtered, torques: Array
+) -> Iterator[Figure]:
+    """Yield how much of the measured torque a machine explains, see `torques_of`."""
     every = np.ones_like(data.moving)
     null = known().per_axis.torques(data)
     alone = explained(data.tau, null - data.tau, data.moving)
@@ -162,7 +164,9 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
         nulls = {
             "constant speed": constant_speed(run, begin, seconds),
             "constant acceleration": constant_acceleration(run, begin, seconds, LOW_PASS),
-            "each axis by itself": known().per_axis.free_run(run, begin, seconds),
+            "each axis by itself": known().per_axis.free_run(
+                run, begin, seconds, scene.gear_ratios
+            ),
         }
         best = np.full(len(scene.joints), np.inf)
         for name, ends in nulls.items():

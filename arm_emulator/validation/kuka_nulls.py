@@ -40,12 +40,11 @@ class PerAxis:
         axes = range(len(self.coefficients))
         return np.column_stack([_features(data, j) @ self.coefficients[j] for j in axes])
 
-    def free_run(self, run: MeasuredRun, begin: Starts, seconds: float) -> Array:
-        """Return angles (S, N) [rad] after some time under the measured torques."""
+    def free_run(self, run: MeasuredRun, begin: Starts, seconds: float, ratio: Array) -> Array:
+        """Return angles (S, N) [rad] after some time under the measured torques; gears (N,)."""
         c = self.coefficients.T
         q, v = begin.q.copy(), begin.v.copy()
         every = round(run.period / STEP)
-        ratio = begin.v[0] / begin.omega_m[0]
         tau = run.tau / ratio
         for sample in range(round(seconds / run.period)):
             at = begin.at + sample
