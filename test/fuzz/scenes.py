@@ -5,17 +5,12 @@ python -m fuzz.scenes SEED FIRST STEP: case FIRST, FIRST + STEP, ... of a seed, 
 
 from __future__ import annotations
 
-import itertools
-import shutil
-import sys
-import tempfile
-import traceback
 from pathlib import Path
 
 import numpy as np
 from random_scenes import draw, verdict
 
-from fuzz.line import FAILED, REFUSED, TAKEN, tell
+from fuzz.in_folders import run
 
 
 def case(seed: int, number: int, folder: Path) -> str:
@@ -23,24 +18,5 @@ def case(seed: int, number: int, folder: Path) -> str:
     return verdict(draw(np.random.default_rng([seed, number]), folder))
 
 
-def main() -> None:
-    """Tell of each case before and after it."""
-    seed, first, step = map(int, sys.argv[1:])
-    scratch = Path(tempfile.mkdtemp(prefix="fuzz-scenes-"))
-    try:
-        for number in itertools.count(first, step):
-            folder = scratch / str(number)
-            tell(begin=number)
-            try:
-                line = case(seed, number, folder)
-            except Exception:  # whatever it is, it is what is looked for
-                tell(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
-            else:
-                tell(outcome=REFUSED if line else TAKEN, count=1)
-            shutil.rmtree(folder, ignore_errors=True)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-
-
 if __name__ == "__main__":
-    main()
+    run("scenes", case)
