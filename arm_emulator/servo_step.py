@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from compiled.c_flags import C_FLAGS
+from compiled.flags import C_FLAGS
 from compiled.unit import Calls, Unit, address, library
 from emulator_node.compiler import CORE
 from emulator_node.firmware_loop import FirmwareLoop

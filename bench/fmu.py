@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from compiled.c_flags import C_FLAGS
+from compiled.flags import C_FLAGS
 from compiled.unit import Calls, Unit, declare, library
 from emulator_node.compiler import CORE
 from emulator_node.core_calls import ARM_CALLS

@@ -7,6 +7,7 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
+from compiled.flags import SHARED
 from compiled.unit import Calls, Unit, compile_units, library
 from emulator_node.core_calls import ARM_CALLS, FLEET_CALLS, REAL_TIME_CALLS
 from emulator_node.scene import Scene
@@ -17,9 +18,10 @@ CORE = Path(__file__).resolve().parent / "core"
 # The stepping code never asks for errno, traps or the sign of zero, and may reassociate.
 # Finiteness is checked on bit patterns (core/machine.hpp).
 FLAGS = (
-    "-std=c++20 -O3 -shared -fPIC -fvisibility=hidden -fno-math-errno -fno-trapping-math "
-    "-pthread -fno-signed-zeros -fassociative-math -ffinite-math-only -freciprocal-math"
-).split()
+    *"-std=c++20 -O3 -fvisibility=hidden -fno-math-errno -fno-trapping-math -pthread".split(),
+    *"-fno-signed-zeros -fassociative-math -ffinite-math-only -freciprocal-math".split(),
+    *SHARED,
+)
 
 
 def library_of(scene: Scene) -> ctypes.CDLL:
@@ -108,4 +110,4 @@ def real_time_unit() -> Unit:
 
 
 def _unit(name: str, source: str, calls: Calls, where: str, about: str) -> Unit:
-    return Unit(name, source, tuple(FLAGS), (CORE,), calls, where, about, "the scene's core")
+    return Unit(name, source, FLAGS, (CORE,), calls, where, about, "the scene's core")

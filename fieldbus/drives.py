@@ -14,6 +14,7 @@ import numpy as np
 
 from analysis.mode_loops import MODES as OFFERED
 from analysis.mode_loops import withheld_modes
+from compiled.flags import SHARED
 from compiled.unit import Calls, Unit, address, library
 from emulator_node.compiler import CORE
 from emulator_node.core_calls import MODES
@@ -31,9 +32,10 @@ DRIVES_CORE = Path(__file__).resolve().parent / "core"
 ETHERCAT, CANOPEN = 1, 2  # enum drives_bus
 
 # The servo's bits are those of its C library: nothing is contracted or reordered.
-DRIVES_FLAGS = tuple(
-    "-std=c++20 -O2 -shared -fPIC -fvisibility=hidden -fno-exceptions -ffp-contract=off "
-    "-fno-semantic-interposition -pthread".split()
+DRIVES_FLAGS = (
+    *"-std=c++20 -O2 -fvisibility=hidden -fno-exceptions -ffp-contract=off".split(),
+    *"-fno-semantic-interposition -pthread".split(),
+    *SHARED,
 )
 SOURCE = '#include "servo.c"\n#include "drives.hpp"\n'
 

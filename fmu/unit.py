@@ -21,8 +21,6 @@ from fmu.variables import Variable
 from words.bound import VELOCITY
 
 FOLDER = Path(__file__).resolve().parent
-# Several units may be loaded into one program, and each calls its own machine.
-FLAGS = ("-Wl,-Bsymbolic",)
 VERSIONS = ("3", "2")  # of FMI
 
 
@@ -44,7 +42,6 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
         name=f"{scene.name}-fmu{version}",
         beside=f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
         f'#include "fmi{version}.cpp"\n',
-        flags=(*machine.flags, *FLAGS),
         folders=(*machine.folders, FOLDER),
         calls={**machine.calls, f"fmi{version}GetVersion": (ctypes.c_char_p, [])},
         about=f"{machine.about} for FMI {version}.0",

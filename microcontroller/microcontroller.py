@@ -7,6 +7,7 @@ import socket
 from collections.abc import Iterable
 from functools import cache
 
+from compiled.flags import SHARED
 from compiled.unit import Calls, Unit, address, library
 from emulator_node.compiler import CORE
 from emulator_node.plant import Plant
@@ -17,7 +18,7 @@ from microcontroller.elf_image import ElfImage
 from microcontroller.unicorn_library import load_unicorn, unicorn_headers, unicorn_version
 from words.refusal import Refusal
 
-FLAGS = tuple("-std=c++20 -O2 -shared -fPIC -fvisibility=hidden -ffp-contract=off".split())
+FLAGS = (*"-std=c++20 -O2 -fvisibility=hidden -ffp-contract=off".split(), *SHARED)
 
 _pointer, _int32, _uint32 = ctypes.c_void_p, ctypes.c_int32, ctypes.c_uint32
 _int64, _uint64, _double = ctypes.c_int64, ctypes.c_uint64, ctypes.c_double

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from compiled.c_flags import C_FLAGS
+from compiled.flags import C_FLAGS
 from compiled.unit import Calls, Unit, library
 from firmware import FOLDER
 

@@ -19,6 +19,7 @@ from machines import random_chain
 
 from compiled import cxx
 from compiled.compiler_command import find_compiler, identity
+from compiled.flags import SHARED
 from compiled.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from emulator_node.compiler import (
     CORE,
@@ -129,7 +130,7 @@ def test_the_core_compiles_without_a_warning(
     scene = random_chain(tmp_path, 3, joints, integrator=integrator, threads=threads)
     source = tmp_path / "unit.cpp"
     source.write_text(scene_unit(scene))
-    flags = [flag for flag in FLAGS if flag not in ("-O3", "-shared")]  # -O1 for the time it takes
+    flags = [flag for flag in FLAGS if flag not in ("-O3", *SHARED)]  # -O1 for the time it takes
     warnings = ["-O1", "-c", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{CORE}"]
     command = [*find_compiler(), *flags, *warnings, str(source), "-o", str(tmp_path / "unit.o")]
     built = subprocess.run(command, capture_output=True, text=True, check=False)

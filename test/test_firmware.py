@@ -29,8 +29,8 @@ from arm_emulator.servo_header import servo_header
 from arm_emulator.servo_step import ServoStep, servo_step_unit
 from arm_emulator.table_run import TableRun, load_table_run
 from arm_emulator.target_table import load_target_table
-from compiled.c_flags import C_FLAGS
 from compiled.compiler_command import find_compiler
+from compiled.flags import C_FLAGS
 from compiled.unit import library
 from emulator_node.compiler import CORE
 from emulator_node.firmware import Doing, Firmware, Progress

@@ -15,6 +15,7 @@ from machines import GRAVITY, random_chain
 
 from bench.busy import busy_processes
 from compiled.compiler_command import find_compiler
+from compiled.flags import SHARED
 from emulator_node.compiler import CORE, FLAGS
 from emulator_node.plant import Diverged, Plant
 from emulator_node.real_time import RealTimeLoop
@@ -182,7 +183,7 @@ def test_no_data_race(tmp_path: Path, depth: int) -> None:
     unit = scene_unit(load_scene("three_axis", overrides=overrides))
     source, program = tmp_path / "race.cpp", tmp_path / "race"
     source.write_text(unit + (Path(__file__).parent / "race.cpp").read_text())
-    flags = [flag for flag in FLAGS if flag not in ("-O3", "-shared", "-fvisibility=hidden")]
+    flags = [flag for flag in FLAGS if flag not in ("-O3", "-fvisibility=hidden", *SHARED)]
     sanitize = ["-O1", "-g", "-fsanitize=thread", f"-I{CORE}"]
     command = [*find_compiler(), *flags, *sanitize, str(source), "-o", str(program)]
     built = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -27,7 +27,7 @@ from arm_emulator.gains import load_gains
 from arm_emulator.servo_header import servo_header
 from arm_emulator.table_run import TableRun
 from arm_emulator.target_table import TargetTable
-from compiled.c_flags import C_FLAGS
+from compiled.flags import C_FLAGS
 from emulator_node.compiler import CORE
 from emulator_node.firmware import Firmware
 from firmware import FOLDER as SERVO

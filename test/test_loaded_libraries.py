@@ -1,0 +1,75 @@
+"""A process has loaded a library that defines the names of ours, for all to see.
+
+An FMU that its importer loads so is one. Ours call their own functions all the same.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from arm_emulator.servo_step import servo_step_unit
+from compiled.compiler_command import find_compiler
+from compiled.unit import Unit
+from emulator_node.compiler import fleet_unit, machine_unit, real_time_unit
+from emulator_node.firmware_loop import firmware_loop_unit
+from emulator_node.scene import load_scene
+from fieldbus.drives import drives_unit
+from servo_node.servo_law import servo_unit
+
+TEST = Path(__file__).resolve().parent
+RUN = """
+import ctypes, hashlib, sys
+sys.path += sys.argv[1:3]
+if sys.argv[3:]:
+    ctypes.CDLL(sys.argv[3], mode=ctypes.RTLD_GLOBAL)
+from arm_emulator.offline import OfflineRun
+from emulator_node.fleet import Fleet
+from emulator_node.scene import load_scene
+from motion_controller_node.motion_config import load_motion_config
+from servo_node.servo_config import load_servo_config
+from torque_modes import enabled
+from words.config_files import find_beside, find_scene
+scene, file = load_scene("three_axis"), find_scene("three_axis")
+servo = load_servo_config(find_beside(file, "servo"))
+offline = OfflineRun(scene, servo, load_motion_config(find_beside(file, "motion")))
+offline.advance(50)
+fleet = Fleet(scene, 3)
+fleet.advance([5.0, -5.0, 3.0], 50)
+drives = enabled(scene, servo)
+print(hashlib.sha256(offline.session.plant.save()).hexdigest(), fleet.state.q.tobytes().hex(),
+      [drives.read(j, 0x6077) for j in range(3)])
+"""
+
+
+def names_of(unit: Unit) -> set[str]:
+    """Return the functions that a library may show: those declared, and more of their prefix."""
+    names = set(unit.calls)
+    prefixes = "|".join({name.split("_")[0] for name in names})
+    for folder in unit.folders:
+        for file in folder.glob("*.[hc]*"):
+            names |= set(re.findall(rf"\b((?:{prefixes})_\w+)\(", file.read_text()))
+    return names
+
+
+def printed(*words: str) -> str:
+    command = [sys.executable, "-c", RUN, str(TEST.parent), str(TEST), *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
+    scene = load_scene("three_axis")
+    units = machine_unit(scene), fleet_unit(scene), drives_unit("drives"), servo_unit()
+    units += servo_step_unit(), firmware_loop_unit(), real_time_unit()
+    names = sorted(set().union(*map(names_of, units)))
+    assert {"arm_advance", "servo_measure", "firmware_loop_step"} < set(names)
+    source, others = tmp_path / "others.c", tmp_path / "others.so"
+    lines = [f"void {name}(void) {{ abort(); }}\n" for name in names]
+    source.write_text("#include <stdlib.h>\n" + "".join(lines))
+    command = [*find_compiler(), "-xc", "-shared", "-fPIC", str(source), "-o", str(others)]
+    subprocess.run(command, check=True)
+    assert printed(str(others)) == printed()
