@@ -2,7 +2,9 @@
 #pragma once
 
 #include <arpa/inet.h>
+#include <linux/ethtool.h>
 #include <linux/if_packet.h>
+#include <linux/sockios.h>
 #include <net/ethernet.h>
 #include <net/if.h>
 #include <net/if_arp.h>
@@ -87,9 +89,9 @@ class Port {
       if (found == 0 && !segment.lockstep()) continue;  // a period is over
       if (found == 0 || wait.revents & (POLLERR | POLLHUP)) {
         clear_error(descriptor);
-        const int flags = flags_of(descriptor);
-        if (flags < 0) return flags;
-        up = flags & IFF_UP && flags & IFF_RUNNING;
+        const int link = has_link(descriptor);
+        if (link < 0) return link;
+        up = link > 0;
         continue;
       }
       up = true;
@@ -116,8 +118,9 @@ class Port {
     socklen_t size = sizeof error;
     getsockopt(descriptor, SOL_SOCKET, SO_ERROR, &error, &size);
   }
-  // Of the interface, or -errno where it is gone.
-  static int flags_of(int descriptor) {
+  // 1: the interface has a link, 0: it has none, -errno: there is no interface any more. The flag
+  // IFF_RUNNING follows a cable by up to a second, and misses one that is soon plugged in again.
+  static int has_link(int descriptor) {
     sockaddr_ll address = {};
     socklen_t size = sizeof address;
     ifreq request = {};
@@ -125,7 +128,11 @@ class Port {
     if (!if_indextoname(static_cast<unsigned>(address.sll_ifindex), request.ifr_name))
       return -ENODEV;
     if (ioctl(descriptor, SIOCGIFFLAGS, &request) < 0) return -errno;
-    return static_cast<std::uint16_t>(request.ifr_flags);
+    const auto flags = static_cast<std::uint16_t>(request.ifr_flags);
+    ethtool_value link = {ETHTOOL_GLINK, 0};
+    request.ifr_data = reinterpret_cast<char*>(&link);
+    if (ioctl(descriptor, SIOCETHTOOL, &request) == 0) return flags & IFF_UP && link.data != 0;
+    return flags & IFF_UP && flags & IFF_RUNNING;
   }
 
   Segment& segment;
