@@ -178,10 +178,8 @@ bench: setup .venv/.robots .venv/.bench
 pages: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench.pages $(ARGS)
 
-CORE := $(wildcard $(addprefix emulator_node/core/,*.hpp *.cpp *.h *.c) arm_emulator/*.c \
-  fieldbus/core/*.[ch]pp fieldbus/core/*.h fmu/*.[ch]pp fmu/*.h microcontroller/*.[ch]pp microcontroller/*.[ch] microcontroller/examples/*/*.[ch] \
-  firmware/*.[ch] \
-  firmware/template/*.c test/*.c test/*.cpp test/fuzz/*.cpp bench/*.cpp bench/*.c)
+CORE := $(shell find arm_emulator test bench -path test/peers/ethercrab_master -prune -o \
+  -name '*.[ch]' -print -o -name '*.[ch]pp' -print 2>/dev/null)
 
 lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache

@@ -5,20 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "arm_emulator"
-PACKAGES = (
-    "words",
-    "firmware",
-    "compiled",
-    "ros_shell",
-    "emulator_node",
-    "servo_node",
-    "motion_controller_node",
-    "analysis",
-    "fieldbus",
-    "fmu",
-    "microcontroller",
-    "arm_emulator",
-)
+PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 
 
 def share(folder: str) -> list[tuple[str, list[str]]]:
@@ -39,12 +26,9 @@ setup(
     maintainer_email="arm_emulator@example.org",
     packages=find_packages(include=[name + tail for name in PACKAGES for tail in ("", ".*")]),
     package_data={
-        "firmware": ["*.c", "*.h", "template/*"],
-        "emulator_node": ["core/*.hpp", "core/*.cpp", "core/*.h", "core/*.c"],
-        "fieldbus": ["core/*"],
-        "fmu": ["*.cpp", "*.hpp", "*.h"],
-        "microcontroller": ["*.cpp", "*.hpp", "*.h", "examples/*/*"],
-        "arm_emulator": ["*.c", "validation/*.hpp"],
+        "arm_emulator": [f"**/*{ending}" for ending in (".c", ".h", ".cpp", ".hpp")],
+        "arm_emulator.servo.c": ["template/*"],
+        "arm_emulator.doors.microcontroller": ["examples/*/*"],
         "": ["py.typed"],
     },
     data_files=[
@@ -59,9 +43,9 @@ setup(
     entry_points={
         "console_scripts": [
             "arm_emulator = arm_emulator.__main__:main",
-            "emulator_node = arm_emulator.node_main:emulator",
-            "motion_controller_node = arm_emulator.node_main:motion_controller",
-            "servo_node = arm_emulator.node_main:servo",
+            "emulator_node = arm_emulator.cli.node_main:emulator",
+            "motion_controller_node = arm_emulator.cli.node_main:motion_controller",
+            "servo_node = arm_emulator.cli.node_main:servo",
         ],
     },
 )

@@ -1,1 +1,1 @@
-"""The command line of the arm emulator, and the entry points of its nodes."""
+"""An emulated industrial arm: a machine, its servo and its motion control."""

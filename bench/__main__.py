@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from arm_emulator.base.refusal import Refusal
 from bench.report import bench
-from words.refusal import Refusal
 
 
 def main() -> int:

@@ -30,13 +30,13 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from arm_emulator.analysis.advice import Advice, Judge, advise, step_counts
+from arm_emulator.analysis.judged_motions import KINDS, SECONDS, Leader, Motion, judged_motions
+from arm_emulator.analysis.true_motion import Method
+from arm_emulator.machine.scene import Scene, load_scene
 from bench import mixtures
 from bench.measure import progress
 from bench.random_chain import moving_joints, random_chain_urdf
-from emulator_node.advice import Advice, Judge, advise, step_counts
-from emulator_node.judged_motions import KINDS, SECONDS, Leader, Motion, judged_motions
-from emulator_node.scene import Scene, load_scene
-from emulator_node.true_motion import Method
 
 CLASSES = ("friction", "play", "limits", "pmsm", "torque")
 ERRORS = (1e-3, 1e-4, 1e-5, 1e-6)  # rad or m

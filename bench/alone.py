@@ -31,15 +31,15 @@ import numpy as np
 import yaml
 from rich.console import Console
 
+from arm_emulator.build.library_cache import CACHE_VARIABLE
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.scene import Scene, load_scene
 from bench import mixtures
 from bench.measure import progress
 from bench.mixtures import BRAKED, PERIOD, STEPS, Rng, run
 from bench.random_chain import moving_joints, random_chain_urdf
 from bench.smoothed_reference import Row, SmoothedMachine, Smoothing
-from compiled.library_cache import CACHE_VARIABLE
-from emulator_node.chain import Array
-from emulator_node.plant import Diverged
-from emulator_node.scene import Scene, load_scene
 
 ROWS = 14  # commands, each for a period
 LOCATED = ("rosenbrock", "extrapolated")

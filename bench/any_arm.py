@@ -26,19 +26,19 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from arm_emulator.gains import load_gains
-from arm_emulator.new import write_new
-from arm_emulator.offline import OfflineRun
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import UNLIMITED
+from arm_emulator.cli.new import write_new
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.scene import Scene, example_robot_data, load_scene
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.predicted_residual import predicted_residual
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
 from bench.measure import progress
 from bench.own_robots import OWN
-from emulator_node.chain import Array
-from emulator_node.plant import Diverged
-from emulator_node.scene import Scene, example_robot_data, load_scene
-from motion_controller_node.kinematics import Kinematics
-from motion_controller_node.pose import Pose
-from motion_controller_node.predicted_residual import predicted_residual
-from words.refusal import Refusal
-from words.urdf_text import UNLIMITED
 
 DISTANCES = (0.05, 0.3)  # m, for arms that reach `FULL_REACH`; smaller ones go as much less
 FULL_REACH = 0.8  # m

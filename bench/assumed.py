@@ -19,20 +19,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.demo_plan import DemoPlan
-from arm_emulator.gains import Gains, load_gains
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.motion.controller import controller_for
+from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.kinematics import moving_joints
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import Gains, load_gains
+from arm_emulator.servo.drives import Drives, Target
 from bench.measure import progress
 from bench.origins import Origin, origins
-from emulator_node.chain import Array
-from emulator_node.fleet import Fleet
-from emulator_node.scene import Scene, load_scene
-from motion_controller_node.controller import controller_for
-from motion_controller_node.instructor import Instructor
-from motion_controller_node.kinematics import moving_joints
-from motion_controller_node.pose import Pose
-from servo_node.drives import Drives, Target
-from words.config_files import find_scene
-from words.refusal import Refusal
 
 TITLE = "What is assumed of the arms"
 

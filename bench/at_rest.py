@@ -28,13 +28,13 @@ import pinocchio as pin
 from rich.console import Console
 from rich.table import Table
 
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.base.config_files import find_config
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.measure import progress
-from emulator_node.chain import Array
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import links_model
-from emulator_node.scene import SCHEMES, Scene, load_scene
-from words.config_files import find_config
-from words.yaml_file import read_yaml
 
 SHIPPED = ("three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300")
 LOCATING = ("rosenbrock", "extrapolated")

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.gains import load_gains
-from arm_emulator.servo_step import ServoStep
-from arm_emulator.table_run import TableRun
-from arm_emulator.target_table import TargetTable
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.runs.table_run import TableRun
+from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.servo.drives import Drives
 from bench.busy import busy_processes
 from bench.measure import progress
-from emulator_node.chain import Array
-from emulator_node.scene import load_scene
-from ros_shell.ros_domain import own_domain
-from servo_node.drives import Drives
-from words.config_files import find_scene
 
 TITLE = "Two clocks"
 
@@ -75,9 +75,9 @@ def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
     """Run the three nodes and return what the emulator's status says at the end."""
     import rclpy
 
-    from arm_emulator.bringup import Bringup
+    from arm_emulator.ros.bringup import Bringup
+    from arm_emulator.ros.node_shell import STATE_SUB_QOS
     from arm_emulator_msgs.msg import EmulatorStatus
-    from ros_shell.node_shell import STATE_SUB_QOS
 
     clock = "realtime" if what == "real_time" else "lockstep"
     rclpy.init()
@@ -133,7 +133,7 @@ def punctual(figures: dict[str, Any]) -> bool:
 
 def _offline(scene: str) -> float:
     """Return the real-time factor of the offline run."""
-    from arm_emulator.offline import load_offline_run
+    from arm_emulator.runs.offline import load_offline_run
 
     one = load_offline_run(scene)
     one.advance(100)

@@ -6,17 +6,17 @@ import dataclasses
 
 import numpy as np
 
-from arm_emulator.demo_plan import NANOSECONDS, DemoPlan
-from arm_emulator.gains import load_gains
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.controller import controller_for
+from arm_emulator.motion.instruction import Instruction
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.servo.servo import Servo
+from arm_emulator.servo.servo_config import ServoConfig
 from bench.motion import Array
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene
-from motion_controller_node.controller import controller_for
-from motion_controller_node.instruction import Instruction
-from motion_controller_node.pose import Pose
-from servo_node.servo import Servo
-from servo_node.servo_config import ServoConfig
-from words.config_files import find_scene
 
 
 class DemoMotion:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification import inertia
 from arm_emulator.identification.found import numbers_found
 from arm_emulator.identification.free_run_fit import torque_driven
@@ -25,17 +26,16 @@ from arm_emulator.identification.structure import FALLS, RIPPLE, RISES, WARMS, W
 from arm_emulator.identification.synthetic import make_record
 from arm_emulator.identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator.identification.torque_model import TorqueModel
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.friction import RotorFriction
+from arm_emulator.machine.parts.lugre import RotorLuGre
+from arm_emulator.machine.parts.stribeck import RotorStribeck
+from arm_emulator.machine.parts.torque_ripple import TorqueRipple
+from arm_emulator.machine.scene import Joint, Scene, could_vary, load_scene
+from arm_emulator.machine.varied_body import of_child
 from arm_emulator.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import truth as three_axis
 from bench.measure import progress
-from emulator_node.chain import Array
-from emulator_node.parts.friction import RotorFriction
-from emulator_node.parts.lugre import RotorLuGre
-from emulator_node.parts.stribeck import RotorStribeck
-from emulator_node.parts.torque_ripple import TorqueRipple
-from emulator_node.scene import Joint, Scene, could_vary, load_scene
-from emulator_node.varied_body import of_child
-from words.refusal import Refusal
 
 TITLE = "Doubtful records"
 SECONDS, PERIOD = 10.0, 4e-3

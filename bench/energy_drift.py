@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from arm_emulator.analysis.reference import links_model, reference
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.measure import compile_all, side_by_side
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, new_figure, save
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import links_model, reference
-from emulator_node.scene import SCHEMES, Scene, load_scene
 
 TITLE = "Energy drift"
 

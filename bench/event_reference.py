@@ -1,6 +1,6 @@
 """An independent solution for machines that stick and whose currents meet limits.
 
-As `emulator_node.reference`, in pieces: in each the modes of the joints are held, and SciPy finds
+As `analysis.reference`, in pieces: in each the modes of the joints are held, and SciPy finds
 where the first of them ends, on the dense output of its own steps. Shares no line with the core.
 """
 
@@ -13,8 +13,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from emulator_node.reference import ROWS, STIFF, Array, ReferenceMachine
-from emulator_node.scene import Scene
+from arm_emulator.analysis.reference import ROWS, STIFF, Array, ReferenceMachine
+from arm_emulator.machine.scene import Scene
 
 ROUNDING = 1e-9  # of a breakaway torque or a limit: what is nearer to it is at it
 MOST_PIECES = 1000  # in one row

@@ -14,6 +14,10 @@ import numpy as np
 from mujoco import rollout
 from numpy.typing import NDArray
 
+from arm_emulator.analysis.reference import reference
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.bare import BARE
 from bench.measure import Task, Timing, interleaved, progress
 from bench.motion import SERVO_PERIOD, sines
@@ -21,10 +25,6 @@ from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, new_figure, save
 from bench.time_at_error import time_at_error
 from bench.work_precision import steps_of
-from emulator_node.fleet import Fleet
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import reference
-from emulator_node.scene import SCHEMES, Scene, load_scene
 
 TITLE = "Many arms"
 

@@ -18,14 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
-from compiled.flags import C_FLAGS
-from compiled.unit import Calls, Unit, declare, library
-from emulator_node.compiler import CORE
-from emulator_node.core_calls import ARM_CALLS
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
-from fmu.export import export
-from fmu.unit import FOLDER
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import Calls, Unit, declare, library
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.fmu.export import export
+from arm_emulator.doors.fmu.unit import FOLDER
+from arm_emulator.machine.core_calls import ARM_CALLS
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 
 PERIODS = 20_000  # of a repetition
 _p, _i64, _f64, _u32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double, ctypes.c_uint32
@@ -39,7 +39,9 @@ def cost(name: str) -> dict[str, float]:
     """Return the median time of a servo period by what was timed [ns]."""
     scene = load_scene(name)
     source = (Path(__file__).parent / "fmu_loop.c").read_text(encoding="utf-8")
-    unit = Unit("fmu_loop", source, C_FLAGS, (CORE, FOLDER), CALLS, "bench", "a loop", "fmu_loop.c")
+    unit = Unit(
+        "fmu_loop", source, C_FLAGS, (BOUNDARY, FOLDER), CALLS, "bench", "a loop", "fmu_loop.c"
+    )
     loop = library(unit)
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "arm.fmu"

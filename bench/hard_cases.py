@@ -20,14 +20,14 @@ import pinocchio as pin
 import yaml
 from scipy.special import ellipk
 
+from arm_emulator.analysis.advice import ORDERS
+from arm_emulator.analysis.reference import links_model, reference
+from arm_emulator.base.config_files import config_folder
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.measure import side_by_side
 from bench.motion import Array
-from emulator_node.advice import ORDERS
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import links_model, reference
-from emulator_node.scene import SCHEMES, Scene, load_scene
-from words.config_files import config_folder
-from words.refusal import Refusal
 
 TITLE = "Hard cases"
 

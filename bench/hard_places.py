@@ -17,16 +17,16 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.gains import load_gains
-from arm_emulator.offline import OfflineRun
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.controller import controller_for
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
 from bench.measure import progress
 from bench.motion import Array
-from emulator_node.scene import load_scene
-from motion_controller_node.controller import controller_for
-from motion_controller_node.kinematics import Kinematics
-from motion_controller_node.motion_config import MotionConfig
-from motion_controller_node.pose import Pose
-from words.config_files import find_scene
 
 TITLE = "Hard places of motion control"
 

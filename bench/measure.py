@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from compiled.compiler_command import find_compiler
-from emulator_node.compiler import library_of
-from emulator_node.scene import Scene
-from emulator_node.scene_unit import scene_unit
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.machine.compiler import library_of
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene_unit import scene_unit
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")

@@ -3,7 +3,7 @@
     python -m bench.mixtures --count 300
 
 Each machine is a random chain of two links whose joints have parts drawn from all that there are
-(emulator_node/parts/known.py), moved by commands that jump, some under a wrench, some braked on the
+(machine/parts/known.py), moved by commands that jump, some under a wrench, some braked on the
 way. Claims, with rosenbrock and events located:
 
 - halving the step twice shows order 2 in the positions, or `Diverged` is raised;
@@ -34,13 +34,13 @@ import numpy as np
 import yaml
 from rich.console import Console
 
+from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.parts.known import EXTRAS, GEARS, MOTORS
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
 from bench.measure import progress
 from bench.random_chain import moving_joints, random_chain_urdf
-from emulator_node.external_wrench import ExternalWrench
-from emulator_node.fleet import Fleet
-from emulator_node.parts.known import EXTRAS, GEARS, MOTORS
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import Scene, load_scene
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them
 STEPS = (20, 40, 80)  # in a period

@@ -16,13 +16,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from emulator_node.parts.dc_motor import DcMotor
-from emulator_node.parts.elastic_gear import ElasticGear
-from emulator_node.parts.friction import LinkFriction
-from emulator_node.parts.gear import RigidGear
-from emulator_node.reference import links_model
-from emulator_node.scene import Joint, Scene
-from words.refusal import Refusal
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.friction import LinkFriction
+from arm_emulator.machine.parts.gear import RigidGear
+from arm_emulator.machine.scene import Joint, Scene
 
 Array = NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from arm_emulator.machine.scene import SCHEMES
 from bench import fleet
 from bench.clocks import FACTOR_ERROR, OLD_SHARE, punctual
 from bench.ns_per_step import fastest_mujoco
 from bench.stability_map import everywhere_bounded
 from bench.threads import PAPER, PAPER_RATIO, TITLES, TWO
-from emulator_node.scene import SCHEMES
 
 # what, wanted, reached, whether it is; None: nothing to hold it against, or not measured
 Row = tuple[str, str, str, bool | None]

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.bare import BARE
 from bench.chains import chain
 from bench.measure import Task, Timing, compile_all, interleaved, progress, stepping, timing
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, joint_axis
 from bench.pictures import COLOURS, PEERS, new_figure, save
-from compiled.compiler_command import find_compiler
-from emulator_node.plant import Plant
-from emulator_node.reference import links_model
-from emulator_node.scene import SCHEMES, Scene, load_scene
 
 TITLE = "Time per step"
 

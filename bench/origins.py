@@ -14,7 +14,7 @@ from pathlib import Path
 
 import yaml
 
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
 
 SECTIONS = ("motor", "gear", "friction")  # of a joint, that must say where they are from
 _NUMBER = r"([\d.e+-]+(?:/\d+)?)"

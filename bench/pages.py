@@ -24,7 +24,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -72,7 +72,7 @@ def _fig4(scratch: Path) -> Path:
 
 
 def _arm(scratch: Path) -> Path:
-    from arm_emulator.screenshot import take_screenshot
+    from arm_emulator.view.screenshot import take_screenshot
 
     _command("demo", "ur5", "--out", str(scratch))
     take_screenshot(scratch / "demo.rrd", scratch / "arm.png", at=SHOT_AT, size=(1280, 720))

@@ -33,16 +33,16 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from arm_emulator.analysis.advice import ORDERS
+from arm_emulator.analysis.reference import ReferenceMachine
+from arm_emulator.build.library_cache import CACHE_VARIABLE
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.event_reference import reference_with_events
 from bench.measure import progress
 from bench.pictures import COLOURS, new_figure, save
 from bench.random_chain import random_chain_urdf
-from compiled.library_cache import CACHE_VARIABLE
-from emulator_node.advice import ORDERS
-from emulator_node.chain import Array
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import ReferenceMachine
-from emulator_node.scene import SCHEMES, Scene, load_scene
 
 LOCATED = ("rosenbrock", "extrapolated")  # the others take events at the ends of steps
 PERIOD, ROWS = 0.02, 6  # s, that each voltage is held, and how many of them

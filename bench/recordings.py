@@ -29,11 +29,11 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rich.console import Console
 
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.node_shell import STATE_SUB_QOS
+from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus, MotorState
 from bench.busy import busy_processes
-from ros_shell.bag import Bag
-from ros_shell.node_shell import STATE_SUB_QOS
-from ros_shell.ros_domain import own_domain
 
 WAYS = ("record", "up --record")
 TARGETS = ((0.10, 0.02, 0.80), (0.08, -0.02, 0.78))  # m, of three_axis, by turns

@@ -14,9 +14,9 @@ from typing import Any
 
 from rich.console import Console
 
+from arm_emulator.base.refusal import Refusal
 from bench.measure import machine
 from bench.must_show import must_show
-from words.refusal import Refusal
 
 # A section is a module of this folder with TITLE, run(quick) -> figures (JSON), report(figures) ->
 # Markdown, and, if it has pictures, draw(figures, folder).

@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.demo_plan import DemoPlan
-from arm_emulator.gains import Gains, load_gains
-from arm_emulator.offline import OfflineRun
-from arm_emulator.predicted_rest import Arrival, PredictedRest, predicted_rest
-from emulator_node.scene import Scene, load_scene
-from motion_controller_node.controller import controller_for
-from motion_controller_node.kinematics import Kinematics
-from motion_controller_node.pose import Pose
-from words.config_files import find_scene
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.demo.predicted_rest import Arrival, PredictedRest, predicted_rest
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.motion.controller import controller_for
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import Gains, load_gains
+from arm_emulator.runs.offline import OfflineRun
 
 Array = NDArray[np.float64]
 

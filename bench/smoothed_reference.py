@@ -19,22 +19,22 @@ import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
 
-from emulator_node.chain import Array
-from emulator_node.parts.backlash_gear import BacklashGear
-from emulator_node.parts.brake import Brake
-from emulator_node.parts.current_loop import CurrentLoop
-from emulator_node.parts.current_motor import CurrentMotor
-from emulator_node.parts.dc_motor import DcMotor
-from emulator_node.parts.elastic_gear import ElasticGear
-from emulator_node.parts.end_stops import EndStops
-from emulator_node.parts.friction import Friction, LinkFriction, OfRotor
-from emulator_node.parts.gear import RigidGear
-from emulator_node.parts.lugre import LinkLuGre, LuGre, RotorLuGre
-from emulator_node.parts.progressive_gear import ProgressiveGear
-from emulator_node.parts.torque_motor import TorqueMotor
-from emulator_node.reference import links_model
-from emulator_node.scene import Joint, Scene
-from words.refusal import Refusal
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.backlash_gear import BacklashGear
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.current_loop import CurrentLoop
+from arm_emulator.machine.parts.current_motor import CurrentMotor
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
+from arm_emulator.machine.parts.gear import RigidGear
+from arm_emulator.machine.parts.lugre import LinkLuGre, LuGre, RotorLuGre
+from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
+from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.scene import Joint, Scene
 
 KNOWN = (
     DcMotor, CurrentLoop, TorqueMotor, CurrentMotor, RigidGear, ElasticGear, ProgressiveGear,

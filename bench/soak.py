@@ -11,9 +11,9 @@ import time
 from rich.console import Console
 from rich.progress import Progress
 
+from arm_emulator.ros.ros_domain import own_domain
 from bench.busy import busy_processes
 from bench.clocks import FACTOR_ERROR, OLD_SHARE, measure, punctual
-from ros_shell.ros_domain import own_domain
 
 
 def main() -> None:

@@ -11,13 +11,13 @@ import numpy as np
 import pinocchio as pin
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.measure import compile_all, side_by_side
 from bench.motion import Array, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import new_figure, save
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import links_model
-from emulator_node.scene import SCHEMES, Scene, load_scene
 
 TITLE = "Stability map"
 

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.analysis.reference import reference
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 from bench.chains import chain
 from bench.measure import Task, compile_all, interleaved, progress
 from bench.motion import Array, sines
-from compiled.compiler_command import find_compiler
-from emulator_node.plant import Plant
-from emulator_node.reference import reference
-from emulator_node.scene import load_scene
 
 TITLE = "Two threads"
 
@@ -160,7 +160,7 @@ def report(figures: dict[str, Any]) -> str:
     lines = [
         "`lag` is the exchange of the paper's Fig. 6, `predict` the one that leads "
         f"the sample on by its own speeds and accelerations, and at depth {DEPTH} by {DEPTH} steps "
-        "(core/two_threads.hpp).",
+        "(core/schemes/two_threads.hpp).",
         "",
         "Table 1 of the paper, on three_axis with scheme `paper`: difference between two threads "
         "and one after 1 s [rad], for waist, shoulder, elbow, and beside it the error of each "

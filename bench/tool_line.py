@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.gains import load_gains
-from arm_emulator.offline import OfflineRun
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
 from bench.measure import progress
 from bench.motion import Array
-from emulator_node.scene import load_scene
-from motion_controller_node.link_torques import LinkTorques
-from motion_controller_node.pose import Pose
-from words.config_files import find_scene
 
 TITLE = "A straight line with the tool"
 

@@ -8,10 +8,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import SCHEMES, load_scene
 from bench.measure import compile_all, interleaved, progress, stepping
-from emulator_node.plant import Plant
-from emulator_node.scene import SCHEMES, load_scene
-from words.refusal import Refusal
 
 STEPS = 20_000  # in one measurement
 REPETITIONS = 15

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
 from bench.closed_loop import DemoMotion
 from bench.measure import Task, compile_all, interleaved, progress, side_by_side, stepping
 from bench.motion import Array
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import Scene, load_scene
 
 TITLE = "What each part costs"
 

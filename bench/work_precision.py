@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.analysis.reference import reference
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.bare import BARE
 from bench.measure import (
     Task,
@@ -27,9 +30,6 @@ from bench.motion import SERVO_PERIOD, sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, new_figure, save
 from bench.time_at_error import time_at_error
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import reference
-from emulator_node.scene import SCHEMES, Scene, load_scene
 
 TITLE = "Work and precision"
 
@@ -358,7 +358,7 @@ def report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
         "Error is the difference of the link angles from the reference (SciPy DOP853 on "
-        "Pinocchio's dynamics, rtol 1e-11, emulator_node/reference.py) after 1 s: the "
+        "Pinocchio's dynamics, rtol 1e-11, arm_emulator/analysis/reference.py) after 1 s: the "
         f"largest over the joints, root mean square over {INPUTS} motions (sines of 12 V with "
         "seeded frequencies and phases, from rest). Each voltage is held for one servo period of "
         "1 ms where not said otherwise, so no step is longer than that.",

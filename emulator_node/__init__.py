@@ -1,1 +1,1 @@
-"""The emulated machine: scene, plant, compiled core, and its ROS node."""
+"""ROS node `emulator`."""

@@ -10,7 +10,7 @@ if __name__ == "__main__":  # before what takes long to import
     if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
-    from ros_shell.ctrl_c import end_at_once
+    from arm_emulator.ros.ctrl_c import end_at_once
 
     end_at_once(0)
 
@@ -34,25 +34,18 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from arm_emulator_msgs.msg import (
-    EmulatorStatus,
-    MachineEvent,
-    MotorCommand,
-    MotorState,
-    RecorderReport,
-)
-from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
-from emulator_node.external_wrench import ExternalWrench
-from emulator_node.measured import MORE_SENSORS, told_by
-from emulator_node.plant import Diverged
-from emulator_node.real_time import RealTimeSession
-from emulator_node.recorders import Recorders
-from emulator_node.rerun_stream import RerunStream
-from emulator_node.scene import example_robot_data, load_scene
-from emulator_node.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Session
-from ros_shell.doubles import STARTED, Doubles
-from ros_shell.fixed_layout import FixedLayout, taking
-from ros_shell.node_shell import (
+from arm_emulator.analysis.stability import explain
+from arm_emulator.base.parameters import parameter
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.measured import MORE_SENSORS, told_by
+from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.real_time import RealTimeSession
+from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.machine.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Session
+from arm_emulator.ros.doubles import STARTED, Doubles
+from arm_emulator.ros.fixed_layout import FixedLayout, taking
+from arm_emulator.ros.node_shell import (
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
     EVENT_QOS,
@@ -70,12 +63,20 @@ from ros_shell.node_shell import (
     stamp,
     wall_timer,
 )
-from ros_shell.recorder_presence import recorders_of
-from words.parameters import parameter
-from words.refusal import Refusal
+from arm_emulator.ros.recorder_presence import recorders_of
+from arm_emulator.ros.recorders import Recorders
+from arm_emulator.view.rerun_stream import RerunStream
+from arm_emulator_msgs.msg import (
+    EmulatorStatus,
+    MachineEvent,
+    MotorCommand,
+    MotorState,
+    RecorderReport,
+)
+from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 
 if TYPE_CHECKING:
-    from emulator_node.run_record import RunRecord
+    from arm_emulator.ros.run_record import RunRecord
 
 AT_ONCE = 10  # ticks in real time that are taken, and messages that are published, at a time
 UNPUBLISHED = 1000  # messages in real time that may wait: a controller needs the newest ones
@@ -334,6 +335,7 @@ class EmulatorNode(Node):
         fault = self._session.fault
         if fault is not None and fault is not self._reported:
             self._reported = fault
+            explain(fault)
             self._diagnostics.error(str(fault))
             self.get_logger().error(str(fault))
 
@@ -341,9 +343,9 @@ class EmulatorNode(Node):
 
     def _begin_record(self, folder: Path) -> None:
         # Imported only when needed: a stock ROS 2 machine may have no package for bags.
-        from emulator_node.run_record import RunRecord
-        from ros_shell.bag import Topic
-        from ros_shell.message_types import definition_of
+        from arm_emulator.ros.bag import Topic
+        from arm_emulator.ros.message_types import definition_of
+        from arm_emulator.ros.run_record import RunRecord
 
         said = (
             self._motor_states, self._truths, self._clocks, self._statuses, self._descriptions,

@@ -13,10 +13,10 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from emulator_node.scene import Scene, load_scene
-from ros_shell.end_with_parent import parent_environment
-from words.config_files import find_beside, find_scene
-from words.refusal import Refusal
+from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.ros.end_with_parent import parent_environment
 
 ARGUMENTS = [
     DeclareLaunchArgument(

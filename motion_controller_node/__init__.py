@@ -1,1 +1,1 @@
-"""The motion controller: tool targets in, joint targets out."""
+"""ROS node `motion_controller`."""

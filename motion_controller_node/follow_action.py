@@ -12,10 +12,10 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.task import Future
 
-from motion_controller_node.follow_goal import result_of
-from motion_controller_node.instruction import FloatArray, Instruction
-from motion_controller_node.motion_report import Kind, MotionReport
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.follow_goal import result_of
+from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.motion_report import Kind, MotionReport
 
 try:
     from control_msgs.action import FollowJointTrajectory

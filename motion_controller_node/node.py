@@ -10,7 +10,7 @@ if __name__ == "__main__":  # before what takes long to import
     if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
-    from ros_shell.ctrl_c import end_at_once
+    from arm_emulator.ros.ctrl_c import end_at_once
 
     end_at_once(0)
 
@@ -28,21 +28,22 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from arm_emulator_msgs.msg import MotionStatus
-from motion_controller_node.controller import Controller, controller_for
-from motion_controller_node.follow_action import FollowAction, installed
-from motion_controller_node.follow_goal import tolerances_of
-from motion_controller_node.instruction import FloatArray
-from motion_controller_node.instructor import Instructor
-from motion_controller_node.joint_trajectory import TrajectoryPoint, check_number_of_points
-from motion_controller_node.kinematics import moving_joints
-from motion_controller_node.motion_config import MotionConfig
-from motion_controller_node.motion_report import Kind
-from motion_controller_node.pose import Pose
-from motion_controller_node.tolerances import Tolerances
-from motion_controller_node.tool_path import check_number_of_poses
-from ros_shell.doubles import Doubles
-from ros_shell.node_shell import (
+from arm_emulator.base.bound import POSITION, VELOCITY
+from arm_emulator.base.joint_order import JointOrder
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.controller import Controller, controller_for
+from arm_emulator.motion.follow_goal import tolerances_of
+from arm_emulator.motion.instruction import FloatArray
+from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.joint_trajectory import TrajectoryPoint, check_number_of_points
+from arm_emulator.motion.kinematics import moving_joints
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.motion_report import Kind
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.tolerances import Tolerances
+from arm_emulator.motion.tool_path import check_number_of_poses
+from arm_emulator.ros.doubles import Doubles
+from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
     DESCRIPTION_QOS,
@@ -59,9 +60,8 @@ from ros_shell.node_shell import (
     stamp,
     time_of,
 )
-from words.bound import POSITION, VELOCITY
-from words.joint_order import JointOrder
-from words.refusal import Refusal
+from arm_emulator_msgs.msg import MotionStatus
+from motion_controller_node.follow_action import FollowAction, installed
 
 
 class MotionControllerNode(Node):

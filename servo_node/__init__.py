@@ -1,1 +1,1 @@
-"""The servo: joint targets and encoder counts in, motor voltages out."""
+"""ROS node `servo`."""

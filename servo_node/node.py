@@ -10,7 +10,7 @@ if __name__ == "__main__":  # before what takes long to import
     if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
-    from ros_shell.ctrl_c import end_at_once
+    from arm_emulator.ros.ctrl_c import end_at_once
 
     end_at_once(0)
 
@@ -25,10 +25,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from arm_emulator_msgs.msg import MotorCommand, MotorState
-from ros_shell.doubles import Doubles
-from ros_shell.fixed_layout import FixedLayout, taking
-from ros_shell.node_shell import (
+from arm_emulator.base.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE
+from arm_emulator.base.joint_order import JointOrder
+from arm_emulator.base.parameters import ROS_PARAMETERS, parameter
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.doubles import Doubles
+from arm_emulator.ros.fixed_layout import FixedLayout, taking
+from arm_emulator.ros.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
     NANOSECONDS,
@@ -45,14 +48,11 @@ from ros_shell.node_shell import (
     time_of,
     wall_timer,
 )
-from servo_node.drives import Drives, Target
-from servo_node.servo import FloatArray, Servo
-from servo_node.servo_config import SETTABLE, ServoConfig, describe
-from servo_node.watchdog import WatchdogState
-from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE
-from words.joint_order import JointOrder
-from words.parameters import ROS_PARAMETERS, parameter
-from words.refusal import Refusal
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.servo import FloatArray, Servo
+from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, describe
+from arm_emulator.servo.watchdog import WatchdogState
+from arm_emulator_msgs.msg import MotorCommand, MotorState
 
 PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall

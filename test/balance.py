@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator_node.chain import Array
-from emulator_node.plant import Plant
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Plant
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
+from arm_emulator.base.config_files import find_config
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.motion_report import Reports
+from arm_emulator.ros.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
-from motion_controller_node.motion_report import Reports
 from motion_controller_node.node import MotionControllerNode
-from ros_shell.ros_domain import own_domain
 from servo_node.node import ServoNode
-from words.config_files import find_config
 
 OURS = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 KINDS = {

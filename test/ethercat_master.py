@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from fieldbus.ethercat import Segment
+from arm_emulator.doors.fieldbus.ethercat import Segment
 
 NOP, APRD, APWR, APRW, FPRD, FPWR, FPRW, BRD, BWR, BRW, LRD, LWR, LRW, ARMW, FRMW = range(15)
 INIT, PREOP, BOOT, SAFEOP, OP = 1, 2, 3, 4, 8

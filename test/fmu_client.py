@@ -14,12 +14,12 @@ from xml.sax.saxutils import escape
 import numpy as np
 from machines import DC, PMSM, write_scene
 
+from arm_emulator.build.unit import compile_units, declare
+from arm_emulator.machine.compiler import machine_unit
+from arm_emulator.machine.core_calls import ARM_CALLS
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene
 from bench.random_chain import LINK
-from compiled.unit import compile_units, declare
-from emulator_node.compiler import machine_unit
-from emulator_node.core_calls import ARM_CALLS
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 KINDS = {"Float64": ctypes.c_double, "Int64": ctypes.c_int64, "Int32": ctypes.c_int32}

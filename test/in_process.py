@@ -16,14 +16,14 @@ import rclpy
 from network import bits_of, question
 from rclpy.serialization import deserialize_message, serialize_message
 
+from arm_emulator.base.config_files import find_config
+from arm_emulator.ros.bag import BagWriter, Topic
+from arm_emulator.ros.message_types import definition_of
+from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorState
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
-from ros_shell.bag import BagWriter, Topic
-from ros_shell.message_types import definition_of
-from ros_shell.ros_domain import own_domain
 from servo_node.node import ServoNode
-from words.config_files import find_config
 
 
 class Wires:

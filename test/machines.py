@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+from arm_emulator.machine.scene import Scene, load_scene
 from bench.random_chain import LINK, moving_joints, random_chain_urdf
-from emulator_node.scene import Scene, load_scene
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 

@@ -9,12 +9,12 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.bag import BagWriter, Topic
+from arm_emulator.ros.message_types import definition_of
+from arm_emulator.ros.node_shell import stamp
 from arm_emulator_msgs.msg import MotorCommand, MotorState
-from emulator_node.scene import load_scene
-from emulator_node.session import Session
-from ros_shell.bag import BagWriter, Topic
-from ros_shell.message_types import definition_of
-from ros_shell.node_shell import stamp
 
 TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
 

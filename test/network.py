@@ -25,12 +25,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from arm_emulator.bringup import Bringup
-from arm_emulator.offline import OfflineRun
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of, stamp
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.runs.offline import OfflineRun
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
-from ros_shell.node_shell import NANOSECONDS, nanoseconds_of, stamp
-from ros_shell.ros_domain import own_domain
 
 JOINTS = ["waist", "shoulder", "elbow"]  # of three_axis
 PATIENCE = 120.0  # s, for what takes well below a second on an idle machine

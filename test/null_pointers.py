@@ -14,17 +14,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from arm_emulator.gains import load_gains
-from emulator_node.compiler import CORE, fleet_library_of, real_time_library
-from emulator_node.firmware_loop import firmware_loop
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
-from fieldbus.drives import DRIVES_CORE
-from fieldbus.ethercat import Segment
-from firmware import FOLDER
-from servo_node.drives import Drives as ServoDrives
-from servo_node.servo_law import servo_law
-from words.config_files import find_scene
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.fieldbus.drives import DRIVES_CORE
+from arm_emulator.doors.fieldbus.ethercat import Segment
+from arm_emulator.machine.compiler import fleet_library_of, real_time_library
+from arm_emulator.machine.firmware_loop import firmware_loop
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.servo.c import FOLDER
+from arm_emulator.servo.drives import Drives as ServoDrives
+from arm_emulator.servo.servo_law import servo_law
 
 FUNCTION = re.compile(r"^([a-z][\w ]*?\*?)\s*\b(\w+)\(([^()]*)\);", re.M)
 NUMBERS: dict[str, type[ctypes.c_int] | type[ctypes.c_double]] = {
@@ -104,10 +105,10 @@ def main() -> None:
     }
     values = {"size": plant.core.arm_saved_size(), "descriptor": -1}
     libraries = [
-        (CORE / "arm.h", fleet_library),
-        (CORE / "arm_fleet.h", fleet_library),
-        (CORE / "real_time.h", real_time_library()),
-        (CORE / "firmware_loop.h", firmware_loop()),
+        (BOUNDARY / "arm.h", fleet_library),
+        (BOUNDARY / "arm_fleet.h", fleet_library),
+        (BOUNDARY / "real_time.h", real_time_library()),
+        (BOUNDARY / "firmware_loop.h", firmware_loop()),
         (FOLDER / "servo.h", servo_law()),
         (DRIVES_CORE / "drives.h", segment.drives.calls),
         (DRIVES_CORE / "ethercat.h", segment.drives.calls),

@@ -7,7 +7,7 @@
 #include <thread>
 #include <vector>
 
-#include "real_time.cpp"
+#include "boundary/real_time.cpp"
 
 int main() {
   constexpr int N = Scene::N;

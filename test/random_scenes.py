@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from emulator_node.scene import load_scene
-from emulator_node.scene_unit import scene_unit
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene_unit import scene_unit
 
 Rng = np.random.Generator
 

@@ -44,10 +44,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from random_scenes import SCENE, URDF
 
-from arm_emulator.__main__ import main
+from arm_emulator.cli.command_line import main
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.synthetic import make_record
-from emulator_node.scene import load_scene
+from arm_emulator.machine.scene import load_scene
 
 Rng = np.random.Generator
 

@@ -12,10 +12,10 @@ import pytest
 from machines import LINK_INERTIA, write_scene
 from scipy.integrate import solve_ivp
 
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 from bench.random_chain import LINK
-from emulator_node.chain import Array
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
 
 RATIO = 0.05
 STEPS = (40, 80, 160, 320)  # of a row

@@ -18,25 +18,25 @@ from in_process import in_process
 from machines import CONFIG, GANTRY, PMSM, ROTOR, gantry_urdf, write_scene
 from numpy.typing import NDArray
 
-from arm_emulator.__main__ import main
-from arm_emulator.advise import advise_scene, demo_commands
-from arm_emulator.commands import read_commands
+from arm_emulator.analysis.advice import SHARE, Judge, advise, reserve, step_counts
+from arm_emulator.analysis.judged_motions import KINDS, Leader, Motion, judged_motions
+from arm_emulator.analysis.reference import reference
+from arm_emulator.analysis.stability import attempts, what_holds
+from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
+from arm_emulator.base.config_files import BESIDE, check_own
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.advise import advise_scene, demo_commands
+from arm_emulator.cli.command_line import main
+from arm_emulator.cli.commands import read_commands
+from arm_emulator.cli.new import write_new
+from arm_emulator.cli.tune import tune
+from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.identification.fitted_scene import write_fitted
-from arm_emulator.new import write_new
-from arm_emulator.tune import tune
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
 from bench.advice import CLASSES, judge_scene
 from bench.event_reference import reference_with_events
 from bench.random_machines import machine
-from emulator_node.advice import SHARE, Judge, advise, reserve, step_counts
-from emulator_node.integrator_text import write_integrator
-from emulator_node.judged_motions import KINDS, Leader, Motion, judged_motions
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import reference
-from emulator_node.scene import Scene, load_scene
-from emulator_node.stability import attempts, what_holds
-from emulator_node.true_motion import Method, Runs, find_truth, is_confirmed, remainder
-from words.config_files import BESIDE, check_own
-from words.refusal import Refusal
 
 Array = NDArray[np.float64]
 STEP = "step"
@@ -433,7 +433,7 @@ def test_command_shows_what_errors_are_worth_and_writes(
     """On shorter motions than a user is shown: the reference takes some time."""
     file = scene_copy(tmp_path)
     add_demo(file)
-    monkeypatch.setattr("arm_emulator.advise.SECONDS", 0.2)
+    monkeypatch.setattr("arm_emulator.cli.advise.SECONDS", 0.2)
     monkeypatch.setattr(
         sys, "argv", ["arm_emulator", "advise", str(file), "--error", "1e-5", "--write"]
     )

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from machines import CONFIG
 
-from arm_emulator.demo_plan import DemoPlan
-from arm_emulator.offline import load_offline_run
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.offline import load_offline_run
 from bench.assumed import ARMS, assumed_of, demos
 from bench.origins import SECTIONS, origins
-from emulator_node.scene import load_scene
-from motion_controller_node.pose import Pose
-from words.config_files import find_scene
-from words.refusal import Refusal
 
 PAGE = (CONFIG.parent / "docs" / "assumed.md").read_text()
 # Scenes that mark anything mark everything.

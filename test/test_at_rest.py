@@ -11,11 +11,11 @@ import pytest
 from draws import some
 from machines import ROTOR, write_scene
 
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 from bench.at_rest import INSTANT, LAWS, PARTS, PLACES, Case, equations_of, judge
 from bench.random_chain import moving_joints, random_chain_urdf
-from emulator_node.plant import Plant
-from emulator_node.reference import links_model
-from emulator_node.scene import load_scene
 
 DRY, LOADED = ("viscous", "coulomb", "breakaway"), ("load", "load and coulomb")
 # Laws of one kind share a library.

@@ -30,16 +30,16 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from arm_emulator.__main__ import main
-from arm_emulator.check import check
-from arm_emulator.record import request
-from arm_emulator.replay import offer
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.check import check
+from arm_emulator.cli.command_line import main
+from arm_emulator.cli.record import request
+from arm_emulator.cli.replay import offer
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.bag import Bag, BagMessage, BagWriter, Topic
+from arm_emulator.ros.message_types import message_class
+from arm_emulator.ros.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotorCommand, MotorState
-from emulator_node.scene import load_scene
-from ros_shell.bag import Bag, BagMessage, BagWriter, Topic
-from ros_shell.message_types import message_class
-from ros_shell.ros_domain import own_domain
-from words.refusal import Refusal
 
 TICKS = 300
 

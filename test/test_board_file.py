@@ -13,11 +13,11 @@ import pytest
 import yaml
 from draws import some
 
-from arm_emulator.__main__ import main
-from microcontroller import FOLDER
-from microcontroller.board import Board, load_board
-from microcontroller.elf_image import ElfImage
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command_line import main
+from arm_emulator.doors.microcontroller import FOLDER
+from arm_emulator.doors.microcontroller.board import Board, load_board
+from arm_emulator.doors.microcontroller.elf_image import ElfImage
 
 EXAMPLE = FOLDER / "examples/stm32f4_like/board.yaml"
 JOINTS = (
@@ -284,7 +284,7 @@ def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pat
             if missing == "elftools":
                 ElfImage(tmp_path / "firmware.elf")
             else:
-                from microcontroller.unicorn_library import unicorn_headers
+                from arm_emulator.doors.microcontroller.unicorn_library import unicorn_headers
 
                 unicorn_headers()
 

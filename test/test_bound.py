@@ -12,19 +12,27 @@ import numpy as np
 import pytest
 from random_messages import huge, number, random_urdf
 
-from arm_emulator.offline import OfflineRun, load_offline_run
-from emulator_node.scene import load_scene
-from emulator_node.session import Session
-from motion_controller_node.controller import Controller, controller_for
-from motion_controller_node.instructor import MOST_TARGETS, Instructor
-from motion_controller_node.kinematics import moving_joints
-from motion_controller_node.motion_config import MotionConfig
-from motion_controller_node.pose import Pose
-from servo_node.drives import Drives, Target
-from servo_node.servo import Servo, ServoConfig, load_servo_config
-from words.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound, encoder_counts
-from words.config_files import find_config
-from words.refusal import Refusal
+from arm_emulator.base.bound import (
+    CURRENT,
+    EFFORT,
+    POSITION,
+    VELOCITY,
+    VOLTAGE,
+    Bound,
+    encoder_counts,
+)
+from arm_emulator.base.config_files import find_config
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.motion.controller import Controller, controller_for
+from arm_emulator.motion.instructor import MOST_TARGETS, Instructor
+from arm_emulator.motion.kinematics import moving_joints
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.offline import OfflineRun, load_offline_run
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.servo import Servo, ServoConfig, load_servo_config
 
 # A warning of NumPy's would be printed among what the nodes say.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

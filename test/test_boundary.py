@@ -18,11 +18,12 @@ import pytest
 from draws import some
 from fuzz.cores import random_machine
 
-from compiled import library_cache
-from emulator_node.compiler import CORE, compile_ahead
-from emulator_node.plant import Diverged, Plant, PlantState
-from emulator_node.scene import Scene, load_scene
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build import library_cache
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.compiler import compile_ahead
+from arm_emulator.machine.plant import Diverged, Plant, PlantState
+from arm_emulator.machine.scene import Scene, load_scene
 
 MACHINES = some([0, 1, 3, 4, 2, 5, 6, 7], 3)  # their seeds
 Piece = tuple[np.ndarray, int]  # voltages, and for how many steps
@@ -200,7 +201,14 @@ def test_a_client_in_c_gets_the_bits_of_python(tmp_path: Path) -> None:
         pytest.skip("no C compiler")
     client, ticks = tmp_path / "client", 50
     source = Path(__file__).with_name("boundary_client.c")
-    words = ["-std=c99", "-D_POSIX_C_SOURCE=200809L", "-Wall", "-Wextra", "-Werror", f"-I{CORE}"]
+    words = [
+        "-std=c99",
+        "-D_POSIX_C_SOURCE=200809L",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        f"-I{BOUNDARY}",
+    ]
     subprocess.run([compiler, *words, str(source), "-o", str(client), "-ldl"], check=True)
     scene = load_scene("three_axis", overrides={"integrator.dt": 1e-4})
     library = compile_ahead(scene, "native", None)[0]

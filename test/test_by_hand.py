@@ -23,15 +23,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from test_bags import rewrite
 from test_recording import begun, end, network_of, recorder
 
-from arm_emulator.check import check
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.check import check
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.varied import Varied
+from arm_emulator.ros.bag import Bag, BagMessage
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
-from emulator_node.plant import Plant
-from emulator_node.real_time import RealTimeLoop
-from emulator_node.scene import load_scene
-from emulator_node.varied import Varied
-from ros_shell.bag import Bag, BagMessage
-from words.refusal import Refusal
 
 CLOCKS = ("lockstep", "realtime")
 QUANTITIES = ("position", "velocity", "motor_position", "motor_velocity", "current")

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.canopen import load_segment, opened
-from fieldbus.can_bus import BusService, PythonCanBus
-from fieldbus.can_server import LONGEST_LINE, MOST_CLIENTS, CanServer
-from fieldbus.canopen_node import Frame
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.canopen import load_segment, opened
+from arm_emulator.doors.fieldbus.can_bus import BusService, PythonCanBus
+from arm_emulator.doors.fieldbus.can_server import LONGEST_LINE, MOST_CLIENTS, CanServer
+from arm_emulator.doors.fieldbus.canopen_node import Frame
 
 DEVICE_TYPE = 0x00020192
 

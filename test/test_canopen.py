@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 from draws import FULL
 
-from arm_emulator.canopen import write_eds
-from arm_emulator.gains import load_gains
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import Scene, load_scene
-from fieldbus.can_bus import can_bus
-from fieldbus.canopen_node import Frame, State
-from fieldbus.canopen_segment import Segment
-from fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
-from fieldbus.eds import eds
-from words.config_files import find_scene
-from words.refusal import Refusal
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.canopen import write_eds
+from arm_emulator.doors.fieldbus.can_bus import can_bus
+from arm_emulator.doors.fieldbus.canopen_node import Frame, State
+from arm_emulator.doors.fieldbus.canopen_segment import Segment
+from arm_emulator.doors.fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
+from arm_emulator.doors.fieldbus.eds import eds
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.gains import load_gains
 
 FRAMES = 1_000_000 if FULL else 12_000
 SYNC = Frame(0x80)

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from draws import FULL
 
-from arm_emulator.__main__ import main
-from compiled.unit import Unit
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import Scene, load_scene
-from fieldbus.drives import CANOPEN, ETHERCAT, Aborted, Drives, Entry, dictionary
-from servo_node.servo import Servo, load_servo_config
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.unit import Unit
+from arm_emulator.cli.command_line import main
+from arm_emulator.doors.fieldbus.drives import CANOPEN, ETHERCAT, Aborted, Drives, Entry, dictionary
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.servo.servo import Servo, load_servo_config
 
 ROOT = Path(__file__).resolve().parents[1]
 SERVO = load_servo_config(ROOT / "config/servo/three_axis.yaml")
@@ -1140,7 +1140,7 @@ def test_what_field_buses_need_is_compiled_ahead_on_request(
         units.extend(unit.name for unit in some)
         return []
 
-    monkeypatch.setattr("compiled.unit.compile_units", note)
+    monkeypatch.setattr("arm_emulator.build.unit.compile_units", note)
     monkeypatch.setattr("sys.argv", ["arm_emulator", "compile", "three_axis", "--fieldbus"])
     with pytest.raises(SystemExit) as end:
         main()

@@ -10,9 +10,9 @@ from balance import balance_of
 from machines import DC, GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from scipy.special import ellipj
 
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 
 RATIO, ORDERS = 0.01, (17.0, 31.0)
 FREE = {"kind": "torque", "rotor_inertia": ROTOR}

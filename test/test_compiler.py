@@ -17,22 +17,23 @@ from draws import some
 from fake_compiler import fake_compiler
 from machines import random_chain
 
-from compiled import cxx
-from compiled.compiler_command import find_compiler, identity
-from compiled.flags import SHARED
-from compiled.library_cache import CACHE_VARIABLE, SEAL_SIZE
-from emulator_node.compiler import (
-    CORE,
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build import cxx
+from arm_emulator.build.compiler_command import find_compiler, identity
+from arm_emulator.build.flags import SHARED
+from arm_emulator.build.library_cache import CACHE_VARIABLE, SEAL_SIZE
+from arm_emulator.core import CORE
+from arm_emulator.machine.compiler import (
     FLAGS,
     compile_ahead,
     library_of,
 )
-from emulator_node.scene import load_scene
-from emulator_node.scene_unit import scene_unit
-from words.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene_unit import scene_unit
 
 READY = (
-    "from emulator_node.scene import load_scene; from emulator_node.plant import Plant;"
+    "from arm_emulator.machine.scene import load_scene;"
+    "from arm_emulator.machine.plant import Plant;"
     "print(Plant(load_scene('three_axis')).t)"
 )
 
@@ -250,7 +251,7 @@ def test_a_full_disk_is_told(cache: Path, tmp_path: Path) -> None:
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, ({most}, {most}))
 sys.argv[1:] = ["compile", "three_axis"]
-from arm_emulator.__main__ import main
+from arm_emulator.cli.command_line import main
 main()
 """
         done = subprocess.run(

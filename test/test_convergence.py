@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.convergence import convergence_factor, expected_errors
 from bench.convergence import INSTRUCTIONS, measured_factor, step_response
-from motion_controller_node.convergence import convergence_factor, expected_errors
-from words.refusal import Refusal
 
 
 def test_closed_forms() -> None:

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.demo_plan import DemoPlan
-from arm_emulator.offline import load_offline_run
-from emulator_node.scene import example_robot_data
-from motion_controller_node.pose import Pose
-from ros_shell.ros_domain import own_domain
-from words.config_files import find_scene
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.machine.scene import example_robot_data
+from arm_emulator.motion.pose import Pose
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.runs.offline import load_offline_run
 
 needs_robots = pytest.mark.skipif(
     example_robot_data() is None, reason="needs the package example-robot-data (make robots)"

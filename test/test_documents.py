@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import yaml
 
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
 from bench import pages
-from compiled.compiler_command import find_compiler
-from ros_shell.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
-from words.refusal import Refusal
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (
@@ -92,10 +92,10 @@ def test_every_key_of_a_scene_is_listed() -> None:
 
 
 def test_every_parameter_is_listed_with_its_default() -> None:
+    from arm_emulator.motion.motion_config import MotionConfig
+    from arm_emulator.servo.servo_config import JointServo, ServoConfig
     from emulator_node.node import EmulatorParameters
-    from motion_controller_node.motion_config import MotionConfig
     from servo_node.node import ServoNodeParameters
-    from servo_node.servo_config import JointServo, ServoConfig
 
     text = (ROOT / "docs" / "topics.md").read_text()
     rows = dict(re.findall(r"^\| `([\w.]+)` \|(.*)$", text, re.M))
@@ -162,9 +162,9 @@ def _constants(file: Path) -> dict[str, Any]:
 
 
 def test_examples_have_the_numbers_of_the_scene() -> None:
-    from emulator_node.scene import load_scene
-    from motion_controller_node.motion_config import load_motion_config
-    from servo_node.servo_config import load_servo_config
+    from arm_emulator.machine.scene import load_scene
+    from arm_emulator.motion.motion_config import load_motion_config
+    from arm_emulator.servo.servo_config import load_servo_config
 
     scene = load_scene("three_axis")
     servo = load_servo_config(ROOT / "config" / "servo" / "three_axis.yaml")

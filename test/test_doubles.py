@@ -13,10 +13,10 @@ from in_process import in_process
 from network import JOINTS, PATIENCE, User, assert_same_bits, network, node, offline_states
 from test_network import go, pause_at
 
-from arm_emulator.bringup import Bringup
-from arm_emulator.offline import load_offline_run
+from arm_emulator.base.config_files import find_config
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
-from words.config_files import find_config
 
 TICKS = 400
 

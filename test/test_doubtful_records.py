@@ -11,6 +11,7 @@ from draws import some
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.outliers import without_outliers
 from arm_emulator.identification.synthetic import make_record
+from arm_emulator.machine.scene import Scene
 from bench.doubtful_records import (
     EFFECTS,
     MACHINES,
@@ -21,7 +22,6 @@ from bench.doubtful_records import (
     spoils,
     with_effect,
 )
-from emulator_node.scene import Scene
 
 KINDS = [
     "torques scaled up", "time halved", "one torque scaled up", "torques late", "one angle scaled",

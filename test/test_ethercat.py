@@ -47,15 +47,15 @@ from ethercat_master import (
 )  # fmt: skip
 from fuzz import cores
 
-from arm_emulator.ethercat import write_esi
-from arm_emulator.gains import load_gains
-from emulator_node.scene import load_scene
-from fieldbus.drives import ETHERCAT, Entry
-from fieldbus.drives import Aborted as DictionaryAborted
-from fieldbus.esi import esi
-from fieldbus.ethercat import Segment
-from words.config_files import find_scene
-from words.refusal import Refusal
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.ethercat import write_esi
+from arm_emulator.doors.fieldbus.drives import ETHERCAT, Entry
+from arm_emulator.doors.fieldbus.drives import Aborted as DictionaryAborted
+from arm_emulator.doors.fieldbus.esi import esi
+from arm_emulator.doors.fieldbus.ethercat import Segment
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.gains import load_gains
 
 PERIOD = 1_000_000  # ns
 

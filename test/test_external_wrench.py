@@ -14,14 +14,14 @@ from draws import FULL, some
 from machines import GRAVITY, MOTOR, moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.integrate import solve_ivp
 
-from emulator_node.chain import Array
-from emulator_node.external_wrench import AXES, ExternalWrench
-from emulator_node.fleet import Fleet
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import ROWS, ReferenceMachine
-from emulator_node.scene import Scene, load_scene
-from emulator_node.scene_unit import scene_unit
-from words.refusal import Refusal
+from arm_emulator.analysis.reference import ROWS, ReferenceMachine
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.external_wrench import AXES, ExternalWrench
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene_unit import scene_unit
 
 PERIOD = 1e-2  # s, over which a wrench is held
 MASS = 1.5  # kg

@@ -13,7 +13,7 @@ from in_process import InProcess, in_process
 from machines import CONFIG
 from test_by_hand import CLOCKS, events_of, go_on, session_of
 
-from arm_emulator.check import check
+from arm_emulator.cli.check import check
 from arm_emulator_msgs.msg import MachineEvent
 
 TOPICS = {"external_wrench": "link", "external_wrench_in_world": "world"}

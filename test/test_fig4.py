@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from arm_emulator.fig4 import draw_fig4, fig4
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.demo.fig4 import draw_fig4, fig4
 
 BOUND = np.array([5e-5, 6e-5, 2e-5])
 

@@ -23,26 +23,26 @@ from in_process import in_process
 from network import bits_of
 from sensor_msgs.msg import JointState
 
-from arm_emulator import guarded
-from arm_emulator.__main__ import main
-from arm_emulator.servo_header import servo_header
-from arm_emulator.servo_step import ServoStep, servo_step_unit
-from arm_emulator.table_run import TableRun, load_table_run
-from arm_emulator.target_table import load_target_table
-from compiled.compiler_command import find_compiler
-from compiled.flags import C_FLAGS
-from compiled.unit import library
-from emulator_node.compiler import CORE
-from emulator_node.firmware import Doing, Firmware, Progress
-from emulator_node.firmware_loop import firmware_loop
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
-from emulator_node.session import Session
-from firmware import FOLDER
-from servo_node.drives import Drives, Target
-from servo_node.servo import load_servo_config
-from servo_node.servo_law import address, servo_law
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import library
+from arm_emulator.cli.command_line import main
+from arm_emulator.cli.servo_header import servo_header
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.firmware import Doing, Firmware, Progress
+from arm_emulator.machine.firmware_loop import firmware_loop
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.runs import guarded
+from arm_emulator.runs.servo_step import ServoStep, servo_step_unit
+from arm_emulator.runs.table_run import TableRun, load_table_run
+from arm_emulator.runs.target_table import load_target_table
+from arm_emulator.servo.c import FOLDER
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.servo import load_servo_config
+from arm_emulator.servo.servo_law import address, servo_law
 
 ROOT = Path(__file__).resolve().parents[1]
 SERVO = load_servo_config(ROOT / "config/servo/three_axis.yaml")
@@ -55,7 +55,7 @@ MOTION_TICKS = round(SERVO.motion_period / SERVO.period)
 
 def compile_c(out: Path, *words: str) -> None:
     """Compile as our own C is compiled, and fail on any warning."""
-    folders = [f"-I{folder}" for folder in (FOLDER, CORE, out.parent)]
+    folders = [f"-I{folder}" for folder in (FOLDER, BOUNDARY, out.parent)]
     run_c([*find_compiler(), *C_FLAGS, *WARNINGS, *folders, *words, "-o", str(out)])
 
 
@@ -149,7 +149,9 @@ def test_the_servo_needs_nothing_but_itself(kind: str, level: str, tmp_path: Pat
 
 
 def test_all_of_our_c_compiles_without_a_warning(tmp_path: Path) -> None:
-    for number, source in enumerate([CORE / "firmware_loop.c", ROOT / "arm_emulator/servo_step.c"]):
+    for number, source in enumerate(
+        [BOUNDARY / "firmware_loop.c", ROOT / "arm_emulator/runs/servo_step.c"]
+    ):
         compile_c(tmp_path / f"{number}.so", *MORE_WARNINGS, "-c", str(source))
 
 
@@ -488,7 +490,7 @@ PLACES = {
 # In a process without ROS: exit() waits for threads of its middleware, which a fork leaves behind.
 RUNS = """
 import sys
-from arm_emulator.__main__ import main
+from arm_emulator.cli.command_line import main
 table, *libraries = sys.argv[1:]
 for library in libraries:
     sys.argv = ["", "run", "three_axis", "--servo", library, "--targets", table]

@@ -8,9 +8,9 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header
 
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.fixed_layout import FixedLayout, taking
 from arm_emulator_msgs.msg import MotorCommand, MotorState
-from ros_shell.fixed_layout import FixedLayout, taking
-from words.refusal import Refusal
 
 KINDS = (MotorState, MotorCommand)
 

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from draws import FULL, some
 
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.library_cache import CACHE_VARIABLE
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.compiler import compile_ahead
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
 from bench.random_machines import machine
-from compiled.library_cache import CACHE_VARIABLE
-from emulator_node.compiler import compile_ahead
-from emulator_node.fleet import Fleet
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import Scene, load_scene
-from words.refusal import Refusal
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart
 NAMES = ("current", "theta_m", "omega_m", "q", "v", "gear_torque")
@@ -286,10 +287,9 @@ def test_what_makes_no_sense_is_refused(attempt: Any, words: str, tmp_path: Path
 
 def test_the_header_is_c(tmp_path: Path) -> None:
     """A user in C99 includes arm_fleet.h without a warning."""
-    core = Path(__file__).parents[1] / "emulator_node" / "core"
     source = tmp_path / "user.c"
     source.write_text('#include "arm_fleet.h"\nint main(void) { return arm_fleet_lanes() < 1; }\n')
     command = ["cc", "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]
-    done = subprocess.run([*command, f"-I{core}", source], capture_output=True, text=True,
+    done = subprocess.run([*command, f"-I{BOUNDARY}", source], capture_output=True, text=True,
                           check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -25,19 +25,19 @@ from fuzz.cores import environment, random_machine
 from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
 
-from arm_emulator.fmu import write_fmu
-from compiled.unit import declare
-from emulator_node.core_calls import ARM_CALLS
-from emulator_node.external_wrench import ExternalWrench
-from emulator_node.parts.known import PARTS
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene, load_scene
-from fmu.export import export
-from fmu.model_description import model_description
-from fmu.model_description_2 import model_description_2
-from fmu.units import unit_of
-from fmu.variables import scalars, variables
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.unit import declare
+from arm_emulator.cli.fmu import write_fmu
+from arm_emulator.doors.fmu.export import export
+from arm_emulator.doors.fmu.model_description import model_description
+from arm_emulator.doors.fmu.model_description_2 import model_description_2
+from arm_emulator.doors.fmu.units import unit_of
+from arm_emulator.doors.fmu.variables import scalars, variables
+from arm_emulator.machine.core_calls import ARM_CALLS
+from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
 
 TEST = Path(__file__).resolve().parent
 NAMES = 'hip\'s "<1>"', "lift"

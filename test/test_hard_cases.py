@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from draws import FULL, some
 
+from arm_emulator.analysis.stability import SmallMotions, attempts, what_holds
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.hard_cases import (
     CASES,
     DETECTED,
@@ -24,9 +27,6 @@ from bench.hard_cases import (
     report,
     spin,
 )
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import SCHEMES, Scene, load_scene
-from emulator_node.stability import SmallMotions, attempts, what_holds
 
 # Others meet the class of these: free links in test_dynamics.py, voltages to and fro and gears
 # without damping at the corners below.

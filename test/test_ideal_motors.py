@@ -15,13 +15,13 @@ from balance import balance_of
 from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from scipy.linalg import expm
 
-from arm_emulator.gains import check_joints
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import reference
-from emulator_node.scene import Scene, load_scene
-from servo_node.servo_config import load_servo_config
-from words.config_files import find_beside, find_scene
-from words.refusal import Refusal
+from arm_emulator.analysis.reference import reference
+from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.gains import check_joints
+from arm_emulator.servo.servo_config import load_servo_config
 
 PERIOD = 1e-2  # s, over which a command is held
 TORQUE = {"kind": "torque", "rotor_inertia": ROTOR}

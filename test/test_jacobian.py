@@ -14,20 +14,20 @@ import pytest
 from machines import random_chain_urdf
 from scipy.spatial.transform import Rotation
 
-from arm_emulator.gains import load_gains
-from arm_emulator.offline import OfflineRun
-from emulator_node.plant import Plant
-from emulator_node.scene import example_robot_data, load_scene
-from motion_controller_node.controller import controller_for
-from motion_controller_node.jacobian import JacobianController
-from motion_controller_node.kinematics import Kinematics
-from motion_controller_node.motion_config import load_motion_config
-from motion_controller_node.pose import Pose
-from motion_controller_node.predicted_residual import predicted_residual
-from servo_node.servo import Servo, load_servo_config
-from words.config_files import find_scene
-from words.refusal import Refusal
-from words.urdf_text import read_urdf
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import read_urdf
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.motion.controller import controller_for
+from arm_emulator.motion.jacobian import JacobianController
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.predicted_residual import predicted_residual
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.servo.servo import Servo, load_servo_config
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 THREE_AXIS = (CONFIG / "urdf" / "three_axis.urdf").read_text()

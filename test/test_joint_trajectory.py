@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly, CubicHermiteSpline, interp1d
 
-from motion_controller_node.joint_trajectory import (
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.joint_trajectory import (
     MOST_POINTS,
     SPEED_BETWEEN_POINTS,
     JointLimits,
@@ -19,7 +20,6 @@ from motion_controller_node.joint_trajectory import (
     TrajectoryPoint,
     come_to_rest,
 )
-from words.refusal import Refusal
 
 SECOND = 1_000_000_000
 NAMES = ("a", "b", "c", "d")

@@ -12,11 +12,11 @@ from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
-from emulator_node.advice import ORDERS
-from emulator_node.chain import Array
-from emulator_node.plant import Plant
-from emulator_node.scene import SCHEMES, load_scene
-from words.refusal import Refusal
+from arm_emulator.analysis.advice import ORDERS
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import SCHEMES, load_scene
 
 PERIOD = 1e-2  # s, over which a voltage is held
 VISCOUS = 0.2

@@ -21,12 +21,12 @@ from draws import some
 from network import PATIENCE, User
 from rclpy.parameter_client import AsyncParameterClient
 
+from arm_emulator.base.config_files import find_config
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
-from ros_shell.ros_domain import own_domain
 from servo_node.node import ServoNode
-from words.config_files import find_config
-from words.refusal import Refusal
 
 SERVO = ("servo_node.node", "--params-file", "config/servo/three_axis.yaml")
 NODES = {
@@ -228,7 +228,7 @@ def assert_nobody_left(session: int, told: str) -> None:
 
 LAUNCHER = """
 import os, subprocess, sys, time
-from ros_shell.end_with_parent import parent_environment
+from arm_emulator.ros.end_with_parent import parent_environment
 
 for node in ("emulator_node.node", "motion_controller_node.node"):
     started = subprocess.Popen(
@@ -298,7 +298,7 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
 INTERRUPTED = """
 import os, signal
 from rclpy.node import Node
-from ros_shell.node_shell import run_node
+from arm_emulator.ros.node_shell import run_node
 
 def ctrl_c():
     os.kill(os.getpid(), signal.SIGINT)
@@ -327,7 +327,7 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(set_up: str, words: s
 
 LOCKED_UP = """
 import ctypes
-from ros_shell.end_anyway import end_anyway
+from arm_emulator.ros.end_anyway import end_anyway
 
 print("ended, but for the middleware")
 end_anyway(0.1, {code})

@@ -20,14 +20,14 @@ import pytest
 from fake_compiler import fake_compiler
 from machines import one_link_urdf, write_scene
 
-from compiled import library_cache, unit
-from compiled.compiler_command import find_compiler
-from compiled.elf import with_data
-from compiled.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
-from emulator_node.compiler import compile_ahead, library_of, machine_unit, real_time_library
-from emulator_node.core_calls import ARM_CALLS, REAL_TIME_CALLS
-from emulator_node.scene import Scene, load_scene
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build import library_cache, unit
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.build.elf import with_data
+from arm_emulator.build.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
+from arm_emulator.machine.compiler import compile_ahead, library_of, machine_unit, real_time_library
+from arm_emulator.machine.core_calls import ARM_CALLS, REAL_TIME_CALLS
+from arm_emulator.machine.scene import Scene, load_scene
 
 SOMEBODY = 65534  # a user who is neither we nor root
 ROOT = os.geteuid() == 0
@@ -333,9 +333,9 @@ def victim(shared: Path, **also: str) -> dict[str, str]:
 
 LOAD = """
 import sys
-from words.refusal import Refusal
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 try:
     print(Plant(load_scene(sys.argv[1])).t)
 except Refusal as refusal:

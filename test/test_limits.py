@@ -12,10 +12,10 @@ from machines import LINK_INERTIA, MOTOR, one_link_urdf, write_scene
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from emulator_node.chain import Array
-from emulator_node.plant import Plant
-from emulator_node.reference import reference
-from emulator_node.scene import SCHEMES, Scene, load_scene
+from arm_emulator.analysis.reference import reference
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 
 
 def drawn_three_axis(

@@ -10,14 +10,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from arm_emulator.servo_step import servo_step_unit
-from compiled.compiler_command import find_compiler
-from compiled.unit import Unit
-from emulator_node.compiler import fleet_unit, machine_unit, real_time_unit
-from emulator_node.firmware_loop import firmware_loop_unit
-from emulator_node.scene import load_scene
-from fieldbus.drives import drives_unit
-from servo_node.servo_law import servo_unit
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.build.unit import Unit
+from arm_emulator.doors.fieldbus.drives import drives_unit
+from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
+from arm_emulator.machine.firmware_loop import firmware_loop_unit
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.servo_step import servo_step_unit
+from arm_emulator.servo.servo_law import servo_unit
 
 TEST = Path(__file__).resolve().parent
 RUN = """
@@ -25,13 +25,13 @@ import ctypes, hashlib, sys
 sys.path += sys.argv[1:3]
 if sys.argv[3:]:
     ctypes.CDLL(sys.argv[3], mode=ctypes.RTLD_GLOBAL)
-from arm_emulator.offline import OfflineRun
-from emulator_node.fleet import Fleet
-from emulator_node.scene import load_scene
-from motion_controller_node.motion_config import load_motion_config
-from servo_node.servo_config import load_servo_config
+from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.servo.servo_config import load_servo_config
 from torque_modes import enabled
-from words.config_files import find_beside, find_scene
+from arm_emulator.base.config_files import find_beside, find_scene
 scene, file = load_scene("three_axis"), find_scene("three_axis")
 servo = load_servo_config(find_beside(file, "servo"))
 offline = OfflineRun(scene, servo, load_motion_config(find_beside(file, "motion")))

@@ -26,18 +26,18 @@ from network import (
 )
 from sensor_msgs.msg import JointState
 
-from arm_emulator.offline import OfflineRun, load_offline_run
-from arm_emulator.offline import run as run_command
+from arm_emulator.base.config_files import find_config
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.run import run as run_command
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.motion.pose import Pose
+from arm_emulator.ros.node_shell import NANOSECONDS, stamp
+from arm_emulator.runs.offline import OfflineRun, load_offline_run
+from arm_emulator.servo.servo_config import load_servo_config
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
 from bench.busy import busy_processes
-from emulator_node.plant import Plant
-from emulator_node.scene import example_robot_data, load_scene
-from motion_controller_node.motion_config import load_motion_config
-from motion_controller_node.pose import Pose
-from ros_shell.node_shell import NANOSECONDS, stamp
-from servo_node.servo_config import load_servo_config
-from words.config_files import find_config
-from words.refusal import Refusal
 
 TARGET_AT = 0.1  # s
 TICKS = {"three_axis": 400, "ur5": 300}

@@ -21,15 +21,22 @@ import pytest
 from draws import FULL
 from machines import one_link_urdf, write_scene
 
-from arm_emulator.modbus import modbus
-from emulator_node.scene import Scene, load_scene
-from emulator_node.session import EndOfTime, Session
-from fieldbus import converter as registers
-from fieldbus.converter import Converter
-from fieldbus.modbus_line import ModbusLine
-from fieldbus.modbus_rtu import Code, Receiver, Station, crc, is_sound, request_length
-from fieldbus.serial_line import LineErrors, bytes_time, silence_time
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.modbus import modbus
+from arm_emulator.doors.fieldbus import converter as registers
+from arm_emulator.doors.fieldbus.converter import Converter
+from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
+from arm_emulator.doors.fieldbus.modbus_rtu import (
+    Code,
+    Receiver,
+    Station,
+    crc,
+    is_sound,
+    request_length,
+)
+from arm_emulator.doors.fieldbus.serial_line import LineErrors, bytes_time, silence_time
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.session import EndOfTime, Session
 
 NO_ERRORS = LineErrors(0.0, 0)
 FRAMES = 100_000 if FULL else 5_000

@@ -16,20 +16,26 @@ from draws import FULL, some
 from machines import one_link_urdf, write_scene
 from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults, swings
 
-from analysis.mode_loops import MODES, LoopFigure, ModeLoops, withheld_modes, withheld_words
-from arm_emulator.gains import load_gains
-from arm_emulator.new import write_new
+from arm_emulator.analysis.linear_servo import Loop
+from arm_emulator.analysis.mode_loops import (
+    MODES,
+    LoopFigure,
+    ModeLoops,
+    withheld_modes,
+    withheld_words,
+)
+from arm_emulator.analysis.stability import SmallMotions
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.new import write_new
+from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_servo
+from arm_emulator.doors.fieldbus.drives import Aborted
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.servo.servo_config import ServoConfig
 from bench.any_arm import arms
 from bench.modes import PAGE, table_of
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene, load_scene
-from emulator_node.stability import SmallMotions
-from fieldbus.drives import Aborted
-from servo_node.design import GearData, MotorData, design, joint_servo
-from servo_node.linear_servo import Loop
-from servo_node.servo_config import ServoConfig
-from words.config_files import find_scene
-from words.refusal import Refusal
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = ("ur5", "three_axis", "panda")

@@ -8,10 +8,10 @@ from geometry_msgs.msg import PoseStamped
 from in_process import in_process
 from nav_msgs.msg import Path as ToolPath
 
-from arm_emulator.check import check
-from emulator_node.scene import load_scene
-from ros_shell.bag import Bag
-from ros_shell.message_types import definition_of
+from arm_emulator.cli.check import check
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.message_types import definition_of
 
 
 def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(

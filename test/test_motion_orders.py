@@ -18,22 +18,22 @@ from in_process import InProcess, in_process
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from arm_emulator.gains import load_gains, warn_of_gravity
-from arm_emulator.offline import OfflineRun, load_offline_run
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.follow_goal import result_of, tolerances_of
+from arm_emulator.motion.instruction import Instruction
+from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.motion.motion_report import Kind, MotionReport, State
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.tolerances import Allowed, Tolerances
+from arm_emulator.ros.node_shell import stamp
+from arm_emulator.runs.gains import load_gains, warn_of_gravity
+from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import MotionStatus
-from emulator_node.scene import load_scene
 from motion_controller_node.follow_action import installed
-from motion_controller_node.follow_goal import result_of, tolerances_of
-from motion_controller_node.instruction import Instruction
-from motion_controller_node.instructor import Instructor
-from motion_controller_node.joint_trajectory import TrajectoryPoint
-from motion_controller_node.link_torques import LinkTorques
-from motion_controller_node.motion_report import Kind, MotionReport, State
-from motion_controller_node.pose import Pose
-from motion_controller_node.tolerances import Allowed, Tolerances
-from ros_shell.node_shell import stamp
-from words.config_files import find_scene
-from words.refusal import Refusal
 
 SECOND = 1_000_000_000
 

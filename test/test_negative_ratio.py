@@ -11,16 +11,16 @@ import pytest
 from draws import some
 from machines import MOTOR, moving_joints, random_chain_urdf, write_scene
 
-from analysis.servo_loop import ServoLoops, check_loops
-from arm_emulator.gains import check_fit, check_joints, load_gains
-from emulator_node.plant import Plant
-from emulator_node.scene import SCHEMES, Scene, load_scene
-from emulator_node.session import Session
-from servo_node.design import GearData, MotorData, design
-from servo_node.drives import Drives, Target
-from servo_node.servo_config import ServoConfig
-from words.config_files import find_config
-from words.refusal import Refusal
+from arm_emulator.analysis.servo_loop import ServoLoops, check_loops
+from arm_emulator.base.config_files import find_config
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.design.joint_gains import GearData, MotorData, design
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.runs.gains import check_fit, check_joints, load_gains
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.servo_config import ServoConfig
 
 ELASTIC = {"stiffness": 3e3, "damping": 3.0}
 # Gears and rotors of three joints.

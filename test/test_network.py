@@ -31,11 +31,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from arm_emulator.offline import OfflineRun, load_offline_run
+from arm_emulator.base.config_files import find_config
+from arm_emulator.motion.pose import Pose
+from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of, stamp
+from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
-from motion_controller_node.pose import Pose
-from ros_shell.node_shell import NANOSECONDS, nanoseconds_of, stamp
-from words.config_files import find_config
 
 ZERO = [0.0, 0.0, 0.0]
 NAN, INF = math.nan, math.inf

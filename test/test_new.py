@@ -15,18 +15,18 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.__main__ import main
-from arm_emulator.choose_joints import LEAST_ARM, MOST_FINGER, choose_joints
-from arm_emulator.gains import check_fit, load_gains
-from arm_emulator.new import write_new
-from arm_emulator.robot_limits import read_limits
-from arm_emulator.sizing import GRAVITY_MARGIN, LOWEST_RESONANCE, MOTOR_SPEED, Demand, size
-from arm_emulator.survey import survey
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command_line import main
+from arm_emulator.cli.new import write_new
+from arm_emulator.design.choose_joints import LEAST_ARM, MOST_FINGER, choose_joints
+from arm_emulator.design.robot_limits import read_limits
+from arm_emulator.design.sizing import GRAVITY_MARGIN, LOWEST_RESONANCE, MOTOR_SPEED, Demand, size
+from arm_emulator.design.survey import survey
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.runs.gains import check_fit, load_gains
 from bench.any_arm import move, reachable
 from bench.own_robots import OWN, Part, Robot, serial
-from emulator_node.scene import load_scene
-from motion_controller_node.kinematics import Kinematics
-from words.refusal import Refusal
 
 # Names that YAML, ROS or a shell might take for something else.
 ODD_NAMES = [

@@ -23,8 +23,13 @@ NUMBERS: list[tuple[str, str, str, float]] = [
     ("topics", "none or more than {}, stamps", "tool_path.MOST_POSES", 1),
     ("topics", "a path longer than {} m", "tool_path.LONGEST", 1),
     ("topics", "while it stands, again every {} s", "emulator_node.node.STATUS_PERIOD", 1),
-    ("gains", "largest amplification of disturbances | {} |", "servo_node.design.SENSITIVITY", 1),
-    ("gains", "overshoot of the link | {} % |", "servo_node.design.OVERSHOOT", 100),
+    (
+        "gains",
+        "largest amplification of disturbances | {} |",
+        "arm_emulator.design.joint_gains.SENSITIVITY",
+        1,
+    ),
+    ("gains", "overshoot of the link | {} % |", "arm_emulator.design.joint_gains.OVERSHOOT", 100),
 ]
 
 

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator_node.parts.current_sensor import CurrentSensor
-from emulator_node.parts.known import PARTS
-from emulator_node.parts.part import Number, Part
-from emulator_node.parts.sensors import SENSORS
-from emulator_node.parts.torque_sensor import TorqueSensor
-from emulator_node.parts.torque_table import TorqueTable
-from emulator_node.section import LARGEST, SMALLEST, Section
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.section import LARGEST, SMALLEST, Section
+from arm_emulator.machine.parts.current_sensor import CurrentSensor
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.sensors import SENSORS
+from arm_emulator.machine.parts.torque_sensor import TorqueSensor
+from arm_emulator.machine.parts.torque_table import TorqueTable
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.

@@ -17,20 +17,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arm_emulator.offline import OfflineRun
-from emulator_node.plant import PIECE, Plant
-from emulator_node.real_time import RealTimeLoop
-from emulator_node.scene import load_scene
-from emulator_node.session import Session
-from motion_controller_node.jacobian import JacobianController
-from motion_controller_node.kinematics import Kinematics
-from motion_controller_node.motion_config import load_motion_config
-from motion_controller_node.pose import Pose
-from motion_controller_node.predicted_residual import predicted_residual
-from servo_node.drives import Drives
-from servo_node.servo import Servo, load_servo_config
-from words.count import check_count
-from words.refusal import Refusal
+from arm_emulator.base.count import check_count
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import PIECE, Plant
+from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.motion.jacobian import JacobianController
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.predicted_residual import predicted_residual
+from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.servo import Servo, load_servo_config
 
 N = 3
 CONFIG = Path(__file__).resolve().parents[1] / "config"
@@ -305,7 +305,7 @@ def test_long_calls_give_the_same_bits_in_pieces(
         plant.advance(rows[0], 1000)
         whole = as_bytes(plant)
         for piece in (16, 128, 512):
-            monkeypatch.setattr("emulator_node.plant.PIECE", piece)
+            monkeypatch.setattr("arm_emulator.machine.plant.PIECE", piece)
             plant.reset()
             assert plant.run(rows, steps).tobytes() == q.tobytes(), (steps, piece)
             plant.advance(rows[0], 1000)
@@ -316,8 +316,8 @@ def test_long_calls_give_the_same_bits_in_pieces(
 
 def test_ctrl_c_ends_a_call_that_would_take_years() -> None:
     code = """
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 plant = Plant(load_scene("three_axis"))
 print("ready", flush=True)
 try:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from machines import one_link_urdf, write_scene
 
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import SCHEMES, load_scene
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, load_scene
 
 
 @pytest.fixture(params=SCHEMES)

@@ -15,14 +15,14 @@ from draws import some
 from machines import GANTRY, gantry_urdf, moving_joints, random_chain_urdf, write_scene
 from scipy.integrate import solve_ivp
 
-from arm_emulator.gains import check_joints
-from emulator_node.parts.pmsm import Pmsm
-from emulator_node.plant import Plant
-from emulator_node.reference import links_model
-from emulator_node.scene import Scene, load_scene
-from servo_node.servo_config import load_servo_config
-from words.config_files import find_beside, find_scene
-from words.refusal import Refusal
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.parts.pmsm import Pmsm
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.gains import check_joints
+from arm_emulator.servo.servo_config import load_servo_config
 
 PERIOD = 1e-3  # s, over which a command is held
 SUPPLY = 48.0

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from machines import one_link_urdf, write_scene
 
-from emulator_node.chain import Array
-from emulator_node.fleet import Fleet
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene, load_scene
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
 
 
 def fed(plant: Plant, V: Array) -> None:

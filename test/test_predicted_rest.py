@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from draws import some
 
-from analysis.rest_shares import rest_shares
-from arm_emulator.demo import verdict
-from arm_emulator.demo_plan import DemoPlan
-from arm_emulator.gains import Gains, load_gains
-from arm_emulator.predicted_rest import Arrival, predicted_rest
+from arm_emulator.analysis.rest_shares import rest_shares
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.demo import verdict
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.demo.predicted_rest import Arrival, predicted_rest
+from arm_emulator.machine.parts.encoder import Encoder
+from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.resting import AtRest
+from arm_emulator.machine.parts.sensors import JointSensors
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.runs.gains import Gains, load_gains
 from bench.residuals import EFFECTS, left_by, rests
-from emulator_node.parts.encoder import Encoder
-from emulator_node.parts.known import PARTS
-from emulator_node.parts.part import Part
-from emulator_node.parts.resting import AtRest
-from emulator_node.parts.sensors import JointSensors
-from emulator_node.scene import Scene, load_scene
-from motion_controller_node.link_torques import LinkTorques
-from words.config_files import find_scene
-from words.refusal import Refusal
 
 
 def given(name: str, changes: dict[str, Any]) -> tuple[Scene, Gains, DemoPlan]:
@@ -123,14 +123,14 @@ def test_out_of_reach_and_not_yet_there_are_told_apart() -> None:
 
 def test_noise_of_sensors_moves_the_links_as_computed() -> None:
     """The covariance of a loop, against the machine that stands still under noise."""
-    from analysis.servo_loop import ServoLoops
-    from servo_node.drives import Drives, Target
+    from arm_emulator.analysis.servo_loop import ServoLoops
+    from arm_emulator.servo.drives import Drives, Target
 
     scene = load_scene("three_axis", {"joints.*.encoder.noise": 0.05})
     gains = load_gains(find_scene("three_axis"))
     loop = ServoLoops(scene, gains.servo, [scene.start]).loops[0]
     expected = np.sqrt(np.diag(loop.unrest(np.full(3, 0.05), np.zeros(3))))
-    from emulator_node.session import Session
+    from arm_emulator.machine.session import Session
 
     session, drives, rows = Session(scene, "lockstep", "first_answer"), Drives(gains.servo), []
     for tick in range(6000):

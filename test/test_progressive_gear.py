@@ -14,16 +14,17 @@ from draws import some
 from machines import LINK_INERTIA, moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.special import ellipj, ellipk
 
-from compiled.compiler_command import find_compiler
-from emulator_node.advice import ORDERS
-from emulator_node.chain import Array
-from emulator_node.compiler import CORE, FLAGS
-from emulator_node.parts.gear import RigidGear
-from emulator_node.parts.progressive_gear import ProgressiveGear
-from emulator_node.plant import Diverged, Plant
-from emulator_node.reference import reference, reference_states
-from emulator_node.scene import SCHEMES, Scene, load_scene
-from emulator_node.scene_unit import scene_unit
+from arm_emulator.analysis.advice import ORDERS
+from arm_emulator.analysis.reference import reference, reference_states
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.core import CORE
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.compiler import FLAGS
+from arm_emulator.machine.parts.gear import RigidGear
+from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
+from arm_emulator.machine.scene_unit import scene_unit
 
 PERIOD = 1e-2  # s, over which a voltage is held
 # A scheme of second order and one of first first.
@@ -266,7 +267,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
 def test_what_calls_itself_linear_and_is_not_does_not_compile(tmp_path: Path) -> None:
     """Nobody can forget to say that a part is not linear."""
     core = shutil.copytree(CORE, tmp_path / "core")
-    gear = core / "gear.hpp"
+    gear = core / "parts/gear.hpp"
     text = gear.read_text()
     torque = "return Kg * (Ng * tm - q) + Dg * (Ng * wm - v);"
     assert text.count(torque) == 1, "the line of the linear gear's torque"

@@ -10,14 +10,14 @@ import pytest
 from draws import some
 from scipy.spatial.transform import Rotation
 
-from arm_emulator.offline import load_offline_run
-from emulator_node.scene import example_robot_data, load_scene
-from motion_controller_node.joint_goal import directions
-from motion_controller_node.kinematics import Kinematics
-from motion_controller_node.pose import Pose
-from motion_controller_node.qp import LOST, QpController
-from motion_controller_node.speed_box import stopping_speed
-from words.config_files import config_folder
+from arm_emulator.base.config_files import config_folder
+from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.motion.joint_goal import directions
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.qp import LOST, QpController
+from arm_emulator.motion.speed_box import stopping_speed
+from arm_emulator.runs.offline import load_offline_run
 
 THREE_AXIS = (config_folder() / "urdf" / "three_axis.urdf").read_text()
 NAMES = ("waist", "shoulder", "elbow")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from draws import some
 
+from arm_emulator.analysis.advice import ORDERS
 from bench.random_machines import LOCATED, judge
-from emulator_node.advice import ORDERS
 
 
 # 10 and 31 have progressive gears, limits and dry friction; the current of 138 touches its limit,

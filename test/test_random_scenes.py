@@ -15,14 +15,14 @@ import yaml
 from draws import some
 from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 
-from arm_emulator.__main__ import main
-from arm_emulator.gains import check_fit
-from emulator_node.scene import example_robot_data, load_scene
-from motion_controller_node.kinematics import Kinematics, moving_joints
-from motion_controller_node.motion_config import load_motion_config
-from servo_node.servo_config import ServoConfig, load_servo_config
-from words.refusal import Refusal
-from words.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
+from arm_emulator.cli.command_line import main
+from arm_emulator.machine.scene import example_robot_data, load_scene
+from arm_emulator.motion.kinematics import Kinematics, moving_joints
+from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.runs.gains import check_fit
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 
 @pytest.mark.parametrize("block", some(range(10), 5))

@@ -18,18 +18,18 @@ from draws import some
 from network import PATIENCE, User, network, user
 from rclpy.serialization import deserialize_message
 
-from arm_emulator.bringup import Bringup
-from arm_emulator.check import check
-from arm_emulator.recorded_runs import Numbered
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.check import check
+from arm_emulator.ros import run_record
+from arm_emulator.ros.bag import Bag, BagWriter, Topic, repair
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.recorded_runs import Numbered
+from arm_emulator.ros.recorder_presence import RecorderPresence, recorders_of
+from arm_emulator.ros.recorders import AHEAD, Recorders
+from arm_emulator.ros.recorders import PATIENCE as RECORDER_PATIENCE
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.run_record import RunRecord
 from arm_emulator_msgs.msg import MotorState, RecorderReport
-from emulator_node import run_record
-from emulator_node.recorders import AHEAD, Recorders
-from emulator_node.recorders import PATIENCE as RECORDER_PATIENCE
-from emulator_node.run_record import RunRecord
-from ros_shell.bag import Bag, BagWriter, Topic, repair
-from ros_shell.recorder_presence import RecorderPresence, recorders_of
-from ros_shell.ros_domain import own_domain
-from words.refusal import Refusal
 
 
 @contextmanager

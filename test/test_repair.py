@@ -25,12 +25,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
-import ros_shell.bag
-from arm_emulator.__main__ import main
-from ros_shell.bag import Bag, BagWriter, Topic, repair
-from ros_shell.mcap_end import write_all
-from ros_shell.message_types import definition_of
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command_line import main
+from arm_emulator.ros.bag import Bag, BagWriter, Topic, repair
+from arm_emulator.ros.mcap_end import write_all
+from arm_emulator.ros.message_types import definition_of
 
 CUTS = 60 if FULL else 20
 
@@ -214,7 +213,7 @@ def test_a_full_disk_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.Monk
 
         bag = tmp_path / f"full{case}"
         with monkeypatch.context() as patch:
-            patch.setattr(ros_shell.bag.Path, "open", open_full)
+            patch.setattr(bag.Path, "open", open_full)
             with pytest.raises(OSError, match="No space left"):
                 talk(bag, 300)
         kept = words_of(bag)
@@ -288,7 +287,7 @@ def test_after_the_first_failure_nothing_is_written_behind_it(
         writes = _Writes(draw, number, draw.randrange(200, size), heals)
         bag = tmp_path / f"{case}"
         with monkeypatch.context() as patch:
-            patch.setattr(ros_shell.bag, "write_all", writes)
+            patch.setattr(bag, "write_all", writes)
             if number is None:
                 talk(bag, 100, case)
             else:

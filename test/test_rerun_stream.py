@@ -18,11 +18,11 @@ import pinocchio as pin
 import psutil
 import pytest
 
-from emulator_node.rerun_batches import QUANTITIES
-from emulator_node.rerun_stream import RerunStream
-from emulator_node.sample_queue import SampleQueue
-from emulator_node.tool_position import ToolPosition
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.view.rerun_batches import QUANTITIES
+from arm_emulator.view.rerun_stream import RerunStream
+from arm_emulator.view.sample_queue import SampleQueue
+from arm_emulator.view.tool_position import ToolPosition
 
 NAMES = ("turn", "lift", "swing")
 MS = 1_000_000  # ns
@@ -261,7 +261,7 @@ def test_layout_names_and_meshes_come_along(tmp_path):
 def test_without_a_sink_nothing_is_started():
     code = f"""
 import sys, threading
-from emulator_node.rerun_stream import RerunStream
+from arm_emulator.view.rerun_stream import RerunStream
 stream = RerunStream("not read", {NAMES})
 stream.offer(0, *[None] * 5)
 stream.offer_target(0, (0.0, 0.0, 0.0))
@@ -323,7 +323,7 @@ def test_a_file_that_does_not_take_data_costs_samples_and_nothing_else(tmp_path)
     code = f"""
 import os, threading, time
 import numpy as np
-from emulator_node.rerun_stream import RerunStream
+from arm_emulator.view.rerun_stream import RerunStream
 pipe = os.open({str(pipe)!r}, os.O_RDWR)
 ready = threading.Event()
 def drain():
@@ -354,7 +354,7 @@ def test_a_killed_process_leaves_a_readable_file(tmp_path):
     code = f"""
 import time
 import numpy as np
-from emulator_node.rerun_stream import RerunStream
+from arm_emulator.view.rerun_stream import RerunStream
 stream = RerunStream({URDF!r}, {NAMES}, file={str(file)!r})
 x = np.full(3, 0.5)
 k = 0
@@ -383,7 +383,7 @@ def test_a_process_that_forgets_to_close_writes_everything(tmp_path):
     file = tmp_path / "a.rrd"
     code = f"""
 import numpy as np
-from emulator_node.rerun_stream import RerunStream
+from arm_emulator.view.rerun_stream import RerunStream
 stream = RerunStream({URDF!r}, {NAMES}, file={str(file)!r})
 for k in range(500):
     stream.offer(k * 1000000, *[np.full(3, float(k))] * 5)

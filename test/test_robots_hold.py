@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from draws import some
 
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda"])

@@ -11,12 +11,12 @@ from contextlib import ExitStack
 
 import pytest
 
-from ros_shell.ros_domain import DOMAINS, PORTS, claimed, occupied, own_domain
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.ros_domain import DOMAINS, PORTS, claimed, occupied, own_domain
 
 CLAIM_SOME = """
 import sys
-from ros_shell.ros_domain import own_domain
+from arm_emulator.ros.ros_domain import own_domain
 with own_domain() as domain:
     print(domain, flush=True)
     sys.stdin.read()

@@ -10,9 +10,9 @@ import pytest
 from draws import some
 from machines import one_link_urdf, write_scene
 
-from emulator_node.chain import Array
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene, load_scene
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
 
 PERIOD = 1e-2  # s
 RATIO = 0.05

@@ -18,9 +18,9 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from test_network import go, pause_at
 
-from arm_emulator.offline import load_offline_run
-from motion_controller_node.pose import Pose
-from servo_node.servo_config import SETTABLE, JointServo
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.servo.servo_config import SETTABLE, JointServo
 
 JOINTS = ("waist", "shoulder", "elbow")
 GAINS = ("position_gain", "velocity_gain", "integral_time", "observer_bandwidth")

@@ -12,9 +12,9 @@ import pytest
 import yaml
 from machines import CONFIG, LINK
 
-from arm_emulator.__main__ import main
-from emulator_node.scene import example_robot_data, load_scene
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command_line import main
+from arm_emulator.machine.scene import example_robot_data, load_scene
 
 URDF = (CONFIG / "urdf" / "three_axis.urdf").read_text()
 SCENE = (CONFIG / "three_axis.yaml").read_text()

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from arm_emulator.check_scene import check_scene
-from emulator_node.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
-from emulator_node.scene import load_scene
+from arm_emulator.cli.check_scene import check_scene
+from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
+from arm_emulator.machine.scene import load_scene
 
 # Sections of each law of friction alone; whether a shaft at rest is held by it.
 LAWS: dict[str, tuple[dict[str, float], bool]] = {

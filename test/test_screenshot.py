@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from arm_emulator.screenshot import take_screenshot
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.view.screenshot import take_screenshot
 
 DRIVERLESS = "mesa-vulkan-drivers"
 

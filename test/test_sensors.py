@@ -15,18 +15,18 @@ import pytest
 from machines import CONFIG, GRAVITY, LINK, MOTOR, Oracle, write_scene
 from scipy import stats
 
-from analysis.servo_loop import ServoLoops
-from arm_emulator.gains import check_joints
-from arm_emulator.tuned import run
-from emulator_node.core_calls import Measurement
-from emulator_node.fleet import Fleet
-from emulator_node.measured import MORE_SENSORS, Measured
-from emulator_node.plant import Diverged, Plant, PlantState
-from emulator_node.real_time import RealTimeLoop
-from emulator_node.scene import Scene, load_scene
-from emulator_node.scene_unit import scene_unit
-from servo_node.servo_config import load_servo_config
-from words.refusal import Refusal
+from arm_emulator.analysis.servo_loop import ServoLoops
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.design.tuned import run
+from arm_emulator.machine.core_calls import Measurement
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.measured import MORE_SENSORS, Measured
+from arm_emulator.machine.plant import Diverged, Plant, PlantState
+from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.runs.gains import check_joints
+from arm_emulator.servo.servo_config import load_servo_config
 
 TURN = 2.0 * math.pi
 FIELDS = ("encoder_counts", "current", "voltage", *MORE_SENSORS)

@@ -12,12 +12,12 @@ import pytest
 import scipy.linalg
 import yaml
 
-from motion_controller_node.motion_config import load_motion_config
-from servo_node.drives import Drives, Target
-from servo_node.servo import JointServo, Servo, ServoConfig, load_servo_config
-from servo_node.watchdog import Watchdog, WatchdogState
-from words.bound import POSITION, VELOCITY
-from words.refusal import Refusal
+from arm_emulator.base.bound import POSITION, VELOCITY
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.motion_config import load_motion_config
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.servo import JointServo, Servo, ServoConfig, load_servo_config
+from arm_emulator.servo.watchdog import Watchdog, WatchdogState
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 PERIOD = 1e-3

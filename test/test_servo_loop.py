@@ -12,15 +12,14 @@ import scipy.linalg
 from draws import some
 from machines import moving_joints, write_scene
 
-from analysis.servo_loop import ServoLoops, check_loops, growth, slower
-from arm_emulator.gains import load_gains
-from bench.random_chain import random_chain_urdf
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene, load_scene
-from emulator_node.session import Session
-from emulator_node.stability import SmallMotions
-from servo_node.at_rest import swing_at_rest
-from servo_node.design import (
+from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
+from arm_emulator.analysis.sampled_loop import Margins, SampledLoop
+from arm_emulator.analysis.servo_at_rest import swing_at_rest
+from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, growth, slower
+from arm_emulator.analysis.stability import SmallMotions
+from arm_emulator.base.config_files import find_config
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.design.joint_gains import (
     OVERSHOOT,
     SENSITIVITY,
     GearData,
@@ -30,15 +29,16 @@ from servo_node.design import (
     joint_plant,
     joint_servo,
 )
-from servo_node.drives import Drives, Target
-from servo_node.held import held
-from servo_node.held_motor import held_motor
-from servo_node.linear_servo import INPUTS, STATES, LinearServo
-from servo_node.sampled_loop import Margins, SampledLoop
-from servo_node.servo import Servo, ServoConfig
-from servo_node.servo_config import JointServo
-from words.config_files import find_config
-from words.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.held import held
+from arm_emulator.servo.held_motor import held_motor
+from arm_emulator.servo.servo import Servo, ServoConfig
+from arm_emulator.servo.servo_config import JointServo
+from bench.random_chain import random_chain_urdf
 
 Rng = np.random.Generator
 

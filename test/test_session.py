@@ -7,9 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from emulator_node.scene import load_scene
-from emulator_node.session import Needless, Phase, Session
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Needless, Phase, Session
 
 NAMES = ["waist", "shoulder", "elbow"]
 ZERO = [0.0, 0.0, 0.0]

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-import ros_shell.shared_memory
-from ros_shell.ros_domain import own_domain
-from ros_shell.shared_memory import SHARED, clear_left_over
+import arm_emulator.ros.shared_memory
+from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.shared_memory import SHARED, clear_left_over
 
 NODE = """
 import os, rclpy, sys
@@ -50,7 +50,7 @@ def test_what_a_killed_node_leaves_goes_and_a_living_ones_stays(
             left, kept = (segments(node) for node in nodes)
             if not left:
                 pytest.skip("this middleware keeps no segments")
-            time.sleep(ros_shell.shared_memory.YOUNG)
+            time.sleep(arm_emulator.ros.shared_memory.YOUNG)
             clear_left_over()
             assert all(file.exists() for file in left), "it lives"
             nodes[0].kill()

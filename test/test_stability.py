@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from draws import some
 
-from emulator_node.plant import Plant
-from emulator_node.scene import SCHEMES, load_scene
-from emulator_node.stability import SmallMotions
+from arm_emulator.analysis.stability import SmallMotions
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import SCHEMES, load_scene
 
 STEPS = 20
 SIZE = 1e-6  # rad and rad/s

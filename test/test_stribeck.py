@@ -12,8 +12,8 @@ from machines import DC, LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from stick_slip import assert_order_two, drawn
 
-from emulator_node.plant import Plant
-from emulator_node.scene import SCHEMES, load_scene
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import SCHEMES, load_scene
 
 
 @pytest.mark.parametrize(

@@ -13,14 +13,15 @@ import pytest
 from draws import FULL, some
 from machines import GRAVITY, random_chain
 
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.build.flags import SHARED
+from arm_emulator.core import CORE
+from arm_emulator.machine.compiler import FLAGS
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene_unit import scene_unit
 from bench.busy import busy_processes
-from compiled.compiler_command import find_compiler
-from compiled.flags import SHARED
-from emulator_node.compiler import CORE, FLAGS
-from emulator_node.plant import Diverged, Plant
-from emulator_node.real_time import RealTimeLoop
-from emulator_node.scene import load_scene
-from emulator_node.scene_unit import scene_unit
 
 # Table 1 of the paper: difference between one and two threads after 1 s [rad].
 PAPER_TABLE_1 = {

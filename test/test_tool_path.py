@@ -9,10 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from motion_controller_node.pose import Pose
-from motion_controller_node.speed_profile import SpeedProfile
-from motion_controller_node.tool_curve import ToolCurve
-from motion_controller_node.tool_path import (
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.speed_profile import SpeedProfile
+from arm_emulator.motion.tool_curve import ToolCurve
+from arm_emulator.motion.tool_path import (
     LONGEST,
     MOST_POSES,
     ToolLimits,
@@ -20,7 +21,6 @@ from motion_controller_node.tool_path import (
     ToolPath,
     ToolState,
 )
-from words.refusal import Refusal
 
 SECOND = 1_000_000_000
 LIMITS = ToolLimits(speed=0.25, turn_speed=1.0, acceleration=1.0, jerk=10.0, period=0.05)

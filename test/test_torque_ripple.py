@@ -9,9 +9,9 @@ import pytest
 from balance import balance_of
 from machines import DC, GANTRY, MOVED, PMSM, ROTOR, gantry_urdf, write_scene
 
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 
 RATIO = 0.01
 ELASTIC = {"ratio": RATIO, "stiffness": 2e4, "damping": 20.0}

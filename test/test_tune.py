@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from machines import CONFIG, Oracle, write_scene
 
-from arm_emulator.gain_text import write_gains
-from arm_emulator.tune import tune
-from arm_emulator.tuned import link_inertias
-from emulator_node.scene import load_scene
-from servo_node.servo_config import ServoConfig, load_servo_config
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.tune import tune
+from arm_emulator.design.gain_text import write_gains
+from arm_emulator.design.tuned import link_inertias
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 
 def other_gains(servo: ServoConfig, rng: np.random.Generator, rigid: bool) -> ServoConfig:
@@ -91,8 +91,8 @@ def test_inertias_are_those_of_the_mass_matrix() -> None:
     """Against Pinocchio over the same poses: M_jj, and 1 / (M^-1)_jj."""
     import pinocchio as pin
 
-    from analysis.servo_loop import poses
-    from arm_emulator.tuned import POSES
+    from arm_emulator.analysis.servo_loop import poses
+    from arm_emulator.design.tuned import POSES
 
     scene = load_scene("ur5")
     oracle = Oracle(scene)

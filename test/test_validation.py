@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from draws import some
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.wind_up import wind_up
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.validation import manutec_r3
 from arm_emulator.validation.figure import Figure
 from arm_emulator.validation.kuka_kr300 import (
@@ -24,8 +26,6 @@ from arm_emulator.validation.kuka_kr300 import (
     wind_up_figures,
 )
 from arm_emulator.validation.manutec_table import MOST, SHOWN, manutec_failures
-from emulator_node.scene import Scene, load_scene
-from words.refusal import Refusal
 
 
 def figures(scene: Scene, path: Path) -> Iterator[Figure]:

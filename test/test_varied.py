@@ -13,10 +13,10 @@ import yaml
 from draws import some
 from machines import MOTOR, Oracle, moving_joints, random_chain_urdf, write_scene
 
-from emulator_node.compiler import library_of
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import SCHEMES, Scene, load_scene
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.compiler import library_of
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 
 ALL = ["payload.mass", "joints.*.motor.*", "joints.*.gear.*", "joints.*.friction.*"]
 

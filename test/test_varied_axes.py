@@ -16,13 +16,13 @@ import yaml
 from draws import FULL, some
 from machines import Oracle, write_scene
 
+from arm_emulator.machine.chain import Body, ChainJoint, Frame, frame_of
+from arm_emulator.machine.measured import MORE_SENSORS, Measured
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.varied_body import AXES, NAMES, TENSOR, expressions, numbers_of, of_child
 from bench.mixtures import STEPS, commands, push, write_mixture
 from bench.random_chain import moving_joints, random_chain_urdf
-from emulator_node.chain import Body, ChainJoint, Frame, frame_of
-from emulator_node.measured import MORE_SENSORS, Measured
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import Scene, load_scene
-from emulator_node.varied_body import AXES, NAMES, TENSOR, expressions, numbers_of, of_child
 
 SENSORS: dict[str, Any] = {
     "link_encoder": {"counts_per_turn": 8192, "noise": 1e-3, "eccentricity": 1e-3},

@@ -11,10 +11,10 @@ import pytest
 from balance import balance_of
 from machines import DC, GANTRY, MOVED, PMSM, ROTOR, gantry_urdf, write_scene
 
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
-from emulator_node.scene_unit import scene_unit
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene_unit import scene_unit
 
 RATIO = 0.01
 WEAK = DC | {"back_emf_constant": 0.045}

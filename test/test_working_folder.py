@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from network import network
 
-from words.config_files import config_folder
+from arm_emulator.base.config_files import config_folder
 
 OURS = (
     "arm_emulator_msgs bench compiled emulator_node fieldbus firmware fmu microcontroller "

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene
-from fieldbus.drives import ETHERCAT, Drives
-from servo_node.servo_config import ServoConfig
+from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene
+from arm_emulator.servo.servo_config import ServoConfig
 
 CYCLIC_POSITION, PROFILE_TORQUE, CYCLIC_TORQUE = 8, 4, 10
 INTERNAL_LIMIT = 0x800

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from emulator_node.chain import Body, Frame
-from emulator_node.scene import Scene, load_scene, override
-from words.config_files import check_own
-from words.refusal import Refusal
-from words.text_file import read_text
-from words.yaml_edit import edited
-from words.yaml_file import MOST_BYTES, read_yaml
+from arm_emulator.base.config_files import check_own
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import read_text
+from arm_emulator.base.yaml_edit import edited
+from arm_emulator.base.yaml_file import MOST_BYTES, read_yaml
+from arm_emulator.machine.chain import Body, Frame
+from arm_emulator.machine.scene import Scene, load_scene, override
 
 
 def with_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:

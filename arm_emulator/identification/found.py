@@ -9,9 +9,9 @@ import numpy as np
 
 from arm_emulator.identification import inertia
 from arm_emulator.identification.torque_fit import NOT_TOLD, TorqueFit
-from emulator_node.chain import Array, Body, ChainJoint
-from emulator_node.scene import Scene
-from emulator_node.varied_body import NAMES, of_child
+from arm_emulator.machine.chain import Array, Body, ChainJoint
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.varied_body import NAMES, of_child
 
 UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
 from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
-from emulator_node.chain import Array
-from emulator_node.fleet import Fleet
-from emulator_node.scene import Scene
-from words.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.scene import Scene
 
 SPEED_BELOW = 40.0  # Hz: of the speeds that runs begin with
 LOAD_BELOW = 10.0  # Hz: of the torques that the gears carry at the beginning

@@ -18,9 +18,9 @@ from arm_emulator.identification import inertia
 from arm_emulator.identification.free_run import Starts, free_runs, starts
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.torque_fit import TorqueFit, with_discrepancy
-from emulator_node.chain import Array
-from emulator_node.scene import Scene, could_vary
-from emulator_node.varied_body import of_child
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import Scene, could_vary
+from arm_emulator.machine.varied_body import of_child
 
 Indices = NDArray[np.signedinteger[Any]]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from emulator_node.chain import Array, Body
+from arm_emulator.machine.chain import Array, Body
 
 NUMBERS = 10
 THIN = 1e-6  # of a body's second moments: what a thin or massless one is taken to have

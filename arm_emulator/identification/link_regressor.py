@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.identification.inertia import dynamic
-from emulator_node.chain import Array
-from emulator_node.parts.shaft_motion import ShaftMotion
-from emulator_node.scene import Scene
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.scene import Scene
 
 ROUNDS = 3  # in which friction that grows with the gear's torque is found, which it is part of
 
@@ -19,7 +19,7 @@ class LinkRegressor:
     """Torques at the joints of a scene's links for any motion: tau = Y(q, v, a) phi.
 
     phi has the ten numbers of `inertia.dynamic` for each moving link, with what is fixed to it and
-    the payload, in the frames of `emulator_node.chain.ChainJoint`.
+    the payload, in the frames of `arm_emulator.machine.chain.ChainJoint`.
     """
 
     def __init__(self, scene: Scene) -> None:

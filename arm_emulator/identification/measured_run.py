@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from emulator_node.chain import Array
-from words.bound import EFFORT, POSITION, VELOCITY, Bound
-from words.refusal import Refusal
+from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY, Bound
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
 
 SHORTEST = 200  # samples
 UNEVEN = 0.01  # of a sample: what clocks do

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.measured_run import MeasuredRun
-from emulator_node.chain import Array
-from words.refusal import Refusal
+from arm_emulator.machine.chain import Array
 
 SIGNALS = {"tau": "torque", "q_motor": "angle"}
 NEIGHBOURS = 7  # samples, of which the middle one is judged

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 
 from arm_emulator.identification.filtered import Filtered
-from emulator_node.chain import Array
+from arm_emulator.machine.chain import Array
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

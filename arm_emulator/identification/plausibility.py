@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification.filtered import Filtered, filtered
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.outliers import without_outliers
 from arm_emulator.identification.slips import Slip, Slips
-from emulator_node.chain import Array
-from emulator_node.scene import Scene
-from words.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import Scene
 
 # What a slip undone saves, in squares of deviations and as a share of what the record costs as it
 # is. Of measured records that are right, slips save up to 30 and 7 %.

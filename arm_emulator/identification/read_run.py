@@ -1,4 +1,4 @@
-"""Records of motion in files: NumPy archives, tables, and bags of our own network."""
+"""Records of motion in files: NumPy archives and tables."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator.base.array_file import read_arrays
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.table_file import read_table
 from arm_emulator.identification.measured_run import MeasuredRun, check_samples
-from emulator_node.chain import Array
-from emulator_node.plant import link_angle_per_count
-from emulator_node.scene import Scene
-from words.array_file import read_arrays
-from words.refusal import Refusal
-from words.table_file import read_table
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import Scene
 
 # What a record may have, by its names in files. Arrays and groups of columns are called alike.
 NAMES = {
@@ -29,11 +28,11 @@ def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") 
 
     An archive (``.npz``) has arrays ``t`` (K,) [s], ``q_mot`` (K, N), and ``tau`` (or ``tau_abs``)
     [N m] or ``current`` [A] at the motors' shafts; it may have ``q_link``, ``q_ref`` and ``v_mot``.
-    A table (``.csv``) has columns ``t``, ``q_mot.JOINT``, ``tau.JOINT`` and so on. A bag is a
-    folder with ``motor_states``. Columns of ``q_link`` that are 0 throughout are no encoders.
+    A table (``.csv``) has columns ``t``, ``q_mot.JOINT``, ``tau.JOINT`` and so on. Columns of
+    ``q_link`` that are 0 throughout are no encoders.
 
     Args:
-        path: of the file, or the folder of a bag.
+        path: of the file.
         scene: the machine.
         angles: unit of revolute joints' angles in the file, rad or deg.
         side: where ``q_mot`` and ``v_mot`` are told: at the motor's shaft, or as seen at the link.
@@ -41,23 +40,28 @@ def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") 
     Raises:
         Refusal: it cannot be read, something is missing, or samples are not sound.
     """
-    if path.is_dir():
-        signals, where = _from_bag(path, scene), str(path)
+    where = path.name
+    if path.suffix == ".npz":
+        signals = _from_archive(path)
+    elif path.suffix == ".csv":
+        signals = _from_table(path, scene)
     else:
-        where = path.name
-        if path.suffix == ".npz":
-            signals = _from_archive(path)
-        elif path.suffix == ".csv":
-            signals = _from_table(path, scene)
-        else:
-            raise Refusal(where, "file", "be a record", path.suffix or "nothing", ".npz, .csv, bag")
-        _to_radians(signals, scene, angles, side)
-    run = _run(signals, scene, where)
-    check_samples(run)
-    return run
+        raise Refusal(where, "file", "be a record", path.suffix or "nothing", ".npz, .csv, bag")
+    _to_radians(signals, scene, angles, side)
+    return run_of(signals, scene, where)
 
 
-def _run(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
+def run_of(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
+    """Return the record that signals make.
+
+    Args:
+        signals: by the names of `MeasuredRun`, and ``current`` [A] in the place of ``tau``.
+        scene: the machine.
+        where: what refusals name.
+
+    Raises:
+        Refusal: something is missing, or samples are not sound.
+    """
     N, t = len(scene.joints), signals.pop("t", np.zeros(0))
     if "current" in signals and "tau" not in signals:
         signals["tau"] = _torques(signals.pop("current"), scene, where)
@@ -74,7 +78,9 @@ def _run(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
     if "q_link" in signals:
         absent = ~signals["q_link"].any(axis=0)
         signals["q_link"] = np.where(absent, np.nan, signals["q_link"])
-    return MeasuredRun(where=where, joints=scene.joint_names, t=t, **signals)
+    run = MeasuredRun(where=where, joints=scene.joint_names, t=t, **signals)
+    check_samples(run)
+    return run
 
 
 def _to_radians(signals: dict[str, Array], scene: Scene, angles: str, side: str) -> None:
@@ -127,46 +133,4 @@ def _from_table(path: Path, scene: Scene) -> dict[str, Array]:
             for joint, known in zip(scene.joint_names, there, strict=True)
         ]
         signals[name] = np.column_stack(of)
-    return signals
-
-
-def _from_bag(path: Path, scene: Scene) -> dict[str, Array]:
-    """Return what motor states tell: counts and currents, or the torques that were commanded."""
-    from arm_emulator.check import read_topics
-    from ros_shell.bag import Bag
-
-    t = list[float]()
-    counts, current, command, at_link = (list[list[float]]() for _ in range(4))
-    tick = -1
-    for _, state in read_topics(Bag(path), ("motor_states",)):
-        if state.tick == tick:
-            continue  # told once more, while nobody answered
-        tick = state.tick
-        names = list(state.joint_names)
-        for joint in scene.joint_names:
-            if joint not in names:
-                raise Refusal(str(path), "joints", f"be those of {scene.where}", ", ".join(names))
-        order = [names.index(joint) for joint in scene.joint_names]
-        t.append(state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec)
-        for into, of in (
-            (counts, state.encoder_counts), (current, state.current),
-            (command, state.voltage), (at_link, state.link_encoder_counts),
-        ):  # fmt: skip
-            into.append([of[k] if len(of) else 0 for k in order])
-    if not t:
-        raise Refusal(str(path), "bag", "have motor_states", "none")
-    q_motor = (np.array(counts, np.float64) + 0.5) * link_angle_per_count(scene)
-    units = np.array([joint.command == "N m" for joint in scene.joints])
-    Kt = np.array([getattr(joint.motor, "torque_constant", np.nan) for joint in scene.joints])
-    tau = np.array(current, np.float64) * np.nan_to_num(Kt)
-    # A command is told at the end of the period in which it held: here, half of it before.
-    applied = np.array(command, np.float64)
-    later = np.vstack([applied[1:], applied[-1:]])
-    tau = np.where(units, 0.5 * (applied + later), tau)
-    signals = {"t": np.array(t), "q_motor": q_motor, "tau": tau}
-    link = np.array(at_link, np.float64)
-    if link.any():
-        per = [joint.sensors.link_encoder for joint in scene.joints]
-        scale = [2.0 * np.pi / one.counts_per_turn if one else np.nan for one in per]
-        signals["q_link"] = (link + 0.5) * np.array(scale)
     return signals

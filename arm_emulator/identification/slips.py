@@ -22,9 +22,9 @@ from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.identification.link_regressor import LinkRegressor
 from arm_emulator.identification.structure import lasting
-from emulator_node.chain import Array
-from emulator_node.parts.shaft_motion import ShaftMotion
-from emulator_node.scene import Scene
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.scene import Scene
 
 Order = NDArray[np.signedinteger[Any]]
 

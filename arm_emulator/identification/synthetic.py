@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from arm_emulator.identification.measured_run import MeasuredRun
-from emulator_node.chain import Array
-from emulator_node.plant import Plant
-from emulator_node.scene import Scene
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene
 
 WAVES = 4  # of the motion of each joint
 SLOWEST, FASTEST = 0.1, 0.7  # Hz

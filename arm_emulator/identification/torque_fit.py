@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.identification.structure import Effect, find_structure, lasting
 from arm_emulator.identification.torque_model import MotionTorques, TorqueModel, Unknown
-from emulator_node.chain import Array
+from arm_emulator.machine.chain import Array
 
 TURNS = 5  # in which fit, weights and loads are found in turn
 BEGIN = 0.3  # of each torque, at first taken to be noise

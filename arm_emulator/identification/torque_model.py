@@ -19,14 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification import inertia
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.identification.link_regressor import LinkRegressor
-from emulator_node.chain import Array
-from emulator_node.parts.part import Part
-from emulator_node.parts.shaft_motion import ShaftMotion
-from emulator_node.scene import Joint, Scene
-from words.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.scene import Joint, Scene
 
 LINK = ("log_mass", "log_x", "log_y", "log_z", "xy", "yz", "xz", "x", "y", "z")  # log-Cholesky
 EVERYTHING = "*"

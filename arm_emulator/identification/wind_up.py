@@ -15,8 +15,8 @@ import numpy as np
 from arm_emulator.identification.filtered import EDGE, low_pass, smooth_motion
 from arm_emulator.identification.link_regressor import torques_of_links
 from arm_emulator.identification.measured_run import MeasuredRun
-from emulator_node.chain import Array
-from emulator_node.scene import Scene
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import Scene
 
 BELOW = 10.0  # Hz: what rigid links tell of the load
 ORDERS = np.arange(20.0, 2000.0, 0.5)  # waves per turn among which the ripple is looked for

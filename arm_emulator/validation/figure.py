@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from rich.table import Table
 
-from emulator_node.chain import Array
+from arm_emulator.machine.chain import Array
 
 
 @dataclass(frozen=True)

@@ -14,16 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from arm_emulator.design.joint_gains import design, joint_servo
+from arm_emulator.design.tuned import data_of, link_inertias
 from arm_emulator.identification.filtered import Filtered, filtered
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.torque_fit import explained
-from arm_emulator.tuned import data_of, link_inertias
-from emulator_node.chain import Array
-from emulator_node.scene import Scene, load_scene
-from emulator_node.session import Session
-from servo_node.design import design, joint_servo
-from servo_node.drives import Drives, Target
-from servo_node.servo_config import ServoConfig
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.servo_config import ServoConfig
 
 PERIOD = 1e-3  # s, of the servo
 COUNTS = 65536  # per turn of a motor, assumed

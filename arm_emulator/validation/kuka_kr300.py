@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator.base.config_files import config_folder
 from arm_emulator.identification.filtered import Filtered, filtered
 from arm_emulator.identification.free_run import drift, free_runs, starts
 from arm_emulator.identification.measured_run import MeasuredRun
@@ -16,12 +17,11 @@ from arm_emulator.identification.read_run import read_run
 from arm_emulator.identification.torque_fit import explained
 from arm_emulator.identification.torque_model import TorqueModel
 from arm_emulator.identification.wind_up import WindUp, wind_up
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.validation.figure import Figure
 from arm_emulator.validation.kuka_closed_loop import closed_loop
 from arm_emulator.validation.kuka_nulls import PerAxis, constant_acceleration, constant_speed
-from emulator_node.chain import Array
-from emulator_node.scene import Scene, load_scene
-from words.config_files import config_folder
 
 DATA = config_folder() / "validation" / "kuka_kr300"
 SHIPPED = (DATA / "run_A.npz", DATA / "run_B.npz")

@@ -12,7 +12,7 @@ import numpy as np
 from arm_emulator.identification.filtered import Filtered, smooth_motion
 from arm_emulator.identification.free_run import Starts
 from arm_emulator.identification.measured_run import MeasuredRun
-from emulator_node.chain import Array
+from arm_emulator.machine.chain import Array
 
 STEP = 1e-3  # s, of `PerAxis.free_run`
 

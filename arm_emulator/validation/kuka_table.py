@@ -8,10 +8,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
+from arm_emulator.machine.scene import load_scene
 from arm_emulator.validation.figure import table_of
 from arm_emulator.validation.kuka_kr300 import SHIPPED, compare
 from arm_emulator.validation.kuka_picture import draw
-from emulator_node.scene import load_scene
 
 
 def validate_kuka(runs: Sequence[Path], folder: Path) -> int:

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-from emulator_node.chain import Array
-from emulator_node.compiler import library_with
-from emulator_node.core_calls import OK
-from emulator_node.plant import Plant
-from emulator_node.scene import load_scene
-from words.config_files import config_folder
+from arm_emulator.base.config_files import config_folder
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.compiler import library_with
+from arm_emulator.machine.core_calls import OK
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 
 AXES = 6
 END = 1.8560450019  # s

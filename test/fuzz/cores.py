@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 from machines import moving_joints, random_chain_urdf, write_scene
 
-from emulator_node.plant import Diverged, Plant
-from emulator_node.real_time import RealTimeSession
-from emulator_node.scene import DEEPEST_EXCHANGE, SCHEMES, Scene, load_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.real_time import RealTimeSession
+from arm_emulator.machine.scene import DEEPEST_EXCHANGE, SCHEMES, Scene, load_scene
 from fuzz.line import FAILED, REFUSED, TAKEN, tell
-from words.refusal import Refusal
 
 HERE = Path(__file__).resolve().parent
 CALLS = 200  # of one machine

@@ -14,13 +14,13 @@ import sys
 import traceback
 from pathlib import Path
 
-from arm_emulator.gains import load_gains
-from emulator_node.scene import load_scene
-from fieldbus import ethercat
-from fieldbus.drives import drives_library_with
-from fieldbus.ethercat import Segment
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.doors.fieldbus import ethercat
+from arm_emulator.doors.fieldbus.drives import drives_library_with
+from arm_emulator.doors.fieldbus.ethercat import Segment
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.gains import load_gains
 from fuzz.line import FAILED, REFUSED, TAKEN, tell
-from words.config_files import find_scene
 
 FRAMES = 10_000  # of a batch
 SCENE = "three_axis"

@@ -25,11 +25,11 @@ from network import ALL_THREE, User, assert_same_bits, kill, logs, network, offl
 from random_messages import RECEIVER, TOPICS, bad_message, random_message
 from rclpy.serialization import serialize_message
 
-from arm_emulator.bringup import Bringup
-from arm_emulator.offline import load_offline_run
+from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.node_shell import DESCRIPTION_QOS
+from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus
 from fuzz.line import FAILED, REFUSED, TAKEN, tell
-from ros_shell.node_shell import DESCRIPTION_QOS
 
 AT_ONCE = 2  # messages per topic: what is read with best effort is kept five deep
 AHEAD = 1000  # ticks: what is for a later tick stays of the future while it is on its way

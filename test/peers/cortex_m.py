@@ -17,15 +17,15 @@ pytest.importorskip("elftools", reason="no pyelftools")
 if shutil.which("arm-none-eabi-gcc") is None:
     pytest.skip("no arm-none-eabi-gcc", allow_module_level=True)
 
-from arm_emulator.table_run import TableRun
-from arm_emulator.target_table import TargetTable
-from compiled.compiler_command import find_compiler
-from emulator_node.scene import Scene, load_scene
-from firmware import FOLDER as SERVO
-from microcontroller import FOLDER
-from microcontroller.board import load_board
-from microcontroller.elf_image import ElfImage
-from microcontroller.microcontroller import Microcontroller
+from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.doors.microcontroller import FOLDER
+from arm_emulator.doors.microcontroller.board import load_board
+from arm_emulator.doors.microcontroller.elf_image import ElfImage
+from arm_emulator.doors.microcontroller.microcontroller import Microcontroller
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.table_run import TableRun
+from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.servo.c import FOLDER as SERVO
 
 EXAMPLE = FOLDER / "examples/stm32f4_like"
 CROSS = (

@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 from draws import FULL
 
-from arm_emulator.canopen import load_segment, write_eds
-from arm_emulator.gains import load_gains
-from emulator_node.plant import Plant
-from fieldbus.can_bus import BusService, can_bus
-from fieldbus.canopen_segment import Segment
-from fieldbus.drives import CANOPEN, Drives, dictionary
-from words.config_files import find_scene
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.cli.canopen import load_segment, write_eds
+from arm_emulator.doors.fieldbus.can_bus import BusService, can_bus
+from arm_emulator.doors.fieldbus.canopen_segment import Segment
+from arm_emulator.doors.fieldbus.drives import CANOPEN, Drives, dictionary
+from arm_emulator.machine.plant import Plant
+from arm_emulator.runs.gains import load_gains
 
 canopen: Any = pytest.importorskip("canopen")
 pytest.importorskip("can")

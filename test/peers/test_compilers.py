@@ -16,18 +16,18 @@ from pathlib import Path
 import pytest
 from draws import FULL, some
 
-from arm_emulator.servo_step import servo_step_unit
+from arm_emulator.build.compiler_command import identity
+from arm_emulator.build.unit import Unit
+from arm_emulator.doors.fieldbus.drives import drives_unit
+from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
+from arm_emulator.doors.fmu.unit import unit_of
+from arm_emulator.doors.fmu.variables import scalars, variables
+from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
+from arm_emulator.machine.firmware_loop import firmware_loop_unit
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.servo_step import servo_step_unit
+from arm_emulator.servo.servo_law import servo_unit
 from bench.mixtures import write_mixture
-from compiled.compiler_command import identity
-from compiled.unit import Unit
-from emulator_node.compiler import fleet_unit, machine_unit, real_time_unit
-from emulator_node.firmware_loop import firmware_loop_unit
-from emulator_node.scene import load_scene
-from fieldbus.drives import drives_unit
-from fieldbus.ethercat import ethercat_unit
-from fmu.unit import unit_of
-from fmu.variables import scalars, variables
-from servo_node.servo_law import servo_unit
 
 KINDS = {"g++": range(11, 16), "clang++": range(14, 22)}
 AS_G = 1e-10  # rad, after 0.4 s: rounding, which the two do in another order
@@ -74,7 +74,7 @@ def units(folder: Path) -> Iterator[Unit]:
     yield from (servo_unit(), servo_step_unit(), firmware_loop_unit(), real_time_unit())
     yield from (drives_unit(), ethercat_unit())
     if find_spec("unicorn"):
-        from microcontroller.microcontroller import runner_unit
+        from arm_emulator.doors.microcontroller.microcontroller import runner_unit
 
         yield runner_unit()
 
@@ -115,10 +115,10 @@ def test_a_compiler_takes_everything_without_a_warning(
 RUN = """
 import json
 import numpy as np
-from emulator_node.plant import Diverged, Plant
-from emulator_node.scene import load_scene
-from servo_node.servo import Servo, load_servo_config
-from words.refusal import Refusal
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.servo.servo import Servo, load_servo_config
+from arm_emulator.base.refusal import Refusal
 
 scene = load_scene("three_axis", {"joints.waist.encoder.noise": 1e-3})
 plant = Plant(scene)

@@ -20,17 +20,17 @@ from cortex_m import (
     states,
 )
 
-from arm_emulator.gains import load_gains
-from arm_emulator.servo_header import servo_header
-from arm_emulator.table_run import TableRun
-from arm_emulator.target_table import TargetTable
-from compiled.flags import C_FLAGS
-from emulator_node.compiler import CORE
-from emulator_node.firmware import Firmware
-from emulator_node.scene import Scene, load_scene
-from firmware import FOLDER as SERVO
-from microcontroller.microcontroller import FirmwareEnd, Microcontroller
-from words.config_files import find_scene
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.cli.servo_header import servo_header
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
+from arm_emulator.machine.firmware import Firmware
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.table_run import TableRun
+from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.servo.c import FOLDER as SERVO
 
 # The example, and the same code as a library
 
@@ -97,7 +97,7 @@ const firmware* arm_firmware(void) {
 }
 """
     )
-    folders = [f"-I{one}" for one in (SERVO, CORE, EXAMPLE, folder)]
+    folders = [f"-I{one}" for one in (SERVO, BOUNDARY, EXAMPLE, folder)]
     objects = []
     for source in (folder / f"{name}.c", EXAMPLE / "control.c", SERVO / "servo.c"):
         objects.append(str(folder / f"{source.stem}.o"))

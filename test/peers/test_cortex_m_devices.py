@@ -23,18 +23,18 @@ from cortex_m import (
     write_board,
 )
 
-from arm_emulator.gains import load_gains
-from arm_emulator.servo_header import servo_header
-from arm_emulator.table_run import TableRun
-from arm_emulator.target_table import TargetTable
-from compiled.flags import C_FLAGS
-from emulator_node.compiler import CORE
-from emulator_node.firmware import Firmware
-from firmware import FOLDER as SERVO
-from microcontroller.board import load_board
-from microcontroller.elf_image import ElfImage
-from microcontroller.microcontroller import FirmwareEnd, Microcontroller
-from words.config_files import find_scene
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.cli.servo_header import servo_header
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.microcontroller.board import load_board
+from arm_emulator.doors.microcontroller.elf_image import ElfImage
+from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
+from arm_emulator.machine.firmware import Firmware
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.table_run import TableRun
+from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.servo.c import FOLDER as SERVO
 
 # Devices
 
@@ -69,7 +69,7 @@ def test_ideal_converters_give_the_motion_of_the_template(tmp_path: Path) -> Non
     objects = []
     for source in (SERVO / "template/mine.c", SERVO / "servo.c"):
         objects.append(str(tmp_path / f"{source.stem}.o"))
-        folders = [f"-I{one}" for one in (SERVO, CORE, tmp_path)]
+        folders = [f"-I{one}" for one in (SERVO, BOUNDARY, tmp_path)]
         host_cc(*C_FLAGS, "-DSERVO_FLOAT", *folders, "-c", str(source), "-o", objects[-1])
     host_cc("-shared", *objects, "-o", str(tmp_path / "mine.so"))
     (tmp_path / "main.c").write_text(
@@ -223,7 +223,7 @@ const firmware* arm_firmware(void) {{
 """
     )
     library = folder / "drives.so"
-    host_cc(*C_FLAGS, f"-I{CORE}", str(folder / "drives.c"), "-o", str(library))
+    host_cc(*C_FLAGS, f"-I{BOUNDARY}", str(folder / "drives.c"), "-o", str(library))
     return library
 
 

@@ -19,8 +19,8 @@ from cortex_m import (
     write_board,
 )
 
-from arm_emulator.table_run import TableRun
-from microcontroller.microcontroller import FirmwareEnd
+from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd
+from arm_emulator.runs.table_run import TableRun
 
 # Exceptions
 

@@ -15,11 +15,11 @@ from cortex_m import EXAMPLE, SCENE, TINY, cross, run_firmware, tiny, words_of, 
 from draws import some
 from test_cortex_m import Debugger
 
-from arm_emulator.firmware import run
-from arm_emulator.table_run import TableRun
-from microcontroller.board import load_board
-from microcontroller.elf_image import ElfImage
-from microcontroller.microcontroller import FirmwareEnd, Microcontroller
+from arm_emulator.cli.firmware import run
+from arm_emulator.doors.microcontroller.board import load_board
+from arm_emulator.doors.microcontroller.elf_image import ElfImage
+from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
+from arm_emulator.runs.table_run import TableRun
 
 HOLE = 0x30000000
 # The instruction that makes the fault, the exception of its own, and the bit of CFSR.

@@ -34,11 +34,11 @@ from lxml import etree
 from machines import DC, GANTRY, gantry_urdf, write_scene
 from test_fmu import scenes
 
-from emulator_node.scene import Scene, load_scene
-from fmu.export import export
-from fmu.model_description import model_description
-from fmu.model_description_2 import model_description_2
-from fmu.variables import scalars, variables
+from arm_emulator.doors.fmu.export import export
+from arm_emulator.doors.fmu.model_description import model_description
+from arm_emulator.doors.fmu.model_description_2 import model_description_2
+from arm_emulator.doors.fmu.variables import scalars, variables
+from arm_emulator.machine.scene import Scene, load_scene
 
 FMPY = Path(fmpy.__file__).parent
 ROOT = Path(__file__).resolve().parents[2]

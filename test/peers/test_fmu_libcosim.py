@@ -14,8 +14,8 @@ from libcosimpy.CosimExecution import CosimExecution
 from libcosimpy.CosimObserver import CosimObserver
 from libcosimpy.CosimSlave import CosimLocalSlave
 
-from emulator_node.scene import load_scene
-from fmu.export import export
+from arm_emulator.doors.fmu.export import export
+from arm_emulator.machine.scene import load_scene
 
 PERIODS = 500
 NANOSECONDS = 1_000_000  # of a servo period

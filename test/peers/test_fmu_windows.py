@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from fmu_client import OK, Fmu, Instance
 
-from arm_emulator.fmu import write_fmu
-from fmu.windows import COMPILERS, windows_binary
-from words.refusal import Refusal
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.fmu import write_fmu
+from arm_emulator.doors.fmu.windows import COMPILERS, windows_binary
 
 TEST = Path(__file__).resolve().parent
-SOURCES = TEST.parents[1] / "fmu"
+SOURCES = TEST.parents[1] / "arm_emulator/doors/fmu"
 TARGET = "x86-64-v2"
 AS_LINUX = 1e-9  # rad, after a second: sines of another C library
 
@@ -87,9 +87,9 @@ def test_it_moves_under_wine_as_under_linux(unit: Fmu, tmp_path: Path) -> None:
 def test_without_a_cross_compiler_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from emulator_node.scene import load_scene
-    from fmu.unit import unit_of
-    from fmu.variables import variables
+    from arm_emulator.doors.fmu.unit import unit_of
+    from arm_emulator.doors.fmu.variables import variables
+    from arm_emulator.machine.scene import load_scene
 
     scene = load_scene("three_axis")
     monkeypatch.setenv("PATH", str(tmp_path))

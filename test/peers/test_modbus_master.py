@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator_node.scene import load_scene
-from emulator_node.session import Session
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.session import Session
 
 client = pytest.importorskip("pymodbus.client")
 pytest.importorskip("serial")

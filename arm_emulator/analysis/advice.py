@@ -1,0 +1,278 @@
+"""Which scheme, events and step are the cheapest for a wanted error.
+
+Every setting is compared with the true motion (true_motion.py) on each of some motions, and the
+error of that truth is added: the largest error is a bound for these motions. For others of their
+kinds it is an estimate, by how far apart the errors on these motions are.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from arm_emulator.analysis.judged_motions import Motion
+from arm_emulator.analysis.true_motion import (
+    FINEST,
+    OTHERWISE,
+    Method,
+    Runs,
+    Truth,
+    find_truth,
+    is_confirmed,
+)
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import EVENTS, SCHEMES, Scene, odds
+
+ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
+MOST_STEPS = 3e7  # of one motion: some seconds of computing
+SHARE = 0.05  # of the error asked for, which the truth may be off
+LOOK = 4  # steps per servo period at which it is seen whether there are events
+SPACING = 1.04  # between numbers of steps that are tried
+ROUNDS = 7  # of timing
+DEARER = 2.0  # than the cheapest by times that were taken in passing: not tried any further
+LEAST_RESERVE = 5.0
+ENOUGH = 12  # motions, for an estimate of others
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A method at a step, what it costs and how far it is from the truth."""
+
+    method: Method
+    dt: float  # s
+    error: float  # rad or m, largest of a link on the way: a bound for the motions judged
+    others: float  # rad or m, the same for other motions of these kinds: an estimate; inf: unknown
+    cost: float  # s, wall per simulated second
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What was found for an error.
+
+    Attributes:
+        settings: each method's cheapest, the cheapest of all first; empty: none keeps the error.
+        why_none: why there are no settings.
+        now: the scene's own setting, timed along with them; None where there are none.
+    """
+
+    settings: list[Setting]
+    why_none: str = ""
+    now: Setting | None = None
+
+
+class Judge:
+    """Compares methods with the true motions of a scene.
+
+    Args:
+        scene: the machine; its own integrator plays no part but for two threads.
+        motions: on which it is judged, all of them.
+    """
+
+    def __init__(self, scene: Scene, motions: Sequence[Motion]) -> None:
+        self.scene = scene
+        self.motions = tuple(motions)
+        self.runs = Runs(scene)
+        self._truths: dict[int, Truth] = {}
+        self._confirmed: dict[int, float] = {}  # the error for which each was
+        self._errors: dict[tuple[Method, int, int], float] = {}
+        self._hardest = list(range(len(self.motions)))
+
+    @property
+    def methods(self) -> list[Method]:
+        """All that the scene may be integrated by: in two threads if it is so now.
+
+        Where no motion meets an event there is nothing to locate.
+        """
+        found = []
+        for threads in sorted({1, self.scene.threads}):
+            for events in reversed(EVENTS) if self._meets_events else EVENTS[:1]:
+                for scheme in SCHEMES:
+                    one = Method(scheme, events, threads)
+                    if odds(one.integrator(self.scene, 1), threads) is None:
+                        found.append(one)
+        return found
+
+    @property
+    def now(self) -> tuple[Method, int]:
+        """The scene's own method, and its steps per servo period."""
+        scene = self.scene
+        own = Method(scene.integrator.scheme, scene.integrator.events, scene.threads)
+        return own, scene.steps_per_period
+
+    @cached_property
+    def _meets_events(self) -> bool:
+        rows = [motion.commands for motion in self.motions]
+        pairs = ((self.runs.q(one, LOOK, row) for one in (FINEST, OTHERWISE)) for row in rows)
+        return not all(np.array_equal(one, other) for one, other in pairs)  # type: ignore[arg-type]
+
+    def error(self, method: Method, steps: int, limit: float = math.inf) -> float:
+        """Return the largest error on the motions, inf where one diverges.
+
+        Beyond `limit` that of the first motion which is beyond it will do.
+        """
+        worst = 0.0
+        for m in tuple(self._hardest):
+            one = self._error_on(method, steps, m)
+            worst = max(worst, one)
+            if one > limit:
+                # It is asked first from now on.
+                self._hardest.remove(m)
+                self._hardest.insert(0, m)
+                break
+        return worst
+
+    def _error_on(self, method: Method, steps: int, m: int) -> float:
+        key = method, steps, m
+        if key not in self._errors:
+            q, truth = self.runs.q(method, steps, self.motions[m].commands), self._truths[m]
+            off = math.inf if q is None else float(np.abs(q - truth.q).max())
+            self._errors[key] = off + truth.error
+        return self._errors[key]
+
+    def errors(self, method: Method, steps: int) -> Array:
+        """Return the error on each motion (M,)."""
+        return np.array([self._error_on(method, steps, m) for m in range(len(self.motions))])
+
+    def truth(self, m: int) -> Truth:
+        """Return the truth of a motion, by its number, as far as it is known by now."""
+        return self._truths[m]
+
+    def know_truths(self, error: float) -> str:
+        """Find the truths to a share of an error; return why that cannot be done, or nothing."""
+        for m, motion in enumerate(self.motions):
+            most = int(MOST_STEPS / len(motion.commands))
+            known = self._truths.get(m)
+            if known is None or known.error > SHARE * error:
+                found = find_truth(self.runs, motion.commands, SHARE * error, most)
+                if isinstance(found, str):
+                    return f"motion {motion.name}: {found}"
+                self._truths[m] = known = found
+                self._errors = {key: one for key, one in self._errors.items() if key[2] != m}
+            if error < self._confirmed.get(m, math.inf):
+                if not is_confirmed(self.runs, motion.commands, known, error, most):
+                    return (
+                        f"motion {motion.name}: with events at the ends of steps it does not come "
+                        "nearer to what it is with events located"
+                    )
+                self._confirmed[m] = error
+        return ""
+
+    def cheapest(self, method: Method, error: float, most_cost: float) -> int | None:
+        """Return the fewest steps per servo period that keep the error; None: none within reach.
+
+        Args:
+            method: of which it is asked.
+            error: on the motions judged.
+            most_cost: no setting that is expected to cost more is tried [s/s].
+        """
+        most = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
+        failed, steps = 0, 1
+        while (off := self.error(method, steps, error)) > error:
+            failed, steps = steps, _next(steps, off / error, ORDERS[method.scheme])
+            if steps > most or self.runs.least_cost(method, steps) > most_cost:
+                return None
+        for fewer in step_counts(failed + 1, steps):
+            if self.error(method, fewer, error) <= error:
+                return fewer
+        return steps
+
+    def cost(self, chosen: Sequence[tuple[Method, int]]) -> list[float]:
+        """Return wall times per simulated second [s]: of each motion the least of some rounds.
+
+        All take turns on each motion, so that a machine's changing speed is no difference.
+        """
+        plants = [(self.runs.plant(method, steps), steps) for method, steps in chosen]
+        least = np.full((len(plants), len(self.motions)), math.inf)
+        for _ in range(ROUNDS):
+            for m, motion in enumerate(self.motions):
+                for k, (plant, steps) in enumerate(plants):
+                    least[k, m] = min(least[k, m], _time(plant, steps, motion))
+        seconds = self.scene.servo_period * sum(len(motion.commands) for motion in self.motions)
+        return [float(one) / seconds for one in least.sum(axis=1)]
+
+    def settings(self, chosen: Sequence[tuple[Method, int]]) -> list[Setting]:
+        """Return what methods give and cost at so many steps per servo period."""
+        costs = self.cost(chosen)
+        found = []
+        for (method, steps), cost in zip(chosen, costs, strict=True):
+            errors = self.errors(method, steps)
+            dt, worst = self.scene.servo_period / steps, float(errors.max())
+            found.append(Setting(method, dt, worst, reserve(errors) * worst, cost))
+        return found
+
+
+def check_error(error: float) -> None:
+    """Refuse an error that cannot be asked for [rad or m]."""
+    if not 1e-11 <= error <= 1.0:
+        raise Refusal("advise", "error", "be from 1e-11 to 1 rad", error)
+
+
+def advise(judge: Judge, error: float) -> Advice:
+    """Return each method's cheapest setting for an error, the cheapest of all first.
+
+    Args:
+        judge: of the scene and its motions.
+        error: largest error of a link on the way [rad or m].
+
+    Raises:
+        Refusal: an error that cannot be asked for.
+    """
+    check_error(error)
+    why = judge.know_truths(error)
+    if why:
+        return Advice([], why)
+    kept, best = list[tuple[Method, int]](), math.inf
+    for method in judge.methods:
+        steps = judge.cheapest(method, error, DEARER * best)
+        if steps is not None:
+            kept.append((method, steps))
+            best = min(best, judge.runs.cost(method, steps))
+    if not kept:
+        return Advice([], "no step that can be tried is small enough")
+    *settings, now = judge.settings([*kept, judge.now])
+    return Advice(sorted(settings, key=lambda one: one.cost), now=now)
+
+
+def reserve(errors: Array) -> float:
+    """Return how much larger than the largest of some errors those of other motions may be.
+
+    `LEAST_RESERVE`, or more where the largest stands out: the next one may stand out as much.
+    `python -m bench.advice` measures how often that is enough. Of few motions nothing follows for
+    others.
+    """
+    if len(errors) < ENOUGH or not np.isfinite(errors).all():
+        return math.inf
+    second, largest = np.sort(errors)[-2:].tolist()
+    return max(LEAST_RESERVE, largest / second if second > 0.0 else 0.0)
+
+
+def _time(plant: Plant, steps: int, motion: Motion) -> float:
+    """Return how long a motion takes [s, wall]; inf where it diverges."""
+    plant.reset()
+    began = time.perf_counter()
+    try:
+        plant.run(motion.commands, steps)
+    except Diverged:
+        return math.inf
+    return time.perf_counter() - began
+
+
+def _next(steps: int, off: float, order: int) -> int:
+    """Return how many steps to try where so many are `off` times too far from the truth."""
+    # Less than its order asks for: a method may be lucky, or not yet fall by its order.
+    factor = 0.7 * off ** (1.0 / order) if math.isfinite(off) else 2.0
+    return max(steps + 1, math.ceil(steps * min(max(factor, SPACING), 2.0)))
+
+
+def step_counts(low: int, high: int) -> Iterator[int]:
+    """Yield numbers of steps from `low` to below `high`, a few per cent apart."""
+    while low < high:
+        yield low
+        low = max(low + 1, round(SPACING * low))

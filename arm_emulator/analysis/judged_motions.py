@@ -1,0 +1,177 @@
+"""Motions on which schemes and steps are judged: commands for a machine, in its motors' units.
+
+Some push the drives to what they take, some lead the arm along a reference: by computed torques on
+a finely integrated machine, whose commands are written down. Played back they are open loop, so
+that errors are those of the integration, and not what a control made of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene
+
+SECONDS = 1.0
+FINE = 20  # steps per servo period while a motion is led
+RATE = 2.0 * np.pi * 3.0  # rad/s, of the control that leads it
+OF_EACH = 4  # motions of each kind that judge a scene
+TURN, SLIDE = 0.4, 0.1  # rad, m: size of references
+# rad/s2, m/s2: of a joint at rest, where a motor takes any command.
+ACCELERATION = 50.0
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Commands (K, N) [V, N m, A], each row held over a servo period, from rest at the start."""
+
+    name: str
+    commands: Array
+
+
+class Leader:
+    """Makes motions of a scene at random: leads the arm along references, writes down commands.
+
+    Args:
+        scene: the machine.
+        seconds: how long each lasts.
+    """
+
+    def __init__(self, scene: Scene, seconds: float = SECONDS) -> None:
+        self.scene = scene
+        self.rows = max(2, round(seconds / scene.servo_period))
+        self.t: Array = scene.servo_period * np.arange(self.rows, dtype=np.float64)
+        self._size = np.array(
+            [SLIDE if joint.kind == "prismatic" else TURN for joint in scene.chain.joints]
+        )
+        self._gain = np.array([joint.torque_per_command for joint in scene.joints])
+        limits = [joint.largest_command(scene.supply_voltage) for joint in scene.joints]
+        self._limit = np.array([np.inf if limit is None else limit for limit in limits])
+        motors = [(joint.motor, joint.gear.ratio) for joint in scene.joints]
+        self._rotors = np.array(
+            [m.felt_at_link(ratio)["rotor inertia"] if m else 0.0 for m, ratio in motors]
+        )
+        self._plant = self._with_steps(FINE)
+
+    def drawn(self, kind: str, rng: Rng) -> Motion:
+        """Return a motion of one of the `KINDS`.
+
+        Raises:
+            Diverged: no step that is tried holds the machine while it is led.
+        """
+        shape = np.column_stack([KINDS[kind](self.t, rng) for _ in self.scene.joints])
+        if kind == "limits":
+            return Motion(kind, shape * self.pushed)
+        q_ref = self.scene.start + (shape - shape[0]) * self._size
+        try:
+            commands = self._along(q_ref, self._plant)
+        except Diverged:
+            commands = self._along(q_ref, self._with_steps(20 * FINE))
+        if kind == "stop":
+            commands[self.rows // 2 :] = 0.0
+        return Motion(kind, commands)
+
+    @property
+    def pushed(self) -> Array:
+        """What the drives take, or what moves a joint briskly from rest (N,)."""
+        M, bias = self._equation(self.scene.start, np.zeros(len(self._size)))
+        brisk = self._command(np.abs(bias) + ACCELERATION * np.diag(M))
+        return np.where(np.isfinite(self._limit), self._limit, np.abs(brisk))
+
+    def _along(self, q_ref: Array, plant: Plant) -> Array:
+        """Return the commands (K, N) that lead the arm along q_ref (K, N), by computed torques."""
+        v_ref = np.gradient(q_ref, self.scene.servo_period, axis=0)
+        commands, steps = np.zeros_like(q_ref), plant.scene.steps_per_period
+        plant.reset()
+        for k, (wanted, speed) in enumerate(zip(q_ref, v_ref, strict=True)):
+            x = plant.state
+            M, bias = self._equation(x.q, x.v)
+            a = RATE**2 * (wanted - x.q) + 2.0 * RATE * (speed - x.v)
+            commands[k] = np.clip(self._command(M @ a + bias), -self._limit, self._limit)
+            plant.advance(commands[k], steps)
+        return commands
+
+    def _command(self, torque: Array) -> Array:
+        out: Array = np.zeros_like(torque)
+        np.divide(torque, self._gain, out=out, where=self._gain != 0.0)
+        return out
+
+    def _equation(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return M with rotors (N, N) and what the joints need to go on evenly (N,)."""
+        N = len(q)
+        at, torques = np.tile(q, (N + 1, 1)), np.vstack([np.zeros(N), np.eye(N)])
+        a = self._plant.link_accelerations(at, np.tile(v, (N + 1, 1)), torques)
+        M = np.linalg.inv((a[1:] - a[0]).T)
+        return M + np.diag(self._rotors), -M @ a[0]
+
+    def _with_steps(self, steps: int) -> Plant:
+        scene = self.scene
+        integrator = dataclasses.replace(
+            scene.integrator, scheme="rosenbrock", events="located", dt=scene.servo_period / steps
+        )
+        return Plant(dataclasses.replace(scene, integrator=integrator, threads=1))
+
+
+def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[Motion]:
+    """Return the motions on which a scene is judged if nobody gives another, always the same."""
+    leader = Leader(scene, seconds)
+    kinds = [*OF_EACH * list(KINDS), *OF_EACH * ["limits"]]  # which most often go farthest off
+    return [
+        leader.drawn(kind, np.random.default_rng([7, number])) for number, kind in enumerate(kinds)
+    ]
+
+
+# References of one joint over the times t (K,), in units of its size
+
+
+def _telegraph(t: Array, rng: Rng) -> Array:
+    """To and fro, after 20 to 150 ms each."""
+    turns = np.cumsum(rng.uniform(0.02, 0.15, 2 + int(t[-1] / 0.02)))
+    sign: Array = rng.choice([-1.0, 1.0]) * (-1.0) ** np.searchsorted(turns, t)
+    return sign
+
+
+def _steps(t: Array, rng: Rng) -> Array:
+    """Jumps to places at random, after 0.1 to 0.4 s each."""
+    turns = np.cumsum(rng.uniform(0.1, 0.4, 2 + int(t[-1] / 0.1)))
+    places: Array = rng.uniform(-1.0, 1.0, len(turns) + 1)
+    return places[np.searchsorted(turns, t)]
+
+
+def _sweep(t: Array, rng: Rng) -> Array:
+    """A sine of 0.3 Hz that becomes one of 4 Hz, smaller as it gets faster."""
+    low, high = rng.uniform(0.3, 0.5), rng.uniform(2.0, 4.0)
+    rate = low + (high - low) * t / t[-1]
+    phase = 2.0 * np.pi * (low * t + 0.5 * (high - low) * t**2 / t[-1]) + rng.uniform(0.0, 6.3)
+    wave: Array = np.sin(phase) * np.minimum(1.0, 1.0 / rate)
+    return wave
+
+
+def _reversals(t: Array, rng: Rng) -> Array:
+    """There and back at an even speed, with sharp turns."""
+    phase = rng.uniform(1.0, 3.0) * t + rng.uniform(0.0, 1.0)
+    wave: Array = 0.5 * (4.0 * np.abs(phase % 1.0 - 0.5) - 1.0)
+    return wave
+
+
+def _creep(t: Array, rng: Rng) -> Array:
+    """The same at a twentieth of the way, after a rest."""
+    begun = t - rng.uniform(0.05, 0.2) * t[-1]
+    return 0.05 * _reversals(np.maximum(begun, 0.0), rng)
+
+
+KINDS: dict[str, Callable[[Array, Rng], Array]] = {
+    "limits": _telegraph,
+    "steps": _steps,
+    "sweep": _sweep,
+    "reversals": _reversals,
+    "creep": _creep,
+    "stop": _sweep,  # and without commands from the middle on
+}

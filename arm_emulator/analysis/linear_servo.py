@@ -1,0 +1,103 @@
+"""The servo law without its limits: one joint as a linear system, for the analysis of loops."""
+
+from __future__ import annotations
+
+import enum
+import math
+
+import numpy as np
+
+from arm_emulator.servo.servo_config import JointServo
+from arm_emulator.servo.servo_law import (
+    CURRENT,
+    POSITION,
+    SPEED,
+    STATE,
+    WISH,
+    Rows,
+    address,
+    servo_law,
+)
+from arm_emulator.servo.servo_numbers import servo_numbers
+
+STATES = ("theta", "omega", "load", "current", "integral")
+INPUTS = ("theta", "current", "voltage", "target", "v_target", "tau_feedforward")
+
+
+class Loop(enum.Enum):
+    """What a servo controls: enum servo_wants, and what becomes of a torque at the speed limit."""
+
+    POSITION = "position"
+    SPEED = "speed"
+    TORQUE = "torque"
+    SPEED_LIMIT = "torque at the speed limit"
+
+
+class LinearServo:
+    """One joint's servo for an encoder without steps, and without limits.
+
+    With x the `STATES` after a tick and u the `INPUTS` at the next one, `voltage` that of the
+    period between,
+
+        x' = A x + B u        V = C x + D u
+
+    The numbers are those of the very law that runs: it is asked for unit states and inputs.
+    `target` is a link angle; a motor's speed, a current or the largest motor speed for other loops.
+
+    Attributes:
+        A: (5, 5).
+        B: (5, 6).
+        C: (5,).
+        D: (6,).
+        current_per_angle: by how much a jump of the measured angle changes the current asked for
+            at once [A/rad].
+
+    Args:
+        joint: data sheet and gains.
+        period: servo period [s].
+        loop: what is controlled.
+
+    Raises:
+        Refusal: as `Servo`.
+    """
+
+    def __init__(self, joint: JointServo, period: float, loop: Loop = Loop.POSITION) -> None:
+        numbers = servo_numbers((joint,), period, math.inf)
+        for limit in ("omega_limit", "current_limit", "voltage_limit"):
+            numbers[limit] = math.inf
+        numbers["count_angle"] = -1.0  # no target is within a count
+        gains = numbers[0]
+        self.current_per_angle = float(
+            gains["velocity_gain"]
+            * (gains["position_gain"] * gains["theta_gain"] + abs(gains["omega_gain"]))
+        )
+        n = len(STATES)
+        rows = np.eye(n + len(INPUTS)).tolist()
+        whole = np.array([_tick(numbers, loop, row[:n], row[n:]) for row in rows]).T
+        self.A, self.B = whole[:n, :n], whole[:n, n:]
+        self.C, self.D = whole[n, :n], whole[n, n:]
+
+
+def _tick(numbers: Rows, loop: Loop, states: list[float], inputs: list[float]) -> list[float]:
+    law, state = servo_law(), np.zeros(1, STATE)
+    state["known"] = 1
+    for name, value in zip(STATES, states, strict=True):
+        state[name] = value
+    places = address(numbers), address(state)
+    theta, current, voltage, target, v_target, tau = inputs
+    wish = np.zeros(1, WISH)
+    wish["v_target"], wish["tau"] = v_target, tau
+    for bound in ("omega", "current"):
+        wish[f"least_{bound}"], wish[f"most_{bound}"] = -math.inf, math.inf
+    match loop:
+        case Loop.POSITION:
+            wish["wants"], wish["q_target"] = POSITION, target
+        case Loop.SPEED:
+            wish["wants"], wish["omega"] = SPEED, target
+        case Loop.TORQUE:
+            wish["wants"], wish["current"] = CURRENT, target
+        case Loop.SPEED_LIMIT:
+            wish["wants"], wish["least_omega"], wish["most_omega"] = CURRENT, target, target
+    law.servo_joint_take(*places, theta, current, voltage)
+    voltage = law.servo_joint_drive(*places, address(wish))
+    return [*(float(state[name][0]) for name in STATES), voltage]

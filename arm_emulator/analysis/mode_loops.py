@@ -1,0 +1,245 @@
+"""Every loop that a drive can be put into, linear: which of its modes hold the machine.
+
+A drive after CiA 402 controls a position, a speed or a torque, and a torque at the limit of the
+speed; each with the brake of its joint open or closed. The machine is linearised about rest in some
+poses, sampled exactly and closed by the law that runs (`servo_loop.py`): first with one joint in
+the loop that is judged and the others held in position, then with all joints in that loop.
+
+A loop holds if no small motion grows with the command as it acts, and none that is faster than the
+position loop with a command that acts `GAIN` times as strongly or as weakly. (A torque by a voltage
+takes the back EMF from a data sheet: what it takes too much makes a speed grow slowly, which
+whoever commands torques sees and meets.) A torque does not hold a link up, and a speed only as
+far as its integral does: what grows no faster than the arm falls with motors that give no torque,
+by a speed than a tenth of it, is its weight and no fault of the loop.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.analysis.linear_servo import LinearServo, Loop
+from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
+from arm_emulator.analysis.servo_loop import HARMLESS, late, poses, sampled_plant
+from arm_emulator.analysis.stability import SmallMotions, contacts
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.servo.servo_config import ServoConfig
+
+POSES = 4
+GAIN = 1.25
+# Of how fast an arm falls, what a loop that does not hold it up may leave: gears give way, too; the
+# integral of a speed holds against some weight.
+FALLING = {Loop.POSITION: 0.0, Loop.SPEED: 0.1, Loop.TORQUE: 1.1, Loop.SPEED_LIMIT: 1.1}
+
+# Modes of CiA 402 by their numbers, 0x6060, and what they control.
+MODES: dict[int, tuple[str, tuple[Loop, ...]]] = {
+    1: ("profile position", (Loop.POSITION,)),
+    3: ("profile velocity", (Loop.SPEED,)),
+    4: ("profile torque", (Loop.TORQUE, Loop.SPEED_LIMIT)),
+    6: ("homing", (Loop.POSITION, Loop.SPEED)),
+    8: ("cyclic position", (Loop.POSITION,)),
+    9: ("cyclic velocity", (Loop.SPEED,)),
+    10: ("cyclic torque", (Loop.TORQUE, Loop.SPEED_LIMIT)),
+}
+_STANDS = 1e-4  # rad per period: what turns more slowly does not swing; rounding splits poles at 1
+
+
+@dataclass(frozen=True)
+class LoopFigure:
+    """One loop of one joint, at its worst over the poses."""
+
+    joint: int
+    loop: Loop
+    braked: bool
+    """Whether the joint's brake is closed."""
+    alike: bool
+    """Whether all joints are in this loop; else the others are held in position."""
+    radius: float
+    """Largest eigenvalue of a servo period: the factor by which the fastest motion grows."""
+    swing: float
+    """The same of motions that swing; 0: none does."""
+    frequency: float
+    """Of that swing [Hz]."""
+    beyond: float
+    """The same, of what grows beyond an arm's fall, with the gain that is worst [1/s]."""
+    gain: float
+    """That gain; 1: as it is."""
+    q: tuple[float, ...]
+    """The worst pose [rad or m]."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether small motions die away, or fall."""
+        return self.beyond <= HARMLESS
+
+    def why(self) -> str:
+        """Return in words why it does not hold."""
+        pose = ", ".join(f"{q:.2f}" for q in self.q)
+        brake = " with its brake closed" if self.braked else ""
+        others = " with all joints in it" if self.alike else ""
+        gain = f" with {self.gain:g} times the command" if self.gain != 1.0 else ""
+        return (
+            f"small motions of its {self.loop.value} loop{brake}{others} grow by {self.beyond:.3g} "
+            f"1/s{gain} at q = [{pose}]"
+        )
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """A mode that a drive does not offer."""
+
+    joint: int
+    mode: int
+    why: str
+
+
+class ModeLoops:
+    """All loops of a scene with its servos.
+
+    Args:
+        scene: the machine; every joint has a motor.
+        servo: names the scene's joints, in any order.
+        plant: a machine of the scene, whose links are asked; None: one is made.
+    """
+
+    def __init__(self, scene: Scene, servo: ServoConfig, plant: Plant | None = None) -> None:
+        known = {joint.name: joint for joint in servo.joints}
+        joints = [known[name] for name in scene.joint_names]
+        self._N, self._delay, self._period = len(joints), late(scene), servo.period
+        self._fast = min(joint.position_gain for joint in joints)
+        self._servos = {
+            loop: [LinearServo(joint, servo.period, loop) for joint in joints] for loop in Loop
+        }
+        plant = plant or Plant(scene)
+        stand = [(q, loaded) for loaded in contacts(plant) for q in poses(scene, POSES)]
+        self._poses = [q for q, _ in stand]
+        motions = [SmallMotions(plant, *one) for one in stand]
+        self._falls = [one.falls for one in motions]
+        self._free = [sampled_plant(one, servo, servo.period) for one in motions]
+        self._braked = {
+            j: [sampled_plant(one, servo, servo.period, j) for one in motions]
+            for j, joint in enumerate(scene.joints)
+            if joint.brake is not None
+        }
+        self.figures = tuple(self._all())
+
+    def _all(self) -> Iterator[LoopFigure]:
+        for loop in Loop:
+            yield from self._figures(0, loop, alike=True)
+            for j in range(self._N):
+                if loop is not Loop.POSITION:
+                    yield from self._figures(j, loop)
+                if j in self._braked:
+                    yield from self._figures(j, loop, braked=True)
+
+    def _figures(
+        self, j: int, loop: Loop, braked: bool = False, alike: bool = False
+    ) -> Iterator[LoopFigure]:
+        """Look at one loop; one that all joints are in is told of the joint that is loudest."""
+        plants = self._braked[j] if braked else self._free
+        servos = [
+            self._servos[loop if alike or k == j else Loop.POSITION][k] for k in range(self._N)
+        ]
+        loops = [SampledLoop(plant, servos, self._delay) for plant in plants]
+        beyond = [self._beyond(*pair, loop) for pair in zip(loops, self._falls, strict=True)]
+        worst = int(np.argmax(beyond))
+        one, gain, most = loops[worst], 1.0, beyond[worst]
+        if most <= HARMLESS:
+            for factor in (GAIN, 1.0 / GAIN):
+                other = SampledLoop(
+                    _scaled(plants[worst], factor, None if alike else j), servos, self._delay
+                )
+                grows = self._beyond(other, self._falls[worst], loop, self._fast)
+                if grows > HARMLESS:
+                    one, gain, most = other, factor, grows
+        poles = np.concatenate([one.poles for one in loops])
+        swings = poles[np.abs(np.angle(poles)) > _STANDS]
+        swing = swings[np.argmax(np.abs(swings))] if len(swings) else 0.0
+        yield LoopFigure(
+            joint=one.loudest() if alike else j,
+            loop=loop,
+            braked=braked,
+            alike=alike,
+            radius=max(one.radius for one in loops),
+            swing=float(np.abs(swing)),
+            frequency=float(np.abs(np.angle(swing)) / (2.0 * math.pi * self._period)),
+            beyond=most,
+            gain=gain,
+            q=tuple(self._poses[worst].tolist()),
+        )
+
+    def _beyond(self, one: SampledLoop, falls: float, loop: Loop, least: float = 0.0) -> float:
+        """Return how fast what is faster than `least` [1/s] grows, beyond a fall [1/s]."""
+        poles = one.poles[np.abs(one.poles) > 1e-300]
+        rates = np.log(poles) / self._period
+        growth = rates.real[np.abs(rates) >= least].max(initial=-math.inf)
+        return float(growth) - FALLING[loop] * falls
+
+    def withheld(self) -> list[Withheld]:
+        """Return the modes that do not hold, by joint and mode, each with its worst loop."""
+        found = []
+        for j in range(self._N):
+            for mode, (_, loops) in MODES.items():
+                bad = [
+                    one
+                    for one in self.figures
+                    if one.joint == j and one.loop in loops and not one.holds
+                ]
+                if bad:
+                    worst = max(bad, key=lambda one: one.beyond)
+                    found.append(Withheld(j, mode, worst.why()))
+        return found
+
+
+def _scaled(plant: SampledPlant, factor: float, joint: int | None) -> SampledPlant:
+    """Return a machine on which the command of a joint (None: of all) acts more strongly."""
+    by = np.full(len(plant.q), factor)
+    if joint is not None:
+        by = np.where(np.arange(len(by)) == joint, factor, 1.0)
+    return dataclasses.replace(
+        plant, G=plant.G * by, current_by_voltage=plant.current_by_voltage * by
+    )
+
+
+_Key = tuple[str, bytes, tuple[float, ...], ServoConfig]
+_KNOWN: dict[_Key, list[Withheld]] = {}
+_MOST_KNOWN = 64
+
+
+def withheld_modes(scene: Scene, servo: ServoConfig, plant: Plant | None = None) -> list[Withheld]:
+    """Return the modes that drives of this scene do not offer, with the reasons.
+
+    None are where a joint has no motor, or numbers are so far apart that small motions cannot be
+    computed.
+    """
+    if any(joint.motor is None for joint in scene.joints):
+        return []
+    values = tuple(one.value for one in scene.varied)
+    key = scene_unit(scene), scene.start.tobytes(), values, servo
+    if key not in _KNOWN:
+        while len(_KNOWN) >= _MOST_KNOWN:
+            del _KNOWN[next(iter(_KNOWN))]
+        try:
+            with np.errstate(all="ignore"):
+                _KNOWN[key] = ModeLoops(scene, servo, plant).withheld()
+        except (ArithmeticError, np.linalg.LinAlgError):
+            _KNOWN[key] = []
+    return _KNOWN[key]
+
+
+def withheld_words(scene: Scene, withheld: list[Withheld]) -> list[str]:
+    """Return the same in lines for people, one per joint and reason."""
+    by_reason: dict[tuple[int, str], list[int]] = {}
+    for one in withheld:
+        by_reason.setdefault((one.joint, one.why), []).append(one.mode)
+    return [
+        f"{scene.where}: {scene.joint_names[j]}: a drive offers no "
+        f"{' or '.join(f'{MODES[mode][0]} ({mode})' for mode in modes)}: {why}"
+        for (j, why), modes in by_reason.items()
+    ]

@@ -1,0 +1,245 @@
+"""A machine and its servos as one sampled linear system: is it stable, and by what margin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
+from arm_emulator.servo.held import FloatArray, held
+
+ComplexArray = npt.NDArray[np.complex128]
+
+_THETA, _CURRENT, _VOLTAGE, _TARGET = (
+    INPUTS.index(name) for name in ("theta", "current", "voltage", "target")
+)
+_DOUBLINGS = 40
+_FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
+
+
+@dataclass(frozen=True)
+class SampledPlant:
+    """A machine of N joints with n states over one servo period, voltages held.
+
+    x' = F x + G V. What the drives measure at a tick: motor angles theta x, and currents
+    current x + current_by_voltage V with the voltages of the period that ends there.
+    """
+
+    F: FloatArray  # (n, n)
+    G: FloatArray  # (n, N)
+    theta: FloatArray  # (N, n)
+    current: FloatArray  # (N, n)
+    current_by_voltage: FloatArray  # (N,)
+    q: FloatArray  # (N, n), link positions
+    period: float  # s
+
+    @classmethod
+    def of(
+        cls,
+        A: FloatArray,
+        B: FloatArray,
+        theta: FloatArray,
+        current: FloatArray,
+        current_by_voltage: FloatArray,
+        q: FloatArray,
+        period: float,
+    ) -> SampledPlant:
+        """Return the machine of dx/dt = A x + B V; the other arguments as the attributes."""
+        F, G = held(A, B, period)
+        return cls(F, G, theta, current, current_by_voltage, q, period)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How far a joint's loop, cut at its voltage with all other loops closed, is from unstable."""
+
+    gain_up: float
+    """By what factor more the voltage may act; inf: any."""
+    gain_down: float
+    """By what factor less; 0: it may fail."""
+    phase: float
+    """Phase margin [rad]; pi where the gain never crosses 1."""
+    delay: float
+    """What more dead time the loop stands [servo periods]."""
+    sensitivity: float
+    """Largest |1 / (1 + L)|: what disturbances are amplified by at most."""
+
+
+class SampledLoop:
+    """Machine and servos closed, for exact voltages and encoders without steps.
+
+    Attributes:
+        A: one servo period of everything, (n, n).
+        radius: the factor by which the fastest growing (slowest decaying) motion grows per period.
+
+    Args:
+        plant: the machine.
+        servos: one per joint.
+        delay: whole servo periods of dead time between a measurement and the voltage from it.
+    """
+
+    def __init__(self, plant: SampledPlant, servos: list[LinearServo], delay: int = 0) -> None:
+        self.plant = plant
+        n, N, s = len(plant.F), len(servos), len(STATES)
+        # x, the states of the servos, the voltage applied in the last period, those to come.
+        applied = n + s * N
+        size = applied + N * (1 + delay)
+        measured = np.zeros((len(INPUTS), N, size))
+        measured[_THETA, :, :n] = plant.theta
+        measured[_CURRENT, :, :n] = plant.current
+        for j in range(N):
+            measured[_CURRENT, j, applied + j] = plant.current_by_voltage[j]
+            measured[_VOLTAGE, j, applied + j] = 1.0
+        A, B = np.zeros((size, size)), np.zeros((size, N))
+        voltage, by_target = np.zeros((N, size)), np.zeros((N, N))
+        for j, servo in enumerate(servos):
+            own = slice(n + s * j, n + s * (j + 1))
+            A[own] = servo.B @ measured[:, j]
+            A[own, own] += servo.A
+            B[own, j] = servo.B[:, _TARGET]
+            voltage[j] = servo.D @ measured[:, j]
+            voltage[j, own] += servo.C
+            by_target[j, j] = servo.D[_TARGET]
+        # The queue of voltages: the newest at its end, the one that is applied at its front.
+        queue = np.zeros((N * (1 + delay), size))
+        queue_target = np.zeros((N * (1 + delay), N))
+        for d in range(delay):
+            queue[N * d : N * (d + 1), applied + N * (d + 1) : applied + N * (d + 2)] = np.eye(N)
+        queue[N * delay :] = voltage
+        queue_target[N * delay :] = by_target
+        A[applied:], B[applied:] = queue, queue_target
+        A[:n, :n] = plant.F
+        A[:n] += plant.G @ queue[:N]
+        B[:n] += plant.G @ queue_target[:N]
+        self.A, self.B = A, B
+        self._states, self._voltage = n, voltage
+        # What is added to the voltages that the servos ask for.
+        added = np.zeros((size, N))
+        added[applied + N * delay :] = np.eye(N)
+        if delay == 0:
+            added[:n] = plant.G
+        self._added = added
+        self._by_noise = self._noise_of(servos, applied + N * delay, n)
+        self.poles: ComplexArray = np.linalg.eigvals(A).astype(np.complex128)
+        self.radius = float(np.abs(self.poles).max())
+
+    def _noise_of(
+        self, servos: list[LinearServo], newest: int, n: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what noise of the motors' angles and of their currents adds to a period."""
+        N, s = len(servos), len(STATES)
+        by_noise = np.zeros((2, len(self.A), N))
+        for out, place in zip(by_noise, (_THETA, _CURRENT), strict=True):
+            for j, servo in enumerate(servos):
+                out[n + s * j : n + s * (j + 1), j] = servo.B[:, place]
+                out[newest + j, j] = servo.D[place]
+            if newest == n + s * N:  # no dead time: it acts in this period
+                out[:n] = self.plant.G @ out[newest : newest + N]
+        return by_noise[0], by_noise[1]
+
+    def unrest(self, angle: npt.ArrayLike, current: npt.ArrayLike) -> FloatArray:
+        """Return the covariance of the link positions under white noise (N, N) [rad2].
+
+        Args:
+            angle: standard deviations of the motors' measured angles (N,) [rad].
+            current: and of their currents (N,) [A].
+        """
+        by_angle, by_current = self._by_noise
+        Q = (by_angle * np.square(angle)) @ by_angle.T
+        Q += (by_current * np.square(current)) @ by_current.T
+        # Sum of A^k Q A'^k, its length doubled until nothing is added.
+        P, A = Q, self.A
+        for _ in range(_DOUBLINGS):
+            added = A @ P @ A.T
+            P, A = P + added, A @ A
+            if np.abs(added).max(initial=0.0) <= 1e-12 * np.abs(P).max(initial=0.0):
+                break
+        q = self.plant.q
+        covariance: FloatArray = q @ P[: self._states, : self._states] @ q.T
+        return covariance
+
+    @property
+    def stable(self) -> bool:
+        """Whether every small motion dies away."""
+        return self.radius < 1.0
+
+    def loudest(self) -> int:
+        """Return the joint whose voltage swings most in the motion that grows fastest."""
+        values, vectors = np.linalg.eig(self.A)
+        motion = vectors[:, int(np.argmax(np.abs(values)))]
+        return int(np.argmax(np.abs(self._voltage @ motion)))
+
+    def sensitivities(self, count: int = _FREQUENCIES) -> tuple[FloatArray, ComplexArray]:
+        """Return frequencies (K,) [rad per period] and 1 / (1 + L) of each joint, (K, N).
+
+        L is the loop cut at the joint's voltage, all other loops closed: by Schur's complement the
+        diagonal of the sensitivity matrix is just this.
+        """
+        # Where a pole is near the unit circle, the loop changes within a narrow band.
+        resonances = self.poles[(np.abs(self.poles) > 0.7) & (self.poles.imag > 0.0)]
+        width = np.abs(1.0 - np.abs(resonances))
+        near = np.angle(resonances) + np.array([[-1.0], [-0.3], [0.0], [0.3], [1.0]]) * width
+        inside = near[(near > 2e-4 * math.pi) & (near < math.pi)]
+        grid = np.geomspace(2e-4 * math.pi, math.pi, count)
+        w = np.unique(np.concatenate([grid, inside]))
+        z = np.exp(1j * w)
+        pencil = z[:, None, None] * np.eye(len(self.A)) - self.A
+        added = np.broadcast_to(self._added, (len(z), *self._added.shape))
+        response = np.linalg.solve(pencil, added)
+        S = 1.0 + np.einsum("jn,knj->kj", self._voltage, response)
+        return w, S
+
+    def margins(self) -> list[Margins]:
+        """Return the margins of each joint's loop."""
+        w, S = self.sensitivities()
+        return [_margins(w, one) for one in S.T]
+
+    def step(self, joint: int, rows: int, every: int = 1) -> FloatArray:
+        """Return the link positions that follow a joint's target of 1.
+
+        Args:
+            joint: which one.
+            rows: how many, the first before anything has moved.
+            every: servo periods from row to row.
+
+        Returns:
+            (rows, N).
+        """
+        n = self._states
+        size = len(self.A)
+        once = np.zeros((size + 1, size + 1))
+        once[:size, :size], once[:size, size], once[size, size] = self.A, self.B[:, joint], 1.0
+        often = np.linalg.matrix_power(once, every)
+        x = np.zeros(size + 1)
+        x[size] = 1.0
+        out = np.empty((rows, len(self.plant.q)))
+        for k in range(rows):
+            out[k] = self.plant.q @ x[:n]
+            x = often @ x
+        return out
+
+
+def _margins(w: FloatArray, S: ComplexArray) -> Margins:
+    L = 1.0 / S - 1.0
+    # Where L crosses the negative real axis, and the unit circle; linear between two frequencies.
+    across = np.flatnonzero(np.signbit(L.imag[1:]) != np.signbit(L.imag[:-1]))
+    share = L.imag[across] / (L.imag[across] - L.imag[across + 1])
+    real = L.real[across] + share * (L.real[across + 1] - L.real[across])
+    factors = -1.0 / np.append(real[real < 0.0], L.real[-1:][L.real[-1:] < 0.0])
+    size = np.log(np.abs(L))
+    out = np.flatnonzero(np.signbit(size[1:]) != np.signbit(size[:-1]))
+    share = size[out] / (size[out] - size[out + 1])
+    at = L[out] + share * (L[out + 1] - L[out])
+    frequency = w[out] + share * (w[out + 1] - w[out])
+    angle = np.angle(-at)
+    lag = np.mod(angle, 2.0 * math.pi)  # what it takes to turn clockwise to -1
+    return Margins(
+        float(factors[factors > 1.0].min(initial=math.inf)),
+        float(factors[factors < 1.0].max(initial=0.0)),
+        float(np.abs(angle).min(initial=math.pi)),
+        float((lag / frequency).min(initial=math.inf)),
+        float(np.abs(S).max()),
+    )

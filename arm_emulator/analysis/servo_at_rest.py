@@ -1,0 +1,51 @@
+"""How still a joint stands behind its encoder: the limit cycle at rest, predicted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from arm_emulator.analysis.sampled_loop import SampledPlant
+from arm_emulator.servo.servo_config import JointServo
+from arm_emulator.servo.servo_law import STATE, address, servo_law
+from arm_emulator.servo.servo_numbers import servo_numbers
+
+_PLACES = (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)  # of the target within its count
+_TIMES = 60.0  # of 1 / position_gain, then half of it is watched
+_FEWEST, _MOST = 1000, 8000  # ticks
+
+
+def swing_at_rest(joint: JointServo, plant: SampledPlant, supply_voltage: float) -> float:
+    """Return by how much a link swings at rest, from end to end [rad].
+
+    The servo that runs, limits and counts included, holds one joint that nothing else moves, at
+    some places of its target within a count; the worst counts. About one count is what an encoder
+    leaves, since nobody sees a motor drift within one. More is a limit cycle: each count changes
+    the observed speed, and so the current, by more than the joint can stand.
+
+    Args:
+        joint: data sheet, gains and limits.
+        plant: one joint, sampled.
+        supply_voltage: largest voltage [V].
+    """
+    period = plant.period
+    law, numbers = servo_law(), servo_numbers((joint,), period, supply_voltage)
+    ticks = round(_TIMES / joint.position_gain / period)
+    ticks = min(max(ticks, _FEWEST), _MOST)
+    count = 2.0 * math.pi / joint.counts_per_turn
+    worst = 0.0
+    for place in _PLACES:
+        state = np.zeros(1, STATE)
+        servo = address(numbers), address(state)
+        x, V, q = np.zeros(len(plant.F)), 0.0, np.empty(ticks)
+        target = (5.0 + place) * joint.count_angle
+        for k in range(ticks):
+            current = plant.current[0] @ x + plant.current_by_voltage[0] * V
+            counts = math.floor(plant.theta[0] @ x / count)
+            law.servo_joint_observe(*servo, counts, current, V)
+            V = law.servo_joint_control(*servo, target, 0.0, 0.0)
+            x = plant.F @ x + plant.G[:, 0] * V
+            q[k] = plant.q[0] @ x
+        worst = max(worst, float(np.ptp(q[ticks // 2 :])))
+    return worst

@@ -1,0 +1,303 @@
+"""Machine and servos as one loop: whether it is stable, by what margin, and what would hold.
+
+The machine is linearised about rest in a pose (`SmallMotions`) and sampled exactly, the servo is
+the law that runs without its limits (`LinearServo`). So this is what small motions do, apart from
+Coulomb friction, which only takes energy, and the steps of the encoders.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.analysis.linear_servo import LinearServo
+from arm_emulator.analysis.sampled_loop import Margins, SampledLoop, SampledPlant
+from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.analysis.stability import SmallMotions, contacts
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene
+from arm_emulator.servo.servo_config import JointServo, ServoConfig
+
+Array = NDArray[np.float64]
+
+HARMLESS = 0.1  # 1/s: what grows more slowly, e-fold in ten seconds, is drift
+POSES = 8  # that are looked at, the start among them
+LITTLE_GAIN = 1.6  # 4 dB
+LITTLE_PHASE = math.radians(25.0)
+LITTLE_DELAY = 1.0  # servo periods: what a real-time network takes
+_TRIALS = 8  # halvings of a gain or a period, in search of one that holds
+
+
+def poses(scene: Scene, count: int = POSES) -> list[Array]:
+    """Return the start and poses drawn within the limits of the URDF, the same every time."""
+    limits = {}
+    for joint in ET.fromstring(scene.urdf).iter("joint"):
+        limit = joint.find("limit")
+        if limit is not None and joint.get("type") in ("revolute", "prismatic"):
+            low, high = (float(limit.get(key, "0")) for key in ("lower", "upper"))
+            limits[joint.get("name")] = (low, high)
+    turn = (-math.pi, math.pi)
+    low, high = np.array([limits.get(name, turn) for name in scene.joint_names]).T
+    low, high = np.maximum(low, -1e3), np.minimum(high, 1e3)
+    drawn = np.random.default_rng(0).uniform(low, np.maximum(low, high), (count - 1, len(low)))
+    return [scene.start, *drawn]
+
+
+def sampled_plant(
+    motions: SmallMotions, servo: ServoConfig, period: float, braked: int | None = None
+) -> SampledPlant:
+    """Return the machine over a servo period, its motor angles as the servo's encoders tell.
+
+    Args:
+        motions: the machine.
+        servo: whose encoders.
+        period: [s].
+        braked: the joint whose brake is closed; None: no joint's.
+    """
+    scene = motions.scene
+    N, n = len(scene.joints), len(motions.J)
+    q = np.eye(N, n, motions.links)
+    known = {joint.name: joint.counts_per_turn for joint in servo.joints}
+    # A servo that is told of another encoder takes the angle for another one.
+    scale = np.array([[joint.counts_per_turn / known[joint.name]] for joint in scene.joints])
+    J, B = (motions.J, motions.B) if braked is None else motions.braked(braked)
+    return SampledPlant.of(
+        J,
+        B,
+        scale * motions.theta_m,
+        motions.current,
+        motions.current_by_voltage,
+        q,
+        period,
+    )
+
+
+def late(scene: Scene) -> int:
+    """Return by how many servo periods the latest sensor comes of those that our servos use."""
+    sensors = [joint.sensors for joint in scene.joints]
+    used = [part for one in sensors for part in (one.encoder, one.current) if part is not None]
+    return max((part.delay for part in used), default=0)
+
+
+class ServoLoops:
+    """The loop of a scene with its servos, in some poses.
+
+    Args:
+        scene: the machine; every joint has a motor.
+        servo: names the scene's joints, in any order.
+        at: poses (N,) [rad or m]; None: those of `poses`.
+        delay: servo periods of dead time, beside that of the scene's sensors.
+
+    Raises:
+        Refusal: as `Servo`, or a joint without a motor.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        servo: ServoConfig,
+        at: list[Array] | None = None,
+        delay: int = 0,
+        plant: Plant | None = None,
+    ) -> None:
+        self.scene = scene
+        known = {joint.name: joint for joint in servo.joints}
+        self.joints = [known[name] for name in scene.joint_names]
+        self.servo = servo
+        self.delay = delay = delay + late(scene)
+        self.poses = poses(scene) if at is None else at
+        plant = plant or Plant(scene)
+        self._motions = [
+            SmallMotions(plant, q, loaded) for loaded in contacts(plant) for q in self.poses
+        ]
+        # With play first all poses with teeth in contact, then all without.
+        self._all = self.closed(self.joints, servo.period, delay)
+        self.loops = self._all[: len(self.poses)]
+
+    def closed(self, joints: list[JointServo], period: float, delay: int) -> list[SampledLoop]:
+        """Return the loops with other gains or another period, one per pose, with play two."""
+        servos = [LinearServo(joint, period) for joint in joints]
+        return [
+            SampledLoop(sampled_plant(motions, self.servo, period), servos, delay)
+            for motions in self._motions
+        ]
+
+    def margins(self) -> list[Margins]:
+        """Return each joint's worst margins over the poses."""
+        every = [loop.margins() for loop in self._all]
+        return [
+            Margins(
+                min(one.gain_up for one in row),
+                max(one.gain_down for one in row),
+                min(one.phase for one in row),
+                min(one.delay for one in row),
+                max(one.sensitivity for one in row),
+            )
+            for row in zip(*every, strict=True)
+        ]
+
+    def unstable(self) -> Unstable | None:
+        """Return what grows fastest, None where all small motions die away or only drift."""
+        beyond = self._beyond(self._all, self.servo.period)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= HARMLESS:
+            return None
+        loop = self._all[worst]
+        pose = worst % len(self.poses)
+        return Unstable(loop.loudest(), pose, loop.radius, *self._what_holds(loop.loudest()))
+
+    def _beyond(self, loops: list[SampledLoop], period: float) -> list[float]:
+        """Return how fast small motions grow [1/s], beyond the fall of links that hang in play."""
+        held = len(self.poses)
+        falls = [one.fastest if k >= held else 0.0 for k, one in enumerate(self._motions)]
+        return [growth(loop, period) - fall for loop, fall in zip(loops, falls, strict=True)]
+
+    def _what_holds(self, joint: int) -> tuple[JointServo | None, float | None]:
+        softer = self.joints[joint]
+        found = None
+        for _ in range(_TRIALS):
+            softer = slower(softer, 0.5, self.servo.period)
+            joints = [*self.joints[:joint], softer, *self.joints[joint + 1 :]]
+            if self._holds(joints, self.servo.period):
+                found = softer
+                break
+        period = self.servo.period
+        for _ in range(_TRIALS):
+            period /= 2.0
+            if self._holds(self.joints, period):
+                return found, period
+        return found, None
+
+    def what_has_more(self, joint: int) -> str:
+        """Return in words what gives a joint margins that are not too little."""
+        softer = self.joints[joint]
+        for _ in range(_TRIALS):
+            softer = slower(softer, 0.5, self.servo.period)
+            joints = [*self.joints[:joint], softer, *self.joints[joint + 1 :]]
+            loops = self.closed(joints, self.servo.period, self.delay)
+            if not any(too_little(loop.margins()[joint]) for loop in loops):
+                return (
+                    f"velocity_gain {softer.velocity_gain:.3g} with position_gain "
+                    f"{softer.position_gain:.3g}"
+                )
+        return "what `python -m arm_emulator tune` computes"
+
+    def _holds(self, joints: list[JointServo], period: float) -> bool:
+        try:
+            loops = self.closed(joints, period, self.delay)
+        except Refusal:
+            return False
+        return all(beyond <= HARMLESS for beyond in self._beyond(loops, period))
+
+
+@dataclass(frozen=True)
+class Unstable:
+    """A small motion that grows."""
+
+    joint: int
+    """Whose voltage swings most."""
+    pose: int
+    growth: float
+    """Factor per servo period."""
+    softer: JointServo | None
+    """This joint with gains that hold."""
+    period: float | None
+    """A servo period that holds [s]."""
+
+    def what_holds(self) -> str:
+        """Return gain and period in words."""
+        found = []
+        if self.softer is not None:
+            found.append(
+                f"velocity_gain {self.softer.velocity_gain:.3g} with position_gain "
+                f"{self.softer.position_gain:.3g}"
+            )
+        if self.period is not None:
+            found.append(f"a servo period of {self.period:.3g} s")
+        return " or ".join(found) or "gains by `python -m arm_emulator tune`"
+
+
+def growth(loop: SampledLoop, period: float) -> float:
+    """Return how fast small motions grow [1/s]."""
+    return math.log(max(loop.radius, 1e-300)) / period
+
+
+def slower(joint: JointServo, share: float, period: float) -> JointServo:
+    """Return a joint's servo with its loops a share as fast, the observer as it is."""
+    return dataclasses.replace(
+        joint,
+        velocity_gain=share * joint.velocity_gain,
+        position_gain=share * joint.position_gain,
+        integral_time=max(period, joint.integral_time / share),
+    )
+
+
+def warn_of_loops(scene: Scene, servo: ServoConfig) -> None:
+    """Print the warnings of a scene, and what `check_loops` finds, to stderr.
+
+    Raises:
+        Refusal: see `check_loops`.
+    """
+    warn_of_scene(scene)
+    for line in check_loops(scene, servo):
+        print(f"warning: {line}", file=sys.stderr)
+
+
+def check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
+    """Hold the servo's gains against the machine; return warnings, one line each.
+
+    Nothing is said where a joint has no motor, and so no loop, or where the machine's numbers are
+    so far apart that its small motions cannot be computed.
+
+    Raises:
+        Refusal: the loop is unstable where the machine starts.
+    """
+    if any(joint.motor is None for joint in scene.joints):
+        return []
+    try:
+        with np.errstate(all="ignore"):
+            return _check_loops(scene, servo)
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return []
+
+
+def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
+    loops = ServoLoops(scene, servo)
+    where, names = scene.where, scene.joint_names
+    bad = loops.unstable()
+    if bad is not None:
+        quantity = f"servo.joints.{names[bad.joint]}"
+        got = f"small motions that grow {bad.growth:.4g}-fold per servo period"
+        if bad.pose == 0 or growth(loops.loops[0], servo.period) > HARMLESS:
+            rule = f"hold its joint at a period of {servo.period:g} s"
+            raise Refusal(where, quantity, rule, got, bad.what_holds())
+        pose = np.array2string(loops.poses[bad.pose], precision=2, separator=", ")
+        pose = " ".join(pose.split())
+        return [f"{where}: {quantity}: {got} at q = {pose}; what holds: {bad.what_holds()}"]
+    lines = []
+    for j, margins in enumerate(loops.margins()):
+        little = too_little(margins)
+        if little:
+            lines.append(
+                f"{where}: servo.joints.{names[j]}: {little}; more has {loops.what_has_more(j)}"
+            )
+    return lines
+
+
+def too_little(margins: Margins) -> str:
+    """Return in words what a joint has too little of; empty: nothing."""
+    found = []
+    if margins.gain_up < LITTLE_GAIN:
+        found.append(f"a gain margin of {margins.gain_up:.2f}")
+    if margins.phase < LITTLE_PHASE:
+        found.append(f"a phase margin of {math.degrees(margins.phase):.0f} degrees")
+    if margins.delay < LITTLE_DELAY:
+        found.append(f"unstable with {margins.delay:.2g} servo periods of dead time")
+    return ", ".join(found)

@@ -1,0 +1,196 @@
+"""The true motion of a machine, with how well it is known, by steps that are halved.
+
+`rosenbrock` with events located is of order 2 wherever its events are separate; that is not taken
+for granted but measured: the differences between runs with n, 2 n, 4 n steps must fall, and what is
+left is estimated by how they fall. Steps begin where the fastest small motion is resolved: before
+that, differences may fall while an error stays. The motion is looked at more closely once, for a
+mode that was not seen because it began and ended within a step. Then the same scheme with events at
+the ends of steps, which decides them by other code, must come nearer and nearer.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from arm_emulator.analysis.stability import SmallMotions
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Integrator, Scene
+
+# Differences that fall by less from a step to its half do not show where they lead to.
+LEAST_FALL = 1.4
+MOST_FALL = 4.0  # of order 2; one that fell by more was lucky
+RESERVE = 2.0  # of what is left by that
+FEWEST = 4  # steps per servo period to begin with, at least
+RESOLVED = 1.0  # of the fastest small motion in a step, by its rate
+ROUNDING = 1e-10  # rad or m: differences below, which do not fall any more, are of rounding
+CLOSER = 4  # times the steps with which a motion is looked at again
+HALVED = 6  # times at least that the first step can be halved
+NEARER = 0.1  # of its first distance, to which the scheme with events at the ends must come
+COARSER = 64  # times the steps of the truth, from which on it is watched, and up to which
+PLANTS = 24  # that are kept
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a machine is integrated, but for the step."""
+
+    scheme: str
+    events: str
+    threads: int = 1
+
+    def integrator(self, scene: Scene, steps: int) -> Integrator:
+        """Return it with so many steps per servo period."""
+        return dataclasses.replace(
+            scene.integrator,
+            scheme=self.scheme,
+            events=self.events,
+            dt=scene.servo_period / steps,
+        )
+
+    def __str__(self) -> str:
+        located = ", located" if self.events == "located" else ""
+        return f"{self.scheme}{located}{', 2 threads' if self.threads == 2 else ''}"
+
+
+FINEST = Method("rosenbrock", "located")
+OTHERWISE = Method("rosenbrock", "step")
+
+
+class Runs:
+    """Runs of one scene from rest at its start, with any method and step.
+
+    Args:
+        scene: the machine.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._plants: dict[tuple[Method, int], Plant] = {}
+        self._times: dict[tuple[Method, int], list[float]] = {}  # wall, and simulated [s]
+
+    def plant(self, method: Method, steps: int) -> Plant:
+        """Return the machine with `steps` steps per servo period."""
+        key = method, steps
+        if key not in self._plants:
+            if len(self._plants) >= PLANTS:
+                del self._plants[next(iter(self._plants))]
+            integrator = method.integrator(self.scene, steps)
+            scene = dataclasses.replace(self.scene, integrator=integrator, threads=method.threads)
+            self._plants[key] = Plant(scene)
+        return self._plants[key]
+
+    @cached_property
+    def rate(self) -> float:
+        """The fastest rate of a small motion about the start [1/s]."""
+        plant = self.plant(FINEST, FEWEST)
+        try:
+            J = SmallMotions(plant, self.scene.start).J
+            return float(np.abs(np.linalg.eigvals(J)).max())
+        except np.linalg.LinAlgError:  # numbers so far apart that something overflows
+            return np.inf
+
+    def q(self, method: Method, steps: int, commands: Array) -> Array | None:
+        """Return link positions after each row (K, N) [rad or m]; None if it diverges."""
+        plant = self.plant(method, steps)
+        plant.reset()
+        began = time.perf_counter()
+        try:
+            q = plant.run(commands, steps)
+        except Diverged:
+            return None
+        times = self._times.setdefault((method, steps), [0.0, 0.0])
+        times[0] += time.perf_counter() - began
+        times[1] += self.scene.servo_period * len(commands)
+        return q
+
+    def cost(self, method: Method, steps: int) -> float:
+        """Return the wall time per simulated second [s] of all runs with this setting."""
+        wall, simulated = self._times[method, steps]
+        return wall / simulated
+
+    def least_cost(self, method: Method, steps: int) -> float:
+        """Return what the same is at least, by the cheapest step of this method; 0: unknown."""
+        known = [self.cost(*key) / key[1] for key in self._times if key[0] == method]
+        return steps * min(known, default=0.0)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Link positions after each row (K, N), and by how much they are off at most."""
+
+    q: Array
+    error: float
+    steps: int  # per servo period
+
+
+def find_truth(runs: Runs, commands: Array, wanted: float, most: int) -> Truth | str:
+    """Return the true motion, or why it cannot be known.
+
+    Args:
+        runs: of the scene.
+        commands: (K, N).
+        wanted: how well it is to be known [rad or m].
+        most: steps per servo period.
+    """
+    resolved = min(runs.scene.servo_period * runs.rate / RESOLVED, most / 2**HALVED)
+    steps, last, left = max(FEWEST, math.ceil(resolved)), None, np.inf
+    differences = list[float]()
+    while steps <= most:
+        q = runs.q(FINEST, steps, commands)
+        if q is None:
+            differences = []
+        elif last is not None:
+            differences.append(float(np.abs(q - last).max()))
+            left = RESERVE * remainder(differences)
+            closer = runs.q(FINEST, CLOSER * steps, commands) if left <= wanted else None
+            if closer is not None and (off := float(np.abs(closer - q).max())) <= wanted:
+                return Truth(closer, max(0.5 * off, left / CLOSER), CLOSER * steps)
+            if len(differences) > 3 and differences[-2] <= differences[-1] < ROUNDING:
+                break
+        last, steps = q, 2 * steps
+    if last is None:
+        return "it diverges at every step that can be tried"
+    return (
+        f"steps that are halved agree to {differences[-1] if differences else np.inf:.1e} at best"
+    )
+
+
+def remainder(differences: list[float]) -> float:
+    """Return by how much the last run is off, by the differences of steps that were halved."""
+    if len(differences) < 3:
+        return np.inf
+    before, one, last = differences[-3:]
+    # One that is by chance too small shall not count as what it is.
+    last = max(last, one / MOST_FALL / 2.0, before / MOST_FALL**2 / 2.0)
+    if last == 0.0:
+        return 0.0
+    fall = min(np.sqrt(max(before, one) / last), one / last, MOST_FALL)
+    return last / (fall - 1.0) if fall >= LEAST_FALL else np.inf
+
+
+def is_confirmed(runs: Runs, commands: Array, truth: Truth, enough: float, most: int) -> bool:
+    """Whether the scheme with events at the ends of steps comes to the same motion.
+
+    Args:
+        runs: of the scene.
+        commands: (K, N).
+        truth: the motion with events located.
+        enough: how near is near [rad or m].
+        most: steps per servo period.
+    """
+    steps, seen = max(1, truth.steps // COARSER), list[float]()
+    while steps <= min(most, COARSER * truth.steps):
+        q = runs.q(OTHERWISE, steps, commands)
+        seen.append(np.inf if q is None else float(np.abs(q - truth.q).max()))
+        if seen[-1] <= enough:
+            return True
+        steps *= CLOSER
+    # Not that near, but on its way.
+    return seen[-1] == min(seen) and seen[-1] < NEARER * seen[0]

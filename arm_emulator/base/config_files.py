@@ -1,0 +1,124 @@
+"""Where configuration files are: scenes, and what lies beside them or comes with the emulator."""
+
+import os
+from pathlib import Path
+from sysconfig import get_path
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import why_no_file
+from arm_emulator.base.yaml_file import read_yaml
+
+# What a scene may have beside it: parameters of the servo and of the motion controller, and a demo.
+BESIDE = ("servo", "motion", "demo")
+ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions, of which scenes can be made
+
+
+def config_folder() -> Path:
+    """Return the folder `config`: of the checkout, or installed with the ROS package."""
+    checkout = Path(__file__).resolve().parents[2] / "config"
+    if checkout.is_dir():
+        return checkout
+    for installed in _installed():
+        if installed.is_dir():
+            return installed
+    raise Refusal(
+        "arm_emulator",
+        "AMENT_PREFIX_PATH",
+        "hold an installed arm_emulator",
+        os.environ.get("AMENT_PREFIX_PATH", "nothing"),
+        "source install/setup.bash first",
+    )
+
+
+def check_own(where: str, file: Path) -> None:
+    """Refuse to write over a file that came along: with the emulator or with an installed package.
+
+    Raises:
+        Refusal: it did, be it through a link.
+    """
+    real = Path(os.path.realpath(file))
+    folders = [config_folder(), *map(Path, (get_path("purelib"), get_path("platlib")))]
+    folders += _installed()
+    if real.exists() and any(real.is_relative_to(os.path.realpath(one)) for one in folders):
+        raise Refusal(
+            where,
+            f"file {file}",
+            "be one of yours, to be written into",
+            "one that came along",
+            f"a copy of it, such as `cp -r {real.parent} mine`",
+        )
+
+
+def _installed() -> list[Path]:
+    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    return [Path(prefix) / "share" / "arm_emulator" / "config" for prefix in prefixes]
+
+
+def find_config(name: str, ending: str, kind: str = ".") -> Path:
+    """Return the file that `name` means: a path, or the name of a file that comes along.
+
+    Args:
+        name: a path, or a bare name such as ``three_axis``.
+        ending: of the file, such as ``.yaml``.
+        kind: the folder below `config` where bare names are looked up.
+
+    Raises:
+        Refusal: there is no such file.
+    """
+    path = Path(name)
+    reason = why_no_file(path)
+    if reason is None:
+        if path.suffix in ROBOTS:
+            valid = f"what `python -m arm_emulator new {name}` makes of it"
+            raise Refusal("arm_emulator", f"file {name}", "be a scene", "a robot", valid)
+        return path
+    folder = config_folder() / kind
+    shipped = _shipped(name, ending, kind)
+    if shipped is not None:
+        return shipped
+    known = ", ".join(sorted(file.stem for file in folder.glob(f"*{ending}")))
+    raise Refusal("arm_emulator", f"file {name}", "exist", reason, known or None)
+
+
+def find_scene(name: str | Path) -> Path:
+    """Return the absolute path of the scene that `name` means; links in it stay what they are.
+
+    Raises:
+        Refusal: there is no such file.
+    """
+    return Path(os.path.abspath(find_config(str(name), ".yaml")))
+
+
+def find_beside(scene: Path, kind: str) -> Path:
+    """Return the file that belongs to a scene: the one rule for every command and launch file.
+
+    The scene's key `kind` names it, relative to the scene file, or by the name of one that comes
+    with the emulator. Without the key it is ``KIND/NAME.yaml`` beside ``NAME.yaml``.
+
+    Args:
+        scene: the scene file.
+        kind: one of `BESIDE`.
+
+    Raises:
+        Refusal: there is no such file; with where it was looked for and what to write.
+    """
+    named = read_yaml(scene).get(kind)
+    if named is not None and (not isinstance(named, str) or not named):
+        raise Refusal(scene.name, kind, "be the name of a file", repr(named))
+    file = scene.parent / (named or f"{kind}/{scene.stem}.yaml")
+    reason = why_no_file(file)
+    if reason is None:
+        return file
+    shipped = _shipped(named, ".yaml", kind) if named else None
+    if shipped is not None:
+        return shipped
+    valid = f"write that file, or name one in the scene: `{kind}: FILE`"
+    raise Refusal(scene.name, f"{kind} parameters", f"be in {file}", reason, valid)
+
+
+def _shipped(name: str, ending: str, kind: str) -> Path | None:
+    """Return the file of a bare name that comes with the emulator, if there is one."""
+    if Path(name).name != name:
+        return None
+    file = config_folder() / kind / f"{name.removesuffix(ending)}{ending}"
+    return file if why_no_file(file) is None else None

@@ -1,0 +1,58 @@
+"""Joints are matched by name, never by their place in a message."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.bound import Bound
+from arm_emulator.base.refusal import Refusal
+
+
+class JointOrder:
+    """Brings the arrays of a topic into the receiver's order of joints.
+
+    Args:
+        topic: name for refusals.
+        names: the receiver's joints, in its order.
+    """
+
+    def __init__(self, topic: str, names: Sequence[str]) -> None:
+        self.topic = topic
+        self.names = list(names)
+        self._index = {name: index for index, name in enumerate(self.names)}
+
+    def arrange(
+        self, names: Sequence[str], values: Sequence[float], bound: Bound
+    ) -> NDArray[np.float64]:
+        """Return `values`, given one per entry of `names`, in the receiver's order (N,).
+
+        Args:
+            names: of joints, in any order.
+            values: one per name.
+            bound: of the values, in the receiver's order.
+
+        Raises:
+            Refusal: other names than the receiver's, another number of values, or one that is not
+                finite or too large.
+        """
+        array = np.array(bound.numbers(self.topic, values))
+        if array.shape != (len(names),):
+            rule = f"have one value per joint name ({len(names)})"
+            got = f"{len(array)} values" if array.ndim == 1 else values
+            raise Refusal(self.topic, bound.quantity, rule, got)
+        if list(names) != self.names:
+            if sorted(map(str, names)) != sorted(self.names):
+                raise Refusal(
+                    self.topic,
+                    "joint names",
+                    "name every joint once",
+                    ", ".join(map(str, names)) or "none",
+                    ", ".join(self.names),
+                )
+            given, array = array, np.empty_like(array)
+            array[[self._index[name] for name in names]] = given
+        bound.check(self.topic, array.tolist())
+        return array

@@ -1,0 +1,122 @@
+"""Parameters declared once, as frozen dataclasses: for ROS nodes and for runs without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.yaml_file import read_yaml
+
+Parameters = TypeVar("Parameters")
+
+# Parameters that every ROS 2 node has of itself.
+ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+
+def parameter(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+    settable: bool = False,
+) -> Any:
+    """Return a dataclass field with all that a parameter is: default, unit, range, choices.
+
+    `settable` ones can be set while the node runs, the others are read once at its start.
+    """
+    return dataclasses.field(
+        default=default,
+        metadata={
+            "description": f"{description} [{unit}]" if unit else description,
+            "minimum": minimum,
+            "maximum": maximum,
+            "choices": choices,
+            "settable": settable,
+        },
+    )
+
+
+def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters:
+    """Read a node's ROS parameter file into the frozen dataclass `kind`.
+
+    Raises:
+        Refusal: no parameters of that node, an unknown name, or a value that is not taken.
+    """
+    given = dict(ros_parameters(path, node))
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for name, value in given.items():
+        if name not in fields:
+            known = ", ".join(fields)
+            got = f"{value!r}{perhaps(name, fields)}"
+            raise Refusal(path.name, f"parameter {name}", "be known", got, known)
+        given[name] = checked(value, fields[name], path.name)
+    return kind(**given)
+
+
+def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
+    """Return the parameters that a ROS parameter file holds for a node, by name or wildcard.
+
+    Raises:
+        Refusal: no parameters of that node.
+    """
+    document = read_yaml(path)
+    for name in (node, f"/{node}", f"/**/{node}", "/**"):
+        section = document.get(name)
+        if isinstance(section, Mapping) and isinstance(section.get("ros__parameters"), Mapping):
+            _check_keys(section["ros__parameters"], path.name)
+            return dict(section["ros__parameters"])
+    rule = f"hold the parameters of the node {node}"
+    valid = f"{node}: ros__parameters:"
+    raise Refusal(path.name, "the file", rule, ", ".join(map(str, document)), valid)
+
+
+def perhaps(name: str, known: Iterable[str]) -> str:
+    """Return a hint at the known name that comes nearest to an unknown one, empty if none does."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f", perhaps for {near[0]}" if near else ""
+
+
+def _check_keys(parameters: Mapping[str, Any], where: str) -> None:
+    """Refuse a section whose name has dots: ROS's own reader takes what follows for another."""
+    for key, value in parameters.items():
+        if not isinstance(value, Mapping):
+            continue
+        if "." in key:
+            rule = "be written out, since it has dots and ROS would lose its way"
+            raise Refusal(where, f"section {key}", rule, "a section", f"SECTION.{key}.NAME: VALUE")
+        _check_keys(value, where)
+
+
+def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:
+    """Return a parameter's value if its rules hold.
+
+    Raises:
+        Refusal: a value of the wrong type, out of its range, or not among its choices.
+    """
+    what, kind = f"parameter {field.name}", type(field.default)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    low, high = field.metadata["minimum"], field.metadata["maximum"]
+    choices = field.metadata["choices"]
+    if choices and value not in choices:
+        raise Refusal(where, what, "be known", repr(value), ", ".join(choices))
+    fits = type(value) is kind and not (isinstance(value, float) and not math.isfinite(value))
+    if not fits or (low is not None and value < low) or (high is not None and value > high):
+        raise Refusal(where, what, f"be {rule(field)}", repr(value))
+    return value
+
+
+def rule(field: dataclasses.Field[Any]) -> str:
+    """Return in words what a parameter may be."""
+    kind = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+    low, high = field.metadata["minimum"], field.metadata["maximum"]
+    bounds = "" if low is None and high is None else f" from {low} to {high}"
+    return f"{kind[type(field.default)]}{bounds}"

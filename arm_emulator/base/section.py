@@ -1,0 +1,214 @@
+"""A section of a YAML file, read key by key, with refusals that say where and which rule."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from arm_emulator.base.refusal import Refusal
+
+# Numbers beyond these are slips, and what is computed from several of them may overflow.
+SMALLEST, LARGEST = 1e-15, 1e15  # of numbers above 0, and of all, where no other bound is given
+LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
+
+
+class Section:
+    """One mapping of the file, read key by key; `finish` refuses the keys that nobody asked for.
+
+    A key that is there must hold what is asked for; one that is not gives the default, if the
+    reading method takes one, or is refused.
+
+    Args:
+        data: the mapping.
+        where: the file, for refusals.
+        path: the dotted path of the section in it; empty at the top.
+    """
+
+    def __init__(self, data: dict[str, Any], where: str, path: str = "") -> None:
+        self.where = where
+        self._data = data
+        self._path = path
+        self._known: set[str] = set()
+        self._sections: dict[str, Section] = {}
+
+    def keys(self) -> list[str]:
+        """Return the keys that are there."""
+        return [str(key) for key in self._data]
+
+    def has(self, key: str) -> bool:
+        """Return whether a key, known from now on, is there."""
+        self._known.add(key)
+        return key in self._data
+
+    def put(self, key: str, value: object) -> None:
+        """Take a value for a key as if the file had it there."""
+        self._data = {**self._data, key: value}
+
+    def refusal(self, key: str, rule: str, got: object, valid: str | None = None) -> Refusal:
+        """Return the refusal of a key's value."""
+        return Refusal(self.where, self._name(key), rule, got, valid)
+
+    def section(self, key: str) -> Section | None:
+        """Return the section below a key, None if the key is not there."""
+        if not self.has(key):
+            return None
+        if self._data[key] is None:
+            return self._below(key, {})
+        return self.required_section(key)
+
+    def required_section(self, key: str) -> Section:
+        """Return the section below a key that must be there."""
+        value = self._take(key)
+        if not isinstance(value, dict):
+            rule = "be a section of keys and values"
+            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
+        return self._below(key, value)
+
+    def text(self, key: str, most_bytes: int = 4096) -> str:
+        """Return a text of printable letters."""
+        value = self._take(key)
+        if not isinstance(value, str) or not value:
+            raise self.refusal(key, "be a text", "nothing" if value is None else repr(value))
+        if not value.isprintable():
+            raise self.refusal(key, "have printable letters only", repr(value))
+        if len(value.encode()) > most_bytes:
+            raise self.refusal(key, f"be at most {most_bytes} bytes long", repr(value))
+        return value
+
+    def choice(self, key: str, choices: tuple[str, ...], default: str) -> str:
+        """Return one of the choices."""
+        value = self._take(key)
+        if key not in self._data:
+            return default
+        if value not in choices:
+            got = "nothing" if value is None else repr(value)
+            raise self.refusal(key, "be one of the known", got, ", ".join(choices))
+        return str(value)
+
+    def flag(self, key: str) -> bool:
+        """Return true or false; false if the key is not there."""
+        value = self._take(key)
+        if key in self._data and not isinstance(value, bool):
+            got = "nothing" if value is None else repr(value)
+            raise self.refusal(key, "be true or false", got)
+        return bool(value)
+
+    def number(
+        self,
+        key: str,
+        unit: str,
+        *,
+        default: float | None = None,
+        above: float | None = None,
+        at_least: float | None = None,
+        at_most: float | None = None,
+        in_size: bool = False,
+    ) -> float:
+        """Return a finite number within its bounds; `LARGEST` where no upper one is given.
+
+        With `in_size` the bounds are those of its size, and it may be negative.
+        """
+        rules: list[tuple[str, Callable[[float], bool]]] = []
+        unit_of_rule = f"{unit} in size" if in_size else unit
+        if above is not None:
+            least = above or SMALLEST
+            rules.append((f"be > {above:g} {unit_of_rule}", lambda x: x > above))
+            rules.append((f"be >= {least:g} {unit_of_rule}", lambda x: x >= least))
+        if at_most is None:
+            at_most = LARGEST
+        if at_least is not None:
+            rules.append((f"be >= {at_least:g} {unit_of_rule}", lambda x: x >= at_least))
+        if at_most is not None:
+            rules.append((f"be <= {at_most:g} {unit_of_rule}", lambda x: x <= at_most))
+        value = self._take(key)
+        if value is None and default is not None and key not in self._data:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            rule = f"be a number [{unit}]"
+            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
+        value = _as_float(value)
+        for rule, holds in [(f"be finite [{unit}]", math.isfinite), *rules]:
+            if not holds(abs(value) if in_size else value):
+                raise self.refusal(key, rule, value)
+        return value
+
+    def integer(self, key: str, *, default: int | None = None, at_least: int, at_most: int) -> int:
+        """Return a whole number within its bounds."""
+        value = self._take(key)
+        if value is None and default is not None and key not in self._data:
+            return default
+        rule = f"be a whole number from {at_least} to {at_most}"
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
+        if not at_least <= value <= at_most or value != int(value):
+            raise self.refusal(key, rule, value)
+        return int(value)
+
+    def vector(
+        self, key: str, unit: str, *, bound: float, size: int = 3
+    ) -> tuple[float, ...] | None:
+        """Return numbers of at most `bound` in size, None if the key is not there."""
+        value = self._take(key)
+        if value is None and key not in self._data:
+            return None
+        rule = f"be {size} numbers of at most {bound:g} [{unit}]"
+        if not isinstance(value, list) or len(value) != size:
+            raise self.refusal(key, rule, repr(value))
+        for entry in value:
+            if isinstance(entry, bool) or not isinstance(entry, int | float):
+                raise self.refusal(key, rule, repr(value))
+            if not abs(_as_float(entry)) <= bound:
+                raise self.refusal(key, rule, value)
+        return tuple(float(entry) for entry in value)
+
+    def value(self, key: str) -> object:
+        """Return whatever a key holds, None if it is not there, for the caller to check."""
+        return self._take(key)
+
+    def entries(self, key: str) -> list[object]:
+        """Return a list, empty if the key is not there."""
+        value = self._take(key)
+        if key not in self._data:
+            return []
+        if not isinstance(value, list):
+            raise self.refusal(key, "be a list", repr(value))
+        return value
+
+    def finish(self) -> None:
+        """Refuse what nobody asked for, here and in the sections below.
+
+        Raises:
+            Refusal: a key is not known.
+        """
+        for below in self._sections.values():
+            below.finish()
+        for key in self._data:
+            if key not in self._known:
+                raise Refusal(
+                    self.where,
+                    f"key {self._name(str(key))}",
+                    "be known",
+                    repr(key),
+                    ", ".join(sorted(self._known)),
+                )
+
+    def _below(self, key: str, data: dict[str, Any]) -> Section:
+        if key not in self._sections:
+            self._sections[key] = Section(data, self.where, self._name(key))
+        return self._sections[key]
+
+    def _take(self, key: str) -> Any:
+        self._known.add(key)
+        return self._data.get(key)
+
+    def _name(self, key: str) -> str:
+        return f"{self._path}.{key}" if self._path else key
+
+
+def _as_float(value: float) -> float:
+    """Return a number as a float; a whole number that is too large for one is infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf

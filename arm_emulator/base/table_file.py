@@ -1,0 +1,106 @@
+"""Tables from outside: a CSV file with a heading and rows of numbers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from array import array
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from arm_emulator.base.bound import FloatArray
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import read_text
+
+MOST_BYTES = 2**28
+MOST_COLUMNS = 1000
+LONGEST_LINE = 2**16  # characters
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers in columns.
+
+    Attributes:
+        where: name of the file.
+        columns: their names (C,).
+        lines: where each row stands in the file, from 1 on (K,).
+        values: NaN where a cell is empty (K, C).
+    """
+
+    where: str
+    columns: tuple[str, ...]
+    lines: tuple[int, ...]
+    values: FloatArray
+
+    def column(self, name: str) -> FloatArray:
+        """Return the values below a name (K,)."""
+        column: FloatArray = self.values[:, self.columns.index(name)]
+        return column
+
+
+def read_table(file: Path, units: Mapping[str, str]) -> Table:
+    """Read a table; empty lines are passed over.
+
+    Args:
+        file: which one.
+        units: of columns, by their names, for refusals.
+
+    Raises:
+        Refusal: no such file, no CSV in UTF-8, a row that is shorter or longer than the
+            heading, or a cell that is no finite number.
+    """
+    where = file.name
+    rows = _rows(file)
+    _, head = next(rows, (1, []))
+    columns = tuple(cell.strip() for cell in head)
+    if len(columns) > MOST_COLUMNS:
+        raise Refusal(where, "heading", f"have at most {MOST_COLUMNS} columns", len(columns))
+    values, lines = array("d"), array("q")
+    for line, cells in rows:
+        if len(cells) != len(columns):
+            rule = f"have {len(columns)} values, as the columns"
+            raise Refusal(where, f"line {line}", rule, len(cells))
+        lines.append(line)
+        for name, cell in zip(columns, cells, strict=True):
+            values.append(_number(cell, f"line {line}, {name}", units.get(name), where))
+    numbers = np.array(values, dtype=np.float64).reshape(len(lines), len(columns))
+    return Table(where, columns, tuple(lines), numbers)
+
+
+def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the lines that are not empty, with their numbers."""
+    text = io.StringIO(read_text(file, MOST_BYTES), newline="")
+    reader = csv.reader(_bounded(text, file.name), strict=True)
+    try:
+        for cells in reader:
+            if cells:
+                yield reader.line_num, cells
+    except csv.Error as error:
+        raise Refusal(file.name, f"line {reader.line_num}", "be well-formed CSV", error) from None
+
+
+def _bounded(text: io.StringIO, where: str) -> Iterator[str]:
+    number = 0
+    while line := text.readline(LONGEST_LINE + 1):
+        number += 1
+        if len(line) > LONGEST_LINE:
+            rule = f"have at most {LONGEST_LINE} characters"
+            raise Refusal(where, f"line {number}", rule, "more")
+        yield line
+
+
+def _number(cell: str, what: str, unit: str | None, where: str) -> float:
+    if not cell or cell.isspace():
+        return math.nan
+    try:
+        value = float(cell) if "_" not in cell else math.nan
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise Refusal(where, what, f"be a number [{unit}]" if unit else "be a number", cell)
+    return value

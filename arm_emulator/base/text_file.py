@@ -1,0 +1,84 @@
+"""Files from outside: regular ones of bounded size, and nothing that only looks like a file.
+
+Every file that a user names is opened here. What is in it is read by the module of its kind:
+`yaml_file`, `urdf_text`, `table_file`, `array_file`.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import IO
+
+from arm_emulator.base.refusal import Refusal
+
+PIECE = 1 << 24  # bytes that are read at a time, so that a limit takes no memory by itself
+
+
+def why_no_file(file: Path) -> str | None:
+    """Return in words why a path leads to no regular file; None: it does."""
+    try:
+        return _why_not_regular(file.stat().st_mode)
+    except FileNotFoundError:
+        return "no such file"
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        return getattr(error, "strerror", None) or str(error)
+
+
+def open_file(file: Path) -> IO[bytes]:
+    """Open a regular file to be read. Never waits for a pipe.
+
+    Raises:
+        Refusal: something else than a regular file, or one that cannot be opened.
+    """
+    reason: object = why_no_file(file)
+    if reason is None:
+        try:
+            # Not blocking, should it have become a pipe since.
+            flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY
+            stream = open(os.open(file, flags), "rb")
+            reason = _why_not_regular(os.fstat(stream.fileno()).st_mode)
+            if reason is None:
+                return stream
+            stream.close()
+        except OSError as error:
+            reason = error.strerror or error
+    raise Refusal(file.name or str(file), "file", "be readable", reason)
+
+
+def read_bytes(file: Path, most: int) -> bytes:
+    """Return what is in a regular file of at most `most` bytes.
+
+    Raises:
+        Refusal: something else than a regular file, a larger one, or one that cannot be read.
+    """
+    pieces, size = list[bytes](), 0
+    with open_file(file) as stream:
+        try:
+            while size <= most and (piece := stream.read(min(PIECE, most + 1 - size))):
+                pieces.append(piece)
+                size += len(piece)
+        except OSError as error:
+            raise Refusal(file.name, "file", "be readable", error.strerror or error) from None
+    if size > most:
+        raise Refusal(file.name, "file", f"have at most {most // 1024} KiB", "more")
+    return b"".join(pieces)
+
+
+def read_text(file: Path, most: int) -> str:
+    """Return the text of a regular file of at most `most` bytes in UTF-8, line ends as they are.
+
+    Raises:
+        Refusal: see `read_bytes`, or another encoding.
+    """
+    try:
+        return read_bytes(file, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise Refusal(file.name, "file", "be text in UTF-8", error.reason) from None
+
+
+def _why_not_regular(mode: int) -> str | None:
+    if stat.S_ISREG(mode):
+        return None
+    return "a folder" if stat.S_ISDIR(mode) else "a device, pipe or socket"

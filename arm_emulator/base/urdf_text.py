@@ -1,0 +1,177 @@
+"""URDF texts from outside: read and parsed within bounds, joints without limits made unlimited."""
+
+from __future__ import annotations
+
+import codecs
+import math
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from xml.parsers import expat
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import read_bytes
+
+MOST_BYTES = 16 << 20
+MOST_MARKS = 400_000  # of `<`: bounds what is built
+MOST_LEVELS = 64
+UNLIMITED = 1e9  # rad or m: as far as a joint may go that nothing stops
+
+_DECLARED = re.compile(rb"""^\s*<\?xml[^>]*?(\sencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["'])""")
+_ONE_BYTE = ("ascii", "iso8859-1", "iso8859-15", "cp1252")  # encodings that URDFs come in, besides
+
+
+def read_urdf(file: Path) -> str:
+    """Return the text of a URDF file.
+
+    It is taken for UTF-8 if it can be, else for what it declares.
+
+    Raises:
+        Refusal: no such file, too large a one, or no text.
+    """
+    content = read_bytes(file, MOST_BYTES)
+    for mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        if content.startswith(mark):
+            return _decoded(content, "utf-16", file)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        declared = _DECLARED.match(content)
+        if declared is None:
+            return _decoded(content, "utf-8", file)
+        # As a text it is published in UTF-8, and must not declare another encoding.
+        rest = content[: declared.start(1)] + content[declared.end(1) :]
+        return _decoded(rest, declared[2].decode("ascii"), file)
+
+
+def _decoded(content: bytes, encoding: str, file: Path) -> str:
+    try:
+        known = codecs.lookup(encoding).name
+        if known in ("utf-8", "utf-16", *_ONE_BYTE):
+            return content.decode(known)
+        reason = "another"
+    except (LookupError, UnicodeDecodeError) as error:
+        reason = getattr(error, "reason", "an unknown one")
+    rule = f"be written in UTF-8, or in the encoding that it declares ({encoding})"
+    raise Refusal(file.name, "file", rule, reason)
+
+
+def parse_urdf(text: str, where: str) -> ET.Element:
+    """Return the element <robot> of a URDF text.
+
+    Names are taken as they are written, `xmlns` is an attribute as any other.
+
+    Args:
+        text: the URDF.
+        where: what to call it in refusals.
+
+    Raises:
+        Refusal: not well-formed, too large or too deep, with a document type, or another root.
+    """
+    if text.count("<") > MOST_MARKS:
+        raise Refusal(where, "file", f"have at most {MOST_MARKS} opening and closing tags", "more")
+    builder = ET.TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+
+    def doctype(*_: object) -> None:
+        raise Refusal(where, "file", "have no document type", "<!DOCTYPE")
+
+    parser.StartDoctypeDeclHandler = doctype
+    try:
+        parser.Parse(text, True)
+        robot = builder.close()
+    except Refusal:
+        raise
+    except (expat.ExpatError, ValueError) as error:  # ValueError: half of a surrogate pair
+        raise Refusal(where, "file", "be well-formed XML", error) from None
+    assert isinstance(robot, ET.Element)
+    if robot.tag != "robot":
+        raise Refusal(where, "root element", "be <robot>", f"<{robot.tag}>")
+    _check_levels(robot, where)
+    if "<xacro:" in text:
+        for element in robot.iter():
+            if element.tag.startswith("xacro:"):
+                valid = "the output of `xacro FILE > robot.urdf`"
+                raise Refusal(
+                    where, "file", "be a URDF, not a xacro source", f"<{element.tag}>", valid
+                )
+    return robot
+
+
+def _check_levels(robot: ET.Element, where: str) -> None:
+    level = [robot]
+    for _ in range(MOST_LEVELS):
+        level = [child for element in level for child in element]
+    if level:
+        raise Refusal(where, "file", f"nest at most {MOST_LEVELS} levels", "more")
+
+
+def complete_limits(robot: ET.Element, where: str) -> bool:
+    """Make joints unlimited for which the URDF gives neither a lower nor an upper limit.
+
+    Other readers of a URDF refuse such a joint, or take 0 for both. A revolute joint becomes a
+    continuous one, a prismatic one may go `UNLIMITED` either way. They also refuse a limit without
+    effort or velocity, which becomes 0: not known.
+
+    Returns:
+        Whether anything was changed.
+
+    Raises:
+        Refusal: a limit that is no number, or a lower limit above the upper one.
+    """
+    changed = False
+    for joint in robot.findall("joint"):
+        kind = joint.get("type")
+        if kind not in ("revolute", "prismatic"):
+            continue
+        limit = joint.find("limit")
+        given = {} if limit is None else limit.attrib
+        bounds = [_bound(joint, key, given.get(key), where) for key in ("lower", "upper")]
+        if bounds[0] > bounds[1]:
+            what = f"joint {joint.get('name')}: limit"
+            raise Refusal(where, what, "have lower <= upper", f"{bounds[0]:g} > {bounds[1]:g}")
+        if "lower" not in given and "upper" not in given:
+            bounds = [-math.inf, math.inf]
+        elif not any(math.isinf(bound) for bound in bounds) and {"effort", "velocity"} <= {*given}:
+            continue
+        changed = True
+        if limit is not None:
+            joint.remove(limit)
+        if kind == "revolute" and bounds == [-math.inf, math.inf]:
+            joint.set("type", "continuous")
+            continue
+        lower, upper = (repr(max(-UNLIMITED, min(bound, UNLIMITED))) for bound in bounds)
+        rest = {key: given.get(key, "0") for key in ("effort", "velocity")}
+        ET.SubElement(joint, "limit", {"lower": lower, "upper": upper, **rest})
+    return changed
+
+
+def _bound(joint: ET.Element, key: str, text: str | None, where: str) -> float:
+    try:
+        value = float(text or "0")
+    except ValueError:
+        value = math.nan
+    if math.isnan(value):
+        what = f"joint {joint.get('name')}: limit {key}"
+        raise Refusal(where, what, "be a number", repr(text))
+    return value
+
+
+def limits_of(robot: ET.Element) -> dict[str, tuple[float, float]]:
+    """Return lower and upper limits of the moving joints that have both, by name [rad or m].
+
+    The URDF's limits are numbers, see `complete_limits`.
+    """
+    limits = {}
+    for joint in robot.findall("joint"):
+        limit = joint.find("limit")
+        if limit is None or joint.get("type") not in ("revolute", "prismatic"):
+            continue
+        lower, upper = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
+        if max(-lower, upper) < UNLIMITED:
+            limits[joint.get("name") or ""] = lower, upper
+    return limits

@@ -1,0 +1,139 @@
+"""YAML as people write it: 1e-4 is a number, every key is a text, and no key is given twice.
+
+A document is checked as a stream of events before anything is built from it, so that what is built
+is of bounded size and depth, whoever wrote the file.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import read_bytes
+
+MOST_BYTES = 1 << 20
+MOST_VALUES = 20_000  # keys and values, those that aliases repeat among them
+MOST_LEVELS = 32
+_FLOAT = (
+    r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$"
+    r"|^[-+]?\.(inf|Inf|INF)$|^\.(nan|NaN|NAN)$"
+)
+_LARGEST_INT = 2**63 - 1
+
+
+class _Loader(yaml.CSafeLoader):
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise _bad(key_node, "a key is a text, not a list or section")
+            if key_node.value in seen and key_node.value != "<<":
+                raise _bad(key_node, f"key {key_node.value!r} is given twice")
+            seen.add(key_node.value)
+        self.flatten_mapping(node)
+        return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
+
+    def construct_integer(self, node: yaml.ScalarNode) -> int | float:
+        text = str(node.value)
+        number = float(text)
+        return int(text) if abs(number) < _LARGEST_INT else number
+
+
+def _bad(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+
+
+# What a plain word means, as YAML 1.2, ROS and people have it: 010 is ten, 1:30 and 2001-01-01 are
+# texts, 1e-4 is a number.
+_Loader.yaml_implicit_resolvers = {}
+for _kind, _pattern, _first in (
+    ("bool", r"^(true|True|TRUE|false|False|FALSE)$", "tTfF"),
+    ("int", r"^[-+]?[0-9]+$", "-+0123456789"),
+    ("float", _FLOAT, "-+0123456789."),
+    ("null", r"^(~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    ("merge", r"^<<$", "<"),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(_pattern), list(_first))
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_integer)
+
+
+def read_yaml(file: Path) -> dict[str, Any]:
+    """Return the mapping that a YAML file holds.
+
+    Raises:
+        Refusal: no such file, not YAML, too large, too deep, or something else than a mapping.
+    """
+    data = parse_yaml(read_bytes(file, MOST_BYTES), file.name)
+    if not isinstance(data, dict):
+        got = "nothing" if data is None else type(data).__name__
+        raise Refusal(file.name, "file", "be a mapping of keys to values", got)
+    return data
+
+
+def parse_yaml(text: bytes | str, where: str) -> Any:
+    """Return what one YAML document holds: dict, list, text, number, bool or None.
+
+    Args:
+        text: the document, of at most `MOST_BYTES`.
+        where: what to call it in refusals.
+
+    Raises:
+        Refusal: not YAML, too large or too deep.
+    """
+    try:
+        if isinstance(text, bytes):
+            text = text.decode("utf-8-sig")
+        if len(text) > MOST_BYTES:
+            raise Refusal(where, "file", f"have at most {MOST_BYTES // 1024} KiB", "more")
+        _look_over(text, where)
+        return yaml.load(text, Loader=_Loader)
+    except UnicodeError as error:
+        got = getattr(error, "reason", error)
+        raise Refusal(where, "file", "be written in UTF-8", got) from None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        at = f"line {mark.line + 1}: " if mark is not None else ""
+        raise Refusal(where, "file", "be well-formed YAML", f"{at}{error.problem}") from None
+    except yaml.YAMLError as error:
+        raise Refusal(where, "file", "be well-formed YAML", error) from None
+
+
+def _look_over(text: str, where: str) -> None:
+    """Refuse a document that would build more than the bounds, before anything is built."""
+    documents = levels = values = 0
+    starts: list[tuple[str | None, int]] = []  # of open collections: anchor, values before it
+    sizes: dict[str, int] = {}  # of what an anchor names, in values
+    for event in yaml.parse(text, Loader=yaml.CSafeLoader):
+        anchor = getattr(event, "anchor", None)
+        tag = getattr(event, "tag", None)
+        if tag is not None:
+            raise Refusal(where, "file", "be plain YAML without tags", f"the tag {tag}")
+        if isinstance(event, yaml.DocumentStartEvent):
+            documents += 1
+            if documents > 1:
+                raise Refusal(where, "file", "hold one document", "several")
+        elif isinstance(event, yaml.CollectionStartEvent):
+            levels += 1
+            values += 1
+            starts.append((anchor, values))
+            if levels > MOST_LEVELS:
+                raise Refusal(where, "file", f"nest at most {MOST_LEVELS} levels", "more")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            levels -= 1
+            anchor, before = starts.pop()
+            if anchor is not None:
+                sizes[anchor] = values - before + 1
+        elif isinstance(event, yaml.AliasEvent):
+            if any(anchor == opened for opened, _ in starts):
+                raise Refusal(where, "file", "end somewhere", f"*{anchor} within &{anchor}")
+            values += sizes.get(anchor or "", 1)
+        elif isinstance(event, yaml.ScalarEvent):
+            values += 1
+            if anchor is not None:
+                sizes[anchor] = 1
+        if values > MOST_VALUES:
+            raise Refusal(where, "file", f"hold at most {MOST_VALUES} keys and values", "more")

@@ -1,0 +1,59 @@
+"""The C++ compiler of this machine: which one it is."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+
+from arm_emulator.base.refusal import Refusal
+
+
+def find_compiler() -> list[str]:
+    """Return the C++ compiler's command: $CXX, or the first of c++, g++, clang++ on the path.
+
+    Raises:
+        Refusal: there is none, or $CXX is no command.
+    """
+    named = _named()
+    for words in [named] if named else [["c++"], ["g++"], ["clang++"]]:
+        if shutil.which(words[0]):
+            return words
+    raise Refusal(
+        "arm_emulator",
+        "C++ compiler",
+        "be on the path, a scene is compiled when first used",
+        named[0] if named else "none of c++, g++, clang++",
+        "install one, set CXX, or compile ahead with `arm_emulator compile SCENE` elsewhere",
+    )
+
+
+def is_named() -> bool:
+    """Whether $CXX names the compiler.
+
+    Raises:
+        Refusal: $CXX is no command.
+    """
+    return bool(_named())
+
+
+def identity(command: list[str]) -> str:
+    """Return a compiler's command with the name that its own name stands for, as c++ for g++-12."""
+    file = shutil.which(command[0]) or command[0]
+    while os.path.islink(file):
+        target = os.path.normpath(os.path.join(os.path.dirname(file), os.readlink(file)))
+        name = os.path.basename(target)
+        if "++" not in name and "clang" not in name:
+            break  # a program that goes by the name of many compilers, as ccache
+        file = target
+    return shlex.join([file, *command[1:]])
+
+
+def _named() -> list[str]:
+    text = os.environ.get("CXX", "")
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise Refusal(
+            "arm_emulator", "CXX", "be the words of a command", f"{text} ({error})"
+        ) from None

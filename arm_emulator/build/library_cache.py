@@ -1,0 +1,363 @@
+"""Where the compiled cores of scenes are kept: found, stored, bounded.
+
+A library is the compiler's output and, behind it, a digest of it and of the file's name: a file
+that was truncated, changed or renamed is detected before anything of it runs. The digest is
+no signature; that nobody else wrote the file follows from its owner and its folder (`trusted`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import hashlib
+import math
+import os
+import re
+import shutil
+import stat
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.elf import with_data
+from arm_emulator.build.trusted import Untrusted, check_folder, read_file
+
+CACHE_VARIABLE = "ARM_EMULATOR_CACHE"
+SIZE_VARIABLE = "ARM_EMULATOR_CACHE_MB"
+DEFAULT_SIZE = 500.0  # MB; a library takes some 0.05 to 0.5 MB
+
+OURS = 0o700  # mode of the folders we make
+LOCK = 0o600  # mode of lock files
+LARGEST_LIBRARY = 2**28  # bytes; far more than any scene's
+SEAL = b"arm_emulator"
+SEAL_SIZE = len(SEAL) + hashlib.sha256().digest_size
+
+# Only what bears such a name is ever removed, so that a cache may lie in a folder with other files.
+LIBRARY = re.compile(r"(?P<scene>[\w-]+)-[0-9a-f]{20}\.so", re.ASCII)
+LEFT_OVER = re.compile(r"(?P<library>[\w-]+-[0-9a-f]{20})\.(lock|building-\w+)", re.ASCII)
+
+
+class Damaged(Exception):
+    """A library is not what was stored; the text gives the difference."""
+
+
+# Folders
+
+
+def named_folders() -> list[Path]:
+    """Return where libraries may lie, the preferred place first; not all need be there or ours.
+
+    A folder that is named in the environment is the only one, unless it cannot be trusted.
+    """
+    folders = []
+    named = os.environ.get(CACHE_VARIABLE)
+    if named:
+        folders.append(Path(named))
+        if not why_not_trusted(folders[0]):
+            return folders
+    user = os.environ.get("XDG_CACHE_HOME", "")
+    with contextlib.suppress(RuntimeError):  # no HOME, and no such user
+        base = Path(user) if user.startswith("/") else Path.home() / ".cache"
+        folders.append(base / "arm_emulator")
+    with contextlib.suppress(OSError):  # no temporary folder
+        folders.append(Path(tempfile.gettempdir()) / f"arm_emulator-{os.getuid()}")
+    return folders
+
+
+def cache_folders() -> list[Path]:
+    """Return where the folders are that are ours; others' are skipped with a line each."""
+    folders = []
+    for folder in named_folders():
+        with contextlib.suppress(OSError):  # it is not there, or out of our reach
+            try:
+                folders.append(check_folder(folder))
+            except Untrusted as error:
+                _say_passed_over(folder, error)
+    return folders
+
+
+def why_not_trusted(folder: Path) -> str:
+    """Return why what lies in a folder may be somebody else's, or ""; what is not there is not."""
+    try:
+        check_folder(folder)
+    except Untrusted as error:
+        return str(error)
+    except OSError:
+        return ""
+    return ""
+
+
+def writable_caches() -> Iterator[Path]:
+    """Yield the folders that take new libraries, the preferred one first; makes what is missing.
+
+    Raises:
+        Refusal: there is no more.
+    """
+    reasons = []
+    for folder in named_folders():
+        try:
+            found = check_folder(folder, make=OURS)
+            with tempfile.TemporaryFile(dir=found):
+                pass
+        except Untrusted as error:
+            _say_passed_over(folder, error)
+        except OSError as error:
+            reasons.append(f"{folder}: {error.strerror}")
+        else:
+            yield found
+            reasons.append(f"{folder}: see above")
+    raise Refusal(
+        "arm_emulator",
+        "cache folder",
+        "be writable",
+        "; ".join(reasons) or "none that can be trusted",
+        f"set {CACHE_VARIABLE} to a folder of yours",
+    )
+
+
+def _say_passed_over(folder: Path, reason: Untrusted) -> None:
+    say_once(f"arm_emulator: cache folder {folder} is passed over: {reason}")
+
+
+@cache
+def say_once(line: str) -> None:
+    """Print a line on stderr, once per process."""
+    print(line, file=sys.stderr, flush=True)
+
+
+# Libraries
+
+
+def load(file: Path) -> ctypes.CDLL:
+    """Load a library after a look at every byte of it, and mark it as used.
+
+    Raises:
+        Damaged: it is not what was stored, or the loader does not take it.
+        FileNotFoundError: it is not there.
+    """
+    check(file)
+    try:
+        return ctypes.CDLL(str(file))
+    except OSError as error:  # for example a file system that is mounted with noexec
+        raise Damaged(f"the loader says {error}") from None
+
+
+def check(file: Path) -> None:
+    """Raise unless a file is a library as it was stored.
+
+    Raises:
+        Damaged: see above.
+        FileNotFoundError: it is not there.
+    """
+    try:
+        content = read_file(file, LARGEST_LIBRARY)
+    except FileNotFoundError:
+        raise
+    except Untrusted as error:
+        raise Damaged(str(error)) from None
+    except OSError as error:
+        raise Damaged(f"it cannot be read: {error.strerror}") from None
+    if not content:
+        raise Damaged("it is empty")
+    body, seal = content[:-SEAL_SIZE], content[-SEAL_SIZE:]
+    if seal != _seal(file.name, body):
+        raise Damaged("it is cut short, changed, or was never stored here")
+
+
+@contextlib.contextmanager
+def scratch_of(library: Path) -> Iterator[Path]:
+    """Yield a new folder beside a library, whose lock is held, and remove it at the end."""
+    _clear_left_over(library)
+    with tempfile.TemporaryDirectory(
+        prefix=f"{library.stem}.building-", dir=library.parent, ignore_cleanup_errors=True
+    ) as scratch:
+        yield Path(scratch)
+
+
+def store(file: Path, body: bytes, scratch: Path) -> None:
+    """Put a library into its place: written beside, in `scratch`, then renamed.
+
+    Raises:
+        OSError: it could not be written.
+    """
+    beside = scratch / "sealed"
+    # No wider than this whatever the umask says: what its group can write is not loaded.
+    opened = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
+    with open(opened, "wb") as handle:
+        handle.write(body + _seal(file.name, body))
+    with contextlib.suppress(FileNotFoundError):
+        if stat.S_ISDIR(os.lstat(file).st_mode):
+            os.rmdir(file)  # a file cannot be renamed to a folder, be it an empty one
+    os.replace(beside, file)
+
+
+def copy_into(library: Path, folder: Path, data: Mapping[str, bytes]) -> Path:
+    """Copy a library into another folder, and return its path there.
+
+    Args:
+        library: in a cache.
+        folder: the other one.
+        data: what stands in the copy's objects, by their names.
+
+    Raises:
+        OSError: it could not be written.
+    """
+    file = folder / library.name
+    body = library.read_bytes()[:-SEAL_SIZE]
+    for name, content in data.items():
+        body = with_data(body, name, content)
+    with tempfile.TemporaryDirectory(dir=folder) as scratch:
+        store(file, body, Path(scratch))
+    return file
+
+
+def _seal(name: str, body: bytes) -> bytes:
+    digest = hashlib.sha256(name.encode() + b"\0")
+    digest.update(body)
+    return SEAL + digest.digest()
+
+
+@contextlib.contextmanager
+def locked(library: Path, wait: bool = True) -> Iterator[None]:
+    """Hold the lock of a library; other processes wait for it.
+
+    The lock is a file beside the library, as long as somebody holds it.
+
+    Raises:
+        BlockingIOError: somebody else holds it, and `wait` is False.
+        OSError: no lock can be made there.
+    """
+    file = library.with_suffix(".lock")
+    opened = _lock(file, wait)
+    try:
+        yield
+    finally:
+        file.unlink(missing_ok=True)
+        os.close(opened)
+
+
+def _lock(file: Path, wait: bool) -> int:
+    while True:
+        _clear_away_what_is_no_lock(file)
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        opened = os.open(file, flags, LOCK)
+        try:
+            # Where the file system has no locks, at worst two processes compile the same.
+            with contextlib.suppress(OSError) if wait else contextlib.nullcontext():
+                fcntl.flock(opened, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            # Whoever held it before has removed the file; then nobody else would see our lock.
+            if os.path.samestat(os.fstat(opened), os.lstat(file)):
+                return opened
+        except FileNotFoundError:
+            pass
+        except BaseException:
+            os.close(opened)
+            raise
+        os.close(opened)
+
+
+def _clear_away_what_is_no_lock(file: Path) -> None:
+    """Leave at `file` nothing, or a lock that nobody else can hold for ever."""
+    with contextlib.suppress(FileNotFoundError):
+        found = os.lstat(file)
+        if stat.S_ISDIR(found.st_mode):
+            os.rmdir(file)
+        elif found.st_mode != stat.S_IFREG | LOCK or found.st_uid != os.geteuid():
+            os.unlink(file)
+
+
+# How many
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A library in a folder, or what is left of one."""
+
+    file: Path
+    scene: str
+    size: int  # bytes
+    used: float  # s since 1970
+
+
+def entries(folder: Path) -> list[Entry]:
+    """Return the libraries in a folder, the least recently used first."""
+    found = []
+    with contextlib.suppress(OSError), os.scandir(folder) as items:
+        for item in items:
+            name = LIBRARY.fullmatch(item.name)
+            with contextlib.suppress(OSError):  # another process may just have removed it
+                at = item.stat(follow_symlinks=False)
+                if name and not item.is_dir(follow_symlinks=False):
+                    found.append(
+                        Entry(Path(folder, item.name), name["scene"], at.st_size, at.st_mtime)
+                    )
+    return sorted(found, key=lambda entry: entry.used)
+
+
+def largest_size() -> float:
+    """Return how much a cache folder may hold [bytes].
+
+    Raises:
+        Refusal: $ARM_EMULATOR_CACHE_MB is no size.
+    """
+    text = os.environ.get(SIZE_VARIABLE) or str(DEFAULT_SIZE)
+    try:
+        size = float(text)
+    except ValueError:
+        size = math.nan
+    if not size >= 0.0:
+        raise Refusal("arm_emulator", SIZE_VARIABLE, "be a number >= 0 [MB]", text)
+    return size * 1e6
+
+
+def make_room(library: Path, allowed: float) -> None:
+    """Remove the least recently used libraries until a folder holds no more than it may.
+
+    What interrupted compilations have left goes, too.
+
+    Args:
+        library: the newest; it stays, whatever its size.
+        allowed: how much its folder may hold [bytes].
+    """
+    folder = library.parent
+    found = entries(folder)
+    size = sum(entry.size for entry in found)
+    for entry in found:
+        if size <= allowed:
+            break
+        if entry.file != library and remove(entry.file):
+            size -= entry.size
+    for other in left_over(folder):
+        with contextlib.suppress(OSError), locked(other, wait=False):
+            _clear_left_over(other)
+
+
+def remove(library: Path) -> bool:
+    """Remove a library and what interrupted compilations of it have left.
+
+    A process that has loaded it keeps it. Returns False if it is being compiled just now, or
+    cannot be removed.
+    """
+    try:
+        with locked(library, wait=False):
+            library.unlink(missing_ok=True)
+            _clear_left_over(library)
+    except OSError:
+        return False
+    return True
+
+
+def left_over(folder: Path) -> set[Path]:
+    """Return the libraries of which compilations, running or interrupted, have left something."""
+    names = (LEFT_OVER.fullmatch(name) for name in os.listdir(folder))
+    return {folder / f"{name['library']}.so" for name in names if name}
+
+
+def _clear_left_over(library: Path) -> None:
+    for scratch in library.parent.glob(f"{library.stem}.building-*"):
+        shutil.rmtree(scratch, ignore_errors=True)

@@ -1,0 +1,308 @@
+"""From C and C++ to shared libraries, cached by content."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import platform
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build import library_cache
+from arm_emulator.build.compiler_command import find_compiler, identity, is_named
+from arm_emulator.build.elf import why_no_library
+from arm_emulator.build.trusted import Untrusted, check_folder, read_file
+
+Calls = Mapping[str, tuple[Any, list[Any]]]  # result and arguments of each function, by its name
+
+# Targets that code can be compiled for, best first; "native" is this machine's.
+PORTABLE_TARGETS = ("x86-64-v4", "x86-64-v3", "x86-64-v2", "x86-64")
+
+OF_COMPILER = 6  # of the 20 digits in the name of a library, those of its compiler
+
+
+@dataclass(frozen=True)
+class Unit:
+    """C or C++ that becomes one library.
+
+    Attributes:
+        name: how its file is called.
+        source: the text.
+        flags: of the compiler.
+        folders: where it includes files from.
+        calls: what the library must have.
+        where: what a refusal names.
+        about: what the user is told while it is compiled.
+        part: what a refusal says that a compiler must compile.
+        beside: a further source, compiled apart in the same command: what a compiler makes of
+            `source` does not depend on it, to the last bit of what that computes.
+        data: what stands in exported objects of copies for others, by their names; libraries in
+            the cache are shared by units that differ in it alone.
+    """
+
+    name: str
+    source: str
+    flags: tuple[str, ...]
+    folders: tuple[Path, ...]
+    calls: Calls
+    where: str
+    about: str
+    part: str
+    beside: str = ""
+    data: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def library(unit: Unit) -> ctypes.CDLL:
+    """Return a unit as a library, compiling it if no cached one fits.
+
+    Raises:
+        Refusal: there is neither a sound cached library nor a working compiler.
+    """
+    for folder in library_cache.cache_folders():
+        for target in ("native", *PORTABLE_TARGETS):
+            if target == "native" or _runs_here(target):
+                for file in _candidates(unit, target, folder):
+                    try:
+                        return declare(library_cache.load(file), unit.calls)
+                    except FileNotFoundError:
+                        continue
+                    except library_cache.Damaged as error:
+                        _say_damaged(file, error)
+    for folder in library_cache.writable_caches():
+        with _compiled(unit, "native", folder) as file:
+            try:
+                return declare(library_cache.load(file), unit.calls)
+            except (library_cache.Damaged, FileNotFoundError) as error:
+                _say_damaged(file, error)
+    raise AssertionError("writable_caches ends with a refusal")
+
+
+def compile_units(units: Iterable[Unit], target: str, folder: Path | None) -> list[Path]:
+    """Compile units for `target`, for machines without a compiler.
+
+    Args:
+        units: which ones.
+        target: "native" or one of `PORTABLE_TARGETS`.
+        folder: gets copies of the libraries in the cache; None: the cache is enough.
+
+    Returns:
+        Where the libraries are.
+
+    Raises:
+        Refusal: an unknown target, no compiler, it fails, or no place to write to.
+    """
+    targets = ("native", *PORTABLE_TARGETS)
+    if target not in targets:
+        raise Refusal("compile", "target", "be known", target, ", ".join(targets))
+    cache = next(library_cache.writable_caches())
+    return [_ahead(unit, target, cache, folder) for unit in units]
+
+
+def compiled_bytes(unit: Unit, target: str) -> bytes:
+    """Return the library that a compiler makes of a unit, as others than our cache load it.
+
+    Args:
+        unit: which one.
+        target: see `compile_units`.
+
+    Raises:
+        Refusal: see there.
+    """
+    (file,) = compile_units([unit], target, None)
+    return file.read_bytes()[: -library_cache.SEAL_SIZE]
+
+
+def fingerprint(unit: Unit, target: str) -> str:
+    """Return what a unit knows of its sources and flags, as a number of C."""
+    return f"0x{_digest(unit, target)[:16]}u"
+
+
+def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
+    with _compiled(unit, target, cache) as library:
+        if folder is None:
+            return library
+        try:
+            try:
+                folder = check_folder(folder, make=0o755)
+            except Untrusted as reason:  # it may be on its way to another place
+                library_cache.say_once(
+                    f"arm_emulator: no library is loaded from {folder} as it is: {reason}"
+                )
+                folder.mkdir(parents=True, exist_ok=True)
+            if folder.resolve() == library.parent.resolve():
+                return library
+            return library_cache.copy_into(library, folder, unit.data)
+        except OSError as error:
+            raise Refusal(
+                "compile", f"the folder {folder}", "be writable", error.strerror
+            ) from None
+
+
+@contextlib.contextmanager
+def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
+    """Give the path of a unit's library in a folder of ours, compiled if it is not there.
+
+    Several processes may do this at once: one compiles, the others wait for it. As long as it is
+    held, nobody removes it.
+
+    Raises:
+        Refusal: no compiler, or it fails; or the folder does not take what it makes.
+    """
+    library = folder / _library_name(unit, target)
+    with contextlib.ExitStack() as held:
+        try:
+            held.enter_context(library_cache.locked(library))
+            try:
+                library_cache.check(library)
+            except (library_cache.Damaged, FileNotFoundError):
+                _compile(unit, target, library)
+        except OSError as error:
+            raise Refusal(unit.where, f"cache folder {folder}", "take the compiled library",
+                          f"{error.strerror} ({error.filename})") from None  # fmt: skip
+        yield library
+
+
+def _compile(unit: Unit, target: str, library: Path) -> None:
+    # Most processes find their library compiled, and need nothing that starts other processes.
+    from arm_emulator.build.cxx import run_compiler
+
+    compiler = find_compiler()
+    largest = library_cache.largest_size()
+    print(
+        f"compiling {unit.about} with {identity(compiler)} ... ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
+    started = time.perf_counter()
+    end = "failed"
+    try:
+        with library_cache.scratch_of(library) as scratch:
+            source, built = scratch / "unit.cpp", scratch / "unit.so"
+            source.write_text(unit.source, encoding="utf-8")
+            command = [*compiler, *unit.flags, f"-march={target}"]
+            command += [f"-I{folder}" for folder in unit.folders]
+            command.append(f"-DARM_FINGERPRINT={fingerprint(unit, target)}")
+            if unit.beside:
+                beside = scratch / "beside.cpp"
+                beside.write_text(unit.beside, encoding="utf-8")
+                command.append(str(beside))
+            run_compiler([*command, str(source), "-o", str(built)], scratch, unit.where, unit.part)
+            library_cache.store(library, _built(built, compiler[0], unit), scratch)
+            library_cache.make_room(library, largest)
+        end = f"{time.perf_counter() - started:.1f} s"
+    finally:
+        print(end, file=sys.stderr)
+
+
+def _built(file: Path, compiler: str, unit: Unit) -> bytes:
+    """Return the library that a compiler says it has made."""
+    body = b""
+    try:
+        # It lies in a folder that is closed to others, whatever the umask has made of its mode.
+        body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
+        reason = why_no_library(body, (*unit.calls, *unit.data))
+    except FileNotFoundError:
+        reason = "there is none"
+    except (OSError, Untrusted) as error:
+        reason = str(error)
+    if reason:
+        raise Refusal(unit.where, f"compiler {compiler}",
+                      "make a library, though it says nothing is wrong", reason)  # fmt: skip
+    return body
+
+
+def _candidates(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
+    """Yield where a unit's library may lie in a folder, the preferred place first.
+
+    That of the compiler in use; and, unless $CXX names it, what another compiler has made, here or
+    elsewhere.
+    """
+    own = None
+    with contextlib.suppress(Refusal):  # no compiler, or no command in $CXX
+        own = folder / _library_name(unit, target)
+        yield own
+        if is_named():
+            return
+    others = sorted(folder.glob(f"{_stem(unit, target)}{'[0-9a-f]' * OF_COMPILER}.so"))
+    yield from (file for file in others if file != own)
+
+
+def _say_damaged(file: Path, error: Exception) -> None:
+    library_cache.say_once(f"arm_emulator: cached library {file} is not used: {error}")
+
+
+def _library_name(unit: Unit, target: str) -> str:
+    compiler = hashlib.sha256(identity(find_compiler()).encode()).hexdigest()
+    return f"{_stem(unit, target)}{compiler[:OF_COMPILER]}.so"
+
+
+def _stem(unit: Unit, target: str) -> str:
+    # A name that every file system takes, also with what stands beside a library.
+    name = "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in unit.name)[:60]
+    return f"{name}-{_digest(unit, target)[: 20 - OF_COMPILER]}"
+
+
+def _digest(unit: Unit, target: str) -> str:
+    digest = hashlib.sha256(library_cache.SEAL)
+    for folder in unit.folders:
+        digest.update(_digest_of(folder))
+    processor = _processor() if target == "native" else ""
+    sources = (unit.source, unit.beside) if unit.beside else (unit.source,)
+    for part in (*sources, " ".join(unit.flags), target, processor):
+        digest.update(part.encode())
+        digest.update(b"\0")
+    return digest.hexdigest()
+
+
+_SOURCES = (".c", ".h", ".cpp", ".hpp")
+
+
+@cache
+def _digest_of(folder: Path) -> bytes:
+    digest = hashlib.sha256()
+    for file in sorted(file for file in folder.rglob("*") if file.suffix in _SOURCES):
+        digest.update(file.relative_to(folder).as_posix().encode())
+        digest.update(file.read_bytes())
+    return digest.digest()
+
+
+@cache
+def _processor() -> str:
+    """Return what decides whether code compiled for one machine runs on another."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith(("flags", "Features")):
+                return f"{platform.machine()} {line}"
+    return f"{platform.machine()} {platform.processor()}"
+
+
+def _runs_here(target: str) -> bool:
+    """Whether this processor has what the x86-64 level `target` names."""
+    needed = {
+        "x86-64": {"sse2"},
+        "x86-64-v2": {"sse4_2", "popcnt", "ssse3"},
+        "x86-64-v3": {"avx2", "fma", "bmi2"},
+        "x86-64-v4": {"avx512f", "avx512dq", "avx512vl", "avx512bw"},
+    }[target]
+    return platform.machine() in ("x86_64", "AMD64") and needed <= set(_processor().split())
+
+
+def declare(library: ctypes.CDLL, calls: Calls) -> ctypes.CDLL:
+    """Tell ctypes the signatures."""
+    for name, (result, arguments) in calls.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+def address(library: ctypes.CDLL, function: str) -> int | None:
+    """Return where a function of a library is."""
+    return ctypes.cast(getattr(library, function), ctypes.c_void_p).value

@@ -1,0 +1,168 @@
+"""`arm_emulator advise`: the cheapest scheme, events and step for a wanted error."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from arm_emulator.analysis.advice import Advice, Judge, Setting, advise, check_error
+from arm_emulator.analysis.judged_motions import FINE, Motion, judged_motions
+from arm_emulator.analysis.reference import reference
+from arm_emulator.analysis.true_motion import Method
+from arm_emulator.base.config_files import check_own, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.cli.commands import read_commands
+from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
+from arm_emulator.design.integrator_text import write_integrator
+from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
+
+Array = NDArray[np.float64]
+
+SECONDS = 1.0  # of motions, and of the demo after the arm has settled
+
+
+def advise_scene(scene_name: str, error: float, commands: Path | None, *, write: bool) -> int:
+    """Find, show and, if asked, write the cheapest setting.
+
+    Args:
+        scene_name: scene file or name.
+        error: largest error of a link that is wanted [rad or m].
+        commands: a bag or a table with the motion to judge by; None: the scene's demo and others.
+        write: whether to put the setting into the scene file.
+
+    Returns:
+        Exit code: 1 if no setting keeps the error.
+
+    Raises:
+        Refusal: a file that is not taken, or an error that cannot be asked for.
+    """
+    console = Console(highlight=False, soft_wrap=True)
+    file = find_scene(scene_name)
+    check_error(error)
+    if write:
+        check_own("advise", file)
+    scene = load_scene(file)
+    with console.status("leading the arm along motions"):
+        motions, what = _motions(scene, file, commands)
+    judge = Judge(scene, motions)
+    with console.status(f"trying schemes, events and steps on {what}"):
+        found = advise(judge, error)
+    console.print(f"scene {scene.name}, {what}; wanted: error <= {error:g} rad or m on the way")
+    if not found.settings:
+        console.print(f"no setting keeps it: {found.why_none}")
+        return 1
+    best = found.settings[0]
+    console.print(_table(found))
+    console.print(_statement(best, len(motions)))
+    console.print(_checked(judge, file, error))
+    events = f", events: {best.method.events}" if best.method.events != "step" else ""
+    threads = f"; threads: {best.method.threads}" if scene.threads != best.method.threads else ""
+    step = f"scheme: {best.method.scheme}, dt: {best.dt:.6g}{events}"
+    console.print(f"cheapest: integrator: {{{step}}}{threads}")
+    if write:
+        write_integrator(file, best.method, best.dt)
+        console.print(f"written into {file}")
+    return 0
+
+
+def _motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Motion], str]:
+    """Return the motions to judge by, and what they are."""
+    if commands is not None:
+        rows = read_commands(commands, scene)
+        return [Motion(commands.name, rows)], f"{_seconds(scene, rows):g} s of {commands.name}"
+    try:
+        motions = judged_motions(scene, SECONDS)
+    except Diverged as fault:
+        rule = "move on its own to be judged: give a motion with --motion"
+        raise Refusal("advise", scene.where, rule, str(fault).splitlines()[0]) from None
+    what = f"{len(motions)} motions of {SECONDS:g} s"
+    demo = demo_commands(scene, file)
+    if demo is None:
+        return motions, f"{what} (it has no demo)"
+    return [*motions, Motion("demo", demo)], f"{what} and {_seconds(scene, demo):g} s of its demo"
+
+
+def _seconds(scene: Scene, rows: Array) -> float:
+    return len(rows) * scene.servo_period
+
+
+def demo_commands(scene: Scene, file: Path) -> Array | None:
+    """Return the commands (K, N) of the scene's own demo, a row per servo period.
+
+    Recorded in closed loop, once, on the finely integrated machine. Played back open loop, errors
+    are those of the integration, and not what the control made of them. None: there is no demo, or
+    it diverges.
+    """
+    fine = dataclasses.replace(
+        scene,
+        integrator=Method("rosenbrock", "located").integrator(scene, FINE),
+        threads=1,
+    )
+    rows: list[Array] = []
+    try:
+        gains = load_gains(file)
+        plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
+        run = OfflineRun(fine, gains.servo, gains.motion)
+    except Refusal:
+        return None
+    R_WT, p_WT = run.controller.kinematics.forward(scene.start)
+    settle = plan.settle_ns / NANOSECONDS
+    run.instructor.add(plan.settle_ns, Pose(p_WT + plan.displacement, R_WT))
+    try:
+        for _ in range(round((settle + SECONDS) / scene.servo_period)):
+            run.advance(1)
+            rows.append(run.session.voltage)
+    except Diverged:
+        return None
+    return np.array(rows)
+
+
+def _statement(best: Setting, motions: int) -> str:
+    """Return what the errors of the table are worth."""
+    if math.isinf(best.others):
+        return "errors: a bound for what was judged; of other motions nothing is known"
+    return (
+        f"errors: a bound for the {motions} motions judged; for others of their kinds an estimate, "
+        f"with a reserve of {best.others / best.error:.1f}"
+    )
+
+
+def _checked(judge: Judge, file: Path, error: float) -> str:
+    """Return how far the truth of the last motion is from an independent solution, if any."""
+    scene, motion, truth = judge.scene, judge.motions[-1], judge.truth(len(judge.motions) - 1)
+    payload: Any = read_yaml(file).get("payload")
+    # Per step of the reference, of which there are some thousand: far below the error it judges.
+    rtol = max(1e-4 * error, 1e-11)
+    try:
+        q = reference(scene, motion.commands, scene.servo_period, rtol, payload=payload)
+    except Refusal as reason:
+        return f"no independent solution: {reason}"
+    off = float(np.abs(q - truth.q).max())
+    return f"SciPy at {rtol:.0e} on Pinocchio's dynamics: {off:.1e} from the truth of {motion.name}"
+
+
+def _table(found: Advice) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    table.add_column("setting", no_wrap=True)
+    for name in ("dt [s]", "error, judged", "others", "us per second"):
+        table.add_column(name, justify="right", no_wrap=True)
+    labels = ["cheapest", *[""] * (len(found.settings) - 1), "now"]
+    for label, one in zip(labels, [*found.settings, found.now], strict=True):
+        assert one is not None, "timed along with the others"
+        errors = (f"{x:.2e}" if math.isfinite(x) else "-" for x in (one.error, one.others))
+        cost = f"{one.cost * 1e6:.0f}" if math.isfinite(one.cost) else "diverges"
+        table.add_row(label, str(one.method), f"{one.dt:.6g}", *errors, cost)
+    return table

@@ -1,0 +1,53 @@
+"""`arm_emulator cache`: list the compiled scenes that are kept, or remove them."""
+
+from __future__ import annotations
+
+import time
+
+from arm_emulator.build.library_cache import (
+    SIZE_VARIABLE,
+    entries,
+    largest_size,
+    left_over,
+    named_folders,
+    remove,
+    why_not_trusted,
+)
+from arm_emulator.build.trusted import Untrusted, check_folder
+
+
+def list_cache() -> int:
+    """Print each folder, whether it is trusted, and its libraries, the last used first."""
+    for folder in named_folders():
+        reason = why_not_trusted(folder)
+        found = entries(folder)
+        size = sum(entry.size for entry in found)
+        state = f"not trusted, nothing of it is loaded: {reason}" if reason else "trusted"
+        print(f"{folder}: {state if folder.is_dir() else 'not there'}")
+        for entry in reversed(found):
+            used = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry.used))
+            print(f"  {used}  {entry.size / 1e6:8.3f} MB  {entry.scene:20s}  {entry.file.name}")
+        if found:
+            print(f"  {len(found)} libraries, {size / 1e6:.3f} of {largest_size() / 1e6:g} MB "
+                  f"({SIZE_VARIABLE})")  # fmt: skip
+    return 0
+
+
+def clear_cache() -> int:
+    """Remove what is kept; 1 if something stays."""
+    stays = 0
+    for folder in named_folders():
+        try:
+            place = check_folder(folder)
+        except OSError:
+            continue  # it is not there
+        except Untrusted as reason:
+            print(f"{folder}: left alone: {reason}")
+            continue
+        libraries = {entry.file for entry in entries(place)} | left_over(place)
+        stay = [library for library in sorted(libraries) if not remove(library)]
+        print(f"{folder}: {len(libraries) - len(stay)} libraries removed")
+        for library in stay:
+            print(f"  {library.name} stays: it is being compiled, or cannot be removed")
+        stays += len(stay)
+    return 1 if stays else 0

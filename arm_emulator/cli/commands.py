@@ -1,0 +1,69 @@
+"""Commands of a motion that was recorded, or that a table gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import Scene
+from arm_emulator.runs.target_table import load_target_table
+
+Array = NDArray[np.float64]
+
+
+def read_commands(path: Path, scene: Scene) -> Array:
+    """Return commands (K, N) in the scene's order of joints, a row per servo period from tick 0.
+
+    Args:
+        path: a bag's folder, whose `motor_states` are read, or a table with `t` and the joints'
+            names, whose rows hold until the next one, in the units of the joints' commands.
+        scene: the machine that they are meant for.
+
+    Raises:
+        Refusal: no such file, other joints, another servo period, or ticks that are missing.
+    """
+    return _from_bag(path, scene) if path.is_dir() else _from_table(path, scene)
+
+
+def _from_table(path: Path, scene: Scene) -> Array:
+    table = load_target_table(path, scene.joint_names)
+    ticks = table.ticks(scene.servo_period)
+    last = ticks[-1] + (ticks[-1] - ticks[-2] if len(ticks) > 1 else 1)
+    rows = np.zeros((last, len(scene.joints)))
+    for begin, end, row in zip(ticks, [*ticks[1:], last], table.q, strict=True):
+        rows[begin:end] = row
+    return rows
+
+
+def _from_bag(path: Path, scene: Scene) -> Array:
+    """Return what motor states report as applied in the servo period before each of them."""
+    from arm_emulator.cli.check import read_topics  # that need ROS, which not everybody here has
+    from arm_emulator.ros.bag import Bag
+
+    rows, tick, gap = list[list[float]](), -1, ""  # of the newest run
+    for _, state in read_topics(Bag(path), ("motor_states",)):
+        if state.tick == tick:
+            continue  # published once more, while nobody answered
+        if state.tick == 0:
+            rows, gap = [], ""
+        elif state.tick != tick + 1:
+            gap = gap or f"{state.tick} after {tick}"
+        names = list(state.joint_names)
+        if sorted(names) != sorted(scene.joint_names):
+            valid = ", ".join(scene.joint_names)
+            raise Refusal(str(path), "joints", f"be those of {scene.where}", names, valid)
+        tick = int(state.tick)
+        at = state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
+        if abs(at - tick * scene.servo_period) > 0.5 * scene.servo_period:
+            rule = f"come after each {scene.servo_period:g} s, as the scene's"
+            raise Refusal(str(path), "motor_states", rule, f"tick {tick} at {at:g} s")
+        rows.append([float(state.voltage[names.index(joint)]) for joint in scene.joint_names])
+    if gap:
+        rule = "have every tick of the last run, from 0 on"
+        raise Refusal(str(path), "motor_states", rule, gap)
+    if len(rows) < 2:
+        raise Refusal(str(path), "bag", "have motor_states of two ticks at least", len(rows))
+    return np.array(rows[1:])

@@ -1,0 +1,148 @@
+"""`arm_emulator tune`: gains computed for a scene, beside those that it has, and what they do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from arm_emulator.base.config_files import check_own, find_beside, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.design.gain_text import write_gains
+from arm_emulator.design.tuned import Range, Tuned, compute, examine, link_inertias, predicted_swing
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.gains import check_joints
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+
+
+def tune(scene_name: str, out: Path | None, payload: float | None, *, write: bool) -> int:
+    """Compute gains, show and draw what they and the present ones do, and write them if asked.
+
+    Args:
+        scene_name: scene file or name; its servo's parameters lie beside it.
+        out: folder for a picture; None: none.
+        payload: mass at the tool in place of the scene's [kg].
+        write: whether to put the computed gains into the servo's file.
+
+    Raises:
+        Refusal: a file that is missing or not taken, a joint without a motor, or one that no gains
+            hold.
+    """
+    console = Console(highlight=False, soft_wrap=True)
+    file = find_scene(scene_name)
+    servo_file = find_beside(file, "servo")
+    if write:
+        check_own("tune", servo_file)
+    has = read_yaml(file).get("payload") is not None
+    loaded = {} if payload is None else {"payload.mass": payload}
+    scene = load_scene(file, loaded)
+    without = load_scene(file, {"payload": None}) if has or payload is not None else None
+    servo = load_servo_config(servo_file)
+    _check(scene, servo)
+    inertias = link_inertias([scene] if without is None else [scene, without])
+    with console.status("computing gains"):
+        computed = compute(scene, servo, inertias)
+        pair = {
+            "present": examine(scene, without, servo),
+            "computed": examine(scene, without, computed),
+        }
+    _print(console, scene, inertias, pair)
+    if out is not None:
+        from arm_emulator.design.tune_picture import draw  # matplotlib takes its time
+
+        out.mkdir(parents=True, exist_ok=True)
+        picture = out / f"tune_{scene.name}.png"
+        draw(scene, pair, picture)
+        console.print(f"drawn: {picture}")
+    if write:
+        write_gains(servo_file, computed)
+        console.print(f"written: {servo_file}")
+    return 0
+
+
+def _check(scene: Scene, servo: ServoConfig) -> None:
+    check_joints(scene, servo)
+    for joint in scene.joints:
+        if joint.motor is None:
+            raise Refusal(scene.where, f"joints.{joint.name}", "have a motor to be tuned", "none")
+
+
+def _print(
+    console: Console, scene: Scene, inertias: list[Range], pair: Mapping[str, Tuned]
+) -> None:
+    table = _table("gains", "inertia, kg m2", "position, 1/s", "velocity, N m s/rad",
+                   "integral, s", "observer, rad/s")  # fmt: skip
+    for j, name in enumerate(scene.joint_names):
+        for label, tuned in pair.items():
+            one = tuned.loops.joints[j]
+            table.add_row(
+                *_first(name, label),
+                f"{inertias[j][0]:.3g} .. {inertias[j][1]:.3g}" if label == "present" else "",
+                f"{one.position_gain:.3g}",
+                f"{one.velocity_gain:.3g}",
+                f"{one.integral_time:.3g}",
+                f"{one.observer_bandwidth:.3g}",
+            )
+    console.print(table)
+    table = _table("margins, worst pose", "gain", "phase, deg", "delay, periods", "sensitivity",
+                   "without payload: gain", "phase, deg")  # fmt: skip
+    for j, name in enumerate(scene.joint_names):
+        for label, tuned in pair.items():
+            m = tuned.margins[j]
+            bare = "-", "-"
+            if tuned.bare is not None:
+                b = tuned.bare[j]
+                bare = f"{b.gain_up:.2f}", f"{math.degrees(b.phase):.0f}"
+            table.add_row(
+                *_first(name, label),
+                f"{m.gain_up:.2f}",
+                f"{math.degrees(m.phase):.0f}",
+                f"{m.delay:.1f}",
+                f"{m.sensitivity:.2f}",
+                *bare,
+            )
+    console.print(table)
+    table = _table("step, worst pose; move", "rise, ms", "overshoot", "settled, ms",
+                   "off on the way, mrad (mm)")  # fmt: skip
+    for j, name in enumerate(scene.joint_names):
+        for label, tuned in pair.items():
+            step = tuned.steps[j]
+            table.add_row(
+                *_first(name, label),
+                f"{1e3 * step.rise:.0f}",
+                f"{100.0 * step.overshoot:.0f} %",
+                f"{1e3 * step.settling:.0f}",
+                f"{1e3 * tuned.run.worst[j]:.3f}",
+            )
+    console.print(table)
+    table = _table("at rest", "a count, mrad (mm)", "swing predicted, counts",
+                   "of the machine, counts")  # fmt: skip
+    for label, tuned in pair.items():
+        swings = predicted_swing(scene, tuned.servo, inertias)
+        for j, name in enumerate(scene.joint_names):
+            count = tuned.loops.joints[j].count_angle
+            table.add_row(
+                name,
+                label,
+                f"{1e3 * count:.3g}",
+                f"{swings[j] / count:.2f}",
+                f"{tuned.run.swing[j] / count:.2f}",
+            )
+    console.print(table)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, title=title, title_justify="left")
+    table.add_column("joint")
+    table.add_column("gains")
+    for name in columns:
+        table.add_column(name, justify="right")
+    return table
+
+
+def _first(name: str, label: str) -> tuple[str, str]:
+    return (name if label == "present" else ""), label

@@ -1,0 +1,58 @@
+// When the brakes of a machine close and open: each some steps after it is wanted to. What was
+// wanted and is no more before that time has no effect.
+#pragma once
+
+#include <cstdint>
+
+#include "mechanics/numbers.hpp"
+
+namespace arm {
+
+template <class S>
+class Brakes {
+ public:
+  static constexpr int B = S::brakes;
+  static constexpr std::int64_t never = INT64_MAX;
+
+  Brakes() { put(false); }
+
+  // Whether brake k is wanted closed.
+  bool wants(int k) const { return wanted[k] != 0; }
+  // Want brake k to be closed, or open, `delay` steps after step `now`.
+  void want(int k, bool closed, bool is_closed, std::int64_t now, std::int64_t delay) {
+    wanted[k] = closed;
+    at[k] = closed == is_closed ? never : now + delay;
+  }
+  // Have them all as they are wanted.
+  void put(bool closed) {
+    for (int k = 0; k < B; ++k) wanted[k] = closed, at[k] = never;
+  }
+
+  // The step at which the next one changes.
+  std::int64_t next() const {
+    std::int64_t first = never;
+    for (int k = 0; k < B; ++k) first = at[k] < first ? at[k] : first;
+    return first;
+  }
+  // change(k, closed) for those that are due at step `now`.
+  template <class Change>
+  void at_step(std::int64_t now, Change&& change) {
+    for (int k = 0; k < B; ++k) {
+      if (at[k] > now) continue;
+      at[k] = never;
+      change(k, wanted[k] != 0);
+    }
+  }
+
+  // number(x) for everything that is remembered, in a fixed order.
+  template <class Number>
+  void for_each_number(Number&& number) {
+    for (int k = 0; k < B; ++k) number(wanted[k]), number(at[k]);
+  }
+
+ private:
+  std::int64_t wanted[B + 1] = {};
+  std::int64_t at[B + 1];
+};
+
+}  // namespace arm

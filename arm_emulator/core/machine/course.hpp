@@ -1,0 +1,97 @@
+// What one machine, or several side by side, are to do: rows of commands, each held for some steps.
+#pragma once
+
+#include <cstdint>
+
+#include "mechanics/command_bounds.hpp"
+#include "mechanics/energy.hpp"
+
+namespace arm {
+
+template <class S, class X, int row>
+class Course {
+ public:
+  static constexpr int N = S::N, width = kWidth<X>;
+
+  // For each lane the first row of its commands, and where its positions after that row go, if not
+  // null. `stride`: numbers from one row to the next, of both.
+  Course(const double* const (&voltage)[width], double* const (&positions)[width],
+         std::int64_t stride, std::int64_t steps_per_row, std::int64_t left_of_this = 0)
+      : steps(steps_per_row), step_over(stride), left(left_of_this) {
+    for (int lane = 0; lane < width; ++lane)
+      command[lane] = voltage[lane], q[lane] = positions[lane];
+  }
+
+  // What is left to do for one lane.
+  template <int single>
+  Course<S, double, single> of_lane(int lane) const {
+    return {{command[lane]}, {q[lane]}, step_over, steps, left};
+  }
+
+  // Begin the next row: `u` becomes its commands within their bounds. Returns where they differ
+  // from those before.
+  ARM_INLINE Mask<X> begin_row(const Numbers<S, X>& numbers, const State<S, X>& x, X (&u)[row]) {
+    Mask<X> differ = {};
+    X wanted[N];
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      for (int lane = 0; lane < width; ++lane) set_lane(wanted[j], lane, command[lane][j]);
+    });
+    bound_commands(numbers, x, wanted);
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      differ |= wanted[j] != u[j];
+      u[j] = wanted[j];
+    });
+    for (const double*& next : command) {
+      next += step_over;
+      if (width > 1) __builtin_prefetch(next + kAhead * step_over);
+    }
+    left = steps;
+    return differ;
+  }
+  ARM_INLINE void end_row(const State<S, X>& x) {
+    for (int lane = 0; lane < width; ++lane) {
+      if (!q[lane]) continue;
+      for_each<N>([&](auto j)
+                      __attribute__((always_inline)) { q[lane][j] = lane_of(x.q[j], lane); });
+      q[lane] += step_over;
+      if (width > 1) __builtin_prefetch(q[lane] + kAhead * step_over, 1);
+    }
+  }
+
+  // Take `count` steps. `power` is what the motors can be given at most under u, of which `most`
+  // is the sum.
+  template <class Threads>
+  ARM_INLINE void march(const Numbers<S, X>& numbers, Threads& threads, double h, int count,
+                        State<S, X>& y, X (&u)[row], X& power, X& most) {
+    X given = h * power;
+    for (int s = 0; s < count; ++s) {
+      if (left == 0) {
+        const Mask<X> differ = begin_row(numbers, y, u);
+        if (any(differ)) {
+          power = select(differ, EnergyBalance<S>::largest_power(numbers, y, u), power);
+          given = h * power;
+        }
+      }
+      threads.step(y, u);
+      if constexpr (any_drive<S>([](const auto& drive) { return drive.given_by_speed; })) {
+        const X now = EnergyBalance<S>::largest_power(numbers, y, u);
+        given = h * select(power < now, now, power);
+        power = now;
+      }
+      most += given;
+      if (--left == 0) end_row(y);
+    }
+  }
+
+  std::int64_t steps;  // of a row
+
+ private:
+  // Rows of many machines lie far apart: those to come are fetched so many ahead.
+  static constexpr int kAhead = 8;
+  const double* command[width];  // of the next row
+  double* q[width];              // for the positions after this row
+  std::int64_t step_over;
+  std::int64_t left;  // steps of this row
+};
+
+}  // namespace arm

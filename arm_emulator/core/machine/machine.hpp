@@ -1,0 +1,451 @@
+// The machine: motors, gears and links of one scene, and their way through time.
+#pragma once
+
+#include <cstdint>
+#include <type_traits>
+
+#include "machine/brakes.hpp"
+#include "machine/course.hpp"
+#include "mechanics/energy.hpp"
+#include "mechanics/energy_flow.hpp"
+#include "mechanics/external_work.hpp"
+#include "numerics/finite.hpp"
+#include "schemes/linearly_implicit.hpp"
+#include "schemes/located.hpp"
+#include "schemes/paper_scheme.hpp"
+
+namespace arm {
+
+template <class S>
+class Machine {
+ public:
+  static constexpr int N = S::N;
+
+  static constexpr bool locates = S::events == Events::located && Modes<S>::present;
+  using Method = typename MethodOf<S, S::scheme, double>::type;
+  using Stepper = std::conditional_t<locates, Located<S>, Method>;
+
+  using Threads = typename S::template Threads<Stepper>;
+
+  // `core`: of the second thread, if there is one; -1: any.
+  // `parameters`: values of the varied numbers.
+  Machine(double dt, int core, const double* parameters)
+      : h(dt), numbers(parameters), threads(dt, core, numbers) {
+    for (int k = 0; k < S::brakes; ++k)
+      for (int way = 0; way < 2; ++way)
+        delay[k][way] = static_cast<std::int64_t>(S::brake_delays[k][way] / dt + 0.5);
+  }
+
+  // Schedule all threads as the calling one; false if the system does not permit it.
+  bool join_schedule() { return threads.join_schedule(); }
+
+  // All that decides how a machine goes on from one instant.
+  struct Instant {
+    State<S> x;
+    typename Threads::Memory past;
+    EnergyBalance<S> balance;
+    ExternalWork<S> work;
+    double u[Stepper::row];  // the commands of the step before, within the supply
+    double power;            // W, that the motors are given at most
+    std::int64_t steps_taken;
+
+    // number(x) for all that it is, in a fixed order.
+    template <class Number>
+    void for_each_number(Number&& number) {
+      arm::for_each_number(x, number);
+      past.for_each_number(number);
+      balance.for_each_number(number);
+      work.for_each_number(number);
+      for (int j = 0; j < N; ++j) number(u[j]);
+      number(power);
+      number(steps_taken);
+    }
+  };
+  // And where it goes back to when the energy says that it has been none.
+  struct Whole {
+    Instant now, checked;
+    std::int64_t fault;
+    Brakes<S> brakes;
+
+    template <class Number>
+    void for_each_number(Number&& number) {
+      now.for_each_number(number);
+      checked.for_each_number(number);
+      number(fault);
+      brakes.for_each_number(number);
+    }
+  };
+
+  Instant instant() const {
+    Instant instant = {x, threads.memory(), balance, work, {}, power, steps_taken};
+    for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied[j];
+    return instant;
+  }
+  Whole whole() const { return {instant(), checked, fault, brakes}; }
+  ARM_ONCE void restore(const Whole& whole) {
+    go_back(whole.now);
+    checked = whole.checked;
+    fault = static_cast<int>(whole.fault);
+    brakes = whole.brakes;
+  }
+
+  // Set a varied number, between two steps. The motion goes on from where it is.
+  ARM_ONCE void set_parameter(int k, double value) {
+    change([&] {
+      numbers.set(k, value);
+      ++edition;
+      threads.renew();
+    });
+    balance.reset(numbers, x);
+    power = EnergyBalance<S>::largest_power(numbers, x, applied);
+    checked = instant();
+  }
+  // Set what acts on link i from outside, between two steps.
+  ARM_ONCE void set_external_wrench(int i, const ExternalWrench<double>& wrench) {
+    account_for_work();
+    change([&] { numbers.set_external_wrench(i, wrench); });
+  }
+
+  // Want brake k closed, or open. It follows after its delay, in whole steps.
+  void want_brake(int k, bool closed) {
+    if (brakes.wants(k) == closed) return;
+    brakes.want(k, closed, brake_closed(k), steps_taken, delay[k][closed ? 0 : 1]);
+    follow_brakes();
+  }
+  bool brake_closed(int k) const { return numbers.value(S::parameters + k) != 0.0; }
+  // Have all brakes closed, or open, without delay.
+  void put_brakes(bool closed) {
+    brakes.put(closed);
+    for (int k = 0; k < S::brakes; ++k) set_brake(k, closed);
+  }
+  // Let those brakes change whose time has come.
+  void follow_brakes() {
+    if (fault < 0)
+      brakes.at_step(steps_taken, [this](int k, bool closed) { set_brake(k, closed); });
+  }
+  // Steps until the next brake changes.
+  std::int64_t steps_to_brakes() const {
+    return fault < 0 ? brakes.next() - steps_taken : Brakes<S>::never;
+  }
+
+  double parameter(int k) const { return numbers.value(k); }
+  const Numbers<S>& numbers_now() const { return numbers; }
+  // It changes whenever the numbers do.
+  std::int64_t numbers_edition() const { return edition; }
+
+  // Put the machine at a state without a past. Time goes on, or begins anew at 0.
+  ARM_ONCE void put(const State<S>& at, bool anew) {
+    x = at;
+    threads.reset(x);
+    balance.reset(numbers, x);
+    work.reset(x);
+    fault = -1;
+    for (double& u : applied) u = 0.0;
+    power = EnergyBalance<S>::largest_power(numbers, x, applied);
+    if (anew) steps_taken = 0;
+    checked = instant();
+  }
+
+  // Put the links at (q, v) at time 0, the motors along with them: no current, gears unloaded.
+  void reset(const double* q, const double* v) {
+    State<S> at = {};
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      const auto behind = drive.at_rest_behind(q[j], v[j]);
+      for (int k = 0; k < drive.states; ++k) at.z[k][j] = behind.z[k];
+      at.q[j] = q[j];
+      at.v[j] = v[j];
+    });
+    put(at, true);
+  }
+
+  // Take `steps` steps with the voltages held, clamped to the supply. Returns -1, or the joint that
+  // went out of bounds: then the state is the last one within, until reset.
+  int advance(const double* voltage, std::int64_t steps) {
+    double q[N];
+    return follow(voltage, 1, steps, q);
+  }
+
+  // The same for `rows` rows of voltages. The links' positions after each row go to `q`.
+  int follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
+    Course course({voltage}, {q}, N, steps);
+    if (steps == 0 && fault < 0)
+      for (std::int64_t row = 0; row < rows; ++row) course.end_row(x);
+    return follow(course, rows * steps);
+  }
+
+  // The same for the next `count` steps of a course.
+  using Course = arm::Course<S, double, Stepper::row>;
+  int follow(Course& course, std::int64_t count) {
+    if (fault >= 0) return fault;
+    threads.begin(count, x);
+    while (count > 0) {
+      const int due = steps_to_check(steps_taken);
+      int chunk = count < due ? static_cast<int>(count) : due;
+      [[maybe_unused]] const std::int64_t to_brakes = steps_to_brakes();
+      if constexpr (S::brakes > 0)
+        if (to_brakes < chunk) chunk = static_cast<int>(to_brakes);
+      if (run(course, chunk) >= 0) return fault = creep_to_the_fault(course, chunk);
+      count -= chunk;
+      if (chunk == due) {
+        account_for_work();
+        if (balance.due_after(kCheckEvery)) fault = balance.broken_by(numbers, x, h);
+        if (fault >= 0) {
+          go_back(checked);
+          return fault;
+        }
+        checked = instant();
+      }
+      if constexpr (S::brakes > 0) {
+        if (to_brakes > chunk) continue;
+        threads.end();
+        follow_brakes();
+        threads.begin(count, x);
+      }
+    }
+    threads.end();
+    return -1;
+  }
+
+  // The same as `advance`. What the joints are given and dissipate [J] is added to `flow`.
+  int advance_metered(const double* voltage, std::int64_t steps, EnergyFlow<S>& flow) {
+    EnergyMeter<S> meter(numbers);
+    double u[Stepper::row] = {};
+    for (int j = 0; j < N; ++j) u[j] = voltage[j];
+    bound(u);
+    if constexpr (locates) threads.watch(&meter);
+    int joint = fault;
+    for (; joint < 0 && steps > 0; --steps) {
+      const State<S> before = x;
+      joint = advance(voltage, 1);
+      if constexpr (!locates)
+        if (joint < 0) meter.part(before, x, u, modes_at(before, u), h);
+    }
+    if constexpr (locates) threads.watch(static_cast<EnergyMeter<S>*>(nullptr));
+    flow.add(meter.total, 1.0);
+    return joint;
+  }
+
+  // Give the motors the second numbers of their commands, and tell their second currents.
+  static constexpr bool has_second =
+      any_drive<S>([](const auto& drive) { return drive.has_second; });
+  void put_second(const double* value) {
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      auto at = input_of(drive, j, x, 0.0);
+      drive.put_second(at, value[j], S::supply_voltage);
+      put_states(drive, j, 0, at, x);
+    });
+    power = EnergyBalance<S>::largest_power(numbers, x, applied);
+  }
+  void second_currents(double* current) const {
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      current[j] = drive.second_current(input_of(drive, j, x, 0.0));
+    });
+  }
+
+  // The temperatures of the windings [degC], NaN where none is known, and which are too hot.
+  static constexpr bool heats = any_drive<S>([](const auto& drive) { return drive.heats; });
+  void winding_temperatures(double* temperature) const {
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      temperature[j] = drive.winding_temperature(input_of(drive, j, x, 0.0));
+    });
+  }
+  void too_hot(bool* hot) const {
+    numbers.for_each_drive(
+        [&](const auto& drive, int j) { hot[j] = drive.too_hot(input_of(drive, j, x, 0.0)); });
+  }
+
+  // Put commands within the bounds of their motors.
+  void bound(double* u) const { bound_commands(numbers, x, u); }
+
+  // What the joints are given and dissipate now, under these voltages [W].
+  EnergyFlow<S> powers(const double* voltage) const {
+    double u[N];
+    for (int j = 0; j < N; ++j) u[j] = voltage[j];
+    bound(u);
+    State<S> at = x;
+    Modes<S>::follow(numbers, at, u);
+    return powers_of(numbers, at, u, modes_at(at, u));
+  }
+
+  // Whether the state of joint j is finite, and one step turns it by so little that the result has
+  // a meaning.
+  template <class Drive, class X>
+  static Mask<X> within_bounds(const Drive& drive, int j, const State<S, X>& s, double h) {
+    const auto at = input_of(drive, j, s, X{});
+    const X turns[] = {h * at.v, h * drive.gear.Ng * drive.motor_speed(at)};
+    Mask<X> sound = is_finite(at.q);
+    sound &= is_finite(at.v);
+    for (int k = 0; k < drive.states; ++k) sound &= is_finite(at.z[k]);
+    for (const X& turn : turns) sound &= (turn <= kLargestTurn) & (turn >= -kLargestTurn);
+    return sound;
+  }
+  // Checks are due after so many steps since the reset, whoever took them.
+  static constexpr int kCheckEvery = 16;
+  static bool is_check(std::int64_t steps) { return steps % kCheckEvery == 0; }
+  static int steps_to_check(std::int64_t steps) {
+    return kCheckEvery - static_cast<int>(steps % kCheckEvery);
+  }
+
+  std::int64_t steps() const { return steps_taken; }
+  double time() const { return static_cast<double>(steps_taken) * h; }
+  int faulty_joint() const { return fault; }
+  const State<S>& state() const { return x; }
+
+  // Current [A], angle [rad] and speed [rad/s] of each motor.
+  void report(double* current, double* angle, double* speed) const {
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      const auto at = input_of(drive, j, x, 0.0);
+      current[j] = drive.current(at);
+      angle[j] = drive.motor_angle(at);
+      speed[j] = drive.motor_speed(at);
+    });
+  }
+
+  // Accelerations of the joints under what acts on them now [rad/s2].
+  void accelerations(double (&a)[N]) const {
+    typename Links<S>::Dynamics links;
+    Links<S>::dynamics_apart(numbers, x.q, x.v, links);
+    Coulomb<S, double> coulomb(numbers);
+    const double none[N] = {};
+    Modes<S>(numbers, x, none, links).accelerations(x, none, links, a, coulomb);
+  }
+
+  // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when
+  // the motor has accelerated its rotor.
+  void gear_torques(double* T) const {
+    double a[N] = {};
+    if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; }))
+      accelerations(a);
+    numbers.for_each_drive([&](const auto& drive, int j) {
+      T[j] = drive.gear_torque(input_of(drive, j, x, 0.0), a[j]);
+    });
+  }
+
+  // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
+  double energy() const { return energy_of<S>(numbers, x).total(); }
+
+ private:
+  void set_brake(int k, bool closed) {
+    if (brake_closed(k) != closed) set_parameter(S::parameters + k, closed ? 1.0 : 0.0);
+  }
+
+  // What the external wrenches have done comes to the energy that there may be.
+  void account_for_work() {
+    if constexpr (S::external_wrench) balance.allow(balance.most() + work.since(numbers, x));
+  }
+
+  // Change the numbers. Torques that the scheme has kept from the step before become those that the
+  // links would have taken with the new numbers: the jump is no motion of the links.
+  void change(auto&& set) {
+    typename Threads::Memory past = threads.memory();
+    if constexpr (S::scheme == Scheme::extrapolated) {
+      auto& kept = scheme_of(past);
+      double before[N], after[N];
+      torques_for(kept.a, before);
+      set();
+      torques_for(kept.a, after);
+      for (int j = 0; j < N; ++j) kept.torque[j] += after[j] - before[j];
+    } else {
+      set();
+    }
+    threads.restore(past);
+  }
+  static auto& scheme_of(typename Threads::Memory& past) {
+    if constexpr (requires { past.stepper; })
+      return past.stepper;
+    else
+      return past;
+  }
+  // What links and rotors take here for the accelerations `a`.
+  void torques_for(const double* a, double (&torque)[N]) const {
+    typename Links<S>::Kinematics kinematics;
+    Links<S>::kinematics(x.q, kinematics);
+    Links<S>::inverse_dynamics(numbers, kinematics, x.v, a, torque);
+    for (int j = 0; j < N; ++j) torque[j] += numbers.carried(j) * a[j];
+  }
+
+  Modes<S> modes_at(State<S> x, const double* u) const {
+    typename Links<S>::Dynamics links;
+    Links<S>::dynamics_apart(numbers, x.q, x.v, links);
+    Modes<S>::follow(numbers, x, u);
+    return Modes<S>(numbers, x, u, links);
+  }
+
+  static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
+
+  // Take `count` steps. Returns -1, or the joint that went out of bounds: then nothing has
+  // happened. Neither inlined nor cloned: every step, however it is asked for, runs the same
+  // instructions and gives the same bits.
+  ARM_APART int run(Course& course, int count) {
+    const typename Threads::Memory past = threads.memory();
+    Course there = course;
+    State<S> y = x;  // here, as what follows, where the compiler may keep it in registers
+    alignas(64) double u[Stepper::row];
+    for (int j = 0; j < Stepper::row; ++j) u[j] = applied[j];
+    double most = balance.most();
+    double given = is_check(steps_taken) ? EnergyBalance<S>::largest_power(numbers, y, u) : power;
+    there.march(numbers, threads, h, count, y, u, given, most);
+    const int joint = joint_out_of_bounds(y);
+    if (joint >= 0) {
+      threads.end();
+      threads.restore(past);
+      return joint;
+    }
+    course = there;
+    x = y;
+    for (int j = 0; j < Stepper::row; ++j) applied[j] = u[j];
+    power = given;
+    balance.allow(most);
+    steps_taken += count;
+    return -1;
+  }
+
+  ARM_ONCE void go_back(const Instant& to) {
+    threads.end();
+    threads.restore(to.past);
+    x = to.x;
+    balance = to.balance;
+    work = to.work;
+    for (int j = 0; j < Stepper::row; ++j) applied[j] = to.u[j];
+    power = to.power;
+    steps_taken = to.steps_taken;
+  }
+
+  // Repeat a chunk one step at a time, up to the last state within bounds.
+  ARM_ONCE int creep_to_the_fault(Course& course, int chunk) {
+    for (int s = 0; s < chunk; ++s) {
+      threads.begin(1, x);
+      const int joint = run(course, 1);
+      if (joint >= 0) return joint;
+      threads.end();
+    }
+    __builtin_unreachable();  // the same steps as before end at the same fault
+  }
+
+  // The first joint whose state is not finite, or that turns so far in one step that the result
+  // means nothing; -1 if there is none.
+  int joint_out_of_bounds(const State<S>& s) const {
+    int found = -1;
+    for_each_drive<S>([&](const auto& drive, int j) {
+      if (found < 0 && !within_bounds(drive, j, s, h)) found = j;
+    });
+    return found;
+  }
+
+  double h;
+  Numbers<S> numbers;
+  Threads threads;
+  State<S> x = {};
+  EnergyBalance<S> balance;
+  ExternalWork<S> work;
+  Brakes<S> brakes;
+  std::int64_t delay[S::brakes + 1][2] = {};  // of brakes, in steps: to close, to open
+  double applied[Stepper::row] = {};
+  double power = 0.0;
+  std::int64_t steps_taken = 0;
+  std::int64_t edition = 0;
+  int fault = -1;  // the joint that went out of bounds
+  Instant checked = {};
+};
+
+}  // namespace arm

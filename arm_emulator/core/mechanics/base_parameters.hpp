@@ -1,0 +1,44 @@
+// The links' inertia in base parameters (Khalil and Dombre, Modeling, Identification and Control of
+// Robots, ch. 9): what of a body is symmetric about its own joint axis moves to the parent, since
+// the joint's motion cannot tell on which of the two it is.
+//
+// For a revolute joint that is the mass, the first moment along z, and a tensor diag(a, a, 0); with
+// a = Iyy every link is left with m = 0, h_z = 0, Iyy = 0, and the compiler folds what they would
+// multiply. A prismatic joint does not turn its link: the whole tensor moves. What reaches the base
+// does not move at all; of it only the potential energy remains.
+#pragma once
+
+#include "mechanics/placement.hpp"
+
+namespace arm {
+
+template <int N>
+struct BaseParameters {
+  Body<double> body[N];
+  Body<double> fixed = {};  // with the base
+
+  constexpr explicit BaseParameters(const Link (&link)[N]) : body() {
+    for (int j = 0; j < N; ++j) body[j] = link[j].body;
+    for (int j = N - 1; j >= 0; --j) {
+      const bool turns = link[j].kind == JointKind::revolute;
+      Body<double>& own = body[j];
+      Body<double> moving = {};
+      if (turns) {
+        moving = {own.m, {0.0, 0.0, own.h.z}, {own.I.yy, own.I.yy, 0.0, 0.0, 0.0, 0.0}};
+        own = {0.0,
+               {own.h.x, own.h.y, 0.0},
+               {own.I.xx - own.I.yy, 0.0, own.I.zz, own.I.xy, own.I.xz, own.I.yz}};
+      } else {
+        moving.I = own.I;
+        own.I = {};
+      }
+      // What moves is the same in every turn about z, and the tensor alone sees no shift along it.
+      const double sin = turns ? 0.0 : link[j].sin_theta_0, cos = turns ? 1.0 : link[j].cos_theta_0;
+      const Placement<double> at = {sin, cos, link[j].cos_alpha, link[j].sin_alpha, link[j].p};
+      Body<double>& parent = j > 0 ? body[j - 1] : fixed;
+      parent = joined(parent, at, moving);
+    }
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,249 @@
+// Coulomb friction at the links, and the equations of motion solved with it.
+//
+// A sliding joint feels -Dc sign(v). A joint at rest is locked while the torque that holds it is at
+// most its breakaway torque Ds >= Dc; else it starts to slide that way. Both torques may be 0 for
+// an instant, as where friction goes with a load: then nothing holds the joint, and it slides the
+// way that it is pulled. A joint whose speed would change sign within a step comes to rest at the
+// step's end. So a joint at rest stays at rest exactly, without regularisation and at any step
+// size; where a joint stops or starts, the instant is known to one step only, and the scheme's
+// order there is 1 (2 where it is located, located.hpp).
+//
+// Joints at rest pull at each other: which of them break away together is decided by descent. With
+// W positive definite the accelerations x are where x W x / 2 - rhs x + sum of Dc |x| is least, if
+// a joint that has broken away is held by Dc from then on. Each round makes that less, first by the
+// joint that is the most overloaded; one that would go back on its way is locked where it turns. So
+// there are finitely many rounds, and what they end with holds for all joints at once.
+#pragma once
+
+#include "mechanics/numbers.hpp"
+#include "mechanics/state.hpp"
+#include "numerics/cholesky.hpp"
+
+namespace arm {
+
+template <class S, class X>
+class Coulomb {
+ public:
+  static constexpr int N = S::N;
+  using Matrix = Symmetric<N, X>;
+
+  static constexpr bool present = any_drive<S>([](const auto& drive) { return drive.is_dry(); });
+  // Whether the torque of sliding depends on anything: then it is that of the state last taken.
+  static constexpr bool varies =
+      any_drive<S>([](const auto& drive) { return drive.friction_varies; });
+
+  explicit Coulomb(const Numbers<S, X>& numbers) : n(numbers) {}
+
+  // Let friction be that at x, where modes(drive, j, lane) are those of the drives.
+  template <class ModesOf>
+  void take([[maybe_unused]] const State<S, X>& x, [[maybe_unused]] const X* u,
+            [[maybe_unused]] const ModesOf& modes) {
+    if constexpr (varies) {
+      for (int lane = 0; lane < kWidth<X>; ++lane)
+        n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+          const auto now = modes(drive, j, lane);
+          const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), now);
+          set_lane(of.Dc[j], lane, drive.sliding(at, now.held()));
+          set_lane(of.Ds[j], lane, drive.holding(at, now.held()));
+          set_lane(of.dry[j], lane, drive.is_dry());
+        });
+    }
+  }
+  // Torque by which friction at y differs from that taken, against the motion of joint j [N m].
+  template <class ModesOf>
+  void add_change(const State<S, X>& y, const X* u, const ModesOf& modes, X* change) const {
+    for (int lane = 0; lane < kWidth<X>; ++lane)
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        if (!drive.friction_varies || lane_of(X{} + select(locked[j], X{} + 1.0, X{}), lane) != 0.0)
+          return;
+        const auto now = modes(drive, j, lane);
+        const auto at = drive.with(input_in_lane(drive, j, y, u[j], lane), now);
+        const double more = drive.sliding(at, now.held()) - lane_of(of.Dc[j], lane);
+        set_lane(change[j], lane, lane_of(change[j], lane) - more * lane_of(direction[j], lane));
+      });
+  }
+
+  // Decide what each joint does in this step, for W x = rhs, and solve for x. The factors and the
+  // decisions serve `solve_again` for a second right-hand side of the same step.
+  ARM_INLINE void solve(Matrix& W, const X* v, X* x) {
+    if constexpr (!present) {
+      factors.factor(W);
+      factors.solve(x);
+    } else {
+      for (int j = 0; j < N; ++j) {
+        direction[j] = select(where(dry(j), v[j] > 0.0), X{} + 1.0,
+                              select(where(dry(j), v[j] < 0.0), X{} - 1.0, X{}));
+        locked[j] = where(dry(j), v[j] == 0.0);
+      }
+      Descent down;
+      for (int j = 0; j < N; ++j) down.rhs[j] = x[j];
+      do {
+        factor_unlocked(W);
+        for (int j = 0; j < N; ++j) x[j] = down.rhs[j] - Dc(j) * direction[j];
+        solve_again(x);
+      } while (lock_one(down, x) || free_one(W, down, x));
+    }
+  }
+
+  // What each joint does: whether it is locked, else the way it slides, which is 0 where no dry
+  // friction is.
+  struct Modes {
+    Mask<X> locked[N] = {};
+    X direction[N] = {};
+  };
+  Modes modes() const {
+    Modes modes;
+    for (int j = 0; j < N; ++j) modes.locked[j] = locked[j], modes.direction[j] = direction[j];
+    return modes;
+  }
+
+  // The same with the decisions made: each joint does that, whatever it takes.
+  void solve_in(const Modes& modes, const Matrix& W, X* x) {
+    X rhs[N];
+    for (int j = 0; j < N; ++j) {
+      locked[j] = modes.locked[j], direction[j] = modes.direction[j];
+      rhs[j] = x[j];
+    }
+    factor_unlocked(W);
+    for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction[j];
+    solve_again(x);
+    for (int j = 0; j < N; ++j) held[j] = torque_of_lock(j, W, rhs, x);
+  }
+
+  // What the lock of joint j could take beside what it takes, below 0 if it does not hold [N m].
+  ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(held[j]); }
+
+  ARM_INLINE void solve_again(X* x) const {
+    if constexpr (present)
+      for (int j = 0; j < N; ++j) x[j] = select(locked[j], X{}, x[j]);
+    factors.solve(x);
+  }
+
+  // Torque against the motion of joint j, or of the lock that holds it.
+  ARM_INLINE X force(int j) const {
+    if constexpr (present)
+      return select(locked[j], held[j], Dc(j) * direction[j]);
+    else
+      return X{};
+  }
+
+  // Joints whose speed has changed sign come to rest.
+  ARM_INLINE void stop_at_reversal(X* v) const {
+    if constexpr (present)
+      for (int j = 0; j < N; ++j)
+        v[j] = select(where(dry(j), v[j] * direction[j] <= 0.0), X{}, v[j]);
+  }
+
+ private:
+  // M with the rows and columns of the locked joints made those of the identity.
+  void factor_unlocked(const Matrix& W) {
+    Matrix free = {};
+    for (int j = 0; j < N; ++j)
+      for (int k = j; k < N; ++k)
+        free[j][k] = select(locked[j] | locked[k], X{} + (j == k ? 1.0 : 0.0), W[j][k]);
+    factors.factor(free);
+  }
+
+  ARM_INLINE static X torque_of_lock(int j, const Matrix& W, const X* rhs, const X* x) {
+    X torque = rhs[j];
+    for (int k = 0; k < N; ++k) torque -= (k >= j ? W[j][k] : W[k][j]) * x[k];
+    return torque;
+  }
+
+  // How far the search for what holds has come.
+  struct Descent {
+    X rhs[N];
+    Mask<X> broken[N] = {};  // away, in this step: they are held by Dc
+    X x[N] = {};             // their accelerations, none against its joint's direction
+    int rounds = 0;          // that have freed joints
+  };
+  static constexpr int kMostRounds = 4 * N;  // rounding might go on for ever
+
+  // Where joints that have broken away would go back: lock the first to come to rest on the way
+  // from where the descent was to there; false if none would. Lanes where none would are there.
+  bool lock_one(Descent& down, const X* x) {
+    if (down.rounds == 0) return false;
+    X part = X{} + 1.0, first = X{} - 1.0;
+    for (int j = 0; j < N; ++j) {
+      const auto back = where(down.broken[j], x[j] * direction[j] < 0.0);
+      const X along = select(back, down.x[j] / select(back, down.x[j] - x[j], X{} + 1.0), part);
+      const auto sooner = where(back, along < part);
+      first = select(sooner, X{} + j, first);
+      part = select(sooner, along, part);
+    }
+    for (int j = 0; j < N; ++j) {
+      const auto stops = first == static_cast<double>(j);
+      const X there = down.x[j] + part * (x[j] - down.x[j]);
+      down.x[j] = select(stops, X{}, select(down.broken[j], there, X{}));
+      direction[j] = select(stops, X{}, direction[j]);
+      locked[j] = locked[j] | as_bits(stops);
+    }
+    return any(first >= 0.0);
+  }
+
+  // Free the joint that is the most overloaded; false if every locked joint holds.
+  bool free_one(const Matrix& W, Descent& down, const X* x) {
+    X excess = {}, way = {}, worst = X{} - 1.0;
+    for (int j = 0; j < N; ++j) {
+      const X torque = held[j] = torque_of_lock(j, W, down.rhs, x);
+      const X most = select(down.broken[j], X{} + Dc(j), X{} + Ds(j));
+      const X over = select(locked[j], magnitude(torque) - most, X{});
+      const auto more = over > excess;
+      worst = select(more, X{} + j, worst);
+      excess = select(more, over, excess);
+      way = select(more, select(torque < 0.0, X{} - 1.0, X{} + 1.0), way);
+    }
+    if (!any(worst >= 0.0) || down.rounds++ == kMostRounds) return false;
+    for (int j = 0; j < N; ++j) {
+      const auto freed = worst == static_cast<double>(j);
+      locked[j] = locked[j] & ~as_bits(freed);
+      down.broken[j] = down.broken[j] | as_bits(freed);
+      direction[j] = select(freed, way, direction[j]);
+    }
+    return true;
+  }
+
+  // ~ of a bool is not its opposite.
+  ARM_INLINE static int as_bits(bool mask) { return mask ? -1 : 0; }
+  template <class M>
+  ARM_INLINE static const M& as_bits(const M& mask) {
+    return mask;
+  }
+
+  // What is taken at each step, where it varies.
+  struct Taken {
+    X Dc[N] = {}, Ds[N] = {};
+    X dry[N] = {};  // 1 where there is a law of dry friction, be its torques 0 just then
+  };
+  struct Nothing {};
+
+  ARM_INLINE auto Dc(int j) const {
+    if constexpr (varies)
+      return of.Dc[j];
+    else
+      return n.Dc(j);
+  }
+  ARM_INLINE auto Ds(int j) const {
+    if constexpr (varies)
+      return of.Ds[j];
+    else
+      return n.Ds(j);
+  }
+
+  // Whether a joint may be locked: whether it has a law of dry friction.
+  ARM_INLINE auto dry(int j) const {
+    if constexpr (varies)
+      return of.dry[j] > 0.0;
+    else
+      return n.Dc(j) > 0.0;
+  }
+
+  const Numbers<S, X>& n;
+  [[no_unique_address]] std::conditional_t<varies, Taken, Nothing> of;
+  Cholesky<N, X> factors;
+  Mask<X> locked[N] = {};
+  X direction[N] = {};
+  X held[N] = {};  // torque of a lock [N m]
+};
+
+}  // namespace arm

@@ -1,0 +1,479 @@
+// The drive of one joint: all that stands between its command u and the torque T on its link,
+// stated once. With local states z, the link's q and v:
+//
+//   D dz/dt = f(z, q, v, u)      torque on the link  g(z, q, v) - carried dv/dt
+//
+// D may have zeros: no inductance, a current at its limit, a stuck rotor. Whatever a scheme, an
+// energy balance or a report needs of a drive comes from here (drive_table.hpp, modes.hpp,
+// energy.hpp).
+//
+// A drive is put together of parts: a motor, a gear, friction of the link and of the rotor, and any
+// number of extras that put a torque on the one or the other (place.hpp). docs/parts/README.md says
+// what a part has to tell.
+//
+// Each part names a part that is linear, by `linear()`: itself if it is, else the one that stands
+// in its place in the matrix A of the schemes. What the two differ by is the drive's rest, which
+// enters each stage (linearly_implicit.hpp). What is not smooth is a mode of its part (mode.hpp).
+#pragma once
+
+#include <tuple>
+#include <type_traits>
+#include <utility>
+
+#include "numerics/finite.hpp"
+#include "parts/dc_motor.hpp"
+#include "parts/friction.hpp"
+#include "parts/gear.hpp"
+#include "parts/mode.hpp"
+#include "parts/place.hpp"
+#include "parts/rotor_friction.hpp"
+
+namespace arm {
+
+// What a drive of n states and M parts with modes is asked at.
+template <int n, int M, class X>
+struct DriveInput {
+  X z[n > 0 ? n : 1] = {};
+  X q{}, v{}, u{};
+  X offset[M > 0 ? M : 1] = {};
+};
+
+template <int n, class X>
+struct DriveRates {
+  X f[n > 0 ? n : 1] = {};
+  X g{};
+};
+
+template <class Motor, class Gear, class LinkFriction = Friction, class Rotor = FreeRotor,
+          class... Extras>
+struct Drive {
+  Motor motor;
+  Gear gear;
+  LinkFriction friction = {};
+  Rotor rotor = {};
+  std::tuple<Extras...> extras = {};
+
+  static constexpr bool driven = Motor::present;
+  static constexpr bool elastic = driven && !Gear::rigid;
+  static constexpr bool carries_rotor = driven && Gear::rigid;
+  static constexpr bool has_extras = sizeof...(Extras) > 0;
+  // Where the states stand: those of the motor, then tm and wm, then those of the extras.
+  static constexpr int i = 0;
+  static constexpr int tm = Motor::states, wm = Motor::states + 1;
+  static constexpr int own = Motor::states + (elastic ? Gear::states : 0);
+  static constexpr int states = own + (0 + ... + Extras::states);
+  // And the parts that have modes: motor, gear, rotor, extras.
+  static constexpr int of_gear = Motor::modes, of_rotor = of_gear + (elastic ? Gear::modes : 0);
+  static constexpr int of_extras = of_rotor + (elastic ? Rotor::modes : 0);
+  static constexpr int modes = of_extras + (0 + ... + Extras::modes);
+  // Those that are held wherever the gear carries a load.
+  static constexpr unsigned held_under_load = elastic && Gear::modes > 0 ? 1u << of_gear : 0u;
+
+  template <class X>
+  using Input = DriveInput<states, modes, X>;
+  using Modes = DriveModes<modes>;
+
+  // Inertia of a rotor that turns with its link, as the link feels it [kg m2].
+  constexpr double carried() const { return carries_rotor ? motor.Mm / (gear.Ng * gear.Ng) : 0.0; }
+
+  // D, with these parts held.
+  constexpr DriveRates<states, double> D(unsigned held) const {
+    DriveRates<states, double> D;
+    if constexpr (driven)
+      for (int k = 0; k < Motor::states; ++k) D.f[k] = motor.inertia(k, motor_held(held));
+    if constexpr (elastic) {
+      D.f[tm] = 1.0, D.f[wm] = motor.Mm;
+      if constexpr (Rotor::modes > 0)
+        if (is_held(held, of_rotor)) D.f[wm] = 0.0;
+    }
+    for (int k = own; k < states; ++k) D.f[k] = 1.0;
+    return D;
+  }
+
+  // The drive of the linear parts, which is this one where all parts are linear.
+  template <class Part>
+  using LinearOf = std::remove_cvref_t<decltype(std::declval<Part>().linear())>;
+  using Linear = Drive<LinearOf<Motor>, LinearOf<Gear>, LinearOf<LinkFriction>, LinearOf<Rotor>,
+                       LinearOf<Extras>...>;
+  static constexpr bool is_linear = std::is_same_v<LinearOf<Motor>, Motor> &&
+                                    std::is_same_v<LinearOf<Gear>, Gear> &&
+                                    std::is_same_v<LinearOf<LinkFriction>, LinkFriction> &&
+                                    std::is_same_v<LinearOf<Rotor>, Rotor> &&
+                                    (true && ... && std::is_same_v<LinearOf<Extras>, Extras>);
+  constexpr Linear linear() const {
+    static_assert(Linear::states == states && Linear::modes == modes);
+    return {motor.linear(), gear.linear(), friction.linear(), rotor.linear(),
+            std::apply([](const auto&... extra) { return std::tuple{extra.linear()...}; }, extras)};
+  }
+
+  // f and g, eq. (1), (2) and the drive's part of (4) but for what coulomb.hpp solves for.
+  template <class X>
+  ARM_INLINE constexpr DriveRates<states, X> rates(const Input<X>& x, unsigned held) const {
+    DriveRates<states, X> r;
+    r.g = -friction.Dv * x.v;
+    X shaft{};  // torque on the rotor, beside its friction and the gear
+    if constexpr (driven) {
+      motor.rates(x.z, x.u, motor_angle(x), felt_speed(x), x.offset[0], motor_held(held), r.f);
+      shaft = motor.torque(x.z, motor_angle(x));
+    }
+    for_each_extra(
+        [&]<class Extra>(const Extra& extra, auto state, auto mode) __attribute__((always_inline)) {
+          const X torque = torque_of<state, mode>(extra, x, held);
+          if constexpr (Extra::states > 0)
+            extra.rates(angle_of(extra, x), speed_of(extra, x), x.z + state, r.f + state);
+          if constexpr (Extra::place == Place::rotor)
+            shaft += torque;
+          else
+            r.g += torque;
+        });
+    if constexpr (elastic) {
+      const X T = gear_on_link(x, held);
+      r.f[tm] = x.z[wm];
+      if constexpr (Rotor::modes > 0)
+        r.f[wm] = is_held(held, of_rotor)
+                      ? -x.z[wm]
+                      : shaft - on_rotor(x, T) -
+                            rotor.against(x.z[wm], on_rotor(x, T), x.offset[of_rotor]);
+      else
+        r.f[wm] = shaft - on_rotor(x, T);
+      r.g += T;
+    } else if constexpr (driven) {
+      if constexpr (Rotor::modes > 0) shaft -= rotor.law.Dv * motor_speed(x);
+      r.g += shaft / gear.Ng;
+    }
+    return r;
+  }
+
+  // What `rates` has beyond those of the linear drive.
+  template <class X>
+  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held) const {
+    DriveRates<states, X> all = rates(x, held);
+    const DriveRates<states, X> of_linear = linear().rates(x, held);
+    for (int k = 0; k < states; ++k) all.f[k] -= of_linear.f[k];
+    all.g -= of_linear.g;
+    return all;
+  }
+
+  // Dry friction that the link feels, that of a rotor which turns with it included. It goes with
+  // the load in the modes that are given, as the load itself does.
+  static constexpr bool friction_varies = LinkFriction::varies || (carries_rotor && Rotor::varies);
+  constexpr bool is_dry() const {
+    if constexpr (carries_rotor && Rotor::modes > 0)
+      if (rotor.law.is_dry()) return true;
+    return friction.is_dry();
+  }
+  template <class X>
+  ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned held) const {
+    return sliding_under(x, load_on_link(x, held));
+  }
+  // The same under the torque T of the gear on its link.
+  template <class X>
+  ARM_INLINE constexpr X sliding_under(const Input<X>& x, X T) const {
+    X dry = friction.sliding(x.v, T);
+    if constexpr (carries_rotor && Rotor::modes > 0)
+      dry += rotor.law.sliding(motor_speed(x), gear.Ng * T) / magnitude(gear.Ng);
+    return dry;
+  }
+  template <class X>
+  ARM_INLINE constexpr X holding(const Input<X>& x, unsigned held) const {
+    const X T = load_on_link(x, held);
+    X dry = friction.holding(T);
+    if constexpr (carries_rotor && Rotor::modes > 0)
+      dry += rotor.law.holding(gear.Ng * T) / magnitude(gear.Ng);
+    return dry;
+  }
+
+  // Put the current [A], the angle [rad] and the speed [rad/s] of the motor into x.
+  constexpr void put_motor(Input<double>& x, double current, double angle, double speed) const {
+    if constexpr (driven) motor.put_current(x.z, current);
+    if constexpr (elastic) x.z[tm] = angle, x.z[wm] = speed;
+  }
+  // The states behind a link at (q, v): no current, gear unloaded.
+  constexpr Input<double> at_rest_behind(double q, double v) const {
+    Input<double> x = {};
+    x.q = q, x.v = v;
+    put_motor(x, 0.0, q / gear.Ng, v / gear.Ng);
+    if constexpr (elastic && requires { gear.unload(q, v, x.z[0], x.z[0]); })
+      gear.unload(q, v, x.z[tm], x.z[wm]);
+    return x;
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X current(const Input<X>& x) const {
+    if constexpr (driven) return motor.current(x.z);
+    return X{};
+  }
+  template <class X>
+  ARM_INLINE constexpr X motor_angle(const Input<X>& x) const {
+    if constexpr (elastic) return x.z[tm];
+    return x.q / gear.Ng;
+  }
+  template <class X>
+  ARM_INLINE constexpr X motor_speed(const Input<X>& x) const {
+    if constexpr (elastic) return x.z[wm];
+    return x.v / gear.Ng;
+  }
+  // Torque of the gear on its link, which accelerates at `a` [N m].
+  constexpr double gear_torque(const Input<double>& x, double a) const {
+    const Modes now = modes_at(x);
+    return load_on_link(with(x, now), now.held()) - carried() * a;
+  }
+
+  // Energy in windings, rotor, gear and extras; and power that friction, windings, the gear's
+  // damping and extras take, that the supply gives, and that it can give at most.
+  template <class X>
+  ARM_INLINE constexpr X stored(const Input<X>& x) const {
+    X E = 0.5 * carried() * x.v * x.v;
+    if constexpr (driven) E += motor.stored(x.z);
+    if constexpr (elastic) E += 0.5 * motor.Mm * x.z[wm] * x.z[wm] + gear.stored(x.z[tm], x.q);
+    for_each_extra([&](const auto& extra, auto state, auto) __attribute__((always_inline)) {
+      E += extra.stored(angle_of(extra, x), x.z + state);
+    });
+    return E;
+  }
+  // Energy of extras whose torque goes with the angle as that of a weight: it may be negative.
+  static constexpr bool has_potential = (false || ... || HasPotential<Extras>);
+  constexpr double potential(const Input<double>& x) const {
+    double U = 0.0;
+    for_each_extra([&](const auto& extra, auto, auto) {
+      if constexpr (HasPotential<std::remove_cvref_t<decltype(extra)>>)
+        U += extra.potential(angle_of(extra, x));
+    });
+    return U;
+  }
+  constexpr double dissipated(const Input<double>& x, unsigned held) const {
+    // In the modes given: at the end of a part of a step x may call for others.
+    const double T = load_on_link(x, held);
+    double P = friction.Dv * x.v * x.v + sliding_under(x, T) * magnitude(x.v);
+    if constexpr (driven) P += motor.dissipated(x.z);
+    if constexpr (elastic)
+      P += gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, Gear::modes > 0 && is_held(held, of_gear));
+    if constexpr (elastic && Rotor::modes > 0) P += rotor.dissipated(x.z[wm], on_rotor(x, T));
+    if constexpr (carries_rotor && Rotor::modes > 0)
+      P += rotor.law.Dv * motor_speed(x) * motor_speed(x);
+    for_each_extra([&](const auto& extra, auto state, auto mode) {
+      P += extra.dissipated(angle_of(extra, x), speed_of(extra, x), x.z + state,
+                            extra.modes > 0 && is_held(held, mode));
+    });
+    return P;
+  }
+  constexpr double given(const Input<double>& x, unsigned held) const {
+    if constexpr (driven) return motor.given(x.z, x.u, felt_speed(x), motor_held(held));
+    return 0.0;
+  }
+  // Whether that grows with the speed under one and the same command.
+  static constexpr bool given_by_speed = requires { Motor::given_by_speed; };
+  template <class X>
+  ARM_INLINE constexpr X given_at_most(const Input<X>& x) const {
+    if constexpr (driven) return motor.given_at_most(x.z, x.u, felt_speed(x));
+    return X{};
+  }
+
+  // Whether commands are bounded by the supply alone, as voltages are; and the command of x within
+  // its bounds.
+  static constexpr bool bounded_by_supply = Motor::takes == Command::voltage;
+  template <class X>
+  ARM_INLINE constexpr X command(const Input<X>& x, double supply) const {
+    if constexpr (bounded_by_supply)
+      return clamp(x.u, supply);
+    else
+      return clamp(x.u, motor.largest_command(x.z, supply));
+  }
+
+  // Put the second number of a command into x, and tell the second current.
+  static constexpr bool has_second = arm::has_second(Motor::takes);
+  constexpr void put_second(Input<double>& x, double value, double supply) const {
+    if constexpr (has_second) motor.put_second(x.z, value, supply);
+  }
+  constexpr double second_current(const Input<double>& x) const {
+    if constexpr (has_second) return motor.second_current(x.z);
+    return 0.0;
+  }
+
+  // The temperature of the winding [degC], and whether it is beyond its limit (winding.hpp).
+  static constexpr bool heats = requires(Motor motor, const double* z) { motor.temperature(z); };
+  constexpr double winding_temperature(const Input<double>& x) const {
+    if constexpr (heats) return motor.temperature(x.z);
+    return no_number();
+  }
+  constexpr bool too_hot(const Input<double>& x) const {
+    if constexpr (heats) return motor.too_hot(x.z);
+    return false;
+  }
+
+  // Whether all parts say at once that x, as the start and as the end of a step, calls for their
+  // usual modes. No means that they must be asked for their modes.
+  constexpr bool is_usual([[maybe_unused]] const Input<double>& x) const {
+    bool usual = true;
+    if constexpr (driven && Motor::modes > 0) {
+      if constexpr (requires { motor.is_usual(x.z, x.u, x.v); })
+        usual &= motor.is_usual(x.z, x.u, felt_speed(x));
+      else
+        usual = false;
+    }
+    if constexpr (elastic && Gear::modes > 0) usual = false;
+    for_each_extra(
+        [&]<class Extra>(const Extra& extra, auto state, auto) __attribute__((always_inline)) {
+          if constexpr (requires { extra.is_usual(x.q, x.v, x.z); })
+            usual &= extra.is_usual(angle_of(extra, x), speed_of(extra, x), x.z + state);
+          else if constexpr (Extra::modes > 0)
+            usual = false;
+        });
+    if constexpr (elastic && Rotor::modes > 0) usual &= rotor.is_usual();
+    return usual;
+  }
+  // The modes that x calls for.
+  constexpr Modes modes_at(const Input<double>& x) const {
+    Modes at;
+    if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, felt_speed(x));
+    if constexpr (elastic && Gear::modes > 0)
+      at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::modes > 0)
+        at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
+    });
+    if constexpr (elastic && Rotor::modes > 0) {
+      at.at[of_rotor] = rotor.mode_at(x.z[wm], shaft(x, at));
+    }
+    return at;
+  }
+  // Those that x, the end of a step in `now` that began at `start`, calls for: `now` if they hold.
+  constexpr Modes wanted(const Input<double>& start, const Input<double>& x,
+                         const Modes& now) const {
+    Modes at = now;
+    if constexpr (driven && Motor::modes > 0)
+      at.at[0] = motor.wanted(x.z, x.u, felt_speed(x), now.at[0]);
+    if constexpr (elastic && Gear::modes > 0)
+      at.at[of_gear] = gear.mode_at(x.z[tm], x.z[wm], x.q, x.v);
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::modes > 0)
+        at.at[mode] = extra.mode_at(angle_of(extra, x), speed_of(extra, x), x.z + state);
+    });
+    if constexpr (elastic && Rotor::modes > 0) {
+      at.at[of_rotor] = rotor.wanted(start.z[wm], x.z[wm], shaft(x, now), now.at[of_rotor]);
+    }
+    return at;
+  }
+  // How far x is from where one of its modes changes, negative if one does not hold any more. (Of
+  // quantities that differ in unit the least; only its sign counts.)
+  constexpr double margin(const Input<double>& x, const Modes& now) const {
+    double least = 1.0;
+    const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
+    if constexpr (driven && Motor::modes > 0)
+      at_most(motor.margin(x.z, x.u, felt_speed(x), now.at[0]));
+    if constexpr (elastic && Gear::modes > 0)
+      at_most(gear.margin(x.z[tm], x.z[wm], x.q, x.v, now.at[of_gear]));
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::modes > 0)
+        at_most(extra.margin(angle_of(extra, x), speed_of(extra, x), x.z + state, now.at[mode]));
+    });
+    if constexpr (elastic && Rotor::modes > 0) {
+      at_most(rotor.margin(x.z[wm], shaft(x, now), now.at[of_rotor]));
+    }
+    return least;
+  }
+  // Put x where its modes say, against rounding.
+  constexpr void settle(Input<double>& x, const Modes& now) const {
+    if constexpr (driven && Motor::modes > 0) motor.settle(x.z, now.at[0]);
+    if constexpr (elastic && Rotor::modes > 0) rotor.settle(x.z[wm], now.at[of_rotor]);
+  }
+  // What follows at once takes its value.
+  constexpr void follow(Input<double>& x) const {
+    if constexpr (driven) motor.follow(x.z, x.u, felt_speed(x));
+  }
+
+  // x with the numbers of these modes.
+  constexpr Input<double> with(Input<double> x, const Modes& now) const {
+    for (int m = 0; m < modes; ++m) x.offset[m] = now.at[m].offset;
+    return x;
+  }
+
+ private:
+  // The speed by which the windings are induced, which is the rotor's but for torque ripple.
+  template <class X>
+  ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {
+    if constexpr (requires { motor.ripple(x.q); })
+      return motor.ripple(motor_angle(x)) * motor_speed(x);
+    else
+      return motor_speed(x);
+  }
+
+  static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }
+
+  constexpr OnRotor shaft(const Input<double>& at, const Modes& now) const {
+    const Input<double> x = with(at, now);
+    const unsigned held = now.held();
+    OnRotor on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held)),
+                  kRounding * magnitude(gear.Ng * gear.Kg * x.q)};
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+      if constexpr (Extra::place == Place::rotor)
+        on.torque += torque_of<state, mode>(extra, x, held);
+    });
+    on.torque -= on.of_gear;
+    return on;
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned held) const {
+    return gear.torque(x.z[tm], x.z[wm], x.q, x.v, x.offset[Gear::modes > 0 ? of_gear : 0],
+                       is_held(held, of_gear) && Gear::modes > 0);
+  }
+  // What the rotor feels of the torque T of an elastic gear on its link.
+  template <class X>
+  ARM_INLINE constexpr X on_rotor(const Input<X>& x, X T) const {
+    if constexpr (requires { gear.on_rotor(x.z[0], x.q, T); })
+      return gear.on_rotor(x.z[tm], x.q, T);
+    else
+      return gear.Ng * T;
+  }
+  // Torque of the gear on its link; of a rigid one that which the motor gives it.
+  template <class X>
+  ARM_INLINE constexpr X load_on_link(const Input<X>& x, unsigned held) const {
+    if constexpr (elastic)
+      return gear_on_link(x, held);
+    else if constexpr (driven)
+      return motor.torque(x.z, motor_angle(x)) / gear.Ng;
+    return X{};
+  }
+
+  template <class Extra, class X>
+  ARM_INLINE constexpr X angle_of(const Extra&, const Input<X>& x) const {
+    if constexpr (Extra::place == Place::rotor) return motor_angle(x);
+    return x.q;
+  }
+  template <class Extra, class X>
+  ARM_INLINE constexpr X speed_of(const Extra&, const Input<X>& x) const {
+    if constexpr (Extra::place == Place::rotor) return motor_speed(x);
+    return x.v;
+  }
+  template <int state, int mode, class X>
+  ARM_INLINE constexpr X torque_of(const auto& extra, const Input<X>& x, unsigned held) const {
+    return extra.torque(angle_of(extra, x), speed_of(extra, x), x.z + state,
+                        x.offset[extra.modes > 0 ? mode : 0],
+                        extra.modes > 0 && is_held(held, mode));
+  }
+
+  // body(extra, where its states begin, where its mode is) for all of them.
+  template <class Body>
+  ARM_INLINE constexpr void for_each_extra(Body&& body) const {
+    if constexpr (sizeof...(Extras) > 0) {
+      [&]<int... e>(std::integer_sequence<int, e...>) __attribute__((always_inline)) {
+        (body(std::get<e>(extras), std::integral_constant<int, state_of(e)>{},
+              std::integral_constant<int, mode_of(e)>{}),
+         ...);
+      }(std::make_integer_sequence<int, sizeof...(Extras)>{});
+    }
+  }
+  static constexpr int state_of(int which) {
+    int at = own, e = 0;
+    ((e++ < which ? at += Extras::states : at), ...);
+    return at;
+  }
+  static constexpr int mode_of(int which) {
+    int at = of_extras, e = 0;
+    ((e++ < which ? at += Extras::modes : at), ...);
+    return at;
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,132 @@
+// Energy of a machine, and the proof by it that a motion is none.
+#pragma once
+
+#include <cstdint>
+
+#include "mechanics/links.hpp"
+#include "mechanics/state.hpp"
+
+namespace arm {
+
+struct Energy {
+  double stored;     // J, kinetic, elastic and magnetic, of links, gears and motors: never negative
+  double potential;  // J, of the links in the field S::gravity, and of extras
+  double jolt;       // N2 m2/(kg m2), sum of Dc^2 / M_jj: how hard dry friction can pull
+
+  double total() const { return stored + potential; }
+};
+
+// `greediest`: set to the joint that holds the most by itself: its drive and, with M_jj, its link.
+template <class S>
+__attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& x,
+                                           int* greediest = nullptr) {
+  typename Links<S>::Kinematics k;
+  typename Links<S>::MassMatrix M;
+  Links<S>::kinematics(x.q, k);
+  Links<S>::mass_matrix(n, k, M);
+  Energy E = {0.0, Links<S>::potential_energy(n, k), 0.0};
+  double most = -1.0;
+  n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+    const double own =
+        0.5 * M.at[j][j] * x.v[j] * x.v[j] + drive.stored(input_of(drive, j, x, 0.0));
+    E.stored += own;
+    if constexpr (Drive::has_potential) E.potential += drive.potential(input_of(drive, j, x, 0.0));
+    double Dc = n.Dc(j);
+    if constexpr (Drive::friction_varies) {
+      const auto at = input_of(drive, j, x, 0.0);
+      const auto modes = drive.modes_at(at);
+      Dc = drive.sliding(drive.with(at, modes), modes.held());
+    }
+    E.jolt += Dc * Dc / (M.at[j][j] + n.carried(j));
+    for (int m = j + 1; m < S::N; ++m) E.stored += x.v[j] * M.at[j][m] * x.v[m];
+    if (greediest && own > most) {
+      most = own;
+      *greediest = j;
+    }
+  });
+  return E;
+}
+
+// Keeps account of a machine's energy. Friction, gear damping and windings only take, so that it
+// never exceeds what it was at any time before and what the motors can have given since. Where it
+// does, by half of the most that was ever stored, the scheme makes it: such numbers may be finite
+// and look like a motion, but are none.
+template <class S>
+class EnergyBalance {
+ public:
+  static constexpr int N = S::N;
+
+  void reset(const Numbers<S>& n, const State<S>& x) {
+    const Energy E = energy_of<S>(n, x);
+    at_most = E.total();
+    largest_stored = E.stored;
+    steps = 0;
+  }
+
+  // What the motors give at most under the commands u [W].
+  template <class X>
+  ARM_INLINE static X largest_power(const Numbers<S, X>& n, const State<S, X>& x, const X* u) {
+    X power = {};
+    if constexpr (kWidth<X> == 1 || !Numbers<S, X>::varied) {
+      n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
+        power += drive.given_at_most(input_of(drive, j, x, u[j]));
+      });
+      return power;
+    }
+    for (int lane = 0; lane < kWidth<X>; ++lane) {
+      double of_lane = 0.0;
+      n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
+        of_lane += drive.given_at_most(input_in_lane(drive, j, x, u[j], lane));
+      });
+      set_lane(power, lane, of_lane);
+    }
+    return power;
+  }
+
+  // The most that there can be [J]: the power that the motors can give is added step by step.
+  double most() const { return at_most; }
+  void allow(double E) { at_most = E; }
+
+  // `count` steps have been taken. Whether a look is due now.
+  bool due_after(int count) {
+    steps += count;
+    if (steps < kCheckEvery) return false;
+    steps = 0;
+    return true;
+  }
+  // The steps have led to x. Returns -1, or the joint that holds the most of an energy that came
+  // from nowhere.
+  int broken_by(const Numbers<S>& n, const State<S>& x, double h) {
+    int greediest = 0;
+    const Energy E = energy_of<S>(n, x, &greediest);
+    if (E.stored > largest_stored) largest_stored = E.stored;
+    const double gained = E.total() - at_most;
+    const double rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));
+    // A joint that stops within a step has pulled at the others till its end (coulomb.hpp): with
+    // Dc, for h at most, which gives them (Dc h)^2 / (2 M) where they hardly move.
+    const double jolt = kStops * E.jolt * h * h;
+    if (gained > kTolerance * largest_stored + rounding + jolt) return greediest;
+    if (gained < 0.0) at_most = E.total();
+    return -1;
+  }
+
+  // number(x) for everything that it remembers, in a fixed order.
+  template <class Number>
+  void for_each_number(Number&& number) {
+    number(at_most);
+    number(largest_stored);
+    number(steps);
+  }
+
+ private:
+  static constexpr int kCheckEvery = 64;
+  static constexpr double kTolerance = 0.5;
+  static constexpr double kStops = 10.0;     // so many of them between two looks
+  static constexpr double kRounding = 1e-9;  // of 1 J, and of the potential energy
+
+  double at_most = 0.0;         // J
+  double largest_stored = 0.0;  // J
+  std::int64_t steps = 0;       // since the last look
+};
+
+}  // namespace arm

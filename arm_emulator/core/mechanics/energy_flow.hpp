@@ -1,0 +1,110 @@
+// What the supply and external wrenches give to each joint and what each joint dissipates, at an
+// instant and over a motion. With what is stored (energy.hpp) the balance must close:
+//
+//   energy(t1) - energy(t0) = sum over the joints of given - dissipated
+//
+// as well as the scheme follows the equations.
+#pragma once
+
+#include "mechanics/modes.hpp"
+
+namespace arm {
+
+// In W at an instant, in J over a motion.
+template <class S>
+struct EnergyFlow {
+  double given[S::N] = {}, dissipated[S::N] = {};
+
+  void add(const EnergyFlow& flow, double factor) {
+    for (int j = 0; j < S::N; ++j) {
+      given[j] += factor * flow.given[j];
+      dissipated[j] += factor * flow.dissipated[j];
+    }
+  }
+};
+
+// The powers at the state x in these modes.
+template <class S>
+EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const double* u,
+                        const Modes<S>& modes) {
+  EnergyFlow<S> power;
+  n.for_each_drive([&](const auto& drive, int j) {
+    const auto now = modes.of(drive, j);
+    const auto at = drive.with(input_of(drive, j, x, u[j]), now);
+    power.given[j] = drive.given(at, now.held());
+    power.dissipated[j] = drive.dissipated(at, now.held());
+  });
+  if constexpr (S::external_wrench) {
+    typename Links<S>::Kinematics kinematics;
+    double torque[S::N];
+    Links<S>::kinematics(x.q, kinematics);
+    Links<S>::external_torques(n, kinematics, torque);
+    for (int j = 0; j < S::N; ++j) power.given[j] += torque[j] * x.v[j];
+  }
+  return power;
+}
+
+// Integrates the powers along a motion, one smooth part after the other, by Simpson's rule with the
+// state in the middle from Hermite's cubic: an error of t^5 for a part of length t, so that what
+// is left of the balance is the scheme's.
+template <class S>
+class EnergyMeter {
+ public:
+  static constexpr int N = S::N;
+
+  explicit EnergyMeter(const Numbers<S>& numbers) : n(numbers) {}
+
+  // A part from x to y, in these modes, t long.
+  void part(State<S> x, State<S> y, const double* u, const Modes<S>& modes, double t) {
+    Modes<S>::follow(n, x, u);
+    Modes<S>::follow(n, y, u);
+    const State<S> middle = middle_of(x, y, u, modes, t);
+    total.add(powers_of(n, x, u, modes), t / 6.0);
+    total.add(powers_of(n, middle, u, modes), 4.0 * t / 6.0);
+    total.add(powers_of(n, y, u, modes), t / 6.0);
+  }
+
+  EnergyFlow<S> total;
+
+ private:
+  const Numbers<S>& n;
+
+  State<S> middle_of(const State<S>& x, const State<S>& y, const double* u, const Modes<S>& modes,
+                     double t) const {
+    const State<S> before = rates_of(x, u, modes), after = rates_of(y, u, modes);
+    State<S> middle = x;
+    const auto put = [t](double& m, double x, double y, double before, double after) {
+      m = 0.5 * (x + y) + 0.125 * t * (before - after);
+    };
+    for (int j = 0; j < N; ++j) {
+      for (int k = 0; k < State<S>::K; ++k)
+        put(middle.z[k][j], x.z[k][j], y.z[k][j], before.z[k][j], after.z[k][j]);
+      put(middle.q[j], x.q[j], y.q[j], before.q[j], after.q[j]);
+      put(middle.v[j], x.v[j], y.v[j], before.v[j], after.v[j]);
+    }
+    Modes<S>::follow(n, middle, u);
+    return middle;
+  }
+
+  // dx/dt; 0 for what follows at once.
+  State<S> rates_of(const State<S>& x, const double* u, const Modes<S>& modes) const {
+    State<S> rates = {};
+    typename Links<S>::Dynamics links;
+    Links<S>::dynamics_apart(n, x.q, x.v, links);
+    double a[N];
+    Coulomb<S, double> coulomb(n);
+    modes.accelerations(x, u, links, a, coulomb);
+    n.for_each_drive([&](const auto& drive, int j) {
+      const auto now = modes.of(drive, j);
+      const auto D = drive.D(now.held());
+      const auto is = drive.rates(drive.with(input_of(drive, j, x, u[j]), now), now.held());
+      for (int k = 0; k < drive.states; ++k)
+        if (D.f[k] > 0.0) rates.z[k][j] = is.f[k] / D.f[k];
+      rates.q[j] = x.v[j];
+      rates.v[j] = a[j];
+    });
+    return rates;
+  }
+};
+
+}  // namespace arm

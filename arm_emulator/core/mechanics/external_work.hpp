@@ -1,0 +1,48 @@
+// What the external wrenches of a machine have done [J], for the account of its energy
+// (energy.hpp): J^T w, the mean of both ends of a stretch, times the way between them. So it needs
+// no look at each step, and is right whatever the speed did in between.
+#pragma once
+
+#include "mechanics/links.hpp"
+#include "mechanics/state.hpp"
+
+namespace arm {
+
+template <class S>
+class ExternalWork {
+ public:
+  static constexpr int N = S::N;
+
+  void reset(const State<S>& x) {
+    if constexpr (S::external_wrench)
+      for (int j = 0; j < N; ++j) q[j] = x.q[j];
+  }
+
+  // From the state before, or the reset, to x.
+  double since(const Numbers<S>& n, const State<S>& x) {
+    double there[N], here[N], work = 0.0;
+    torques(n, q, there);
+    torques(n, x.q, here);
+    for (int j = 0; j < N; ++j) work += 0.5 * (there[j] + here[j]) * (x.q[j] - q[j]);
+    reset(x);
+    return work;
+  }
+
+  // number(x) for everything that it remembers, in a fixed order.
+  template <class Number>
+  void for_each_number(Number&& number) {
+    if constexpr (S::external_wrench)
+      for (double& one : q) number(one);
+  }
+
+ private:
+  static void torques(const Numbers<S>& n, const double* q, double* tau) {
+    typename Links<S>::Kinematics kinematics;
+    Links<S>::kinematics(q, kinematics);
+    Links<S>::external_torques(n, kinematics, tau);
+  }
+
+  double q[S::external_wrench ? N : 1] = {};
+};
+
+}  // namespace arm

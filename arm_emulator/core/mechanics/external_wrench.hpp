@@ -1,0 +1,76 @@
+// What the surroundings do to the links: on each link a force and a moment at a point that is fixed
+// to it, held until they are set anew. They are data of each machine.
+//
+// They enter the recursion of links.hpp, as what a link need not be given by its joint:
+//
+//   M(q) dv/dt + nle(q, v) = T,   nle = C(q, v) - J^T w
+#pragma once
+
+#include "numerics/vector3.hpp"
+
+namespace arm {
+
+// Force and moment about a frame's origin.
+template <class X>
+struct Wrench {
+  Vec3<X> f, n;
+};
+
+// On one link: the sum of what turns with it and of what keeps its direction.
+template <class X>
+struct ExternalWrench {
+  Vec3<X> point;        // m, in the link's frame; both act there
+  Wrench<X> with_link;  // N, N m, in the link's frame
+  Wrench<X> with_base;  // N, N m, in the base's frame
+
+  // number(x) for everything that it is, in a fixed order.
+  template <class Number>
+  constexpr void for_each_number(Number&& number) {
+    for (Vec3<X>* one : {&point, &with_link.f, &with_link.n, &with_base.f, &with_base.n})
+      number(one->x), number(one->y), number(one->z);
+  }
+
+  // In the link's frame and about its origin, with the base's x and y as the link sees them.
+  ARM_INLINE Wrench<X> at_origin(const Vec3<X>& base_x, const Vec3<X>& base_y) const {
+    const Vec3<X> base_z = cross(base_x, base_y);
+    const auto seen = [&](const Vec3<X>& a) __attribute__((always_inline)) {
+      return a.x * base_x + a.y * base_y + a.z * base_z;
+    };
+    const Vec3<X> f = with_link.f + seen(with_base.f);
+    return {f, with_link.n + seen(with_base.n) + cross(point, f)};
+  }
+};
+
+// As it is given (arm_wrench): point, force and moment, and whether their axes are the world's.
+struct GivenWrench {
+  double numbers[10];
+};
+
+// The same on the link that joint j of a scene moves, with axes of the core instead of the URDF's.
+template <class S>
+ExternalWrench<double> in_core_axes(int j, const GivenWrench& given) {
+  ExternalWrench<double> wrench = {};
+  if constexpr (S::external_wrench) {
+    using Axes = double[3][3];
+    const auto turned = [](const Axes& R, const double* a) {
+      const auto row = [a](const double* r) { return r[0] * a[0] + r[1] * a[1] + r[2] * a[2]; };
+      return Vec3<double>{row(R[0]), row(R[1]), row(R[2])};
+    };
+    const double *point = given.numbers, *f = point + 3, *n = f + 3;
+    const bool of_world = n[3] != 0.0;
+    const Axes& axes = of_world ? S::world_axes : S::link_axes[j];
+    const Wrench<double> w = {turned(axes, f), turned(axes, n)};
+    (of_world ? wrench.with_base : wrench.with_link) = w;
+    wrench.point = turned(S::link_axes[j], point);
+  }
+  return wrench;
+}
+
+// Those on all links; none in a scene without.
+template <class S, class X>
+struct ExternalWrenches {
+  static constexpr bool present = S::external_wrench;
+  ExternalWrench<X> on[present ? S::N : 1] = {};
+};
+
+}  // namespace arm

@@ -1,0 +1,126 @@
+// What each joint does at an instant: its link slides or is locked (coulomb.hpp), and the parts of
+// its drive that have modes are each in one (mode.hpp). All that follows from the state and the
+// commands: nothing has to be remembered.
+#pragma once
+
+#include "mechanics/coulomb.hpp"
+#include "mechanics/links.hpp"
+#include "mechanics/state.hpp"
+
+namespace arm {
+
+template <class S>
+class Modes {
+ public:
+  static constexpr int N = S::N, M = most_modes<S>();
+  using Dynamics = typename Links<S>::Dynamics;
+  using Friction = Coulomb<S, double>;
+
+  // Whether this scene has any modes but one.
+  static constexpr bool present = Friction::present || M > 0;
+
+  typename Friction::Modes friction;
+  DriveModes<M> drive[N];
+
+  // Those of the settled state x (see below) with its links' part.
+  Modes(const Numbers<S>& numbers, const State<S>& x, const double* u, const Dynamics& links)
+      : n(&numbers) {
+    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0)
+        this->drive[j] = resized<M>(drive.modes_at(input_of(drive, j, x, u[j])));
+    });
+    if constexpr (Friction::present) {
+      Friction coulomb(*n);
+      Dynamics at = links;
+      double a[N];
+      torques(x, u, at, a);
+      coulomb.take(x, u, of_drives());
+      coulomb.solve(at.M.at, x.v, a);
+      friction = coulomb.modes();
+    }
+  }
+
+  // Those of the drive of joint j alone.
+  template <class Drive>
+  DriveModes<Drive::modes> of(const Drive&, int j) const {
+    return resized<Drive::modes>(drive[j]);
+  }
+
+  // The links' accelerations at x.
+  void accelerations(const State<S>& x, const double* u, Dynamics links, double (&a)[N],
+                     Friction& coulomb) const {
+    torques(x, u, links, a);
+    coulomb.take(x, u, of_drives());
+    coulomb.solve_in(friction, links.M.at, a);
+  }
+
+  // How far x is from where a mode changes: negative if one does not hold any more. (Of quantities
+  // that differ in unit the least; only its sign counts.)
+  double margin(const State<S>& x, const double* u) const {
+    double least = 1.0;
+    const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
+    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if (Friction::present && friction.direction[j] != 0.0)
+        at_most(x.v[j] * friction.direction[j]);
+      if constexpr (Drive::modes > 0)
+        at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
+    });
+    if (least < 0.0 || !any_locked()) return least;
+    Dynamics links;
+    Links<S>::dynamics_apart(*n, x.q, x.v, links);
+    double a[N];
+    Friction coulomb(*n);
+    accelerations(x, u, links, a, coulomb);
+    for (int j = 0; j < N; ++j)
+      if (friction.locked[j]) at_most(coulomb.spare(j));
+    return least;
+  }
+
+  // Put x where its modes say: joints that have come to rest are at rest, a current is not beyond
+  // its limit, and without inductance it is what the voltage makes it.
+  void settle(State<S>& x, const double* u) const {
+    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if (friction.locked[j] || x.v[j] * friction.direction[j] < 0.0) x.v[j] = 0.0;
+      if constexpr (Drive::modes > 0) {
+        auto at = input_of(drive, j, x, u[j]);
+        drive.settle(at, of(drive, j));
+        put_states(drive, j, 0, at, x);
+      }
+    });
+    follow(*n, x, u);
+  }
+  // Put what follows at once where it is.
+  static void follow(const Numbers<S>& n, State<S>& x, const double* u) {
+    n.for_each_drive([&](const auto& drive, int j) {
+      auto at = input_of(drive, j, x, u[j]);
+      drive.follow(at);
+      put_states(drive, j, 0, at, x);
+    });
+  }
+
+ private:
+  const Numbers<S>* n;
+
+  auto of_drives() const {
+    return [&](const auto& drive, int j, int) { return of(drive, j); };
+  }
+  bool any_locked() const {
+    bool found = false;
+    if constexpr (Friction::present)
+      for (int j = 0; j < N; ++j) found = found || friction.locked[j];
+    return found;
+  }
+
+  // What is left for the links to accelerate with, beside dry friction; M with the rotors that they
+  // carry.
+  void torques(const State<S>& x, const double* u, Dynamics& links, double* rhs) const {
+    n->for_each_drive([&](const auto& drive, int j) {
+      links.M.at[j][j] += drive.carried();
+      const auto modes = of(drive, j);
+      const auto at = drive.with(input_of(drive, j, x, u[j]), modes);
+      rhs[j] = drive.rates(at, modes.held()).g - links.nle[j];
+    });
+  }
+};
+
+}  // namespace arm

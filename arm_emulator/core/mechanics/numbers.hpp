@@ -1,0 +1,252 @@
+// The numbers of a machine: constants of its scene, and those that the scene lists as varied, which
+// every machine has for itself and which may be set between two steps.
+//
+// What is asked for here is a constant wherever no varied number can reach it: which of the links'
+// base parameters one reaches is found out by trying it.
+#pragma once
+
+#include "mechanics/base_parameters.hpp"
+#include "mechanics/external_wrench.hpp"
+
+namespace arm {
+
+// All numbers that follow from the varied ones.
+template <class S>
+struct Sheet {
+  decltype(S::drives(nullptr)) drives;
+  BaseParameters<S::N> base;
+  double carried[S::N] = {};  // inertia of the rotors that turn with their links, as these feel it
+  double Dc[S::N] = {}, Ds[S::N] = {};
+
+  constexpr explicit Sheet(const double* p) : drives(S::drives(p)), base(S::links(p).at) {
+    [&]<int... j>(std::integer_sequence<int, j...>) {
+      (set(j, std::get<j>(drives)), ...);
+    }(std::make_integer_sequence<int, S::N>{});
+  }
+
+ private:
+  constexpr void set(int j, const auto& drive) {
+    carried[j] = drive.carried();
+    Dc[j] = drive.sliding(drive.at_rest_behind(0.0, 0.0), 0);
+    Ds[j] = drive.holding(drive.at_rest_behind(0.0, 0.0), 0);
+  }
+};
+
+// A sheet of some values of the varied numbers, with one of them changed; -1: none.
+template <class S>
+constexpr Sheet<S> sheet_with(int changed) {
+  SomeValues<S> values;
+  if (changed >= 0) values.p[changed] *= 1.5;
+  return Sheet<S>(values.p);
+}
+
+// Which of a body's numbers depend on what is varied.
+struct BodyMask {
+  bool m = false, hx = false, hy = false, hz = false;
+  bool xx = false, yy = false, zz = false, xy = false, xz = false, yz = false;
+};
+
+template <class S>
+struct VariedBodies {
+  BodyMask at[S::N] = {};
+
+  constexpr VariedBodies() {
+    const Sheet<S> one = sheet_with<S>(-1);
+    for (int k = 0; k < S::parameters; ++k) {
+      const Sheet<S> other = sheet_with<S>(k);
+      for (int j = 0; j < S::N; ++j) {
+        const Body<double>&a = one.base.body[j], &b = other.base.body[j];
+        BodyMask& mask = at[j];
+        mask.m |= a.m != b.m;
+        mask.hx |= a.h.x != b.h.x, mask.hy |= a.h.y != b.h.y, mask.hz |= a.h.z != b.h.z;
+        mask.xx |= a.I.xx != b.I.xx, mask.yy |= a.I.yy != b.I.yy, mask.zz |= a.I.zz != b.I.zz;
+        mask.xy |= a.I.xy != b.I.xy, mask.xz |= a.I.xz != b.I.xz, mask.yz |= a.I.yz != b.I.yz;
+      }
+    }
+  }
+};
+
+// The constants of a scene, and which of its links' base parameters a varied number reaches.
+template <class S>
+struct Constants {
+  static constexpr Sheet<S> sheet = sheet_with<S>(-1);
+  static constexpr VariedBodies<S> varied = {};
+
+  // A link of which `own` has what may vary.
+  template <class X, class Index>
+  ARM_INLINE static constexpr Body<X> body(Index i, const Body<X>& own) {
+    const Body<double>& constant = sheet.base.body[i];
+    const BodyMask& mask = varied.at[i];
+    const auto choose = [](bool mine, const X& a, double b) { return mine ? a : X{} + b; };
+    const Vec3<double>& h = constant.h;
+    const Sym3<double>& I = constant.I;
+    return {choose(mask.m, own.m, constant.m),
+            {choose(mask.hx, own.h.x, h.x), choose(mask.hy, own.h.y, h.y),
+             choose(mask.hz, own.h.z, h.z)},
+            {choose(mask.xx, own.I.xx, I.xx), choose(mask.yy, own.I.yy, I.yy),
+             choose(mask.zz, own.I.zz, I.zz), choose(mask.xy, own.I.xy, I.xy),
+             choose(mask.xz, own.I.xz, I.xz), choose(mask.yz, own.I.yz, I.yz)}};
+  }
+};
+
+template <class S, class X = double>
+class Numbers;
+
+// Those of one machine.
+template <class S>
+class Numbers<S, double> {
+ public:
+  static constexpr int N = S::N;
+  static constexpr bool varied = kOwnNumbers<S> > 0;
+  using Number = double;
+
+  // Of the values of the varied numbers, the brakes open.
+  constexpr explicit Numbers(const double* values) : p(values), sheet(p.p) {}
+
+  double value(int k) const { return p.p[k]; }
+  // Set a varied number: the caller has seen to its bounds.
+  void set(int k, double value) {
+    p.p[k] = value;
+    sheet = Sheet<S>(p.p);
+  }
+
+  // body(drive, j) for the drive of every joint.
+  template <class TheBody>
+  ARM_INLINE constexpr void for_each_drive(TheBody&& body) const {
+    [&]<int... j>(std::integer_sequence<int, j...>) __attribute__((always_inline)) {
+      (body(std::get<j>(now().drives), j), ...);
+    }(std::make_integer_sequence<int, N>{});
+  }
+  // The same of one lane, of which there is one.
+  template <class TheBody>
+  ARM_INLINE constexpr void for_each_drive_of(int, TheBody&& body) const {
+    for_each_drive(body);
+  }
+
+  // A link in base parameters.
+  template <class Index>
+  ARM_INLINE constexpr Body<double> body(Index i) const {
+    if constexpr (varied)
+      return Constants<S>::body(i, sheet.base.body[i]);
+    else
+      return Constants<S>::sheet.base.body[i];
+  }
+  constexpr const Body<double>& fixed() const { return now().base.fixed; }
+
+  ARM_INLINE constexpr const ExternalWrench<double>& external_wrench(int i) const {
+    return outside.on[i];
+  }
+  void set_external_wrench(int i, const ExternalWrench<double>& wrench) { outside.on[i] = wrench; }
+
+  ARM_INLINE constexpr double carried(int j) const { return now().carried[j]; }
+  ARM_INLINE constexpr double Dc(int j) const { return now().Dc[j]; }
+  ARM_INLINE constexpr double Ds(int j) const { return now().Ds[j]; }
+
+ private:
+  ARM_INLINE constexpr const Sheet<S>& now() const {
+    if constexpr (varied)
+      return sheet;
+    else
+      return Constants<S>::sheet;
+  }
+
+  struct Values {
+    double p[kOwnNumbers<S> + 1] = {};
+    constexpr explicit Values(const double* varied) {
+      for (int k = 0; k < S::parameters; ++k) p[k] = varied[k];
+    }
+  };
+
+  Values p;
+  Sheet<S> sheet;
+  ExternalWrenches<S, double> outside;
+};
+
+// Those of machines side by side, one in each lane. What is not varied is one number for all.
+template <class S, class X>
+class Numbers {
+ public:
+  static constexpr int N = S::N, width = kWidth<X>;
+  static constexpr bool varied = kOwnNumbers<S> > 0;
+  using Number = std::conditional_t<varied, X, double>;
+
+  // All lanes as `first`.
+  explicit Numbers(const Numbers<S>& first) {
+    for (int lane = 0; lane < width; ++lane) set(lane, first);
+  }
+
+  // `one` must stay where it is.
+  void set(int lane, const Numbers<S>& one) {
+    of[lane] = &one;
+    if constexpr (varied) {
+      for (int j = 0; j < N; ++j) {
+        const Body<double> from = one.body(j);
+        Body<X>& to = bodies[j];
+        set_lane(to.m, lane, from.m);
+        set_lane(to.h.x, lane, from.h.x), set_lane(to.h.y, lane, from.h.y);
+        set_lane(to.h.z, lane, from.h.z);
+        set_lane(to.I.xx, lane, from.I.xx), set_lane(to.I.yy, lane, from.I.yy);
+        set_lane(to.I.zz, lane, from.I.zz), set_lane(to.I.xy, lane, from.I.xy);
+        set_lane(to.I.xz, lane, from.I.xz), set_lane(to.I.yz, lane, from.I.yz);
+        set_lane(rotor[j], lane, one.carried(j));
+        set_lane(coulomb[j], lane, one.Dc(j)), set_lane(breakaway[j], lane, one.Ds(j));
+      }
+    }
+  }
+
+  // body(drive, j) for the drive of every joint, which all lanes have in common.
+  template <class TheBody>
+  ARM_INLINE constexpr void for_each_drive(TheBody&& body) const
+    requires(!varied)
+  {
+    of[0]->for_each_drive(body);
+  }
+  // The same of one lane.
+  template <class TheBody>
+  ARM_INLINE constexpr void for_each_drive_of(int lane, TheBody&& body) const {
+    of[lane]->for_each_drive(body);
+  }
+
+  template <class Index>
+  ARM_INLINE constexpr Body<Number> body(Index i) const {
+    if constexpr (varied)
+      return Constants<S>::body(i, bodies[i]);
+    else
+      return Constants<S>::sheet.base.body[i];
+  }
+
+  // Take what acts on the links of a machine.
+  void set_external_wrenches(int lane, const Numbers<S>& one) {
+    for (int i = 0; i < N; ++i) {
+      ExternalWrench<double> given = one.external_wrench(i);
+      double numbers[sizeof given / sizeof(double)];
+      double *to = numbers, *from = numbers;
+      given.for_each_number([&](double number) { *to++ = number; });
+      outside.on[i].for_each_number([&](X& number) { set_lane(number, lane, *from++); });
+    }
+  }
+  ARM_INLINE constexpr const ExternalWrench<X>& external_wrench(int i) const {
+    return outside.on[i];
+  }
+
+  ARM_INLINE constexpr Number carried(int j) const { return number(rotor, j, &Sheet<S>::carried); }
+  ARM_INLINE constexpr Number Dc(int j) const { return number(coulomb, j, &Sheet<S>::Dc); }
+  ARM_INLINE constexpr Number Ds(int j) const { return number(breakaway, j, &Sheet<S>::Ds); }
+
+ private:
+  using Row = Number[varied ? N : 1];
+
+  ARM_INLINE static constexpr Number number(const Row& own, int j, double (Sheet<S>::*row)[N]) {
+    if constexpr (varied)
+      return own[j];
+    else
+      return (Constants<S>::sheet.*row)[j];
+  }
+
+  const Numbers<S>* of[width] = {};
+  Body<Number> bodies[varied ? N : 1] = {};
+  Row rotor = {}, coulomb = {}, breakaway = {};
+  ExternalWrenches<S, X> outside;
+};
+
+}  // namespace arm

@@ -1,0 +1,118 @@
+// What a scene tells the core. The loader writes one `struct Scene` of these constants per scene,
+// and the core is compiled over it: what is zero or absent here costs nothing at run time.
+#pragma once
+
+#include <tuple>
+
+#include "mechanics/drive.hpp"
+#include "numerics/vector3.hpp"
+
+namespace arm {
+
+// Each has its MethodOf, in the file that has its steps.
+enum class Scheme { paper, implicit, rosenbrock, extrapolated };
+// What two threads exchange: see two_threads.hpp.
+enum class Exchange { lag, predict };
+// Where the modes of joints change: at the ends of steps, or within them (located.hpp).
+enum class Events { step, located };
+enum class JointKind { revolute, prismatic };
+
+// Inertia of a link with everything fixed to it, in the link's frame and about its origin.
+template <class X>
+struct Body {
+  X m{};      // kg
+  Vec3<X> h;  // kg m, mass times centre of mass
+  Sym3<X> I;  // kg m2
+};
+
+// A body that carries m times what 1 kg of load is.
+constexpr Body<double> loaded(const Body<double>& bare, double m, const Body<double>& per_kg) {
+  const auto &I = bare.I, &J = per_kg.I;
+  return {bare.m + m * per_kg.m,
+          bare.h + m * per_kg.h,
+          {I.xx + m * J.xx, I.yy + m * J.yy, I.zz + m * J.zz, I.xy + m * J.xy, I.xz + m * J.xz,
+           I.yz + m * J.yz}};
+}
+
+// A joint's place and the link that it moves. The link's frame has its origin on the joint axis, z
+// along it, and x so that the turn from the parent's frame is Rx(alpha) Rz(q + theta_0).
+struct Link {
+  JointKind kind;
+  double cos_alpha, sin_alpha;
+  double theta_0;                   // rad
+  double cos_theta_0, sin_theta_0;  // of it
+  Vec3<double> p;  // m, origin in the parent's frame (at q = 0 of a prismatic joint)
+  Body<double> body;
+};
+
+template <int N>
+struct LinkRow {
+  Link at[N];
+};
+
+// A number that a scene lists as varied, and its bounds. Its value is no part of the scene's
+// library: every machine brings its own.
+struct Parameter {
+  const char* name;
+  double least, most;
+};
+
+// Numbers that every machine has for itself: those that the scene lists as varied, and after them
+// whether its brakes are closed (brakes.hpp).
+template <class S>
+inline constexpr int kOwnNumbers = S::parameters + S::brakes;
+
+// Values of them with which the structure of a scene is decided: none of them is zero.
+template <class S>
+struct SomeValues {
+  double p[kOwnNumbers<S> + 1] = {};
+  constexpr SomeValues() {
+    for (int k = 0; k < kOwnNumbers<S>; ++k) p[k] = 1.0;
+  }
+};
+template <class S>
+inline constexpr auto kDrives = S::drives(SomeValues<S>().p);
+template <class S>
+inline constexpr auto kLinks = S::links(SomeValues<S>().p);
+
+// MethodOf<S, scheme, X>::type takes the steps of a scheme, of numbers X. A scheme without one does
+// not compile.
+template <class S, Scheme scheme, class X>
+struct MethodOf;
+
+// body(drive, j) for the drive of every joint of a scene, to learn its structure; its numbers are
+// in numbers.hpp.
+template <class S, class Body>
+constexpr void for_each_drive(Body&& body) {
+  [&]<int... j>(std::integer_sequence<int, j...>) {
+    (body(std::get<j>(kDrives<S>), j), ...);
+  }(std::make_integer_sequence<int, S::N>{});
+}
+
+// The states that a joint's drive has at most: the arrays of all drives have as many rows.
+template <class S>
+constexpr int most_states() {
+  int most = 0;
+  for_each_drive<S>(
+      [&](const auto& drive, int) { most = most < drive.states ? drive.states : most; });
+  return most;
+}
+
+// The parts with modes that a joint's drive has at most.
+template <class S>
+constexpr int most_modes() {
+  int most = 0;
+  for_each_drive<S>(
+      [&](const auto& drive, int) { most = most < drive.modes ? drive.modes : most; });
+  return most;
+}
+
+// Whether a property holds for the drive of any joint.
+template <class S, class Property>
+constexpr bool any_drive(Property&& property) {
+  bool found = false;
+  for_each_drive<S>([&](const auto& drive, int) { found = found || property(drive); });
+  return found;
+}
+
+}  // namespace arm

@@ -1,0 +1,170 @@
+// The sensors of a scene, and those of one machine: they look at every tick, whoever takes the
+// machine there, and hold what they saw until the next one.
+#pragma once
+
+#include "mechanics/imu.hpp"
+#include "parts/encoder.hpp"
+
+namespace arm {
+
+// What a scene has. The motor's encoder is always there.
+template <int joints, int imus>
+struct SensorSuite {
+  static constexpr int N = joints, M = imus;
+  double seed = 0.0;
+  Encoder encoder[N], link_encoder[N];
+  AnalogSensor current[N], torque[N];
+  Imu imu[M + 1];
+
+  constexpr int longest_delay() const {
+    int longest = 0;
+    const auto least = [&](int delay) { longest = longest < delay ? delay : longest; };
+    for (int j = 0; j < N; ++j) {
+      least(encoder[j].delay), least(link_encoder[j].delay);
+      least(current[j].delay), least(torque[j].delay);
+    }
+    for (int m = 0; m < M; ++m) least(imu[m].delay);
+    return longest;
+  }
+  constexpr bool tells_torque() const {
+    for (int j = 0; j < N; ++j)
+      if (torque[j].present) return true;
+    return false;
+  }
+};
+
+// All that was seen at one look.
+template <int N, int M>
+struct SensorReadings {
+  EncoderReading encoder[N], link_encoder[N];
+  double current[N] = {}, torque[N] = {};
+  ImuReading imu[M + 1];
+
+  template <class Number>
+  void for_each_number(Number&& number) {
+    for (int j = 0; j < N; ++j) {
+      encoder[j].for_each_number(number), link_encoder[j].for_each_number(number);
+      number(current[j]), number(torque[j]);
+    }
+    for (int m = 0; m < M; ++m) imu[m].for_each_number(number);
+  }
+};
+
+// A scene without such sensors: what is measured is what is there now.
+template <class S>
+class Sensors {
+ public:
+  static constexpr bool present = false;
+  static constexpr int M = 0;
+
+  template <class Machine>
+  void begin(const Machine&, std::int64_t, bool) {}
+  template <class Machine>
+  void look(const Machine&, std::int64_t) {}
+  template <class Number>
+  void for_each_number(Number&&) {}
+};
+
+template <class S>
+  requires requires(const double* p) { S::sensors(p); }
+class Sensors<S> {
+ public:
+  static constexpr bool present = true;
+  static constexpr auto structure = S::sensors(SomeValues<S>().p);
+  static constexpr int N = structure.N, M = structure.M;
+  using Readings = SensorReadings<N, M>;
+
+  // Begin at the machine's state at a tick: with nothing lost if `anew`, and as if everything had
+  // been so for long.
+  template <class Machine>
+  void begin(const Machine& machine, std::int64_t tick, bool anew) {
+    see(machine, tick, [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
+      memory.begin(e, theta, n, tick, anew);
+    });
+    for (Readings& one : line) one = line[place(0)];
+  }
+
+  // Look, if the machine has come to another tick since.
+  template <class Machine>
+  void look(const Machine& machine, std::int64_t tick) {
+    if (tick == newest) return;
+    see(machine, tick, [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
+      memory.look(e, theta, n, tick);
+    });
+  }
+
+  const EncoderReading& encoder(int j) const {
+    return line[place(structure.encoder[j].delay)].encoder[j];
+  }
+  const EncoderReading& link_encoder(int j) const {
+    return line[place(structure.link_encoder[j].delay)].link_encoder[j];
+  }
+  double current(int j) const { return line[place(structure.current[j].delay)].current[j]; }
+  double torque(int j) const { return line[place(structure.torque[j].delay)].torque[j]; }
+  const ImuReading& imu(int m) const { return line[place(structure.imu[m].delay)].imu[m]; }
+
+  // number(x) for all that they remember, in a fixed order.
+  template <class Number>
+  void for_each_number(Number&& number) {
+    number(newest);
+    for (int j = 0; j < N; ++j) {
+      motor_disc[j].for_each_number(number);
+      link_disc[j].for_each_number(number);
+    }
+    for (Readings& one : line) one.for_each_number(number);
+  }
+
+ private:
+  static constexpr int kLength = structure.longest_delay() + 1;
+  static constexpr int kChannels = 4;  // of a joint; further ones are those of the units
+
+  // Where the readings of so many ticks ago are.
+  int place(int ago) const {
+    const std::int64_t tick = newest + kLength - ago;
+    return static_cast<int>(tick % kLength);
+  }
+
+  template <class Machine, class Turn>
+  __attribute__((noinline)) void see(const Machine& machine, std::int64_t tick, Turn&& turn) {
+    double values[S::parameters + 1] = {};
+    for (int k = 0; k < S::parameters; ++k) values[k] = machine.parameter(k);
+    const auto suite = S::sensors(values);
+    const auto noises = [&](int who) { return Noise::of(suite.seed, who); };
+    double current[N], angle[N], speed[N], torque[N] = {};
+    machine.report(current, angle, speed);
+    if constexpr (structure.tells_torque()) machine.gear_torques(torque);
+    const auto& x = machine.state();
+    newest = tick;
+    Readings& now = line[place(0)];
+    for (int j = 0; j < N; ++j) {
+      const int who = kChannels * j;
+      turn(motor_disc[j], suite.encoder[j], angle[j], noises(who));
+      now.encoder[j] = motor_disc[j].now;
+      if (structure.link_encoder[j].kind != EncoderKind::none) {
+        turn(link_disc[j], suite.link_encoder[j], x.q[j], noises(who + 1));
+        now.link_encoder[j] = link_disc[j].now;
+      }
+      now.current[j] = suite.current[j].read(current[j], noises(who + 2), tick);
+      if (structure.torque[j].present)
+        now.torque[j] = suite.torque[j].read(torque[j], noises(who + 3), tick);
+    }
+    if constexpr (M > 0) {
+      double a[N];
+      machine.accelerations(a);
+      LinkMotion motions[N];
+      link_motions<S>(x.q, x.v, a, motions);
+      for (int m = 0; m < M; ++m) {
+        const Imu& imu = suite.imu[m];
+        const LinkMotion& motion = motions[imu.link];
+        const auto of_channel = [&](int k) { return noises(-2 - 6 * m - k); };
+        now.imu[m] = imu.read(motion.force_at(imu.p), motion.omega, of_channel, tick);
+      }
+    }
+  }
+
+  std::int64_t newest = 0;  // tick of the newest look
+  EncoderMemory motor_disc[N], link_disc[N];
+  Readings line[kLength];  // of the newest ticks, each at its tick modulo their number
+};
+
+}  // namespace arm

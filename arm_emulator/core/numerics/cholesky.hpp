@@ -1,0 +1,81 @@
+// M x = b for a symmetric positive definite M, by factors with ones on their diagonals: U D U^T of
+// few joints, L D L^T of many.
+#pragma once
+
+#include "numerics/number.hpp"
+
+namespace arm {
+
+// The upper triangle is set, row <= column; what else there is in its rows has no meaning.
+template <int N, class X>
+using Symmetric = X[N][kPadded<N>];
+
+// U D U^T, from the tip to the base: the order in which the recursions of the links deliver M and
+// the right-hand side, so that the first eliminations need not wait for the last rows.
+template <int N, class X = double>
+struct FromTheTip {
+  X U[N][N];  // U[k][i] is row i, column k of the factor, i < k
+  X inverse_D[N];
+
+  // Factor `M`, which is used up.
+  ARM_INLINE void factor(Symmetric<N, X>& M) {
+    for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
+      inverse_D[k] = 1.0 / M[k][k];
+      for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
+        U[k][i] = M[i][k] * inverse_D[k];
+        for_each_from<k>(
+            i, [&](auto j) __attribute__((always_inline)) { M[i][j] -= U[k][i] * M[j][k]; });
+      });
+    });
+  }
+
+  ARM_INLINE void solve(X* x) const {
+    for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
+      for_each_reverse<k>([&](auto i) __attribute__((always_inline)) { x[i] -= U[k][i] * x[k]; });
+    });
+    for_each<N>([&](auto k) __attribute__((always_inline)) {
+      X sum = x[k] * inverse_D[k];
+      for_each<k>([&](auto i) __attribute__((always_inline)) { sum -= U[k][i] * x[i]; });
+      x[k] = sum;
+    });
+  }
+};
+
+// L D L^T, from the base to the tip: all loops run along rows, and fill vectors.
+template <int N, class X = double>
+struct InRows {
+  alignas(64) X L[N][kPadded<N>];  // L[j][k] is row k, column j of the factor, k > j
+  X inverse_D[N];
+
+  // Factor `M`, which is used up.
+  ARM_INLINE void factor(Symmetric<N, X>& M) {
+    for_each<N, kUnrollNested>([&](auto j) __attribute__((always_inline)) {
+      inverse_D[j] = 1.0 / M[j][j];
+      for_each_lane_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
+        L[j][k] = M[j][k] * inverse_D[j];
+      });
+      for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
+        for_each_lane_from<N>(
+            k, [&](auto i) __attribute__((always_inline)) { M[k][i] -= L[j][k] * M[j][i]; });
+      });
+    });
+  }
+
+  ARM_INLINE void solve(X* x) const {
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      for_each_from<N>(next(j),
+                       [&](auto k) __attribute__((always_inline)) { x[k] -= L[j][k] * x[j]; });
+    });
+    for_each_reverse<N>([&](auto j) __attribute__((always_inline)) {
+      X sum = x[j] * inverse_D[j];
+      for_each_from<N>(next(j),
+                       [&](auto k) __attribute__((always_inline)) { sum -= L[j][k] * x[k]; });
+      x[j] = sum;
+    });
+  }
+};
+
+template <int N, class X = double>
+using Cholesky = std::conditional_t<N <= kUnrollNested, FromTheTip<N, X>, InRows<N, X>>;
+
+}  // namespace arm

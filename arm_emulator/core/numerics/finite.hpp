@@ -1,0 +1,40 @@
+// Whether a number is one. Reads bit patterns, since a scene's unit is compiled for finite
+// arithmetic and may take a comparison with NaN as it likes.
+#pragma once
+
+#include <bit>
+#include <cstdint>
+
+#include "numerics/number.hpp"
+
+namespace arm {
+
+inline constexpr std::int64_t kExponent = 0x7ff0000000000000;
+
+// Under these flags a compiler may take for granted that no number is infinite or NaN, and answer
+// questions about bits that it has seen computed. (clang does since version 18.) It knows nothing
+// of what has been through this.
+template <class Bits>
+ARM_INLINE Bits unforeseen(Bits bits) {
+  if constexpr (std::is_arithmetic_v<Bits>)
+    asm("" : "+r"(bits));
+  else
+    asm("" : "+m"(bits));  // lanes, for which one register need not be enough
+  return bits;
+}
+
+ARM_INLINE bool is_finite(double x) {
+  return (unforeseen(std::bit_cast<std::int64_t>(x)) & kExponent) != kExponent;
+}
+
+// Of each lane.
+template <class X>
+  requires(kWidth<X> > 1)
+ARM_INLINE Mask<X> is_finite(const X& x) {
+  return (unforeseen(std::bit_cast<Mask<X>>(x)) & kExponent) != kExponent;
+}
+
+// NaN: for what has no value.
+ARM_INLINE double no_number() { return std::bit_cast<double>(unforeseen(0x7ff8000000000000)); }
+
+}  // namespace arm

@@ -1,0 +1,63 @@
+// Random numbers by counting: each is a function of a seed, of who draws it and of its number. So
+// nothing but these decides on it, neither what was drawn before nor by whom, and there is no state
+// to be saved. Logarithm and sine are the core's own, as those of another system may round
+// otherwise.
+#pragma once
+
+#include <bit>
+#include <cstdint>
+
+#include "numerics/sincos.hpp"
+
+namespace arm {
+
+// A word of which each bit depends on all bits of x (Steele, Lea and Flood 2014, SplitMix64).
+constexpr std::uint64_t mixed(std::uint64_t x) {
+  x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9;
+  x = (x ^ (x >> 27)) * 0x94d049bb133111eb;
+  return x ^ (x >> 31);
+}
+inline constexpr std::uint64_t kGolden = 0x9e3779b97f4a7c15;  // 2^64 over the golden ratio
+
+// The series of artanh, exact to some 1e-16 for |s| < 0.18 and to some 1e-12 for |s| < 1/3.
+inline double artanh(double s) {
+  const double z = s * s;
+  double sum = 0.0;
+  for (int k = 21; k >= 1; k -= 2) sum = 1.0 / k + z * sum;
+  return s * sum;
+}
+
+// Natural logarithm of 0 < x < inf, x = 2^n m with m within a factor of sqrt(2) of 1.
+inline double logarithm(double x) {
+  const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
+  std::int64_t n = static_cast<std::int64_t>(bits >> 52) - 1023;
+  double m = std::bit_cast<double>((bits & 0xfffffffffffff) | 0x3ff0000000000000);
+  if (m > 1.4142135623730951) m *= 0.5, ++n;
+  return static_cast<double>(n) * 0.69314718055994531 + 2.0 * artanh((m - 1.0) / (m + 1.0));
+}
+
+// One who draws. `number`: of the draw, from 0 on.
+struct Noise {
+  std::uint64_t key;
+
+  static constexpr Noise of(double seed, int who) {
+    return {mixed(mixed(std::bit_cast<std::uint64_t>(seed) + kGolden) +
+                  kGolden * static_cast<std::uint64_t>(who + 1))};
+  }
+
+  // Uniform, above 0 and at most 1.
+  double uniform(std::int64_t number) const {
+    const std::uint64_t word = mixed(key + kGolden * static_cast<std::uint64_t>(number));
+    return static_cast<double>((word >> 11) + 1) * 0x1p-53;
+  }
+  // Of mean 1.
+  double exponential(std::int64_t number) const { return -logarithm(uniform(number)); }
+  // Of mean 0 and variance 1 (Box and Muller 1958). Neither inlined nor cloned, so that each
+  // caller gets the same bits.
+  ARM_APART double normal(std::int64_t number) const {
+    const double r = __builtin_sqrt(2.0 * exponential(2 * number));
+    return r * sincos(6.283185307179586 * uniform(2 * number + 1)).cos;
+  }
+};
+
+}  // namespace arm

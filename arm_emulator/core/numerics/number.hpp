@@ -1,0 +1,119 @@
+// The number types of the core: `double`, and lanes, which are several machines side by side in one
+// vector register. Branches on data are written as `select`, since each lane may go its own way.
+#pragma once
+
+#include <type_traits>
+
+#include "numerics/loops.hpp"
+
+// On processors with narrower registers the compiler splits the vectors. How it would pass them to
+// a function, of which it warns, does not matter: what takes or returns them is inlined.
+#pragma GCC diagnostic ignored "-Wpsabi"
+
+namespace arm {
+
+template <int width>
+struct LanesOf {
+  typedef double type __attribute__((vector_size(width * sizeof(double))));
+};
+template <int width>
+using Lanes = typename LanesOf<width>::type;
+
+template <class X>
+inline constexpr int kWidth = sizeof(X) / sizeof(double);
+
+// As many lanes as a vector register of this processor has.
+#if defined(__AVX512F__)
+inline constexpr int kNativeLanes = 8;
+#elif defined(__AVX__)
+inline constexpr int kNativeLanes = 4;
+#else
+inline constexpr int kNativeLanes = 2;
+#endif
+
+// The result of a comparison: a bool, or one per lane.
+template <class X>
+using Mask = decltype(X{} < X{});
+
+ARM_INLINE constexpr bool any(bool mask) { return mask; }
+template <class M>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE bool any(const M& mask) {
+  bool found = false;
+  for (unsigned lane = 0; lane < sizeof(M) / sizeof(mask[0]); ++lane) found |= mask[lane] != 0;
+  return found;
+}
+
+// Whether it holds in every lane.
+ARM_INLINE constexpr bool all(bool mask) { return mask; }
+template <class M>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE bool all(const M& mask) {
+  bool holds = true;
+  for (unsigned lane = 0; lane < sizeof(M) / sizeof(mask[0]); ++lane) holds &= mask[lane] != 0;
+  return holds;
+}
+
+// A mask where a condition that all lanes share holds, too.
+ARM_INLINE constexpr bool where(bool condition, bool mask) { return condition && mask; }
+template <class M>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE M where(bool condition, const M& mask) {
+  return condition ? mask : M{};
+}
+template <class M>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE M where(const M& condition, const M& mask) {
+  return condition & mask;
+}
+
+// `a` where the mask holds, else `b`.
+ARM_INLINE constexpr double select(bool mask, double a, double b) { return mask ? a : b; }
+template <class M, class A, class B>
+  requires(!std::is_arithmetic_v<M>)
+ARM_INLINE auto select(const M& mask, const A& a, const B& b) {
+  using X = Lanes<sizeof(M) / sizeof(mask[0])>;
+  return mask ? X{} + a : X{} + b;
+}
+
+template <class X>
+ARM_INLINE constexpr X magnitude(X x) {
+  return select(x < 0.0, -x, x);
+}
+template <class X>
+ARM_INLINE constexpr X clamp(X x, double limit) {
+  return select(x > limit, X{} + limit, select(x < -limit, X{} - limit, x));
+}
+template <class X>
+  requires(kWidth<X> > 1)
+ARM_INLINE X clamp(const X& x, const X& limit) {
+  return select(x > limit, limit, select(x < -limit, -limit, x));
+}
+
+ARM_INLINE double square_root(double x) { return __builtin_sqrt(x); }
+template <class X>
+  requires(kWidth<X> > 1)
+ARM_INLINE X square_root(X x) {
+  for (int lane = 0; lane < kWidth<X>; ++lane) x[lane] = __builtin_sqrt(x[lane]);
+  return x;
+}
+
+// e^x. At compile time, where not every compiler knows it, it is asked for at 0 alone.
+ARM_INLINE constexpr double exponential(double x) {
+  if (std::is_constant_evaluated() && x == 0.0) return 1.0;
+  return __builtin_exp(x);
+}
+
+// The value of one lane.
+ARM_INLINE constexpr double lane_of(double x, int) { return x; }
+template <class X>
+ARM_INLINE double lane_of(const X& x, int lane) {
+  return x[lane];
+}
+ARM_INLINE constexpr void set_lane(double& x, int, double value) { x = value; }
+template <class X>
+ARM_INLINE void set_lane(X& x, int lane, double value) {
+  x[lane] = value;
+}
+
+}  // namespace arm

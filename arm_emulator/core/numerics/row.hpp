@@ -1,0 +1,53 @@
+// A number of each joint, side by side in vectors.
+#pragma once
+
+#include "numerics/number.hpp"
+
+namespace arm {
+
+// What the drives are asked for is worked out for all joints at once: a row of doubles is as long
+// as whole vectors, with nothing at the end. Lanes are vectors by themselves.
+template <int N, class X>
+inline constexpr int kGroup = kWidth<X> > 1 ? 1
+                              : N <= 4      ? 4
+                                            : 8;
+template <int N, class X>
+inline constexpr int kRow = (N + kGroup<N, X> - 1) / kGroup<N, X> * kGroup<N, X>;
+
+// The joints' numbers in vectors.
+template <int N, class X>
+struct Row {
+  static constexpr int group = kGroup<N, X>, groups = kRow<N, X> / group;
+  using Vector =
+      typename std::conditional_t<(kWidth<X> > 1), std::type_identity<X>, LanesOf<group>>::type;
+  Vector at[groups];
+
+  ARM_INLINE static Row load(const X* numbers) {
+    Row row;
+    for_each<groups>([&](auto g) __attribute__((always_inline)) {
+      row.at[g] = *reinterpret_cast<const Vector*>(numbers + g * group);
+    });
+    return row;
+  }
+  ARM_INLINE void store(X* numbers) const {
+    for_each<groups>([&](auto g) __attribute__((always_inline)) {
+      *reinterpret_cast<Vector*>(numbers + g * group) = at[g];
+    });
+  }
+  // Of numbers that were worked out one by one, and would have to wait for each other in memory.
+  ARM_INLINE static Row gather(const X* numbers) {
+    if constexpr (kWidth<X> > 1 || N > kUnrollLimit) {
+      return load(numbers);
+    } else {
+      Row row;
+      for_each<groups>([&](auto g) __attribute__((always_inline)) {
+        row.at[g] = [&]<int... j>(std::integer_sequence<int, j...>) __attribute__((always_inline)) {
+          return Vector{(g * group + j < N ? numbers[g * group + j] : 0.0)...};
+        }(std::make_integer_sequence<int, group>{});
+      });
+      return row;
+    }
+  }
+};
+
+}  // namespace arm

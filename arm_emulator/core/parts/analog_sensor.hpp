@@ -1,0 +1,31 @@
+// A sensor of one quantity x that an amplifier and a converter follow: of a current, a torque, an
+// axis of an inertial measurement unit.
+//
+//   y = (1 + gain_error) x + offset + noise n, limited to +-range, rounded to a multiple of
+//   `resolution`
+#pragma once
+
+#include "numerics/noise.hpp"
+
+namespace arm {
+
+struct AnalogSensor {
+  bool present = false;
+  double gain_error = 0.0;
+  double noise = 0.0;       // standard deviation
+  double range = 0.0;       // 0: none
+  double resolution = 0.0;  // 0: none
+  double offset = 0.0;
+  int delay = 0;  // servo periods
+
+  double read(double x, const Noise& noises, std::int64_t number) const {
+    if (!present) return x;
+    double y = x + gain_error * x + offset;
+    if (noise != 0.0) y += noise * noises.normal(number);
+    if (range > 0.0) y = clamp(y, range);
+    if (resolution > 0.0) y = resolution * __builtin_floor(y / resolution + 0.5);
+    return y;
+  }
+};
+
+}  // namespace arm

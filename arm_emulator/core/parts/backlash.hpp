@@ -1,0 +1,57 @@
+// An elastic gear with play: while the twist w = Ng tm - q is within +-play/2 the teeth touch
+// nothing and T = 0; beyond, the tooth that touches pushes (one_sided.hpp) with the depth |w| -
+// play/2.
+//
+// Its mode is `held` while a tooth pushes, and the mode's number is the twist where it began to
+// touch: then T = Kg (w - offset) + Dg dw/dt.
+#pragma once
+
+#include "parts/gear.hpp"
+#include "parts/mode.hpp"
+#include "parts/one_sided.hpp"
+
+namespace arm {
+
+struct BacklashGear {
+  double Ng;    // link turns per motor turn
+  double Kg;    // N m/rad at the link
+  double Dg;    // N m s/rad at the link
+  double play;  // rad at the link, from tooth to tooth
+
+  static constexpr bool rigid = false;
+  static constexpr int states = ElasticGear::states;
+  static constexpr int modes = 1;
+  constexpr const BacklashGear& linear() const { return *this; }
+
+  template <class X>
+  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X offset, bool held) const {
+    return held ? tooth().push(Ng * tm - q - offset, Ng * wm - v) : X{};
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X tm, X q) const {
+    return tooth().stored(magnitude(Ng * tm - q) - gap());
+  }
+  constexpr double dissipated(double tm, double wm, double q, double v, bool held) const {
+    const double w = Ng * tm - q, rate = Ng * wm - v;
+    return tooth().dissipated(magnitude(w) - gap(), w < 0.0 ? -rate : rate, held);
+  }
+
+  constexpr Mode mode_at(double tm, double wm, double q, double v) const {
+    const double w = Ng * tm - q, rate = Ng * wm - v, way = w < 0.0 ? -1.0 : 1.0;
+    if (tooth().pushes(way * w - gap(), way * rate)) return {true, way * gap()};
+    return {};
+  }
+  constexpr double margin(double tm, double wm, double q, double v, const Mode& mode) const {
+    const double w = Ng * tm - q, rate = Ng * wm - v;
+    // While no tooth pushes, that on the nearer side is looked at.
+    const double way = (mode.held ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
+    return tooth().margin(mode.held, way * w - gap(), way * rate,
+                          kRounding * Kg * (gap() + magnitude(q)));
+  }
+
+ private:
+  constexpr double gap() const { return 0.5 * play; }
+  constexpr OneSided tooth() const { return {Kg, Dg}; }
+};
+
+}  // namespace arm

@@ -1,0 +1,49 @@
+// Cogging of a motor: magnets that are drawn to the teeth of the stator, with or without current.
+//
+//   torque on the rotor  -sum a sin(k tm + phi)      stored  sum a / k (1 - cos(k tm + phi))
+#pragma once
+
+#include <array>
+
+#include "numerics/harmonic.hpp"
+#include "parts/place.hpp"
+
+namespace arm {
+
+struct NoCogging {
+  static constexpr Place place = Place::rotor;
+  static constexpr int states = 0, modes = 0;
+  constexpr const NoCogging& linear() const { return *this; }
+  template <class X>
+  ARM_INLINE constexpr X torque(X, X, const X*, X, bool) const {
+    return X{};
+  }
+};
+
+template <int n>
+struct Cogging {
+  std::array<Harmonic, n> waves;  // N m
+
+  static constexpr Place place = Place::rotor;
+  static constexpr int states = 0, modes = 0;
+  constexpr NoCogging linear() const { return {}; }
+
+  template <class X>
+  ARM_INLINE constexpr X torque(X tm, X, const X*, X, bool) const {
+    X sum{};
+    for (const Harmonic& one : waves) sum -= one.at(tm).sin;
+    return sum;
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X tm, const X*) const {
+    X sum{};
+    for (const Harmonic& one : waves) {
+      const double size = one.amplitude < 0.0 ? -one.amplitude : one.amplitude;
+      sum += (size - one.at(tm).cos) / one.k;
+    }
+    return sum;
+  }
+  constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
+};
+
+}  // namespace arm

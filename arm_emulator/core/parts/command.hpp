@@ -1,0 +1,30 @@
+// What motors are commanded, and within which bounds.
+#pragma once
+
+#include "numerics/number.hpp"
+
+namespace arm {
+
+// As in arm.h, enum arm_mode.
+enum class Command { voltage = 1, torque = 2, current = 4, voltage_dq = 8 };
+
+// Whether a command has a second number, which the motor keeps as a state that rests: it is held
+// from one command to the next, and is part of what is saved.
+constexpr bool has_second(Command command) { return command == Command::voltage_dq; }
+
+// A limit that is 0 is none.
+constexpr double limit_or_none(double limit) { return limit > 0.0 ? limit : 1e300; }
+
+// Of what follows a command with a bandwidth [Hz], to first order; 0: at once.
+constexpr double time_constant(double bandwidth) {
+  return bandwidth > 0.0 ? 1.0 / (2.0 * 3.14159265358979323846 * bandwidth) : 0.0;
+}
+
+// The larger size of two numbers.
+template <class X>
+ARM_INLINE constexpr X larger_size(X a, X b) {
+  const X one = magnitude(a), other = magnitude(b);
+  return select(one < other, other, one);
+}
+
+}  // namespace arm

@@ -1,0 +1,96 @@
+// A spring between the link and what carries it, as a gas spring that takes the weight of an arm.
+//
+// One end is at the distance a from the joint's axis, the other, on the link, at b; at q = phi they
+// are on the same side of it. The spring is l long and pushes with F, or pulls with -F:
+//
+//   l^2 = a^2 + b^2 - 2 a b cos(q - phi)      T = F dl/dq
+//   F = F0 - k (l - l0)                       of a straight characteristic
+//   F = F0 h / (h + sign(F0) (l - l0))        of a gas column that is h long at l0, at one
+//                                             temperature (Boyle)
+//
+// It takes nothing, and stores what brings it from the length at which it is least strained, the
+// greatest or the smallest one, to l.
+#pragma once
+
+#include "numerics/number.hpp"
+#include "numerics/sincos.hpp"
+#include "parts/place.hpp"
+
+namespace arm {
+
+// In the matrix A of the schemes: a counterbalance is soft beside the inertia that it balances.
+struct NoSpring {
+  static constexpr Place place = Place::link;
+  static constexpr int states = 0, modes = 0;
+  constexpr const NoSpring& linear() const { return *this; }
+  template <class X>
+  ARM_INLINE constexpr X torque(X, X, const X*, X, bool) const {
+    return X{};
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X, const X*) const {
+    return X{};
+  }
+  constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
+};
+
+struct Counterbalance {
+  double a, b;  // m
+  double phi;   // rad
+  double F0;    // N, at the length l0
+  double l0;    // m
+  double k;     // N/m
+  double h;     // m; 0: a straight characteristic
+
+  static constexpr Place place = Place::link;
+  static constexpr int states = 0, modes = 0;
+  constexpr NoSpring linear() const { return {}; }
+
+  template <class X>
+  ARM_INLINE constexpr X torque(X q, X, const X*, X, bool) const {
+    const auto [sin, cos] = sincos(q - phi);
+    const X l = length(cos);
+    return force(l) * (a * b) * sin / l;
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X q, const X*) const {
+    return work(length(sincos(q - phi).cos)) - work(relaxed());
+  }
+  constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
+
+ private:
+  constexpr double compressing() const { return F0 < 0.0 ? -1.0 : 1.0; }
+  constexpr double relaxed() const { return F0 < 0.0 ? magnitude(a - b) : a + b; }
+  template <class X>
+  ARM_INLINE constexpr X force(X l) const {
+    if (h == 0.0) return F0 - k * (l - l0);
+    return F0 * h / (h + compressing() * (l - l0));
+  }
+  template <class X>
+  ARM_INLINE constexpr X length(X cos) const {
+    const X square = (a * a + b * b) - 2.0 * a * b * cos;
+    if constexpr (kWidth<X> == 1) {
+      return __builtin_sqrt(square);
+    } else {
+      X l;
+      for (int lane = 0; lane < kWidth<X>; ++lane)
+        set_lane(l, lane, __builtin_sqrt(lane_of(square, lane)));
+      return l;
+    }
+  }
+  // dwork/dl = -F.
+  template <class X>
+  ARM_INLINE constexpr X work(X l) const {
+    if (h == 0.0) return (l - l0) * (0.5 * k * (l - l0) - F0);
+    X beside = 1.0 + compressing() * (l - l0) / h;
+    if constexpr (kWidth<X> == 1) {
+      beside = __builtin_log(beside);
+    } else {
+      for (int lane = 0; lane < kWidth<X>; ++lane)
+        set_lane(beside, lane, __builtin_log(lane_of(beside, lane)));
+    }
+    return -compressing() * F0 * h * beside;
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,106 @@
+// A motor whose drive closes a current loop, far faster than a servo: its command u is a current
+// [A]. The controller is a PI in continuous time that knows the induced voltage,
+//
+//   V* = P (u - i) + x + E wm          dx/dt = I (u - i)
+//
+// and V, what the winding gets, is V* within the supply U. Beyond it x is drawn to where V* = V,
+//
+//   dx/dt = I (u - i) + I/P (V - V*) = I/P (V - x - E wm)
+//
+// so that it cannot wind up. Its mode (mode.hpp) is `held` there, and the mode's number is V. Both
+// modes give the same rates where V* = V: nothing jumps.
+//
+// With a bandwidth f, P = 2 pi f L and I = 2 pi f R: the zero of the PI cancels the winding's pole,
+// and within the supply 1 / (2 pi f) di/dt = u - i.
+#pragma once
+
+#include "numerics/number.hpp"
+#include "parts/command.hpp"
+#include "parts/mode.hpp"
+
+namespace arm {
+
+// As the scene says it: a bandwidth, or gains.
+struct CurrentControl {
+  double bandwidth = 0.0;    // Hz; 0: gains are given
+  double P = 0.0, I = 0.0;   // V/A, V/(A s)
+  double feedforward = 1.0;  // share of the induced voltage
+};
+
+// R, L and Kb may be varied and heated; the drive was set up for what the data sheet says.
+struct DataSheet {
+  double R, L, Kb;  // ohm, H, V s/rad
+  double supply;    // V
+};
+
+template <class Motor>
+struct CurrentLoop : Motor {
+  CurrentControl control;
+  DataSheet nominal;
+
+  static constexpr int states = 2;  // i [A], x [V]
+  static constexpr int modes = 1;
+  static constexpr Command takes = Command::current;
+
+  constexpr const CurrentLoop& linear() const { return *this; }
+
+  template <class X>
+  ARM_INLINE constexpr X largest_command(const X*, double) const {
+    return X{} + limit_or_none(this->current_limit);
+  }
+
+  constexpr double inertia(int k, bool) const { return k == 0 ? this->L : 1.0; }
+  constexpr bool obeys_circuit(bool) const { return true; }
+  template <class X>
+  ARM_INLINE constexpr void rates(const X* z, X u, X, X wm, X offset, bool held, X* f) const {
+    const X V = held ? offset : asked(z, u, wm);
+    f[0] = V - this->R * z[0] - this->Kb * wm;
+    f[1] = held ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);
+  }
+  // A current that is put there flows on.
+  constexpr void put_current(double* z, double current) const {
+    z[0] = current, z[1] = this->R * current;
+  }
+  constexpr void follow(double*, double, double) const {}
+
+  constexpr bool is_usual(const double* z, double u, double wm) const {
+    return magnitude(asked(z, u, wm)) < nominal.supply;
+  }
+  constexpr Mode mode_at(const double* z, double u, double wm) const {
+    const double V = asked(z, u, wm);
+    if (magnitude(V) <= nominal.supply) return {};
+    return {true, V < 0.0 ? -nominal.supply : nominal.supply};
+  }
+  constexpr Mode wanted(const double* z, double u, double wm, const Mode& mode) const {
+    if (margin(z, u, wm, mode) >= 0.0) return mode;
+    return mode.held ? Mode{} : mode_at(z, u, wm);
+  }
+  constexpr double margin(const double* z, double u, double wm, const Mode& mode) const {
+    const double V = asked(z, u, wm), rounding = kRounding * nominal.supply;
+    if (!mode.held) return nominal.supply - magnitude(V) + rounding;
+    return (mode.offset < 0.0 ? -V : V) - nominal.supply + rounding;
+  }
+  constexpr void settle(double*, const Mode&) const {}
+
+  template <class X>
+  ARM_INLINE constexpr X given(const X* z, X u, X wm, bool held) const {
+    const X V = held ? clamp(asked(z, u, wm), nominal.supply) : asked(z, u, wm);
+    return V * z[0] + (this->Kt - this->Kb) * wm * z[0];
+  }
+  template <class X>
+  ARM_INLINE constexpr X given_at_most(const X* z, X, X wm) const {
+    return Motor::given_at_most(z, X{} + nominal.supply, wm);
+  }
+
+ private:
+  constexpr double P() const { return control.bandwidth > 0.0 ? rate() * nominal.L : control.P; }
+  constexpr double I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
+  constexpr double E() const { return control.feedforward * nominal.Kb; }
+  constexpr double rate() const { return 1.0 / time_constant(control.bandwidth); }
+  template <class X>
+  ARM_INLINE constexpr X asked(const X* z, X u, X wm) const {
+    return P() * (u - z[0]) + z[1] + E() * wm;
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,72 @@
+// A motor whose current control is taken for granted: its current follows the command u [A].
+//
+//   1 / (2 pi f) di/dt = u - i          torque  Kt i          f: bandwidth of that control
+//
+// Without a bandwidth it follows at once. The supply gives what winding and shaft take.
+#pragma once
+
+#include "numerics/number.hpp"
+#include "parts/command.hpp"
+
+namespace arm {
+
+struct CurrentMotor {
+  double Kt;                   // N m/A
+  double R = 0.0;              // ohm
+  double Mm;                   // kg m2, with the gear's primary side
+  double bandwidth = 0.0;      // Hz; 0: the current follows at once
+  double current_limit = 0.0;  // A; 0: none
+
+  static constexpr bool present = true;
+  static constexpr int states = 1;  // i [A]
+  static constexpr int modes = 0;
+  static constexpr Command takes = Command::current;
+
+  constexpr const CurrentMotor& linear() const { return *this; }
+
+  // A command is within the limit, and so is a current that follows it.
+  template <class X>
+  ARM_INLINE constexpr X largest_command(const X*, double) const {
+    return X{} + limit_or_none(current_limit);
+  }
+  constexpr double largest_current() const { return current_limit; }
+
+  constexpr double inertia(int, bool) const { return time_constant(bandwidth); }
+  template <class X>
+  ARM_INLINE constexpr void rates(const X* i, X u, X, X, X, bool, X* f) const {
+    f[0] = u - i[0];
+  }
+  template <class X>
+  ARM_INLINE constexpr X torque(const X* i, X) const {
+    return Kt * i[0];
+  }
+  template <class X>
+  ARM_INLINE constexpr X current(const X* i) const {
+    return i[0];
+  }
+  constexpr void put_current(double* i, double current) const { i[0] = current; }
+  constexpr void follow(double* i, double u, double) const {
+    if (bandwidth == 0.0) i[0] = u;
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X stored(const X*) const {
+    return X{};
+  }
+  template <class X>
+  ARM_INLINE constexpr X dissipated(const X* i) const {
+    return R * i[0] * i[0];
+  }
+  template <class X>
+  ARM_INLINE constexpr X given(const X* i, X, X wm, bool) const {
+    return (R * i[0] + Kt * wm) * i[0];
+  }
+  static constexpr bool given_by_speed = true;  // so that it may grow from nothing at rest
+  template <class X>
+  ARM_INLINE constexpr X given_at_most(const X* i, X u, X wm) const {
+    const X most = larger_size(i[0], u);
+    return (R * most + Kt * magnitude(wm)) * most;
+  }
+};
+
+}  // namespace arm

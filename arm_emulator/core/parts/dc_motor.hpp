@@ -1,0 +1,129 @@
+// A direct-current motor: armature circuit, and the torque on its rotor.
+//
+//   (1)  L di/dt = V - R i - Kb wm          torque  Kt i
+//
+// With L = 0 the current follows at once. A current at its limit follows no voltage: the drive
+// takes back as much of it as holds the limit. Its mode (mode.hpp) is `held` there, and the mode's
+// number is the limit, with the current's sign.
+#pragma once
+
+#include "numerics/number.hpp"
+#include "parts/command.hpp"
+#include "parts/mode.hpp"
+
+namespace arm {
+
+template <bool limited>
+struct DcMotorOf {
+  double R;                    // ohm
+  double L;                    // H
+  double Kt;                   // N m/A
+  double Kb;                   // V s/rad
+  double Mm;                   // kg m2, with the gear's primary side
+  double current_limit = 0.0;  // A, of one that has a limit
+
+  static constexpr bool present = true;
+  static constexpr int states = 1;  // i [A]
+  static constexpr int modes = limited ? 1 : 0;
+
+  // See drive.hpp.
+  constexpr const DcMotorOf& linear() const { return *this; }
+
+  static constexpr Command takes = Command::voltage;  // within the supply's
+  constexpr double largest_current() const { return current_limit; }
+
+  // What stands before di/dt in (1), and (1) itself.
+  constexpr double inertia(int, bool held) const { return held ? 0.0 : L; }
+  template <class X>
+  ARM_INLINE constexpr void rates(const X* i, X V, X, X wm, X offset, bool held, X* f) const {
+    f[0] = held ? offset - i[0] : V - R * i[0] - Kb * wm;
+  }
+  template <class X>
+  ARM_INLINE constexpr X torque(const X* i, X) const {
+    return Kt * i[0];
+  }
+  template <class X>
+  ARM_INLINE constexpr X current(const X* i) const {
+    return i[0];
+  }
+  constexpr void put_current(double* i, double current) const { i[0] = current; }
+
+  // What follows at once takes its value.
+  constexpr void follow(double* i, double V, double wm) const {
+    if (L == 0.0) i[0] = (V - Kb * wm) / R;
+    if constexpr (limited) i[0] = clamp(i[0], current_limit);
+  }
+
+  // Whether (1) holds, of a motor around it (winding.hpp).
+  constexpr bool obeys_circuit(bool held) const { return !held; }
+
+  constexpr bool is_usual(const double* i, double, double) const {
+    return magnitude(i[0]) < current_limit;
+  }
+  constexpr Mode mode_at(const double* i, double V, double wm) const {
+    const Mode mode = beyond(i[0]);
+    return mode.held && surplus(mode.offset, V, wm) * mode.offset < 0.0 ? Mode{} : mode;
+  }
+  constexpr Mode wanted(const double* i, double V, double wm, const Mode& mode) const {
+    if (!mode.held) return beyond(i[0] * (1.0 - kRounding));
+    return surplus(i[0], V, wm) * mode.offset < 0.0 ? Mode{} : mode;
+  }
+  constexpr double margin(const double* i, double V, double wm, const Mode& mode) const {
+    if (!mode.held) {
+      const double now = L > 0.0 ? i[0] : (V - Kb * wm) / R;
+      return current_limit * (1.0 + kRounding) - magnitude(now);
+    }
+    const double rounding = kRounding * (magnitude(V) + R * current_limit);
+    const double left = surplus(mode.offset, V, wm);
+    return (mode.offset < 0.0 ? -left : left) + rounding;
+  }
+  constexpr void settle(double* i, const Mode& mode) const {
+    i[0] = mode.held ? mode.offset : clamp(i[0], current_limit);
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X stored(const X* i) const {
+    return 0.5 * L * i[0] * i[0];
+  }
+  template <class X>
+  ARM_INLINE constexpr X dissipated(const X* i) const {
+    return R * i[0] * i[0];
+  }
+  // What it takes from its supply, and what differing constants give it from nowhere [W].
+  template <class X>
+  ARM_INLINE constexpr X given(const X* i, X V, X wm, bool held) const {
+    const X applied = held ? R * i[0] + Kb * wm : V;
+    return applied * i[0] + (Kt - Kb) * wm * i[0];
+  }
+  // The most that it can be given at the voltage V, for the best i [W].
+  template <class X>
+  ARM_INLINE constexpr X given_at_most(const X*, X V, X wm) const {
+    const X U = magnitude(V) + magnitude((Kt - Kb) * wm);
+    return U * U / (4.0 * R);
+  }
+
+ private:
+  constexpr Mode beyond(double i) const {
+    if (i >= current_limit) return {true, current_limit};
+    if (i <= -current_limit) return {true, -current_limit};
+    return {};
+  }
+  // The voltage that is left to raise the current [V]. Held at the limit, a current needs some in
+  // the limit's way, or it would fall by itself.
+  constexpr double surplus(double i, double V, double wm) const { return V - R * i - Kb * wm; }
+};
+
+using DcMotor = DcMotorOf<false>;
+using LimitedDcMotor = DcMotorOf<true>;
+
+// A joint that nothing drives.
+struct NoMotor {
+  static constexpr bool present = false;
+  static constexpr int states = 0, modes = 0;
+  static constexpr double Mm = 0.0;
+  static constexpr Command takes = Command::voltage;
+  constexpr const NoMotor& linear() const { return *this; }
+  constexpr double largest_current() const { return 0.0; }
+};
+
+}  // namespace arm

@@ -1,0 +1,155 @@
+// An encoder: a disc on a shaft, whose counts a reading head tells.
+//
+//   alpha = theta + offset + eccentricity sin(t + eccentricity_phase)
+//         + ripple sin(ripple_order t + ripple_phase) + noise n,   t the angle theta as 2 pi a turn
+//   c = floor(alpha counts_per_turn / turn)
+//
+// An incremental one counts edges up and down, so that an edge that is missed stays missed; an
+// index pulse once a turn tells what the counter should be. An absolute one reads the word c mod
+// 2^bits.
+#pragma once
+
+#include <cstdint>
+
+#include "numerics/noise.hpp"
+
+namespace arm {
+
+enum class EncoderKind { none, incremental, absolute };
+// What an index pulse does: nothing, it has its counts reported, or it sets the counter right, too.
+enum class Index { none, latch, correct };
+
+struct EncoderReading {
+  std::int64_t counts = 0;
+  std::int64_t index = 0;   // what the counter said when the newest index pulse came
+  std::int64_t pulses = 0;  // that came
+
+  template <class Number>
+  void for_each_number(Number&& number) {
+    number(counts), number(index), number(pulses);
+  }
+};
+
+struct Encoder {
+  EncoderKind kind = EncoderKind::none;
+  double counts_per_turn = 1.0;
+  double counts_per_rad = 1.0;  // of the shaft; per m of a linear scale
+  double turns_per_rad = 1.0;   // 1 / 2 pi, or 1 of a linear scale
+  Index index = Index::none;
+  int bits = 0;               // of an absolute encoder's word
+  int delay = 0;              // servo periods
+  double ripple_order = 0.0;  // per turn
+  double offset = 0.0;
+  double eccentricity = 0.0, eccentricity_phase = 0.0;
+  double ripple = 0.0, ripple_phase = 0.0;
+  double noise = 0.0;   // rad, standard deviation
+  double missed = 0.0;  // probability of each edge to be missed, or of a word not to come
+
+  // Counts after which a word begins anew; 0: never.
+  constexpr std::int64_t wrap() const {
+    return kind == EncoderKind::absolute ? std::int64_t{1} << bits : 0;
+  }
+
+  // What the disc shows at the shaft's angle theta, at the look of that number.
+  std::int64_t disc(double theta, const Noise& noises, std::int64_t number) const {
+    double alpha = theta + offset;
+    const double t = 6.283185307179586 * turns_per_rad * theta;
+    if (eccentricity != 0.0) alpha += eccentricity * sincos(t + eccentricity_phase).sin;
+    if (ripple != 0.0) alpha += ripple * sincos(ripple_order * t + ripple_phase).sin;
+    if (noise != 0.0) alpha += noise * noises.normal(number);
+    return static_cast<std::int64_t>(clamp(__builtin_floor(alpha * counts_per_rad), 0x1p60));
+  }
+};
+
+// What an encoder remembers from one look to the next.
+struct EncoderMemory {
+  EncoderReading now;
+  std::int64_t disc = 0;    // what the disc showed
+  std::int64_t lost = 0;    // by how much the counter lags behind it
+  std::int64_t misses = 0;  // that were drawn
+  double until_miss = 0.0;  // what edges may use up until one is missed, see `pass`
+
+  template <class Number>
+  void for_each_number(Number&& number) {
+    now.for_each_number(number);
+    number(disc), number(lost), number(misses), number(until_miss);
+  }
+
+  // Begin at the shaft's angle: with nothing lost, or, after the machine was moved by hand, with
+  // what was lost and seen before.
+  void begin(const Encoder& e, double theta, const Noise& noises, std::int64_t number, bool anew) {
+    if (anew) {
+      *this = {};
+      until_miss = misses_of(noises).exponential(0);
+    }
+    disc = e.disc(theta, noises, number);
+    read(e);
+  }
+
+  void look(const Encoder& e, double theta, const Noise& noises, std::int64_t number) {
+    const std::int64_t c = e.disc(theta, noises, number);
+    if (e.kind == EncoderKind::absolute) {
+      disc = c;
+      if (e.missed > 0.0 && misses_of(noises).uniform(number) <= e.missed) return;
+    } else {
+      turn(e, c, noises);
+    }
+    read(e);
+  }
+
+ private:
+  static constexpr int kMostMisses = 1000;  // that are drawn one by one between two looks
+
+  static constexpr Noise misses_of(const Noise& noises) { return {mixed(noises.key ^ kGolden)}; }
+
+  void read(const Encoder& e) {
+    const std::uint64_t word = (std::uint64_t{1} << e.bits) - 1;
+    const bool absolute = e.kind == EncoderKind::absolute;
+    now.counts =
+        absolute ? static_cast<std::int64_t>(static_cast<std::uint64_t>(disc) & word) : disc - lost;
+  }
+
+  // Count the edges up to c. The newest index pulse on the way falls on a multiple of a turn.
+  void turn(const Encoder& e, std::int64_t c, const Noise& noises) {
+    const auto per_turn = static_cast<std::int64_t>(e.counts_per_turn);
+    const std::int64_t from = turn_of(disc, per_turn), to = turn_of(c, per_turn);
+    if (e.index != Index::none && from != to) {
+      const std::int64_t pulse = (c > disc ? to : to + 1) * per_turn;
+      pass(e, pulse, noises);
+      now.index = disc - lost;
+      now.pulses += from < to ? to - from : from - to;
+      if (e.index == Index::correct) lost = per_turn * turn_of(lost + per_turn / 2, per_turn);
+    }
+    pass(e, c, noises);
+  }
+
+  // Each edge uses up `rate` of what is left until one is missed. What a new one begins with is
+  // exponentially distributed, and then edges are missed independently of each other with
+  // probability 1 - exp(-rate) = e.missed, whatever that has been before.
+  void pass(const Encoder& e, std::int64_t to, const Noise& noises) {
+    const std::int64_t way = to > disc ? 1 : -1;
+    double edges = static_cast<double>(way * (to - disc));
+    disc = to;
+    if (e.missed <= 0.0) return;
+    const double rate = 2.0 * artanh(e.missed / (2.0 - e.missed));  // -log(1 - e.missed)
+    for (int k = 0; k < kMostMisses; ++k) {
+      double next = __builtin_ceil(until_miss / rate);
+      if (next < 1.0) next = 1.0;
+      if (next > edges) {
+        until_miss -= edges * rate;
+        return;
+      }
+      edges -= next;
+      lost += way;
+      until_miss = misses_of(noises).exponential(++misses);
+    }
+    lost += way * static_cast<std::int64_t>(edges * e.missed);  // of so many, as many as expected
+  }
+
+  static constexpr std::int64_t turn_of(std::int64_t counts, std::int64_t per_turn) {
+    const std::int64_t turn = counts / per_turn;
+    return turn * per_turn > counts ? turn - 1 : turn;
+  }
+};
+
+}  // namespace arm

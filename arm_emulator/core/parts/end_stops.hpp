@@ -1,0 +1,55 @@
+// Stops at both ends of a joint's way: beyond `lower` or `upper` the link presses a spring and a
+// damper that push it back and never hold it (one_sided.hpp).
+//
+// Its mode is `held` while a stop pushes, and the mode's number is where that stop begins.
+#pragma once
+
+#include "parts/mode.hpp"
+#include "parts/one_sided.hpp"
+#include "parts/place.hpp"
+
+namespace arm {
+
+struct EndStops {
+  double lower, upper;  // rad (m)
+  double K;             // N m/rad
+  double D;             // N m s/rad
+
+  static constexpr Place place = Place::link;
+  static constexpr int states = 0, modes = 1;
+  constexpr const EndStops& linear() const { return *this; }
+
+  template <class X>
+  ARM_INLINE constexpr X torque(X q, X v, const X*, X offset, bool held) const {
+    return held ? -stop().push(q - offset, v) : X{};
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X q, const X*) const {
+    return stop().stored(q - upper) + stop().stored(lower - q);
+  }
+  constexpr double dissipated(double q, double v, const double*, bool held) const {
+    const bool above = q - upper > lower - q;
+    return above ? stop().dissipated(q - upper, v, held) : stop().dissipated(lower - q, -v, held);
+  }
+
+  constexpr bool is_usual(double q, double, const double*) const {
+    return q <= upper && q >= lower;
+  }
+  constexpr Mode mode_at(double q, double v, const double*) const {
+    if (stop().pushes(q - upper, v)) return {true, upper};
+    if (stop().pushes(lower - q, -v)) return {true, lower};
+    return {};
+  }
+  constexpr double margin(double q, double v, const double*, const Mode& mode) const {
+    // While no stop pushes, the nearer one is looked at.
+    const bool above = mode.held ? mode.offset == upper : q - upper > lower - q;
+    const double u = above ? q - upper : lower - q, du = above ? v : -v;
+    const double size = magnitude(lower) + magnitude(upper);
+    return stop().margin(mode.held, u, du, kRounding * K * size);
+  }
+
+ private:
+  constexpr OneSided stop() const { return {K, D}; }
+};
+
+}  // namespace arm

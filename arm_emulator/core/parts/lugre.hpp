@@ -1,0 +1,89 @@
+// Friction by bristles: the surfaces of a shaft hold on to each other by hairs that bend by z
+// before they slip. Before it slides a shaft yields as on a spring, which is what Coulomb friction
+// leaves out.
+//
+//   dz/dt = w - s0 |w| z / g(w)      g(w) = Dc + (Ds - Dc) exp(-(w / vs)^2)
+//   torque on the shaft  -s0 z - s1 dz/dt
+//
+// C. Canudas de Wit, H. Olsson, K. J. Astrom and P. Lischinsky, IEEE Trans. Automatic Control 40,
+// 1995; viscous friction has a section of its own.
+//
+// |w| has a corner where the shaft reverses. The mode's number is the way it turns, so that steps
+// are cut there where events are located; nothing else depends on it.
+#pragma once
+
+#include "parts/mode.hpp"
+#include "parts/place.hpp"
+#include "parts/stribeck.hpp"
+
+namespace arm {
+
+template <Place where>
+struct LuGre {
+  double Dc, Ds;  // N m, of sliding fast, and of breaking away
+  double vs;      // rad/s, as of Stribeck
+  double s0;      // N m/rad, of the bristles
+  double s1;      // N m s/rad
+
+  static constexpr Place place = where;
+  static constexpr int states = 1, modes = 1;
+
+  // Bristles that only bend: the shaft at rest on its spring and damper.
+  struct Spring {
+    double s0, s1;
+
+    static constexpr Place place = where;
+    static constexpr int states = 1, modes = 1;
+    constexpr const Spring& linear() const { return *this; }
+    template <class X>
+    ARM_INLINE constexpr void rates(X, X w, const X*, X* f) const {
+      f[0] = w;
+    }
+    template <class X>
+    ARM_INLINE constexpr X torque(X, X w, const X* z, X, bool) const {
+      return -s0 * z[0] - s1 * w;
+    }
+  };
+  constexpr Spring linear() const { return {s0, s1}; }
+
+  template <class X>
+  ARM_INLINE constexpr void rates(X, X w, const X* z, X* f) const {
+    f[0] = w - slip(w, z[0]);
+  }
+  template <class X>
+  ARM_INLINE constexpr X torque(X, X w, const X* z, X, bool) const {
+    // Bristles never bend beyond Ds / s0, by far. Where they do the step is too long, and this
+    // ends as a divergence.
+    const X most = X{} + 5.0 * Ds / s0;
+    const X bent = select(magnitude(z[0]) > most, z[0] * 1e30, z[0]);
+    return -s0 * bent - s1 * (w - slip(w, z[0]));
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X, const X* z) const {
+    return 0.5 * s0 * z[0] * z[0];
+  }
+  constexpr double dissipated(double, double w, const double* z, bool) const {
+    const double rate = w - slip(w, z[0]);
+    return (s0 * z[0] + s1 * rate) * w - s0 * z[0] * rate;
+  }
+
+  constexpr Mode mode_at(double, double w, const double*) const {
+    return {false, w < 0.0 ? -1.0 : 1.0};
+  }
+  // A shaft that hardly moves may do so either way.
+  constexpr double margin(double, double w, const double*, const Mode& mode) const {
+    return mode.offset * w + 1e-6 * vs;
+  }
+
+ private:
+  // The rate at which bristles let go.
+  template <class X>
+  ARM_INLINE constexpr X slip(X w, X z) const {
+    X g{};
+    for (int lane = 0; lane < kWidth<X>; ++lane)
+      set_lane(g, lane, Stribeck{0.0, Dc, Ds, vs}.sliding(lane_of(w, lane), 0.0));
+    return s0 * magnitude(w) * z / g;
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,44 @@
+// A spring and a damper that push and never pull: a tooth on a tooth, a link on its stop.
+//
+// With the depth u, how far one is pressed into the other:
+//
+//   T = max(0, K u + D du/dt) where u > 0, else 0
+//
+// It stores K u^2 / 2 and dissipates T du/dt - K u du/dt, which is D (du/dt)^2 while it pushes.
+// Where the other leaves faster than the spring follows, T is 0 and the damper takes what the
+// spring still holds.
+#pragma once
+
+#include "numerics/number.hpp"
+
+namespace arm {
+
+struct OneSided {
+  double K;  // N m/rad
+  double D;  // N m s/rad
+
+  template <class X>
+  ARM_INLINE constexpr X push(X u, X du) const {
+    return K * u + D * du;
+  }
+  constexpr bool pushes(double u, double du) const { return u > 0.0 && push(u, du) > 0.0; }
+
+  // How far it is from where it begins or ceases to push, negative beyond [N m].
+  constexpr double margin(bool pushing, double u, double du, double rounding) const {
+    const double depth = K * u, torque = push(u, du);
+    const double least = depth < torque ? depth : torque;
+    return (pushing ? least : -least) + rounding;
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X stored(X u) const {
+    return select(u > 0.0, 0.5 * K * u * u, X{});
+  }
+  // While it pushes, and while it does not.
+  constexpr double dissipated(double u, double du, bool pushing) const {
+    if (pushing) return D * du * du;
+    return u > 0.0 ? -K * u * du : 0.0;
+  }
+};
+
+}  // namespace arm

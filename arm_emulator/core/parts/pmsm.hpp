@@ -1,0 +1,95 @@
+// A permanent-magnet synchronous motor in the frame of its rotor, d along the magnets' flux, in
+// amplitudes of its phases:
+//
+//   Ld did/dt = ud - R id + p wm Lq iq
+//   Lq diq/dt = uq - R iq - p wm (Ld id + psi)
+//   torque      3/2 p (psi iq + (Ld - Lq) id iq)
+//
+// An inverter with space vectors reaches the amplitude supply / sqrt(3). Of that circle ud has what
+// it asks for, and uq what is left.
+#pragma once
+
+#include "numerics/number.hpp"
+#include "parts/command.hpp"
+
+namespace arm {
+
+// `whole` false: without the products of speed and currents, which is linear.
+template <bool whole>
+struct PmsmOf {
+  double R;    // ohm
+  double Ld;   // H
+  double Lq;   // H
+  double psi;  // V s, flux of the magnets
+  double p;    // pole pairs
+  double Mm;   // kg m2, with the gear's primary side
+
+  static constexpr bool present = true;
+  static constexpr int states = 3;  // id [A], iq [A], ud [V], which rests
+  static constexpr int modes = 0;
+  static constexpr Command takes = Command::voltage_dq;  // uq, and ud as the second number
+
+  constexpr PmsmOf<false> linear() const { return {R, Ld, Lq, psi, p, Mm}; }
+
+  constexpr double inertia(int k, bool) const { return k == 0 ? Ld : k == 1 ? Lq : 1.0; }
+  template <class X>
+  ARM_INLINE constexpr void rates(const X* z, X uq, X, X wm, X, bool, X* f) const {
+    const X id = z[0], iq = z[1], ud = z[2];
+    f[0] = ud - R * id;
+    f[1] = uq - R * iq - p * psi * wm;
+    f[2] = X{};
+    if constexpr (whole) {
+      f[0] += p * Lq * wm * iq;
+      f[1] -= p * Ld * wm * id;
+    }
+  }
+  template <class X>
+  ARM_INLINE constexpr X torque(const X* z, X) const {
+    if constexpr (whole) return 1.5 * p * (psi + (Ld - Lq) * z[0]) * z[1];
+    return 1.5 * p * psi * z[1];
+  }
+
+  // Of the currents, iq stands where other motors have their one; id is told beside it.
+  template <class X>
+  ARM_INLINE constexpr X current(const X* z) const {
+    return z[1];
+  }
+  constexpr void put_current(double* z, double current) const { z[1] = current; }
+  constexpr double second_current(const double* z) const { return z[0]; }
+  constexpr double largest_current() const { return 0.0; }
+  constexpr void follow(double*, double, double) const {}
+
+  constexpr void put_second(double* z, double ud, double supply) const {
+    z[2] = clamp(ud, amplitude(supply));
+  }
+  template <class X>
+  ARM_INLINE constexpr X largest_command(const X* z, double supply) const {
+    const X left = amplitude(supply) * amplitude(supply) - z[2] * z[2];
+    return square_root(select(left > 0.0, left, X{}));
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X stored(const X* z) const {
+    return 0.75 * (Ld * z[0] * z[0] + Lq * z[1] * z[1]);
+  }
+  template <class X>
+  ARM_INLINE constexpr X dissipated(const X* z) const {
+    return 1.5 * R * (z[0] * z[0] + z[1] * z[1]);
+  }
+  template <class X>
+  ARM_INLINE constexpr X given(const X* z, X uq, X, bool) const {
+    return 1.5 * (z[2] * z[0] + uq * z[1]);
+  }
+  // At most, for the best currents.
+  template <class X>
+  ARM_INLINE constexpr X given_at_most(const X* z, X uq, X) const {
+    return 0.375 / R * (z[2] * z[2] + uq * uq);
+  }
+
+ private:
+  static constexpr double amplitude(double supply) { return supply / 1.7320508075688772; }
+};
+
+using Pmsm = PmsmOf<true>;
+
+}  // namespace arm

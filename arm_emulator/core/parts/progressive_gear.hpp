@@ -1,0 +1,39 @@
+// An elastic gear that stiffens as it winds up, by w = Ng tm - q:
+//
+//   T = Kg w + Kg3 w^3 + Dg dw/dt      stored  Kg w^2 / 2 + Kg3 w^4 / 4
+#pragma once
+
+#include "parts/gear.hpp"
+
+namespace arm {
+
+struct ProgressiveGear {
+  double Ng;   // link turns per motor turn
+  double Kg;   // N m/rad at the link
+  double Dg;   // N m s/rad at the link
+  double Kg3;  // N m/rad3 at the link
+
+  static constexpr bool rigid = false;
+  static constexpr int states = ElasticGear::states;
+  static constexpr int modes = 0;
+
+  // The same gear but for the cube.
+  constexpr ElasticGear linear() const { return {Ng, Kg, Dg}; }
+
+  template <class X>
+  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X none, bool held) const {
+    const X w = Ng * tm - q;
+    return linear().torque(tm, wm, q, v, none, held) + Kg3 * w * w * w;
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X tm, X q) const {
+    const X w = Ng * tm - q;
+    return linear().stored(tm, q) + 0.25 * Kg3 * (w * w) * (w * w);
+  }
+  template <class X>
+  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v, bool held) const {
+    return linear().dissipated(tm, wm, q, v, held);
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,87 @@
+// Dry friction of a rotor behind an elastic gear (of one behind a rigid gear it is the link's).
+//
+// Its mode is `held` where the rotor is stuck: then 0 = wm takes the place of eq. (2). Else it
+// slides, and the mode's number is the torque of sliding, with the sign of the motion. Any law of
+// friction.hpp's kind can be `Law`; one that is not dry never holds, and has no mode but the usual.
+#pragma once
+
+#include "parts/friction.hpp"
+#include "parts/mode.hpp"
+
+namespace arm {
+
+// What turns a rotor, beside its friction.
+struct OnRotor {
+  double torque;    // N m, of all
+  double of_gear;   // N m, of the gear alone
+  double rounding;  // N m, which may be there because angles are rounded
+};
+
+template <class Law = Friction>
+struct RotorFriction {
+  Law law;
+
+  static constexpr int modes = 1;
+  static constexpr bool varies = Law::varies;
+  constexpr auto linear() const {
+    return RotorFriction<std::remove_cvref_t<decltype(law.linear())>>{law.linear()};
+  }
+
+  // Torque against the motion, viscous and dry, while it slides as `offset` says.
+  template <class X>
+  ARM_INLINE constexpr X against(X wm, [[maybe_unused]] X T, X offset) const {
+    if constexpr (varies) {
+      const X dry = law.sliding(wm, T);
+      return law.Dv * wm + select(offset < 0.0, -dry, select(offset > 0.0, dry, X{}));
+    } else {
+      return law.Dv * wm + offset;
+    }
+  }
+  template <class X>
+  ARM_INLINE constexpr X dissipated(X wm, X T) const {
+    return law.Dv * wm * wm + law.sliding(wm, T) * magnitude(wm);
+  }
+
+  constexpr bool is_usual() const { return is_free(); }
+  constexpr Mode mode_at(double wm, const OnRotor& on) const {
+    if (is_free()) return {};
+    if (wm == 0.0 && spare(on) >= 0.0) return {true, 0.0};
+    return slide(wm == 0.0 ? on.torque : wm, wm, on.of_gear);
+  }
+  constexpr Mode wanted(double began, double wm, const OnRotor& on, const Mode& mode) const {
+    if (mode.held) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on.of_gear);
+    if (is_free()) return mode;
+    // A rotor that reverses comes to rest at the step's end; one that was at rest has not left it.
+    return began == 0.0 && wm * mode.offset < 0.0 ? Mode{true, 0.0} : mode;
+  }
+  constexpr double margin(double wm, const OnRotor& on, const Mode& mode) const {
+    if (mode.held) return spare(on);
+    if (is_free()) return 1.0;
+    return mode.offset < 0.0 ? -wm : wm;
+  }
+  constexpr void settle(double& wm, const Mode& mode) const {
+    if (mode.held || (!is_free() && wm * mode.offset < 0.0)) wm = 0.0;
+  }
+
+ private:
+  constexpr bool is_free() const { return !law.is_dry(); }
+  // What could be held beside what turns it, below 0 if it does not hold [N m].
+  constexpr double spare(const OnRotor& on) const {
+    return law.holding(on.of_gear) * (1.0 + kRounding) + on.rounding - magnitude(on.torque);
+  }
+  constexpr Mode slide(double way, double wm, double T) const {
+    // The way is kept in the sign, also of a torque of 0.
+    const double dry = law.sliding(wm, T);
+    const double some = dry > 0.0 ? dry : 1e-300;
+    return {false, way < 0.0 ? -some : some};
+  }
+};
+
+// A rotor without.
+struct FreeRotor {
+  static constexpr int modes = 0;
+  static constexpr bool varies = false;
+  constexpr const FreeRotor& linear() const { return *this; }
+};
+
+}  // namespace arm

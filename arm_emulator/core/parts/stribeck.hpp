@@ -1,0 +1,29 @@
+// Friction of a shaft that falls as the shaft begins to slide, by Stribeck (1902) in the form of
+// Bo and Pavelescu (1982): from Ds, which holds it at rest, to Dc.
+//
+//   torque against the motion   Dv w + (Dc + (Ds - Dc) exp(-(w / vs)^2)) sign(w)
+#pragma once
+
+#include "parts/friction.hpp"
+
+namespace arm {
+
+struct Stribeck {
+  double Dv, Dc, Ds;  // as of Friction
+  double vs;          // rad/s, at which 63 % of the fall are done
+
+  static constexpr bool varies = true;
+  constexpr Friction linear() const { return {Dv, Dc, Ds}; }
+
+  constexpr bool is_dry() const { return Ds > 0.0; }
+  template <class X>
+  ARM_INLINE constexpr X sliding(X w, X) const {
+    return Dc + (Ds - Dc) * exponential(-(w / vs) * (w / vs));
+  }
+  template <class X>
+  ARM_INLINE constexpr X holding(X) const {
+    return X{} + Ds;
+  }
+};
+
+}  // namespace arm

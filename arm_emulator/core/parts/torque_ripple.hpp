@@ -1,0 +1,33 @@
+// Torque ripple: what a motor makes of its current goes with the angle of its rotor, by the factor
+//
+//   s = 1 + sum a sin(k tm + phi)
+//
+// Torque s Kt i and induced voltage s Kb wm go together, so that no power is lost between them: the
+// motor's equations are those of one whose rotor turns with s wm.
+#pragma once
+
+#include <array>
+
+#include "numerics/harmonic.hpp"
+
+namespace arm {
+
+template <class Motor, int n>
+struct RippledMotor : Motor {
+  std::array<Harmonic, n> waves;  // of 1
+
+  constexpr decltype(auto) linear() const { return Motor::linear(); }
+
+  template <class X>
+  ARM_INLINE constexpr X ripple(X tm) const {
+    X s = X{} + 1.0;
+    for (const Harmonic& one : waves) s += one.at(tm).sin;
+    return s;
+  }
+  template <class X>
+  ARM_INLINE constexpr X torque(const X* z, X tm) const {
+    return ripple(tm) * Motor::torque(z, tm);
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,86 @@
+// A torque on the link that goes with its angle as a table says: a counterbalance as it was
+// measured, the drag of hoses. Between two points of the table it is a cubic,
+//
+//   T = T0 + T1 s + T2 s^2 + T3 s^3      s = q - q0
+//
+// with coefficients (parts/torque_table.py) for which torque and slope go on from one to the next.
+// Beyond its ends the table holds their torque, or comes again with its period. It takes nothing;
+// its potential, the integral of -T, is 0 at the first point and may become negative, as gravity's.
+#pragma once
+
+#include <array>
+
+#include "parts/counterbalance.hpp"
+
+namespace arm {
+
+template <int n, bool periodic>
+struct TorqueTable {
+  struct Piece {
+    double q0;              // rad (m), where it begins
+    double T0, T1, T2, T3;  // N m/rad^0, 1, 2, 3
+    double U0;              // J, potential at q0
+  };
+  std::array<Piece, n> pieces;
+  double end;    // rad (m), where the last of them ends
+  double U_end;  // J
+
+  static constexpr Place place = Place::link;
+  static constexpr int states = 0, modes = 0;
+  constexpr NoSpring linear() const { return {}; }
+
+  template <class X>
+  ARM_INLINE constexpr X torque(X q, X, const X*, X, bool) const {
+    return at(q).torque;
+  }
+  template <class X>
+  ARM_INLINE constexpr X potential(X q) const {
+    return at(q).potential;
+  }
+  template <class X>
+  ARM_INLINE constexpr X stored(X, const X*) const {
+    return X{};
+  }
+  constexpr double dissipated(double, double, const double*, bool) const { return 0.0; }
+
+ private:
+  template <class X>
+  struct Value {
+    X torque, potential;
+  };
+
+  template <class X>
+  ARM_INLINE constexpr Value<X> at(const X& q) const {
+    const double begin = pieces[0].q0, period = end - begin;
+    X turns{};
+    if constexpr (periodic)
+      for (int lane = 0; lane < kWidth<X>; ++lane)
+        set_lane(turns, lane, __builtin_floor((lane_of(q, lane) - begin) / period));
+    const X angle = q - turns * period;
+    const X within = select(angle < begin, X{} + begin, select(angle > end, X{} + end, angle));
+    X q0{}, T0{}, T1{}, T2{}, T3{}, U0{};
+    for (int lane = 0; lane < kWidth<X>; ++lane) {
+      const Piece& piece = pieces[piece_of(lane_of(within, lane))];
+      set_lane(q0, lane, piece.q0), set_lane(U0, lane, piece.U0);
+      set_lane(T0, lane, piece.T0), set_lane(T1, lane, piece.T1);
+      set_lane(T2, lane, piece.T2), set_lane(T3, lane, piece.T3);
+    }
+    const X s = within - q0;
+    const X torque = T0 + s * (T1 + s * (T2 + s * T3));
+    const X work = s * (T0 + s * (T1 / 2.0 + s * (T2 / 3.0 + s * (T3 / 4.0))));
+    const X beyond = periodic ? turns * U_end : (within - angle) * torque;
+    return {torque, U0 - work + beyond};
+  }
+  // The last piece that begins at or before an angle, by halves.
+  ARM_INLINE constexpr int piece_of(double angle) const {
+    int first = 0;
+    for (int count = n; count > 1;) {
+      const int half = count / 2;
+      first = pieces[first + half].q0 <= angle ? first + half : first;
+      count -= half;
+    }
+    return first;
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,125 @@
+// The temperature of a motor's winding, as one body: its rise Theta over the ambient [K] is a
+// state,
+//
+//   C dTheta/dt = P - Theta / Rth          P = copper loss at the temperature now
+//   R = R0 (1 + alpha (T - Tref))          T = ambient + Theta
+//   Kt, Kb (psi) = those at Tref times (1 + beta (T - Tref)), at least 0
+//
+// One temperature stands for copper and magnets. Resistance and constants meet currents in
+// products: the schemes' matrix has them at fixed temperatures (`linear`), the rest enters each
+// stage.
+#pragma once
+
+#include "numerics/number.hpp"
+
+namespace arm {
+
+struct Winding {
+  double C;              // J/K
+  double Rth;            // K/W, to the ambient
+  double ambient;        // degC
+  double reference;      // degC, of the motor's numbers
+  double alpha;          // 1/K
+  double beta;           // 1/K, not above 0
+  double limit = 1e300;  // degC, beyond which the drive switches off
+};
+
+// `whole` false: at fixed temperatures and without the loss, which is linear.
+template <class Motor, bool whole = true>
+struct HeatedMotor : Motor {
+  Winding winding;
+
+  static constexpr int rise = Motor::states, states = rise + 1;  // Theta [K]
+
+  // Steps of any length stay stable as long as the resistance is less than 1.17 times that of the
+  // matrix, however far below it is (a W-method's stability where currents are fast).
+  static constexpr double kOfMatrix = 150.0;  // degC
+  constexpr auto linear() const {
+    if constexpr (whole) {
+      auto motor = Motor::linear();
+      motor.R *= 1.0 + winding.alpha * (kOfMatrix - winding.reference);
+      return HeatedMotor<decltype(motor), false>{motor, winding};
+    } else {
+      return *this;
+    }
+  }
+
+  constexpr double inertia(int k, bool held) const {
+    return k == rise ? winding.C : Motor::inertia(k, held);
+  }
+  template <class X>
+  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool held, X* f) const {
+    Motor::rates(z, u, tm, wm, offset, held, f);
+    f[rise] = -z[rise] / winding.Rth;
+    if constexpr (whole) {
+      const X R = (resistance(z) - 1.0) * this->R, flux = magnets(z) - 1.0;
+      if constexpr (requires { this->psi; }) {
+        f[0] -= R * z[0];
+        f[1] -= R * z[1] + flux * this->p * this->psi * wm;
+      } else if (this->obeys_circuit(held)) {
+        f[0] -= R * z[0] + flux * this->Kb * wm;
+      }
+      f[rise] += dissipated(z);
+    }
+  }
+  template <class X>
+  ARM_INLINE constexpr X torque(const X* z, X tm) const {
+    X T = Motor::torque(z, tm);
+    if constexpr (whole) {
+      if constexpr (requires { this->psi; })
+        T += (magnets(z) - 1.0) * (1.5 * this->p * this->psi) * z[1];
+      else
+        T += (magnets(z) - 1.0) * this->Kt * z[0];
+    }
+    return T;
+  }
+  template <class X>
+  ARM_INLINE constexpr X dissipated(const X* z) const {
+    return resistance(z) * Motor::dissipated(z);
+  }
+  template <class X>
+  ARM_INLINE constexpr X given_at_most(const X* z, X u, X wm) const {
+    return Motor::given_at_most(z, u, magnets(z) * wm) / resistance(z);
+  }
+
+  // What asks for one machine is told by the motor as it is at this temperature.
+  constexpr double given(const double* z, double u, double wm, bool held) const {
+    return now(z).given(z, u, wm, held);
+  }
+  constexpr void follow(double* z, double u, double wm) const { now(z).follow(z, u, wm); }
+  constexpr auto mode_at(const double* z, double u, double wm) const {
+    return now(z).mode_at(z, u, wm);
+  }
+  constexpr auto wanted(const double* z, double u, double wm, const auto& mode) const {
+    return now(z).wanted(z, u, wm, mode);
+  }
+  constexpr double margin(const double* z, double u, double wm, const auto& mode) const {
+    return now(z).margin(z, u, wm, mode);
+  }
+
+  constexpr double temperature(const double* z) const { return winding.ambient + z[rise]; }
+  constexpr bool too_hot(const double* z) const { return temperature(z) > winding.limit; }
+
+ private:
+  // Resistance and constants, of those at the reference.
+  template <class X>
+  ARM_INLINE constexpr X resistance(const X* z) const {
+    return 1.0 + winding.alpha * (winding.ambient - winding.reference + z[rise]);
+  }
+  template <class X>
+  ARM_INLINE constexpr X magnets(const X* z) const {
+    const X left = 1.0 + winding.beta * (winding.ambient - winding.reference + z[rise]);
+    return select(left > 0.0, left, X{});
+  }
+  constexpr Motor now(const double* z) const {
+    Motor motor = *this;
+    motor.R *= resistance(z);
+    if constexpr (requires { motor.psi; })
+      motor.psi *= magnets(z);
+    else
+      motor.Kt *= magnets(z), motor.Kb *= magnets(z);
+    return motor;
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,462 @@
+// Linearly implicit schemes: implicit Euler, and the Rosenbrock method ROS2 in two forms.
+//
+// All solve  (I - s A) k = r,  s = gamma h,  for the rates k of the state x = (z, q, v), where A is
+// the part of the Jacobian that is stiff and cheap: the drive of each joint by itself, viscous
+// friction included (drive_table.hpp). A leaves out how nle and M change with q and v.
+//
+//   implicit      k = f(x),  x' = x + h k                                       (gamma = 1)
+//   rosenbrock    (I - s A) k1 = f(x)
+//                 (I - s A) K2 = f(x + h k1) - 2 k1,  x' = x + h (3 k1 + K2) / 2
+//
+// ROS2 is a W-method: of order 2 with any A (Verwer, Spee, Blom and Hundsdorfer, SIAM J. Sci.
+// Comput. 20, 1999), and L-stable in what A holds for gamma = 1 - 1/sqrt(2). What A holds need not
+// be evaluated a second time: f(x + h k1) = f(x) + h A k1 + d, where h A k1 = (k1 - f(x)) / gamma
+// and d is what the links' part changes. With K2 = (1 - 1/gamma) k1 + k2 and 1/gamma - 2 = sqrt(2)
+//
+//                 (I - s A) k2 = sqrt(2) k1 + d,  x' = x + h (gamma k1 + k2 / 2)
+//
+// d has torques on the links: M(x) k1 + nle(x) - M(y) k1 - nle(y) at y = x + h k1. (That is
+// M(x) f_v(y) - M(x) f_v(x) with k1 in the place of f_v(y) where M(x) - M(y) multiplies it: the
+// error is O(h^2), which order 2 allows.)
+//
+//   rosenbrock    works it out at y: one inverse dynamics with the accelerations k1.
+//   extrapolated  takes what it was from the last step to this one: each step evaluates the links
+//                 only once. The error is O(h^2) again; where an acceleration jumps it is O(h),
+//                 but in the one step after it, which keeps the order.
+//
+// Drives that are not linear add their rest n (drive.hpp) to f, and n(y) - n(x) to d: both schemes
+// work it out, joint by joint.
+#pragma once
+
+#include "mechanics/coulomb.hpp"
+#include "mechanics/links.hpp"
+#include "mechanics/modes.hpp"
+#include "numerics/finite.hpp"
+#include "schemes/drive_table.hpp"
+
+namespace arm {
+
+template <class S, class X = double>
+class LinearlyImplicit {
+ public:
+  static constexpr int N = S::N, K = most_states<S>();
+  using Dynamics = typename Links<S, X>::Dynamics;
+  using Tables = DriveTables<S, X, MakeImplicit>;
+  using In = typename Tables::In;
+  static constexpr int row = Tables::row;
+
+  LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers)
+      : h(step), n(numbers), tables(numbers, {step, stages}), coulomb(numbers) {}
+  // For steps in modes that are known.
+  LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers, const Modes<S>& modes)
+      : h(step), n(numbers), tables(numbers, {step, stages}, modes.drive), coulomb(numbers) {}
+
+  ~LinearlyImplicit() { delete half; }
+  LinearlyImplicit(const LinearlyImplicit&) = delete;
+  LinearlyImplicit& operator=(const LinearlyImplicit&) = delete;
+
+  // The numbers have changed.
+  void renew() {
+    tables.fill();
+    usual = true;
+    if (half) half->renew();
+  }
+
+  // The links' accelerations in the first stage, and the torques M a + nle that they take there.
+  struct Accelerations {
+    alignas(64) X a[row], torque[row];
+
+    // number(x) for all of them, in a fixed order.
+    template <class Number>
+    void for_each_number(Number&& number) {
+      for (int j = 0; j < N; ++j) number(a[j]), number(torque[j]);
+    }
+  };
+  using Memory = Accelerations;  // what a step takes from the one before, beside the state
+
+  // Begin at a state with no past.
+  void reset(const State<S, X>& x) {
+    past = {};
+    if constexpr (!extrapolates) return;
+    typename Links<S, X>::Kinematics kinematics;
+    Links<S, X>::kinematics(x.q, kinematics);
+    Links<S, X>::inverse_dynamics(n, kinematics, x.v, nullptr, past.torque);
+  }
+  const Memory& memory() const { return past; }
+  void restore(const Memory& memory) { past = memory; }
+
+  // Whether what a stage takes from the step before is there, and one as long as this.
+  enum class Past { used, unknown };
+
+  // A step in modes that are given, whether they hold or not (located.hpp).
+  void step_in(const Modes<S>& modes, State<S, X>& x, const X (&u)[row], Dynamics links,
+               Past from) {
+    Inputs in;
+    begin(x, u, in);
+    if constexpr (Tables::modal) {
+      for (int j = 0; j < N; ++j) tables.serve(j, 0, modes.drive[j]);
+      tables.put_modes(in);
+    }
+    Accelerations k1;
+    begin_links(x, u, in, k1);
+    given = {&modes.friction, from};
+    stages_of(x, u, links, in, k1);
+    move_links(x, in);
+    move_drives(x, in);
+    given = {};
+  }
+
+  // Make a past of a step that led from `start` to x otherwise.
+  void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row]) {
+    if constexpr (extrapolates) {
+      Dynamics links;
+      Links<S, X>::dynamics_apart(n, x.q, x.v, links);
+      X a[N];
+      Modes<S>(n, x, u, links).accelerations(x, u, links, a, coulomb);
+      typename Links<S, X>::Kinematics kinematics;
+      Links<S, X>::kinematics(start.q, kinematics);
+      Links<S, X>::inverse_dynamics(n, kinematics, start.v, a, past.torque);
+      for (int j = 0; j < N; ++j) {
+        past.a[j] = a[j];
+        past.torque[j] += n.carried(j) * a[j];
+      }
+    }
+  }
+
+  // From sample k to k + 1 under the commands u. The links' part comes from `exchange`, which is
+  // given the links as soon as they have moved on (two_threads.hpp).
+  template <class Exchange>
+  ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
+    Inputs in;
+    begin(x, u, in);
+    if constexpr (!Tables::modal) {
+      Accelerations k1;
+      begin_links(x, u, in, k1);
+      exchange.take(links);
+      stages_of(x, u, links, in, k1);
+      move_links(x, in);
+      exchange.give(x);
+      move_drives(x, in);
+    } else {
+      exchange.take(links);
+      step_in_modes(x, u, links, in);
+      exchange.give(x);
+    }
+  }
+
+ private:
+  using Inputs = typename Tables::Inputs;
+  static constexpr bool extrapolates = S::scheme == Scheme::extrapolated;
+  static constexpr bool locates = S::events == Events::located && Modes<S>::present;
+  static constexpr int stages = S::scheme == Scheme::implicit ? 1 : 2;
+  static constexpr double gamma = gamma_of(stages);
+
+  using Numbers = Row<N, X>;
+
+  ARM_INLINE static void begin(const State<S, X>& x, const X (&u)[row], Inputs& in) {
+    for_each<K, kMostStates>([&](auto k)
+                                 __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
+    in[In::q] = Numbers::load(x.q);
+    in[In::v] = Numbers::load(x.v);
+    in[In::u] = Numbers::load(u);
+    in[In::k1] = in[In::k2] = {};
+  }
+
+  // What the links' first stage takes from the drives goes to `k1.torque`.
+  ARM_INLINE void begin_links(const State<S, X>& x, const X (&u)[row], Inputs& in,
+                              Accelerations& k1) const {
+    if constexpr (!Tables::linear) tables.rest_at(x, u).put(in);
+    Tables::template answer<In::k1>(tables.rhs_1, in).store(k1.torque);
+  }
+
+  // k1 and k2 of the links. `k1.torque` holds rhs_1.
+  ARM_INLINE void stages_of(const State<S, X>& x, const X (&u)[row], Dynamics& links, Inputs& in,
+                            Accelerations& k1) {
+    for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n.carried(j); });
+    coulomb.take(x, u, tables.modes());
+    X change[row] = {};
+    if constexpr (extrapolates) extrapolate_change(links, change);
+    first_stage(x, links, in, k1);
+    if constexpr (extrapolates) past = k1;
+    if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
+    if constexpr (extrapolates && locates)
+      if (given.past == Past::unknown) evaluate_change(x, k1, change);
+    if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
+    if constexpr (stages == 2) second_stage(links, change, in);
+  }
+
+  ARM_INLINE void first_stage(const State<S, X>& x, Dynamics& links, Inputs& in,
+                              Accelerations& k1) {
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      k1.a[j] = k1.torque[j] - links.nle[j];
+      links.M.at[j][j] += tables.diagonal[j];
+    });
+    solve(links, x, k1);
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      k1.torque[j] -= coulomb.force(j) + tables.diagonal[j] * k1.a[j];
+    });
+    in[In::k1] = Numbers::gather(k1.a);
+  }
+
+  ARM_INLINE void solve(Dynamics& links, const State<S, X>& x, Accelerations& k1) {
+    if constexpr (locates)
+      if (given.modes) return coulomb.solve_in(*given.modes, links.M.at, k1.a);
+    coulomb.solve(links.M.at, x.v, k1.a);
+  }
+
+  ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) const {
+    alignas(64) X k2[row];
+    Tables::template answer<In::k2>(tables.rhs_2, in).store(k2);
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      k2[j] += change[j] - kSqrt2 * (links.nle[j] + coulomb.force(j));
+    });
+    coulomb.solve_again(k2);
+    in[In::k2] = Numbers::gather(k2);
+  }
+
+  // The drives' part of d: how their rest, and friction of the links that varies, change from x to
+  // x + h k1.
+  ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in, X (&change)[row]) const {
+    State<S, X> y;
+    Numbers number;
+    const auto store = [&](auto&& of_group, X(&to)[row]) __attribute__((always_inline)) {
+      for_each<Numbers::groups>([&](auto g)
+                                    __attribute__((always_inline)) { number.at[g] = of_group(g); });
+      number.store(to);
+    };
+    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+      const Numbers rate = Tables::template answer<In::change>(tables.k_z[k], in);
+      store([&](auto g) { return in[k].at[g] + h * rate.at[g]; }, y.z[k]);
+    });
+    store(
+        [&](auto g) {
+          return in[In::q].at[g] + h * (in[In::v].at[g] + gamma * h * in[In::k1].at[g]);
+        },
+        y.q);
+    store([&](auto g) { return in[In::v].at[g] + h * in[In::k1].at[g]; }, y.v);
+    if constexpr (Coulomb<S, X>::varies) coulomb.add_change(y, u, tables.modes(), change);
+    const auto rest = tables.rest_at(y, u);
+    for_each<Tables::R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
+      const Numbers there = Numbers::gather(rest.at[r]);
+      for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
+        in[In::change + r].at[g] = there.at[g] - in[In::rest + r].at[g];
+      });
+    });
+  }
+
+  // d of `rosenbrock`.
+  ARM_INLINE void evaluate_change(const State<S, X>& x, const Accelerations& k1,
+                                  X (&change)[row]) const {
+    typename Links<S, X>::Kinematics kinematics;
+    X q[N], v[N];
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      q[j] = x.q[j] + h * (x.v[j] + gamma * h * k1.a[j]);
+      v[j] = x.v[j] + h * k1.a[j];
+    });
+    Links<S, X>::kinematics(q, kinematics);
+    Links<S, X>::inverse_dynamics(n, kinematics, v, k1.a, change);
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      change[j] = k1.torque[j] - change[j] - n.carried(j) * k1.a[j];
+    });
+  }
+
+  // d of `extrapolated`: the torques M a + nle, for the accelerations of the step before, there and
+  // here.
+  ARM_INLINE void extrapolate_change(const Dynamics& links, X (&change)[row]) const {
+    const auto& M = links.M.at;
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      change[j] = past.torque[j] - links.nle[j] - M[j][j] * past.a[j];
+    });
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
+        change[j] -= M[j][k] * past.a[k];
+        change[k] -= M[j][k] * past.a[j];
+      });
+    });
+  }
+
+  ARM_INLINE void move_links(State<S, X>& x, const Inputs& in) const {
+    Numbers q, v;
+    for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
+      const auto k1 = in[In::k1].at[g], k2 = in[In::k2].at[g];
+      q.at[g] = in[In::q].at[g] + h * (in[In::v].at[g] + gamma * h * (k1 + 0.5 * k2));
+      v.at[g] = in[In::v].at[g] + h * (gamma * k1 + 0.5 * k2);
+    });
+    q.store(x.q);
+    v.store(x.v);
+    if constexpr (locates)
+      if (given.modes) return;
+    coulomb.stop_at_reversal(x.v);
+  }
+
+  ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) const {
+    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+      Numbers z = Tables::template answer<(stages == 2 ? In::count : In::change)>(tables.dz[k], in);
+      for_each<Numbers::groups>([&](auto g)
+                                    __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
+      z.store(x.z[k]);
+    });
+  }
+
+  // A step is taken with the modes that hold at its end: a current has not passed its limit, one at
+  // the limit is not drawn back by its own circuit, a stuck rotor is not overloaded. Where a joint
+  // changes its mind within the step there may be none: then the step is taken in halves. In the
+  // shortest of these the modes that its start calls for stay, so that a mode changes by at most
+  // 2^-kMostHalvings of a step too late. (Shorter ones need not help: a rotor that a wound-up gear
+  // begins to pull gathers its speed with h^3, which the error of a step exceeds at any h.)
+  void step_in_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
+    const Memory memory = past;
+    const bool begins_usual = usual && is_usual(x, u);
+    if (!begins_usual) serve_modes_at(x, u);
+    State<S, X> y;
+    Mask<X> hold = {};
+    for (int round = 0; round <= 2 * N * Tables::M; ++round) {
+      past = memory;
+      attempt(x, u, links, in, y);
+      if (begins_usual && round == 0 && is_usual(y, u)) {
+        x = y;
+        return;
+      }
+      hold = modes_hold(x, y, u);
+      if (all(hold)) {
+        x = y;
+        tables.settle(x, u);
+        usual = tables.serves_usual();
+        return;
+      }
+    }
+    usual = false;
+    tables.settle(y, u);
+    Memory later = past;
+    past = memory;
+    if (halvings < kMostHalvings)
+      halve(x, u);
+    else
+      keep_modes(x, u, links, in);
+    if constexpr (kWidth<X> > 1) {  // lanes whose modes hold have no need of halves
+      keep(hold, y, x);
+      keep(hold, later, past);
+    }
+  }
+
+  // From x to y in the modes that the tables serve.
+  void attempt(const State<S, X>& x, const X (&u)[row], Dynamics links, Inputs& in,
+               State<S, X>& y) {
+    Accelerations k1;
+    y = x;
+    tables.put_modes(in);
+    begin_links(y, u, in, k1);
+    stages_of(y, u, links, in, k1);
+    move_links(y, in);
+    move_drives(y, in);
+  }
+
+  // A step in the modes that x calls for, whether they hold at its end or not.
+  void keep_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
+    serve_modes_at(x, u);
+    State<S, X> y;
+    attempt(x, u, links, in, y);
+    x = y;
+    tables.settle(x, u);
+  }
+
+  // Whether x surely calls for the usual modes of all drives.
+  ARM_INLINE bool is_usual(const State<S, X>& x, const X (&u)[row]) const {
+    bool all = true;
+    for (int lane = 0; lane < kWidth<X>; ++lane)
+      n.for_each_drive_of(
+          lane, [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
+            if constexpr (Drive::modes > 0)
+              all &= drive.is_usual(input_in_lane(drive, j, x, u[j], lane));
+          });
+    return all;
+  }
+  void serve_modes_at(const State<S, X>& x, const X (&u)[row]) {
+    for (int lane = 0; lane < kWidth<X>; ++lane)
+      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+        if constexpr (Drive::modes > 0)
+          tables.serve(j, lane,
+                       resized<Tables::M>(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
+      });
+  }
+
+  // Put what `from` is where the mask holds.
+  static void keep(const Mask<X>& mask, auto& from, auto& to) {
+    X numbers[(sizeof to) / sizeof(X)];
+    X *in = numbers, *out = numbers;
+    each_number(from, [&](const X& number) { *in++ = number; });
+    each_number(to, [&](X& number) { number = select(mask, *out++, number); });
+  }
+  static void each_number(State<S, X>& x, auto&& number) { for_each_number(x, number); }
+  static void each_number(Memory& memory, auto&& number) { memory.for_each_number(number); }
+
+  void halve(State<S, X>& x, const X (&u)[row]) {
+    if (!half) {
+      half = new LinearlyImplicit(0.5 * h, n);
+      half->halvings = halvings + 1;
+    }
+    half->past = past;
+    for (int part = 0; part < 2; ++part) {
+      Dynamics links;
+      Inputs in;
+      Links<S, X>::dynamics(n, x.q, x.v, links);
+      begin(x, u, in);
+      half->step_in_modes(x, u, links, in);
+    }
+    past = half->past;
+  }
+
+  // Whether all modes hold at the end y of a step from x; those that do not are changed.
+  Mask<X> modes_hold(const State<S, X>& x, const State<S, X>& y, const X (&u)[row]) {
+    X changed = {};
+    for (int lane = 0; lane < kWidth<X>; ++lane) {
+      if (!is_finite(lane_of(y.v[0], lane))) continue;  // it has diverged, whatever its modes
+      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+        if constexpr (Drive::modes > 0) {
+          const auto& now = tables.served(j, lane);
+          const auto wanted = resized<Tables::M>(
+              drive.wanted(input_in_lane(drive, j, x, u[j], lane),
+                           input_in_lane(drive, j, y, u[j], lane), resized<Drive::modes>(now)));
+          if (wanted == now) return;
+          set_lane(changed, lane, 1.0);
+          tables.serve(j, lane, wanted);
+        }
+      });
+    }
+    return changed == 0.0;
+  }
+
+  static constexpr int kMostHalvings = 12;
+
+  double h;
+  const arm::Numbers<S, X>& n;
+  Tables tables;
+  bool usual = true;  // all joints are served in their usual modes
+  Memory past = {};
+  Coulomb<S, X> coulomb;
+  LinearlyImplicit* half = nullptr;  // made when it is first needed
+  int halvings = 0;
+
+  // A step that is taken in given modes; of no size where there is none.
+  struct Given {
+    const typename Coulomb<S, X>::Modes* modes = nullptr;
+    Past past = Past::used;
+  };
+  struct Nothing {};
+  [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given;
+};
+
+template <class S, class X>
+struct MethodOf<S, Scheme::implicit, X> {
+  using type = LinearlyImplicit<S, X>;
+};
+template <class S, class X>
+struct MethodOf<S, Scheme::rosenbrock, X> {
+  using type = LinearlyImplicit<S, X>;
+};
+template <class S, class X>
+struct MethodOf<S, Scheme::extrapolated, X> {
+  using type = LinearlyImplicit<S, X>;
+};
+
+}  // namespace arm

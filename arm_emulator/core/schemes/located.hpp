@@ -1,0 +1,146 @@
+// A scheme of second order whose steps are cut where a mode of a joint changes: where it comes to
+// rest or breaks away, where its current reaches its limit or leaves it. Between two such events
+// the motion is smooth, and the scheme keeps its order.
+//
+// A step is first taken whole, with the modes that its start calls for (modes.hpp). If they hold at
+// its end, that was it. If not, the length of step at whose end the first of them ceases to hold is
+// found between 0 and the whole: each trial is a step of its own, with tables for its length. From
+// there the rest of the step goes on with the modes that are called for there, so that the grid of
+// steps stays as it is. A mode that ceases to hold and holds again within one step is not seen:
+// that costs O(h^3).
+//
+// After kMostEvents events in one step, its rest is taken as without location: events that come so
+// thick (a motor far faster than the step) are not resolved by it anyway.
+#pragma once
+
+#include "mechanics/energy_flow.hpp"
+#include "mechanics/modes.hpp"
+#include "schemes/linearly_implicit.hpp"
+
+namespace arm {
+
+template <class S>
+class Located {
+ public:
+  using Method = LinearlyImplicit<S>;
+  using Dynamics = typename Links<S>::Dynamics;
+  using Memory = typename Method::Memory;
+  static constexpr int N = S::N, row = Method::row;
+
+  Located(double step, const Numbers<S>& numbers) : h(step), n(numbers), whole(step, numbers) {}
+  void renew() { whole.renew(); }
+  void reset(const State<S>& x) { whole.reset(x); }
+  Memory memory() const { return whole.memory(); }
+  void restore(const Memory& memory) { whole.restore(memory); }
+
+  // Have the smooth parts of steps told to a meter, or to nobody.
+  void watch(EnergyMeter<S>* by) { meter = by; }
+
+  template <class Exchange>
+  void step(State<S>& x, const double (&u)[row], Dynamics& links, Exchange& exchange) {
+    exchange.take(links);
+    Modes<S>::follow(n, x, u);
+    const Modes<S> modes(n, x, u, links);
+    const Memory memory = whole.memory();
+    State<S> y = x;
+    whole.step_in(modes, y, u, links, Past::used);
+    if (modes.margin(y, u) < 0.0) {
+      whole.restore(memory);
+      cut(x, y, u, modes, links);
+    } else {
+      modes.settle(y, u);
+      if (meter) meter->part(x, y, u, modes, h);
+      x = y;
+    }
+    exchange.give(x);
+  }
+
+ private:
+  using Past = typename Method::Past;
+  static constexpr int kMostEvents = 4 * N + 8;
+  static constexpr int kMostTrials = 150;
+  static constexpr double kInstant = 1e-11;  // of a step: how well an event's time is known
+
+  // A step from x to y of which not all modes hold.
+  void cut(State<S>& x, State<S> y, const double (&u)[row], Modes<S> modes, Dynamics links) {
+    const State<S> start = x;
+    double left = h;
+    for (int events = 0; left > kInstant * h; ++events) {
+      Method part(left, n, modes);
+      if (events == kMostEvents) {
+        y = x;
+        Nobody nobody;
+        part.reset(y);
+        part.step(y, u, links, nobody);
+        Modes<S>::follow(n, y, u);
+        if (meter) meter->part(x, y, u, modes, left);
+        x = y;
+        break;
+      }
+      y = x;
+      part.step_in(modes, y, u, links, Past::unknown);
+      double t = left;
+      if (modes.margin(y, u) < 0.0) t = first_event(x, y, u, modes, links, left);
+      modes.settle(y, u);
+      if (meter) meter->part(x, y, u, modes, t);
+      x = y;
+      left -= t;
+      Links<S>::dynamics_apart(n, x.q, x.v, links);
+      modes = Modes<S>(n, x, u, links);
+    }
+    whole.remember(start, x, u);
+  }
+
+  // The time at which the first mode ceases to hold, somewhat below `left`, by regula falsi
+  // (Illinois), with a bisection where three trials have not halved the interval; y is the state
+  // then, where it does not hold any more.
+  double first_event(const State<S>& x, State<S>& y, const double (&u)[row], const Modes<S>& modes,
+                     const Dynamics& links, double left) const {
+    const double instant = kInstant * h;
+    double before = 0.0, after = left, halved = left;
+    double margin_before = modes.margin(x, u), margin_after = modes.margin(y, u);
+    int side = 0;  // that was moved last: where one stands still, its margin is halved
+    int slow = 0;  // trials since the interval was halved
+    for (int trial = 0; trial < kMostTrials && after - before > instant; ++trial) {
+      const double width = after - before;
+      if (width <= 0.5 * halved)
+        halved = width, slow = 0;
+      else
+        ++slow;
+      double t = before + 0.5 * width;
+      if (margin_before > 0.0 && slow < 3) {
+        t = before + width * margin_before / (margin_before - margin_after);
+        // So that both ends close in on an estimate that is as good as can be.
+        const double least = before + 0.5 * instant, most = after - 0.5 * instant;
+        t = t < least ? least : t > most ? most : t;
+      }
+      State<S> trial_end = x;
+      Method(t, n, modes).step_in(modes, trial_end, u, links, Past::unknown);
+      const double margin = modes.margin(trial_end, u);
+      if (margin < 0.0) {
+        y = trial_end;
+        after = t, margin_after = margin;
+        if (side == 1) margin_before *= 0.5;
+        side = 1;
+      } else {
+        before = t, margin_before = margin;
+        if (side == -1) margin_after *= 0.5;
+        side = -1;
+      }
+    }
+    return after;
+  }
+
+  // Stands where the thread of the links would.
+  struct Nobody {
+    void take(Dynamics&) {}
+    void give(const State<S>&) {}
+  };
+
+  double h;
+  const Numbers<S>& n;
+  Method whole;
+  EnergyMeter<S>* meter = nullptr;
+};
+
+}  // namespace arm

@@ -1,0 +1,46 @@
+// Motors and links in the calling thread: the sequential reference, and the quicker way for an arm
+// whose links take less time than two cores need to talk. The same face as TwoThreads.
+#pragma once
+
+#include <cstdint>
+
+#include "mechanics/links.hpp"
+#include "mechanics/state.hpp"
+
+namespace arm {
+
+template <class S, class Stepper, class X = double>
+class OneThread {
+ public:
+  using Memory = typename Stepper::Memory;
+  using Dynamics = typename Links<S, X>::Dynamics;
+
+  OneThread(double step, int, const Numbers<S, X>& numbers) : n(numbers), stepper(step, numbers) {}
+  bool join_schedule() { return true; }
+  // The numbers have changed.
+  void renew() { stepper.renew(); }
+  void reset(const State<S, X>& x) { stepper.reset(x); }
+  Memory memory() const { return stepper.memory(); }
+  void restore(const Memory& memory) { stepper.restore(memory); }
+  void begin(std::int64_t, const State<S, X>&) {}
+  void end() {}
+  ARM_INLINE void step(State<S, X>& x, const X (&u)[Stepper::row]) {
+    Dynamics links;
+    // Inlined, so that its constants fold with the step's; loops over many joints have none, and
+    // run faster in a function of their own.
+    if constexpr (S::N > kUnrollNested)
+      Links<S, X>::dynamics_apart(n, x.q, x.v, links);
+    else
+      Links<S, X>::dynamics(n, x.q, x.v, links);
+    stepper.step(x, u, links, *this);
+  }
+  void watch(auto* meter) { stepper.watch(meter); }
+  ARM_INLINE void take(Dynamics&) {}  // it is there already
+  ARM_INLINE void give(const State<S, X>&) {}
+
+ private:
+  const Numbers<S, X>& n;
+  Stepper stepper;
+};
+
+}  // namespace arm

@@ -1,0 +1,282 @@
+// The paper's two threads (Fig. 6): while the motor thread takes step k, the Newton-Euler thread
+// works out the links' part at the angles of sample k, for step k + D. D is the depth of the
+// exchange, 1 in the paper:
+//
+//   motor thread            step k - 1      | step k            | step k + 1
+//                           uses links(k-2) | uses links(k-1)   | uses links(k)
+//   Newton-Euler thread     links(k-1)      | links(k)          | links(k+1)
+//
+// So every step takes M and nle from D samples ago. With Exchange::lag they are those of that
+// sample, as in the paper: an error of first order in the step. With Exchange::predict they are
+// those of the state to which that sample's speeds and accelerations lead: the error is of second
+// order.
+//
+// A sample goes to the other core, becomes the links' part there, comes back and ends in a sample
+// D + 1 steps later. So a step takes no less than (both parts + both ways) / (D + 1), and no less
+// than the longer part: a deeper exchange hides the ways between the cores.
+//
+// A sample goes out as soon as its links have moved, and the links' part comes in when a step has
+// done what it can without it: the motors' work overlaps with the ways between the cores.
+//
+// The threads are kept in step by two counters. Which results are exchanged depends on the number
+// of the step alone, never on who was faster, so the motion is the same to the last bit on every
+// run. Within a burst both threads spin; between bursts the Newton-Euler thread sleeps.
+#pragma once
+
+#include <pthread.h>
+#include <sched.h>
+
+#include <atomic>
+#include <cstdint>
+#include <thread>
+
+#include "mechanics/links.hpp"
+#include "mechanics/state.hpp"
+
+namespace arm {
+
+// Spin politely: after a while let others run, who may be what is waited for if there is one core.
+class Spin {
+ public:
+  void operator()() {
+    if (++count % 256 == 0) std::this_thread::yield();
+#ifdef __x86_64__
+    else
+      __builtin_ia32_pause();
+#endif
+  }
+
+ private:
+  int count = 0;
+};
+
+template <class S, class Stepper>
+class TwoThreads {
+ public:
+  static constexpr int N = S::N, D = S::exchange_depth;
+  using Dynamics = typename Links<S>::Dynamics;
+
+  // `core`: of the Newton-Euler thread; -1, and other systems than Linux: wherever these put it.
+  TwoThreads(double step, int core, const Numbers<S>& numbers)
+      : h(step), n(numbers), stepper(step, numbers), newton_euler([this] { work(); }) {
+#ifdef __linux__
+    if (core >= 0) {
+      cpu_set_t cores;
+      CPU_ZERO(&cores);
+      CPU_SET(static_cast<unsigned>(core), &cores);
+      pthread_setaffinity_np(newton_euler.native_handle(), sizeof cores, &cores);
+    }
+#endif
+  }
+
+  ~TwoThreads() {
+    stopping.store(true);
+    wake();
+  }
+
+  // Schedule the Newton-Euler thread as the caller is. It must not be less urgent than who waits
+  // for it. False if the system does not permit it.
+  bool join_schedule() {
+    int policy = SCHED_OTHER;
+    sched_param priority = {};
+    pthread_getschedparam(pthread_self(), &policy, &priority);
+    return pthread_setschedparam(newton_euler.native_handle(), policy, &priority) == 0;
+  }
+
+  // Where a links' part is taken.
+  struct Place {
+    double q[N], v[N];
+  };
+
+  // What a step takes from the past, beside the state: the speeds of one sample ago, and the links'
+  // parts of D samples, the oldest first.
+  struct Memory {
+    double v[N];
+    Place links[D];
+    typename Stepper::Memory stepper;
+
+    // number(x) for all of them, in a fixed order.
+    template <class Number>
+    void for_each_number(Number&& number) {
+      for (int j = 0; j < N; ++j) {
+        number(v[j]);
+        for (Place& place : links) number(place.q[j]), number(place.v[j]);
+      }
+      stepper.for_each_number(number);
+    }
+  };
+
+  // The numbers have changed; `restore` comes next.
+  void renew() { stepper.renew(); }
+
+  // Begin at a state with no past.
+  void reset(const State<S>& x) {
+    for (int j = 0; j < N; ++j) {
+      past.v[j] = x.v[j];
+      for (Place& place : past.links) place.q[j] = x.q[j], place.v[j] = x.v[j];
+    }
+    stepper.reset(x);
+    past.stepper = stepper.memory();
+    restore(past);
+  }
+
+  Memory memory() const {
+    Memory memory = past;
+    memory.stepper = stepper.memory();
+    return memory;
+  }
+
+  // Go back to a memory. The links' parts are worked out anew, by the same instructions.
+  void restore(const Memory& memory) {
+    past = memory;
+    stepper.restore(memory.stepper);
+    for (int i = 0; i < D; ++i) evaluate(past.links[i], parcels[slot(asked.load() - D + i)].links);
+  }
+
+  // A burst of `count` steps is coming, one by one, from the state x.
+  void begin(std::int64_t count, const State<S>& x) {
+    if (count == 0) return;
+    target.store(asked.load() + count);
+    hand_over(x);
+    wake();
+  }
+
+  // The burst is over, or broken off. The Newton-Euler thread goes to sleep.
+  void end() {
+    target.store(asked.load());
+    wait_for(asked.load());
+  }
+
+  // From sample k to k + 1. Sample k is with the Newton-Euler thread already.
+  ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
+    for (int j = 0; j < N; ++j) past.v[j] = x.v[j];
+    for (int i = 1; i < D; ++i) past.links[i - 1] = past.links[i];
+    past.links[D - 1] = samples[slot(newest())];
+    Dynamics links;
+    stepper.step(x, u, links, *this);
+  }
+
+  // The stepper asks for the links' part in step k: that of sample k - D.
+  ARM_INLINE void take(Dynamics& links) {
+    const std::int64_t k = newest();
+    wait_for(k - D + 1);
+    const Parcel& parcel = parcels[slot(k - D)];
+    parcel.fetch();
+    parcel.copy_to(links);
+  }
+
+  // The stepper has the links of sample k + 1, before it is done with the motors.
+  ARM_INLINE void give(const State<S>& x) {
+    if (asked.load(std::memory_order_relaxed) < target.load(std::memory_order_relaxed))
+      hand_over(x);
+  }
+
+ private:
+  // Samples and parcels on their way: those of the last D + 1 samples.
+  static constexpr int slots = D + 1;
+  static std::size_t slot(std::int64_t k) { return static_cast<std::size_t>(k + slots) % slots; }
+
+  // The sample that was handed over last.
+  std::int64_t newest() const { return asked.load(std::memory_order_relaxed) - 1; }
+
+  ARM_INLINE void hand_over(const State<S>& x) {
+    const std::int64_t k = asked.load(std::memory_order_relaxed);
+    Sample& sample = samples[slot(k)];
+    // With a constant change of v per step: D steps ahead v has changed by D of them, and the sum
+    // of the speeds that the links moved on with, by `sum`.
+    const double ahead = S::exchange == Exchange::predict ? D : 0.0;
+    constexpr double sum = 0.5 * (D - 1) + end_of_step;
+    for (int j = 0; j < N; ++j) {
+      const double change = x.v[j] - past.v[j];
+      sample.v[j] = x.v[j] + ahead * change;
+      sample.q[j] = x.q[j] + ahead * h * (x.v[j] + sum * change);
+    }
+    asked.store(k + 1, std::memory_order_release);
+  }
+
+  // The paper's links move on with the speed at a step's beginning, implicit ones with that at its
+  // end.
+  static constexpr double end_of_step = S::scheme == Scheme::paper ? 0.0 : 1.0;
+
+  struct alignas(64) Sample : Place {
+    ARM_INLINE void fetch() const { prefetch(this->q, this->v + N); }
+  };
+
+  // The links' part on its way between the cores. Only the numbers that have a meaning are read:
+  // each cache line costs time on its way.
+  struct Parcel {
+    Dynamics links;
+
+    // Ask for the cache lines, all at once, before they are read one by one.
+    ARM_INLINE void fetch() const {
+      prefetch(links.nle, links.nle + N);
+      for (int j = 0; j < N; ++j)
+        prefetch(links.M.at[j] + first_lane<N>(j), links.M.at[j] + kPadded<N>);
+    }
+    ARM_INLINE void copy_to(Dynamics& to) const {
+      for (int j = 0; j < N; ++j) {
+        to.nle[j] = links.nle[j];
+        for (int i = first_lane<N>(j); i < kPadded<N>; ++i) to.M.at[j][i] = links.M.at[j][i];
+      }
+    }
+  };
+
+  static ARM_INLINE void prefetch(const double* first, const double* end) {
+    for (; first < end; first += 64 / sizeof(double)) __builtin_prefetch(first);
+  }
+
+  // Not inlined: the same bits whichever thread works.
+  __attribute__((noinline)) void evaluate(const Place& at, Dynamics& result) const {
+    Links<S>::dynamics(n, at.q, at.v, result);
+  }
+
+  // The Newton-Euler thread.
+  void work() {
+    std::int64_t k = 0, here = 0;  // samples that are worked on, that have been handed over
+    for (;;) {
+      const std::uint32_t seen = alarm.load();
+      while (here > k || k < target.load(std::memory_order_relaxed)) {
+        Spin spin;
+        while (here <= k) {
+          here = asked.load(std::memory_order_acquire);
+          if (here > k || k >= target.load(std::memory_order_relaxed)) break;
+          spin();
+        }
+        if (here <= k) break;
+        Parcel& parcel = parcels[slot(k)];
+        if (here > k + 1) samples[slot(k + 1)].fetch();
+        evaluate(samples[slot(k)], parcel.links);
+        done.store(++k, std::memory_order_release);
+      }
+      if (stopping.load()) return;
+      alarm.wait(seen);
+    }
+  }
+
+  // Until the links' parts of the first `k` samples are there.
+  void wait_for(std::int64_t k) const {
+    Spin spin;
+    while (done.load(std::memory_order_acquire) < k) spin();
+  }
+
+  void wake() {
+    alarm.fetch_add(1);
+    alarm.notify_one();
+  }
+
+  double h;
+  const Numbers<S>& n;
+  Memory past = {};
+  Sample samples[slots] = {};
+  Parcel parcels[slots] = {};
+  // Each counter on a cache line of its own: who writes it does not disturb who reads the other.
+  alignas(64) std::atomic<std::int64_t> asked = 0;   // samples handed to the Newton-Euler thread
+  alignas(64) std::atomic<std::int64_t> done = 0;    // links' parts that are ready
+  alignas(64) std::atomic<std::int64_t> target = 0;  // samples that the burst will have handed over
+  std::atomic<std::uint32_t> alarm = 0;              // changes to wake the sleeper
+  std::atomic<bool> stopping = false;
+  alignas(64) Stepper stepper;
+  std::jthread newton_euler;  // last: it uses all of the above
+};
+
+}  // namespace arm

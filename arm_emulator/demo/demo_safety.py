@@ -1,0 +1,76 @@
+"""What the demo shows of brakes and end stops, with the machine alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene
+
+HOLD = 1.0  # s, for which the arm is left alone without power
+RUN_UP = 5.0  # s, within which a joint reaches its stop at full voltage
+
+
+def tell_safety(scene: Scene, q: Array) -> Iterator[str]:
+    """Yield a line on the power cut at positions q (N,), and one on a stop, where there are any."""
+    if any(joint.brake for joint in scene.joints):
+        yield _power_cut(scene, q)
+    for j, joint in enumerate(scene.joints):
+        for part in joint.extras if joint.motor else ():
+            if isinstance(part, EndStops):
+                yield _hit(scene, j, part)
+                return
+
+
+def _power_cut(scene: Scene, q: Array) -> str:
+    plant, zero = Plant(scene), np.zeros(len(scene.joints))
+    steps = round(HOLD / scene.integrator.dt)
+    plant.reset(q)
+    plant.powered = False
+    plant.advance(zero, steps)
+    # Now it is known how far the gears wind up here: as of an arm that has stood still for a while.
+    wind_up = scene.wind_up(plant.state.gear_torque)
+    ratio = scene.gear_ratios
+    plant.powered = True
+    plant.reset(q)
+    elastic = np.array([joint.gear.stiffness is not None for joint in scene.joints])
+    plant.put("demo", {"theta_m": np.where(elastic, q + wind_up, q) / ratio})
+    plant.powered = False
+    plant.advance(zero, steps)
+    x = plant.state
+    held = "stand still" if not x.omega_m.any() else "[red]turn[/red]"
+    return (
+        f"power cut                 links drop by {np.abs(x.q - q).max() * 1e3:.3f} mrad until the "
+        f"brakes hold (wind-up {np.abs(wind_up).max() * 1e3:.3f} mrad); the rotors {held}"
+    )
+
+
+def _hit(scene: Scene, j: int, stops: EndStops) -> str:
+    plant, voltage = Plant(scene), np.zeros(len(scene.joints))
+    voltage[j] = scene.largest_commands[j] * np.sign(scene.joints[j].gear.ratio)
+    name, fastest, deepest, back = scene.joints[j].name, 0.0, 0.0, 0.0
+    label = f"end stop of {name}"
+    if not np.isfinite(voltage[j]):
+        return f"{label}: not tried, the joint's command has no limit"
+    try:
+        for _ in range(round(RUN_UP / scene.servo_period)):
+            plant.advance(voltage, scene.steps_per_period)
+            x = plant.state
+            depth, v = float(x.q[j]) - stops.upper, float(x.v[j])
+            if depth > 0.0:
+                voltage[j] = 0.0
+            elif deepest > 0.0:
+                break
+            fastest, deepest, back = max(fastest, v), max(deepest, depth), min(back, v)
+    except Diverged as fault:
+        return f"{label}: {fault}"
+    if deepest <= 0.0:
+        return f"{label}: not reached in {RUN_UP:g} s"
+    return (
+        f"{label}: hit at {fastest:.2f} rad/s, {deepest * 1e3:.0f} mrad deep, "
+        f"thrown back at {-back:.2f} rad/s"
+    )

@@ -1,0 +1,171 @@
+"""Where the tool will rest beside its target, computed before anything moves.
+
+The motion controller moves an arm whose joints are always where it wants them; where that ends is
+where the joints shall be. What keeps the true tool from being there is what the parts of the scene
+state of themselves (`rest_shares`), through the Jacobian.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.analysis.rest_shares import RestShares, rest_shares
+from arm_emulator.analysis.servo_loop import ServoLoops
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.controller import Controller, controller_for
+from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.jacobian import JacobianController
+from arm_emulator.motion.kinematics import POSITION_ROWS
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import Gains
+
+FloatArray = npt.NDArray[np.float64]
+
+# What is independent seldom errs all to one side. Standard deviations that one of 300 numbers
+# exceeds that are normally distributed: on either side, and above.
+DEVIATIONS, ONE_SIDED = 2.94, 2.71
+LITTLE = 0.1  # of the width of a prediction: what does not count beside it
+
+
+class Arrival(enum.Enum):
+    """How the motion controller ends when every joint follows it."""
+
+    REACHED = "reached"
+    UNREACHABLE = "unreachable"
+    NOT_YET = "not yet there"
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedRest:
+    """Target minus true tool at rest. Rows as the task: translation [m], then rotation [rad]."""
+
+    centre: FloatArray
+    within: FloatArray
+    """How far each row may be off its centre."""
+    radius: float
+    """How far the tool may be from where the centre has it [m]."""
+    reference: FloatArray
+    """What of it the motion controller leaves by itself."""
+    arrival: Arrival
+
+    @property
+    def total(self) -> FloatArray:
+        """Bound on the size of the whole deviation, (rows,)."""
+        return np.abs(self.centre) + self.within
+
+    def contains(self, residual: FloatArray) -> bool:
+        """Whether a deviation of the tool (3,) [m] is within."""
+        return bool(np.linalg.norm(residual - self.centre[:POSITION_ROWS]) <= self.radius)
+
+
+def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
+    """Return where the tool rests at the end of a plan.
+
+    Raises:
+        Refusal: a part of the scene does not state what it leaves.
+    """
+    controller = controller_for(scene.urdf, scene.joint_names, gains.motion)
+    kinematics = controller.kinematics
+    R_WT, p_WT = kinematics.forward(scene.start)
+    # By way of the quaternion, as in a message: the rotation has the same rounding then.
+    goal = p_WT + plan.displacement
+    target = Pose.from_quaternion(goal, Pose(p_WT, R_WT).quaternion(), "displacement")
+    way = _reference(controller, gains, plan, scene.start, target)
+    q, period, times = way[-1], gains.motion.period, _times_held(controller)
+    count = np.array(gains.servo.count_angles(scene.joint_names))
+    away = np.flatnonzero((np.abs(way - q) > 2.0 * count).any(axis=1))
+    arrived = int(away[-1]) + 1 if len(away) else 0
+    shares = rest_shares(scene, gains.servo, q, (len(way) - 1 - arrived) * period, times)
+    reference = kinematics.tool_error(q, target)
+    centre = kinematics.tool_error(q - shares.ahead, target)
+    within, radius = _spread(scene, gains, controller, q, shares, times)
+    moved = np.linalg.norm(kinematics.forward(way[-1])[1] - kinematics.forward(way[-2])[1])
+    arrival = Arrival.REACHED
+    if moved > LITTLE * radius:
+        arrival = Arrival.NOT_YET
+    elif np.linalg.norm(reference[:POSITION_ROWS]) > LITTLE * radius:
+        arrival = Arrival.UNREACHABLE
+    return PredictedRest(centre, within, radius, reference, arrival)
+
+
+def _reference(
+    controller: Controller, gains: Gains, plan: DemoPlan, start: FloatArray, target: Pose
+) -> FloatArray:
+    """Return the joint targets at each instruction, 0 at first, as if the joints were there."""
+    instructor, period_ns = Instructor(gains.motion), round(gains.motion.period * 1e9)
+    instructor.add(period_ns, target)
+    way = [start]
+    still = np.zeros_like(start)
+    for k in range(plan.instructions + 1):
+        instruction = instructor.instruct(controller, k * period_ns, way[-1], still)
+        way.append(instruction.q)
+    return np.array(way)
+
+
+def _spread(
+    scene: Scene,
+    gains: Gains,
+    controller: Controller,
+    q: FloatArray,
+    shares: RestShares,
+    times: float,
+) -> tuple[FloatArray, float]:
+    """Return `within` and `radius`."""
+    kinematics = controller.kinematics
+    J = kinematics.jacobian(q)
+    bounds = shares.ahead_within + times * shares.stuck_within
+    most = np.abs(J) @ bounds
+    variances = shares.ahead_spread**2 + (times * shares.stuck_spread) ** 2
+    bounded = (J * variances) @ J.T
+    noise = J @ _unrest(scene, gains, controller, q, shares) @ J.T
+    # Of the second order in all that is off, times the reach: see `predicted_residual`.
+    second = bounds.sum() * (0.5 * bounds.sum() + np.abs(shares.ahead).sum())
+    rows = np.full(len(J), second)
+    rows[:POSITION_ROWS] *= kinematics.reach
+    of_row = DEVIATIONS * np.sqrt(np.diag(bounded + noise))
+    within = np.minimum(of_row, most + DEVIATIONS * np.sqrt(np.diag(noise))) + rows
+    here = slice(0, POSITION_ROWS)
+    distance = min(
+        _distance((bounded + noise)[here, here]),
+        float(np.linalg.norm(most[here])) + _distance(noise[here, here]),
+    )
+    return within, float(distance + kinematics.reach * second)
+
+
+def _distance(covariance: FloatArray) -> float:
+    """Return the distance that one of 300 normally distributed vectors exceeds.
+
+    Its square is a sum of squares, and so nearly a gamma distribution, whose cube root is nearly
+    normal (E. B. Wilson and M. M. Hilferty, Proc. Nat. Acad. Sci. 17, 1931).
+    """
+    mean, square = float(np.trace(covariance)), float((covariance**2).sum())
+    if mean <= 0.0:
+        return 0.0
+    ninth = 2.0 * square / (9.0 * mean**2)
+    return float(np.sqrt(mean * (1.0 - ninth + ONE_SIDED * np.sqrt(ninth)) ** 3))
+
+
+def _unrest(
+    scene: Scene, gains: Gains, controller: Controller, q: FloatArray, shares: RestShares
+) -> FloatArray:
+    """Return the covariance of the joints by the noise of sensors (N, N)."""
+    if not shares.angle_noise.any() and not shares.current_noise.any():
+        return np.zeros((len(q), len(q)))
+    loop = ServoLoops(scene, gains.servo, [q]).loops[0]
+    covariance = loop.unrest(shares.angle_noise, shares.current_noise)
+    if isinstance(controller, JacobianController):
+        # Its targets come from what is measured: w of the error is taken from 1 - w of the angle.
+        left = 1.0 - controller.weight
+        by_target = left / np.sqrt(1.0 - left**2) * scene.gear_ratios * shares.angle_noise
+        covariance = covariance + np.diag(by_target**2)
+    return covariance
+
+
+def _times_held(controller: Controller) -> float:
+    """Return by how much the controller multiplies what the servo leaves of a target."""
+    return 1.0 / controller.weight if isinstance(controller, JacobianController) else 1.0

@@ -1,0 +1,1 @@
+"""Scenes and gains worked out from a robot description and data sheets."""

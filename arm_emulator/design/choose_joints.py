@@ -1,0 +1,237 @@
+"""Which joints of a robot description are the arm, which link is its tool, what is held."""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import FREE_KINDS, MOVING_KINDS
+
+MOVING = tuple(MOVING_KINDS)
+KINDS = (*MOVING, "fixed", *FREE_KINDS)
+# Behind a fork of an arm of at least so many joints, at most so many joints are a gripper's finger,
+# and any number where so many branches begin: a hand.
+LEAST_ARM, MOST_FINGER, FINGERS = 3, 4, 4
+_GRIPPER = re.compile(r"grip|finger|jaw|knuckle|claw", re.IGNORECASE)
+# Frames that makers of arms put at the flange for what is mounted there, the best first.
+_TOOLS = ("tcp", "tool0", "tool", "ee", "eef", "end_effector", "grasp", "flange", "hand")
+
+
+@dataclass(frozen=True)
+class Held:
+    """A joint that does not move."""
+
+    position: float  # rad or m
+    reason: str
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The arm in a robot description."""
+
+    tool: str
+    """Link that is the tool."""
+    joints: tuple[str, ...]
+    """Moving joints, base to tool."""
+    held: dict[str, Held]
+    """All other joints that could move."""
+    guesses: tuple[str, ...]
+    """What was not told but chosen, in words."""
+
+
+@dataclass(frozen=True)
+class _Joint:
+    name: str
+    kind: str
+    parent: str
+    child: str
+    mimics: str  # the joint whose motion it copies, or nothing
+    limits: tuple[float, float]
+
+    @property
+    def moves(self) -> bool:
+        return self.kind in MOVING and not self.mimics
+
+
+class _Tree:
+    """The joints of a robot description by their links."""
+
+    def __init__(self, robot: ET.Element, where: str) -> None:
+        self.where = where
+        self.links = [link.get("name", "") for link in robot.findall("link")]
+        self.joints = [_read(element, where) for element in robot.findall("joint")]
+        self.above = {joint.child: joint for joint in self.joints}
+        self.below: dict[str, list[_Joint]] = {}
+        for joint in self.joints:
+            self.below.setdefault(joint.parent, []).append(joint)
+        if len(self.above) != len(self.joints):
+            rule = "be the child of one joint, as in a tree"
+            raise Refusal(where, "each link", rule, "one of several")
+
+    def path(self, link: str) -> list[_Joint]:
+        """Return the joints from the base to a link."""
+        path: list[_Joint] = []
+        while link in self.above:
+            path.append(self.above[link])
+            link = path[-1].parent
+            if len(path) > len(self.joints):
+                raise Refusal(self.where, f"link {link}", "have no loop above it", "one")
+        return path[::-1]
+
+    def fixed_to(self, link: str) -> list[str]:
+        """Return a link and all that are fixed to it, towards the tips."""
+        found = [link]
+        for one in found:
+            found += [joint.child for joint in self.below.get(one, []) if joint.kind == "fixed"]
+        return found
+
+    def branches(self, joint: _Joint) -> int:
+        """Return how many joints begin on the body on which a joint begins, mimics among them."""
+        body = joint.parent
+        while body in self.above and self.above[body].kind == "fixed":
+            body = self.above[body].parent
+        beside = [one for link in self.fixed_to(body) for one in self.below.get(link, [])]
+        return sum(one.kind in MOVING for one in beside)
+
+
+def choose_joints(
+    robot: ET.Element, where: str, tool: str | None = None, joints: Sequence[str] | None = None
+) -> Choice:
+    """Choose the arm in a robot description.
+
+    Told nothing, the arm is the longest row of joints from the base; a gripper at its end, told by
+    a fork or by its name, is held. A joint that copies the motion of another one (mimic) is held.
+
+    Args:
+        robot: the URDF's root element.
+        where: what to call it in refusals.
+        tool: the link that is the tool; the arm ends there.
+        joints: the joints that move; all others are held.
+
+    Raises:
+        Refusal: no such link or joint, joints that are not in a row, or nothing that moves.
+    """
+    tree = _Tree(robot, where)
+    guesses: list[str] = []
+    if joints is not None:
+        chosen = _named(tree, joints, tool)
+    else:
+        chosen = [joint for joint in tree.path(_tip(tree, tool)) if joint.moves]
+        if tool is None:
+            chosen = _without_gripper(tree, chosen, guesses)
+    if not chosen:
+        raise Refusal(where, "the robot", "have a joint that moves", "none on the way to the tool")
+    if tool is None:
+        tool = _tool_behind(tree, chosen[-1].child)
+        guesses.append(f"tool: {tool} (--tool names another)")
+    names = tuple(joint.name for joint in chosen)
+    held = {
+        joint.name: _held(joint, chosen)
+        for joint in tree.joints
+        if joint.kind != "fixed" and joint.name not in names
+    }
+    return Choice(tool, names, held, tuple(guesses))
+
+
+def _read(element: ET.Element, where: str) -> _Joint:
+    kind = element.get("type", "")
+    if kind not in KINDS:
+        rule = "be one the emulator knows"
+        raise Refusal(where, f"joint {element.get('name')}: type", rule, kind, ", ".join(KINDS))
+    ends = {}
+    for tag in ("parent", "child"):
+        found = element.find(tag)
+        ends[tag] = "" if found is None else found.get("link", "")
+    mimic, limit = element.find("mimic"), element.find("limit")
+    bounds = {"lower": -math.inf, "upper": math.inf}
+    if limit is not None and kind != "continuous":
+        for key in bounds:
+            if limit.get(key) is not None:
+                bounds[key] = _number(limit.get(key, ""), element, key, where)
+    return _Joint(
+        name=element.get("name", ""),
+        kind=kind,
+        parent=ends["parent"],
+        child=ends["child"],
+        mimics="" if mimic is None else mimic.get("joint", "another"),
+        limits=(bounds["lower"], bounds["upper"]),
+    )
+
+
+def _number(text: str, element: ET.Element, key: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isnan(value):
+        raise Refusal(where, f"joint {element.get('name')}: limit {key}", "be a number", repr(text))
+    return value
+
+
+def _tip(tree: _Tree, tool: str | None) -> str:
+    """Return the link at which the arm ends: the tool, or the end of the longest row of joints."""
+    if tool is not None:
+        if tool not in tree.links:
+            raise Refusal("new", "--tool", "be a link of the robot", tool, ", ".join(tree.links))
+        return tool
+    tips = [link for link in tree.links if link not in tree.below]
+    if not tips:
+        raise Refusal(tree.where, "the robot", "have a link at which it ends", "none")
+    return max(tips, key=lambda link: sum(joint.moves for joint in tree.path(link)))
+
+
+def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]:
+    """Return the joints of these names, base to tool."""
+    known = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
+    for name in joints:
+        if name not in known:
+            rule = "be joints of the robot that can move"
+            raise Refusal("new", "--joints", rule, name, ", ".join(known))
+        if not known[name].moves:
+            kind = f"a mimic of {known[name].mimics}" if known[name].mimics else known[name].kind
+            raise Refusal("new", f"--joints: {name}", "move on its own", kind, ", ".join(MOVING))
+    rows = [tree.path(known[name].child) for name in joints]
+    longest = tree.path(_tip(tree, tool)) if tool is not None else max(rows, key=len, default=[])
+    chosen = [joint for joint in longest if joint.name in joints]
+    for name in joints:
+        if known[name] not in chosen:
+            rule = "be in one row, on the way from the base to the tool"
+            raise Refusal("new", "--joints", rule, name, ", ".join(j.name for j in longest))
+    return chosen
+
+
+def _without_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> list[_Joint]:
+    """Return the joints without those at the end that look like a gripper's."""
+    for k, joint in enumerate(chosen[LEAST_ARM:], start=LEAST_ARM):
+        short = len(chosen) - k <= MOST_FINGER
+        branches = tree.branches(joint)
+        named = _GRIPPER.search(joint.name) is not None
+        if branches >= FINGERS or (short and (branches > 1 or named)):
+            names = ", ".join(one.name for one in chosen[k:])
+            guesses.append(f"held as a gripper: {names} (--joints names what moves)")
+            return chosen[:k]
+    return chosen
+
+
+def _tool_behind(tree: _Tree, link: str) -> str:
+    """Return the link fixed to `link` that its maker meant for tools, or the link itself."""
+    fixed = tree.fixed_to(link)
+    for word in _TOOLS:
+        for one in fixed:
+            if re.search(rf"(^|[^a-z]){word}([^a-z]|$)", one.lower()):
+                return one
+    return fixed[0]
+
+
+def _held(joint: _Joint, chosen: Sequence[_Joint]) -> Held:
+    low, high = joint.limits
+    position = 0.0 if joint.kind not in MOVING else min(max(0.0, low), high)
+    if joint.mimics:
+        coupled = any(one.name == joint.mimics for one in chosen)
+        reason = f"copies {joint.mimics}" + (", which moves: not coupled" if coupled else "")
+        return Held(position, reason)
+    return Held(position, "not part of the arm" if joint.kind in MOVING else joint.kind)

@@ -1,0 +1,80 @@
+"""Gains written into a servo's parameter file, its comments kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from arm_emulator.base.config_files import check_own
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import read_text
+from arm_emulator.base.yaml_edit import edited
+from arm_emulator.base.yaml_file import MOST_BYTES
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+
+GAINS = ("position_gain", "velocity_gain", "integral_time", "observer_bandwidth")
+RIGID = "link_inertia"  # which a file may leave out
+
+
+def write_gains(file: Path, servo: ServoConfig) -> None:
+    """Put the gains of `servo` into its parameter file, in place of those that are there.
+
+    Raises:
+        Refusal: a file that came along, that is not writable, or that says the same for several
+            joints at once, as with anchors. Nothing is written then.
+    """
+    check_own("tune", file)
+    new = _replaced(read_text(file, MOST_BYTES), servo)
+    trial = file.with_name(f".{file.name}")
+    try:
+        trial.write_text(new, encoding="utf-8")
+        if load_servo_config(trial) != servo:
+            rule = "have values of its own for each joint, to be written into"
+            raise Refusal("tune", f"file {file}", rule, "values that joints share")
+        trial.replace(file)
+    except OSError as error:
+        raise Refusal("tune", f"file {file}", "be writable", error.strerror) from None
+    finally:
+        trial.unlink(missing_ok=True)
+
+
+def _replaced(text: str, servo: ServoConfig) -> str:
+    nodes: dict[str, tuple[yaml.Node, yaml.Node]] = {}
+    root = yaml.compose(text, yaml.SafeLoader)
+    if root is not None:
+        _collect(root, "", nodes)
+    edits: list[tuple[int, int, str]] = []
+    for joint in servo.joints:
+        for key in (*GAINS, RIGID):
+            found = _ending(nodes, f"joints.{joint.name}.{key}")
+            value = repr(float(getattr(joint, key)))
+            if found is not None:
+                _, node = found
+                edits.append((node.start_mark.index, node.end_mark.index, value))
+            elif key == RIGID and joint.link_inertia:
+                found = _ending(nodes, f"joints.{joint.name}.{GAINS[-1]}")
+                if found is not None:  # a line of its own behind the last gain's
+                    name, node = found
+                    line_end = text.find("\n", node.end_mark.index)
+                    line_end = len(text) if line_end < 0 else line_end
+                    key_text = text[name.start_mark.index : name.end_mark.index]
+                    new_key = key_text.replace(GAINS[-1], RIGID)
+                    indent = " " * name.start_mark.column
+                    edits.append((line_end, line_end, f"\n{indent}{new_key}: {value}"))
+    return edited(text, edits)
+
+
+def _collect(node: yaml.Node, path: str, nodes: dict[str, tuple[yaml.Node, yaml.Node]]) -> None:
+    """Take every value of a document, by its dotted path."""
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            below = f"{path}.{key.value}"
+            nodes[below] = (key, value)
+            _collect(value, below, nodes)
+
+
+def _ending(
+    nodes: dict[str, tuple[yaml.Node, yaml.Node]], path: str
+) -> tuple[yaml.Node, yaml.Node] | None:
+    return next((pair for name, pair in nodes.items() if name.endswith(f".{path}")), None)

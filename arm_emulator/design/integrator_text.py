@@ -1,0 +1,94 @@
+"""Scheme, events and step written into a scene file, the rest of it as it was."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from arm_emulator.analysis.true_motion import Method
+from arm_emulator.base.config_files import check_own
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import read_bytes
+from arm_emulator.base.yaml_edit import edited
+from arm_emulator.base.yaml_file import MOST_BYTES
+from arm_emulator.machine.scene import EVENTS, Scene, load_scene
+from arm_emulator.machine.scene_unit import scene_unit
+
+SECTION = "integrator"
+
+
+def write_integrator(file: Path, method: Method, dt: float) -> None:
+    """Put a method and its step into a scene file, where everything else stays as it is written.
+
+    Raises:
+        Refusal: a file that came along, that cannot be read or written, or that is built so that
+            the change would reach further; the file is as before then.
+    """
+    check_own("advise", file)
+    before = load_scene(file)
+    # Bytes, so that line ends stay what they are.
+    text = read_bytes(file, MOST_BYTES).decode("utf-8")
+    number = np.format_float_scientific(dt, trim="0", exp_digits=1)
+    values = {"scheme": method.scheme, "dt": number}
+    if method.events != before.integrator.events:
+        values["events"] = method.events
+    text = _replaced(text, SECTION, values)
+    if method.threads != before.threads:
+        text = _replaced(text, "", {"threads": str(method.threads)})
+    new = text.encode("utf-8")
+    # Tried in a file beside the scene first: the URDF is named relative to it.
+    trial = file.with_name(f".{file.stem}.advised.yaml")
+    try:
+        try:
+            trial.write_bytes(new)
+            after = load_scene(trial)
+        finally:
+            trial.unlink(missing_ok=True)
+        wanted = dataclasses.replace(
+            before.integrator, scheme=method.scheme, events=method.events, dt=dt
+        )
+        as_wanted = after.integrator == wanted and after.threads == method.threads
+        if not as_wanted or _rest(after) != _rest(before):
+            raise Refusal(
+                file.name,
+                SECTION,
+                "stand for itself in the file",
+                "a section that others use too",
+                "change it by hand: " + ", ".join(f"{key}: {one}" for key, one in values.items()),
+            )
+        file.write_bytes(new)
+    except OSError as reason:
+        raise Refusal(file.name, "file", "be writable", reason.strerror or reason) from None
+
+
+def _rest(scene: Scene) -> tuple[object, ...]:
+    """Return what of a scene has nothing to do with how it is integrated."""
+    plain = dataclasses.replace(scene.integrator, scheme="rosenbrock", events=EVENTS[0])
+    return (
+        scene.name, scene.urdf, scene.tool, scene.servo_period, scene.cores, scene.varied,
+        scene_unit(dataclasses.replace(scene, integrator=plain, threads=1)),
+    )  # fmt: skip
+
+
+def _replaced(text: str, section: str, values: dict[str, str]) -> str:
+    """Return YAML text with values of a section, or at its top, replaced or added at its begin."""
+    root = yaml.compose(text, yaml.SafeLoader)
+    assert isinstance(root, yaml.MappingNode)
+    if section:
+        root = next(value for key, value in root.value if key.value == section)
+        assert isinstance(root, yaml.MappingNode)
+    found = {key.value: value for key, value in root.value}
+    edits = []
+    for key, value in values.items():
+        if key in found:
+            node = found[key]
+            edits.append((node.start_mark.index, node.end_mark.index, value))
+        else:
+            first, _ = root.value[0]
+            at = first.start_mark.index
+            gap = ", " if root.flow_style else "\n" + " " * first.start_mark.column
+            edits.append((at, at, f"{key}: {value}{gap}"))
+    return edited(text, edits)

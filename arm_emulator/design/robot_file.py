@@ -1,0 +1,67 @@
+"""Robot descriptions as people have them: a URDF, or a xacro source that is expanded first."""
+
+from __future__ import annotations
+
+import importlib.util
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from arm_emulator.base.config_files import ROBOTS
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.text_file import why_no_file
+from arm_emulator.base.urdf_text import MOST_BYTES, read_urdf
+from arm_emulator.design import expand_xacro
+
+PATIENCE = 30.0  # s, by the clock: for a source that waits, or a machine that is busy
+
+
+def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
+    """Return the URDF that a file holds, or that its xacro source expands to.
+
+    Args:
+        file: ends in ``.urdf`` or ``.xacro``.
+        arguments: of the xacro source, its ``<xacro:arg>``.
+
+    Raises:
+        Refusal: no such file, another kind of file, or a source that xacro does not expand.
+    """
+    reason = why_no_file(file)
+    if reason is not None:
+        raise Refusal("new", f"file {file}", "exist", reason)
+    if file.suffix not in ROBOTS:
+        raise Refusal("new", f"file {file.name}", "be a robot", "another", "*.urdf, *.xacro")
+    if file.suffix == ".urdf":
+        if arguments:
+            raise Refusal(file.name, "arguments", "come with a xacro source", list(arguments))
+        return read_urdf(file)
+    return _expanded(file, arguments)
+
+
+def _expanded(file: Path, arguments: Mapping[str, str]) -> str:
+    if importlib.util.find_spec("xacro") is None:
+        valid = "pip install xacro, or give the output of `xacro FILE > robot.urdf`"
+        raise Refusal(file.name, "file", "be a URDF", "a xacro source", valid)
+    given = [f"{name}:={value}" for name, value in arguments.items()]
+    command = [sys.executable, "-P", expand_xacro.__file__, str(file.resolve()), *given]
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as said:
+        try:
+            done = subprocess.run(
+                command, stdin=subprocess.DEVNULL, stdout=out, stderr=said,
+                timeout=PATIENCE, check=False,
+            )  # fmt: skip
+            code = done.returncode
+        except subprocess.TimeoutExpired:
+            code = -signal.SIGKILL
+        for stream in (out, said):
+            stream.seek(0)
+        text = out.read(MOST_BYTES + 1)
+        reason = " ".join(said.read(2000).decode(errors="replace").split())
+    if code < 0:
+        reason = f"more than {expand_xacro.SECONDS} s, or more than it may write"
+    elif code == 0 and len(text) <= MOST_BYTES:
+        return text.decode(errors="replace")
+    raise Refusal(file.name, "file", "be what xacro expands", reason or "nothing")

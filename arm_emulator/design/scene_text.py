@@ -1,0 +1,155 @@
+"""A scene and what lies beside it, written as files that people read and change."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+
+from arm_emulator.design.choose_joints import Choice
+from arm_emulator.design.sizing import Demand, Sized
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.servo.servo_config import JointServo, ServoConfig
+
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+# Words that YAML takes for something else than a text.
+_NOT_TEXTS = ("true", "false", "yes", "no", "on", "off", "null", "y", "n")
+
+UNITS_OF_TURN = ("N m", "rad/s", "kg m2", "rad")
+
+_RULES = """\
+# Made by `arm_emulator new` from {robot}. Links are the description's.
+# Motors, gears, friction and encoders are not in it: all numbers under `motor`, `gear`, `friction`
+# and `encoder` are guesses of the right size, by these rules (docs/new.md), from the peak torque
+# and the speed beside each joint:
+#   ratio        the joint's full speed at 3000 rpm of the motor
+#   motor        back EMF 60 % of the supply at full speed, 25 % for the winding at peak torque,
+#                L/R 1 ms, rotor accelerates with 14 000 rad/s2; current of the peak torque
+#   current_loop 1 kHz, of drives that sample at 16 kHz
+#   gear         170 times the peak torque per rad, as strain wave gears; lowest resonance at least
+#                12 Hz (30 Hz of a slide), damped to 5 % of critical
+#   friction     10 % of the peak torque at full speed
+#   encoder      13 bit on the motor
+# Replace what you know, then `python -m arm_emulator tune {file} --write`.
+"""
+
+
+def scene_text(
+    name: str,
+    robot: str,
+    choice: Choice,
+    supply: float,
+    demands: list[Demand],
+    drives: list[Sized],
+    servo_period: float,
+) -> str:
+    """Return the scene file, with where each number comes from."""
+    lines = [
+        _RULES.format(robot=robot, file=f"{name}.yaml"),
+        f"name: {_text(name)}",
+        f"urdf: {_text(f'urdf/{name}.urdf')}",
+        f"tool: {_text(choice.tool)}",
+        "gravity: [0.0, 0.0, -9.81]  # m/s2, z up",
+        f"supply_voltage: {supply:g}  # V, guess",
+    ]
+    if choice.held:
+        lines += ["", "locked:"]
+        for joint, held in choice.held.items():
+            lines.append(f"  {_text(joint)}: {held.position!r}  # {held.reason}")
+    lines += ["", "joints:"]
+    for demand, drive in zip(demands, drives, strict=True):
+        lines += _joint(demand, drive)
+    lines += [
+        "",
+        "integrator: {scheme: rosenbrock, dt: 5.0e-4}  # `arm_emulator advise` finds the cheapest",
+        f"servo_period: {servo_period!r}  # s",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _joint(demand: Demand, drive: Sized) -> list[str]:
+    slide = demand.kind == "prismatic"
+    torque, speed, inertia, angle = ("N", "m/s", "kg", "m") if slide else UNITS_OF_TURN
+    ratio = "m of the slide per rad of the motor" if slide else "link turns per turn of the motor"
+    joint = drive.joint
+    assert isinstance(joint.motor, DcMotor) and joint.encoder is not None
+    assert joint.current_loop is not None
+    motor, gear = joint.motor, joint.gear
+    least, most = demand.inertia
+    return [
+        f"  # {drive.peak_torque:.3g} {torque} ({drive.notes['torque']}),",
+        f"  # {drive.speed:.3g} {speed} ({drive.notes['speed']});",
+        f"  # feels {least:.3g} to {most:.3g} {inertia}, weight up to "
+        f"{demand.gravity_torque:.3g} {torque}",
+        f"  {_text(joint.name)}:",
+        f"    start: {joint.start!r}  # {angle}",
+        "    motor:",
+        f"      torque_constant: {motor.torque_constant!r}  # N m/A",
+        f"      back_emf_constant: {motor.back_emf_constant!r}  # V s/rad",
+        f"      resistance: {motor.resistance!r}  # ohm",
+        f"      inductance: {motor.inductance!r}  # H",
+        f"      rotor_inertia: {motor.rotor_inertia!r}  # kg m2",
+        f"      current_limit: {motor.current_limit!r}  # A",
+        f"      current_loop: {{bandwidth: {joint.current_loop.bandwidth!r}}}  # Hz",
+        "    gear:",
+        f"      ratio: {gear.ratio!r}  # {ratio}",
+        f"      stiffness: {gear.stiffness!r}  # {torque}/{angle}",
+        f"      damping: {gear.damping!r}  # {torque} s/{angle}",
+        f"    friction: {{viscous: {joint.friction.viscous!r}}}  # {torque} s/{angle}",
+        f"    encoder: {{counts_per_turn: {joint.encoder.counts_per_turn}}}",
+    ]
+
+
+def servo_text(config: ServoConfig, heading: str) -> str:
+    """Return the ROS parameter file of a servo; `heading`: comment lines at the top."""
+    lines = [
+        *(f"# {line}" for line in heading.splitlines()),
+        "/**/servo:",
+        "  ros__parameters:",
+        f"    period: {config.period!r}  # s, servo period",
+        f"    motion_period: {config.motion_period!r}  # s, of the joint targets in lock-step",
+        f"    hold_after: {config.hold_after!r}  # s of silence, then the joints are held",
+        f"    cut_after: {config.cut_after!r}  # s of silence, then the power is cut",
+        f"    supply_voltage: {config.supply_voltage!r}  # V",
+        f"    joint_names: [{', '.join(_text(name) for name in config.joint_names)}]",
+    ]
+    dotted = any("." in name for name in config.joint_names)  # ROS's reader loses its way
+    if not dotted:
+        lines.append("    joints:")
+    for joint in config.joints:
+        if not dotted:
+            lines.append(f"      {_text(joint.name)}:")
+        for one in fields(JointServo):
+            value = getattr(joint, one.name)
+            if one.name == "name" or value == one.default:
+                continue
+            key = f"    joints.{joint.name}.{one.name}" if dotted else f"        {one.name}"
+            lines.append(f"{key}: {value!r}")
+    return "\n".join(lines) + "\n"
+
+
+def motion_text(parameters: Mapping[str, object], comments: Mapping[str, str]) -> str:
+    """Return the ROS parameter file of a motion controller."""
+    lines = ["/**/motion_controller:", "  ros__parameters:"]
+    for key, value in parameters.items():
+        shown = _text(value) if isinstance(value, str) else repr(value)
+        comment = f"  # {comments[key]}" if key in comments else ""
+        lines.append(f"    {key}: {shown}{comment}")
+    return "\n".join(lines) + "\n"
+
+
+def demo_text(displacement: list[float], settle: float, instructions: int) -> str:
+    """Return what the demo does."""
+    return (
+        f"displacement: {displacement!r}  # m, of the tool in the world\n"
+        f"settle: {settle!r}  # s of logical time: the arm takes its weight up first\n"
+        f"instructions: {instructions}  # motion periods that are watched\n"
+    )
+
+
+def _text(value: str) -> str:
+    """Return a text as YAML takes it for one."""
+    if _PLAIN.fullmatch(value) and value.lower() not in _NOT_TEXTS:
+        return value
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,173 @@
+"""Motors, gears and friction for an arm of which only the links are known: rules of thumb.
+
+They give a machine of the right kind and size to begin with, not the machine that somebody built.
+Each rule has its reason; replace what you know.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.machine.parts.current_loop import CurrentLoop
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.encoder import Encoder
+from arm_emulator.machine.parts.friction import LinkFriction
+from arm_emulator.machine.parts.sensors import JointSensors
+from arm_emulator.machine.scene import Joint
+
+# What a limit of the description may be. Beyond, it stands for "not known".
+MOST_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s
+DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
+PLACEHOLDER = 30.0  # times the largest torque that any joint of the arm needs
+
+GRAVITY_MARGIN = 1.3  # holds its own links, and some payload
+SPEED_UP = 0.25  # s from rest to full speed, of all joints at a time
+LEAST_SPEED_UP = 1.0  # s, with the torque of the description
+TORQUE_PART = 0.6  # of what the weight leaves of the torque, for accelerating
+
+SUPPLIES = ((50.0, 24.0), (2000.0, 48.0), (math.inf, 560.0))  # W of the strongest joint, V
+MOTOR_SPEED = 314.0  # rad/s at the joint's full speed: 3000 rpm, rated speed of most servo motors
+BACK_EMF_PART = 0.6  # of the supply at full speed
+RESISTANCE_PART = 0.25  # of the supply at peak torque; 0.15 are left for control
+ELECTRICAL_TIME = 1e-3  # s, L/R of frameless and small servo motors
+CURRENT_BANDWIDTH = 1000.0  # Hz, of drives that sample at 16 kHz
+ROTOR_ACCELERATION = 1.4e4  # rad/s2 at peak torque, with the gear's primary side
+STIFFNESS_PER_TORQUE = 170.0  # 1/rad: strain wave gears of sizes 14 to 40, to their peak torque
+LOWEST_RESONANCE = {"revolute": 2 * math.pi * 12.0, "prismatic": 2 * math.pi * 30.0}  # rad/s
+DAMPING = 0.05  # of critical, of the link on its gear
+FRICTION_PART = 0.1  # of the peak torque at full speed
+COUNTS_PER_TURN = 8192  # 13 bit at the motor
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What the links ask of a joint, and what the robot description says of it.
+
+    Units are those of a revolute joint; for a prismatic one read kg, N and m/s.
+    """
+
+    name: str
+    kind: str  # revolute or prismatic
+    start: float  # rad
+    inertia: tuple[float, float]  # kg m2, least and most over poses
+    coupling: tuple[float, ...]
+    """What it feels of each joint's acceleration, its own among them, most over poses [kg m2]."""
+    gravity_torque: float  # N m, most over poses
+    effort: float | None  # N m
+    velocity: float | None  # rad/s
+
+
+@dataclass(frozen=True)
+class Sized:
+    """A joint's drive."""
+
+    joint: Joint
+    peak_torque: float  # N m at the link
+    speed: float  # rad/s of the link
+    acceleration: float  # rad/s2, for motion control
+    notes: dict[str, str]
+    """Where `torque` and `speed` come from, in words."""
+
+
+def size(demands: list[Demand]) -> tuple[float, list[Sized]]:
+    """Return the supply voltage [V] and a drive for every joint.
+
+    In short: peak torque and speed as the description says, or what holds and moves the links;
+    ratio and back EMF by the motor's rated speed, winding by what the supply leaves at peak torque,
+    rotor by a servo motor's acceleration, stiffness as strain wave gears of that torque have.
+    """
+    rated = [_speed(demand) for demand in demands]
+    speeds = np.array([speed for speed, _ in rated])
+    weight = GRAVITY_MARGIN * np.array([demand.gravity_torque for demand in demands])
+    # Not all joints accelerate at the worst at a time: the root of the sum of squares.
+    coupling = np.array([demand.coupling for demand in demands])
+    ramp = np.linalg.norm(coupling * speeds, axis=1)  # of a second
+    largest = PLACEHOLDER * float((weight + ramp / SPEED_UP).max())
+    torques, notes = [], []
+    least_torques, needs = weight + ramp / LEAST_SPEED_UP, weight + ramp / SPEED_UP
+    for demand, (_, of_speed), least, needed in zip(
+        demands, rated, least_torques, needs, strict=True
+    ):
+        torque, about = _peak_torque(demand, float(least), float(needed), largest)
+        torques.append(torque)
+        notes.append({"torque": about, "speed": of_speed})
+    # All joints take the same time to full speed, as short as every torque allows.
+    left = TORQUE_PART * (np.array(torques) - weight)
+    seconds = max(SPEED_UP, float((ramp / left).max()))
+    power = float((np.array(torques) * speeds).max())
+    supply = next(volts for watts, volts in SUPPLIES if power <= watts)
+    return supply, [
+        _drive(demand, torque, float(speed), float(speed) / seconds, note, supply)
+        for demand, torque, speed, note in zip(demands, torques, speeds, notes, strict=True)
+    ]
+
+
+def _speed(demand: Demand) -> tuple[float, str]:
+    """Return a joint's full speed, and where it comes from."""
+    given = demand.velocity
+    if given is not None and 0.0 < given <= MOST_SPEED[demand.kind]:
+        return given, "URDF"
+    why = "none in the URDF" if given is None else f"the URDF's {given:g} is a placeholder"
+    return DEFAULT_SPEED[demand.kind], f"guess, {why}"
+
+
+def _peak_torque(demand: Demand, least: float, needed: float, largest: float) -> tuple[float, str]:
+    """Return a joint's peak torque, and where it comes from."""
+    given = demand.effort
+    if given is not None and least <= given <= largest:
+        return given, "URDF"
+    if given is None:
+        why = "none in the URDF"
+    elif given > largest:
+        why = f"the URDF's {given:g} is a placeholder"
+    else:
+        why = f"the URDF's {given:g} does not move its own links"
+    rule = f"{GRAVITY_MARGIN:g} times the weight and full speed in {SPEED_UP:g} s"
+    return needed, f"guess, {why}: {rule}"
+
+
+def _drive(
+    demand: Demand,
+    torque: float,
+    speed: float,
+    acceleration: float,
+    notes: dict[str, str],
+    supply: float,
+) -> Sized:
+    ratio = speed / MOTOR_SPEED
+    torque_constant = BACK_EMF_PART * supply / MOTOR_SPEED
+    current = torque * ratio / torque_constant
+    resistance = RESISTANCE_PART * supply / current
+    least, most = demand.inertia
+    stiffness = max(STIFFNESS_PER_TORQUE * torque, LOWEST_RESONANCE[demand.kind] ** 2 * most)
+    middle = math.sqrt(least * most)
+    joint = Joint(
+        name=demand.name,
+        start=demand.start,
+        motor=DcMotor(
+            resistance=rounded(resistance),
+            inductance=rounded(ELECTRICAL_TIME * resistance),
+            torque_constant=rounded(torque_constant),
+            back_emf_constant=rounded(torque_constant),
+            rotor_inertia=rounded(torque * ratio / ROTOR_ACCELERATION),
+            current_limit=rounded(current),
+        ),
+        gear=ElasticGear(
+            ratio=rounded(ratio, 6),
+            stiffness=rounded(stiffness),
+            damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
+        ),
+        sensors=JointSensors(encoder=Encoder(counts_per_turn=COUNTS_PER_TURN)),
+        friction=LinkFriction(viscous=rounded(FRICTION_PART * torque / speed)),
+        current_loop=CurrentLoop(bandwidth=CURRENT_BANDWIDTH),
+    )
+    return Sized(joint, torque, speed, acceleration, notes)
+
+
+def rounded(value: float, digits: int = 3) -> float:
+    """Return a value as a data sheet would give it."""
+    return float(f"{value:.{digits}g}")

@@ -1,0 +1,103 @@
+"""A look at an arm over its poses: what the links ask of each joint, and where to start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
+
+Array = NDArray[np.float64]
+
+POSES = 400
+FREE_TURN = np.pi  # rad either way, where a joint has no limits
+FREE_SLIDE = 0.5  # m
+MIDDLE = 0.7  # of a joint's range: where a start is looked for
+FARTHEST_START = 1.6  # rad or m from 0, or from the limit next to 0
+DEMO_PART = 0.05  # of the arm's reach: how far a demo moves the tool
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What was seen. N joints, in the scene's order."""
+
+    inertia: Array
+    """Least and most that a joint feels over the poses, (N, 2) [kg m2 or kg].
+
+    Least with all other joints free, most with all others held.
+    """
+    coupling: Array
+    """Most of |M| over the poses, (N, N): what a joint feels of the others' acceleration."""
+    gravity_torque: Array
+    """Most that the links' weight asks for over the poses, (N,) [N m or N]."""
+    start: Array
+    """A bent pose away from limits and singular poses, (N,) [rad or m]."""
+    displacement: Array
+    """Of the tool from the start, within reach, (3,) [m]."""
+
+
+def survey(scene: Scene, kinematics: Kinematics) -> Survey:
+    """Look at an arm in many poses within its limits, drawn always the same."""
+    low, high = _ranges(scene, kinematics)
+    rng = np.random.default_rng(0)
+    N = len(low)
+    poses = low + (high - low) * rng.random((POSES, N))
+    model = links_model(scene)
+    data = model.createData()
+    least, coupling = np.full(N, np.inf), np.zeros((N, N))
+    weight = np.zeros(N)
+    for q in poses:
+        M = pin.crba(model, data, q)
+        M = np.triu(M) + np.triu(M, 1).T
+        least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(M)))
+        coupling = np.maximum(coupling, np.abs(M))
+        weight = np.maximum(weight, np.abs(pin.computeGeneralizedGravity(model, data, q)))
+    start = _start(kinematics, low, high, rng)
+    inertia = np.stack([least, np.diag(coupling)], axis=1)
+    displacement = _displacement(kinematics, start, low, high)
+    return Survey(inertia, coupling, weight, start, displacement)
+
+
+def _ranges(scene: Scene, kinematics: Kinematics) -> tuple[Array, Array]:
+    """Return lower and upper ends of the poses to look at, (N,) each."""
+    free = np.array(
+        [FREE_SLIDE if joint.kind == "prismatic" else FREE_TURN for joint in scene.chain.joints]
+    )
+    low, high = kinematics.lower, kinematics.upper
+    # Of a wide or open range the part next to 0 is looked at.
+    bottom = np.where(high < -free, high - 2.0 * free, np.maximum(low, -free))
+    top = np.where(low > free, low + 2.0 * free, np.minimum(high, free))
+    return np.minimum(np.maximum(bottom, low), high), np.maximum(np.minimum(top, high), low)
+
+
+def _start(kinematics: Kinematics, low: Array, high: Array, rng: np.random.Generator) -> Array:
+    """Return the pose in the middle of the ranges whose smallest singular value is largest."""
+    middle, half = 0.5 * (low + high), 0.5 * MIDDLE * (high - low)
+    nearest = np.clip(0.0, low, high)
+    bottom = np.clip(middle - half, nearest - FARTHEST_START, nearest + FARTHEST_START)
+    top = np.clip(middle + half, nearest - FARTHEST_START, nearest + FARTHEST_START)
+    poses = bottom + (top - bottom) * rng.random((POSES, len(low)))
+    best = max(poses, key=lambda q: float(kinematics.singular_values(q)[-1]))
+    return np.asarray(np.round(best, 3), dtype=np.float64)
+
+
+def _displacement(kinematics: Kinematics, start: Array, low: Array, high: Array) -> Array:
+    """Return a short way of the tool that the arm can go.
+
+    An arm of six joints and more can go any short way; of one with fewer a joint motion decides.
+    """
+    distance = DEMO_PART * kinematics.reach
+    J = kinematics.jacobian(start)
+    U, s, Vt = np.linalg.svd(J[:3])
+    if len(start) >= POSE_ROWS:
+        way = distance * U[:, 0]
+    else:
+        step = Vt[0] * min(distance / max(float(s[0]), 1e-9), 0.2)
+        q = np.clip(start + step, low, high)
+        way = kinematics.forward(q)[1] - kinematics.forward(start)[1]
+    return np.asarray(np.round(way, 4) + 0.0, dtype=np.float64)

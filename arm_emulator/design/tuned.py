@@ -1,0 +1,228 @@
+"""A set of gains, and what it does: linear, over the poses of an arm, and on the machine itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.analysis.sampled_loop import Margins
+from arm_emulator.analysis.servo_at_rest import swing_at_rest
+from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
+from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_plant
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.session import Session
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.servo_config import JointServo, ServoConfig
+
+Array = NDArray[np.float64]
+Range = tuple[float, float]
+
+POSES = 48  # over which link inertias are looked for
+ROWS = 400  # of a step response
+SETTLE, MOVE, REST = 1.0, 1.0, 6.0  # s of the run on the machine; what sticks creeps to rest
+WATCHED = 0.75  # s of the rest
+TURN, SLIDE = 0.2, 0.05  # rad, m: the move
+_SOFTER = 0.7  # where a whole arm leaves too little margin
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class Step:
+    """A link's answer to a step of its target, at its worst over the poses."""
+
+    rise: float  # s, from 10 to 90 %
+    overshoot: float
+    settling: float  # s, to 2 %
+
+
+@dataclass(frozen=True)
+class Run:
+    """A smooth move of all joints at once, on the machine itself."""
+
+    off: Array  # (K, N) link less target, over the move
+    swing: Array  # (N,) of the links at rest, from end to end
+    period: float
+
+    @property
+    def worst(self) -> Array:
+        """Largest tracking error (N,) [rad or m]."""
+        out: Array = np.abs(self.off).max(axis=0)
+        return out
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """One set of gains, and what it does."""
+
+    servo: ServoConfig
+    margins: list[Margins]
+    bare: list[Margins] | None  # without the payload
+    steps: list[Step]
+    run: Run
+    loops: ServoLoops
+
+
+def link_inertias(scenes: list[Scene]) -> list[Range]:
+    """Return what each joint moves over the poses of all scenes, least and largest [kg m2, kg].
+
+    The least with all other joints free, 1 / (M^-1)_jj, the largest with the others held, M_jj.
+    """
+    least, most = [], []
+    for scene in scenes:
+        plant, N = Plant(scene), len(scene.joints)
+        zero, unit = np.zeros((N, N)), np.eye(N)
+        for q in poses(scene, POSES):
+            at = np.tile(q, (N, 1))
+            fall = plant.link_accelerations(q, zero[0], zero[0])
+            M_inverse = (plant.link_accelerations(at, zero, unit) - fall).T
+            least.append(1.0 / np.diag(M_inverse))
+            most.append(np.diag(np.linalg.inv(M_inverse)))
+    low, high = np.min(least, axis=0), np.max(most, axis=0)
+    return list(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoConfig:
+    """Return the servo with computed gains.
+
+    Each joint is designed by itself (joint_gains.py); then all get the position gain of the
+    slowest, so that the joints of a tool path keep together; then joints whose loop has too little
+    margin in the whole arm are made slower.
+    """
+    known = {joint.name: joint for joint in servo.joints}
+    found: dict[str, JointServo] = {}
+    for joint, inertia in zip(scene.joints, inertias, strict=True):
+        motor, gear = data_of(joint)
+        own = known[joint.name]
+        gains = design(
+            motor,
+            gear,
+            inertia,
+            scene.servo_period,
+            joint.friction.viscous,
+            servo.supply_voltage,
+            own.current_limit,
+        )
+        found[joint.name] = dataclasses.replace(own, **dataclasses.asdict(gains))
+    slowest = min(joint.position_gain for joint in found.values())
+    joints = [dataclasses.replace(found[name], position_gain=slowest) for name in servo.joint_names]
+    for _ in range(_ROUNDS):
+        config = dataclasses.replace(servo, joints=tuple(joints))
+        loops = ServoLoops(scene, config)
+        little = {
+            name
+            for name, one in zip(scene.joint_names, loops.margins(), strict=True)
+            if too_little(one)
+        }
+        if not little:
+            break
+        joints = [
+            slower(joint, _SOFTER, servo.period) if joint.name in little else joint
+            for joint in joints
+        ]
+    return config
+
+
+def data_of(joint: Joint) -> tuple[MotorData, GearData]:
+    """Return a scene's joint as the design takes it."""
+    motor, gear = joint.motor, joint.gear
+    assert isinstance(motor, DcMotor), "check_joints has refused others"
+    return (
+        MotorData(
+            motor.resistance,
+            motor.inductance,
+            motor.torque_constant,
+            motor.back_emf_constant,
+            motor.rotor_inertia,
+            joint.counts_per_turn,
+            joint.current_bandwidth,
+            0.0 if joint.rotor_friction is None else joint.rotor_friction.viscous,
+        ),
+        GearData(gear.ratio, gear.stiffness, gear.damping),
+    )
+
+
+def examine(scene: Scene, without: Scene | None, servo: ServoConfig) -> Tuned:
+    """Return what gains do: linear, over the poses, and in a run of the machine."""
+    loops = ServoLoops(scene, servo)
+    return Tuned(
+        servo,
+        loops.margins(),
+        None if without is None else ServoLoops(without, servo).margins(),
+        [_step(loops, j) for j in range(len(scene.joints))],
+        run(scene, servo),
+        loops,
+    )
+
+
+def _step(loops: ServoLoops, joint: int) -> Step:
+    period = loops.servo.period
+    every = max(1, round(12.0 / loops.joints[joint].position_gain / period / ROWS))
+    worst = Step(0.0, 0.0, 0.0)
+    for loop in loops.loops:
+        q = loop.step(joint, ROWS, every)[:, joint]
+        off = np.flatnonzero(~(np.abs(q - 1.0) <= 0.02))
+        settled = math.inf if off[-1] == ROWS - 1 else float(off[-1] + 1) * every * period
+        rise = float(np.argmax(q >= 0.9) - np.argmax(q >= 0.1)) * every * period
+        over = float(q.max()) - 1.0
+        worst = Step(
+            max(worst.rise, rise), max(worst.overshoot, over), max(worst.settling, settled)
+        )
+    return worst
+
+
+def run(scene: Scene, servo: ServoConfig) -> Run:
+    """Move all joints of the machine at once, smoothly (jerk without jumps), and let it rest."""
+    session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
+    order = [scene.joint_names.index(name) for name in servo.joint_names]
+    known = {joint.name: joint for joint in servo.joints}
+    kinds = [known[joint.name] for joint in scene.joints]
+    way = np.array([SLIDE if joint.kind == "prismatic" else TURN for joint in scene.chain.joints])
+    # The peak speed of the quintic is 1.875 way / time: half of what the servos may ask for.
+    limits = np.array([joint.velocity_limit for joint in kinds])
+    time = max(MOVE, float((1.875 * way / (0.5 * limits)).max()))
+    period = servo.period
+    every = max(1, round(servo.motion_period / period))
+    ticks = round((SETTLE + time + REST) / period)
+    begin, end = round(SETTLE / period), round((SETTLE + time) / period)
+    off, q_late = [], []
+    for tick in range(ticks):
+        state, measured = session.state, session.measured
+        counts, current = measured.encoder_counts[order], measured.current[order]
+        drives.measure(session.logical_ns, counts, current, session.voltage[order])
+        s, rate = _quintic((tick - begin) * period / time)
+        if tick % every == 0:
+            q = scene.start + s * way
+            drives.aim(Target(q[order], (rate / time * way)[order]))
+        voltage = drives.voltage(session.powered)
+        if begin <= tick < end:
+            off.append(state.q - scene.start - s * way)
+        if tick >= ticks - round(WATCHED / period):
+            q_late.append(state.q)
+        session.offer(tick, list(servo.joint_names), voltage.tolist())
+        session.advance()
+        if session.fault is not None:
+            raise session.fault
+    return Run(np.array(off), np.ptp(np.array(q_late), axis=0), period)
+
+
+def _quintic(s: float) -> tuple[float, float]:
+    """Return how far along a smooth way from 0 to 1 is, and its rate."""
+    s = min(max(s, 0.0), 1.0)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s * s), 30.0 * s * s * (1.0 - s) ** 2
+
+
+def predicted_swing(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> list[float]:
+    """Return by how much each link swings at rest behind its encoder [rad or m]."""
+    known = {joint.name: joint for joint in servo.joints}
+    out = []
+    for joint, (_, most) in zip(scene.joints, inertias, strict=True):
+        motor, gear = data_of(joint)
+        plant = joint_plant(motor, gear, most, joint.friction.viscous, servo.period)
+        out.append(swing_at_rest(known[joint.name], plant, servo.supply_voltage))
+    return out

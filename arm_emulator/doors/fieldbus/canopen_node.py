@@ -1,0 +1,443 @@
+"""One drive as a CANopen node: frames in, frames out (CiA 301). No bus, and no clock of its own.
+
+The drive's dictionary and state machine are those of core/drives.h; here is what makes a node of
+it: NMT, SDO server, PDOs, SYNC, EMCY, heartbeat.
+"""
+
+from __future__ import annotations
+
+import enum
+import struct
+from dataclasses import dataclass, field
+
+from arm_emulator.doors.fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
+from arm_emulator.doors.fieldbus.sdo_server import SdoServer
+
+LARGEST_NODE = 127
+PDOS = 4  # of each way
+MS = 1_000_000  # ns
+
+OUT_OF_RANGE, NOT_NOW = 0x06090030, 0x08000022
+# Error codes of messages about the bus itself.
+LOST, TOO_SHORT, NOT_TAKEN, STOPPED_BY_MASTER = 0x8130, 0x8210, 0x8200, 0x8100
+INVALID, NO_REMOTE, EXTENDED = 1 << 31, 1 << 30, 1 << 29  # bits of a COB-ID
+ASYNCHRONOUS = (254, 255)  # transmission types
+ON_REQUEST = (252, 253)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A CAN frame with an identifier of 11 bits."""
+
+    id: int
+    data: bytes = b""
+    remote: bool = False
+
+
+class State(enum.IntEnum):
+    """Of the node, as heartbeats tell it."""
+
+    BOOT = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+@dataclass(slots=True)
+class _Pdo:
+    """A process data object as it is set now."""
+
+    id: int  # -1: none
+    remote: bool  # whether it may be asked for
+    type: int
+    places: list[tuple[int, int, int]]  # index, sub, bytes; index below 8: bytes without a meaning
+    inhibit: int = 0  # ns
+    timer: int = 0  # ns
+    length: int = field(init=False)
+    # What has happened with it.
+    waiting: bytes | None = field(default=None, compare=False)  # received, for the next SYNC
+    sent: bytes | None = field(default=None, compare=False)
+    sent_at: int = field(default=0, compare=False)
+    count: int = field(default=0, compare=False)  # SYNCs since it was sent
+
+    def __post_init__(self) -> None:
+        self.length = sum(size for *_, size in self.places)
+
+
+class Node:
+    """A CANopen node with a drive behind it.
+
+    Attributes:
+        number: its node-ID.
+        state: of NMT.
+
+    Args:
+        drives: all drives of the machine.
+        drive: which one this node is.
+        number: 1 to 127.
+    """
+
+    def __init__(self, drives: Drives, drive: int, number: int) -> None:
+        self.number = number
+        self.state = State.BOOT
+        self._drives, self._drive = drives, drive
+        self._lengths = {
+            (one.index, one.sub): one.bits // 8
+            for one in dictionary()
+            if one.buses & CANOPEN and one.bits
+        }
+        self._sdo = SdoServer(self)
+        self._toggle = 0  # of node guarding
+        self._beat_at: int | None = None  # when the last heartbeat was sent
+        self._heard_at: int | None = None  # when that of the watched node came
+        self._error = 0  # told last
+        self._bad_pdo = False
+        self._watched = (0, 0)  # node, and time between its heartbeats [ns]
+        self._receives: list[_Pdo] = []
+        self._sends: list[_Pdo] = []
+        self._set_defaults()
+        # What a reset of the communication goes back to.
+        self._defaults = {
+            (one.index, one.sub): drives.upload(drive, one.index, one.sub)
+            for one in dictionary()
+            if one.buses & CANOPEN and 0x1005 <= one.index < 0x2000 and one.access == "rw"
+            if one.index not in (0x1010, 0x1011)
+        }
+        self._configure()
+
+    # ------------------------------------------------------------------------- the dictionary
+
+    def upload(self, index: int, sub: int) -> bytes:
+        """Return the bytes of an entry; raise `Aborted`."""
+        return self._drives.upload(self._drive, index, sub)
+
+    def download(self, index: int, sub: int, value: bytes) -> None:
+        """Write an entry; raise `Aborted`, and nothing has changed then."""
+        if 0x1005 <= index < 0x2000:
+            self._check(index, sub, value)
+        self._drives.download(self._drive, index, sub, value)
+        if 0x1005 <= index < 0x2000:
+            self._configure()
+
+    def length(self, index: int, sub: int) -> int:
+        """Return how many bytes a number has; 4 if there is no such entry."""
+        return self._lengths.get((index, sub), 4)
+
+    def _number(self, index: int, sub: int) -> int:
+        return int.from_bytes(self._drives.upload(self._drive, index, sub), "little")
+
+    def _set_defaults(self) -> None:
+        """Set what depends on the node-ID; targets go with SYNC, the controlword at once.
+
+        The statusword comes when it changes, and at least every 10 ms: the masters of `canopen`
+        take one that has come twice for a periodic one, and wait for it.
+        """
+        own = {(0x1014, 0): 0x80, (0x1200, 1): 0x600, (0x1200, 2): 0x580}
+        for k in range(PDOS):
+            own[0x1400 + k, 1] = 0x200 + 0x100 * k
+            own[0x1800 + k, 1] = 0x180 + 0x100 * k
+            if k:
+                self._drives.set(self._drive, 0x1400 + k, 1, 2)
+                self._drives.set(self._drive, 0x1800 + k, 1, 2)
+        self._drives.set(self._drive, 0x1800, 10, 5)
+        for (index, sub), base in own.items():
+            self._drives.set(self._drive, index, base + self.number, sub)
+
+    def _check(self, index: int, sub: int, value: bytes) -> None:
+        """Raise if a rule of CiA 301 about communication forbids it that the drive cannot know."""
+        if len(value) != self._lengths.get((index, sub)):
+            return  # the dictionary refuses that
+        new = int.from_bytes(value, "little")
+        if index in (0x1005, 0x1014) or (_is_communication(index) and sub == 1):
+            if new & (EXTENDED | 0x1FFFF800) or (index == 0x1005 and new >> 29):
+                raise Aborted(index, sub, OUT_OF_RANGE)
+            if not new & INVALID and _is_restricted(new & 0x7FF):
+                raise Aborted(index, sub, OUT_OF_RANGE)
+            now = self._number(index, sub)
+            moved = (new ^ now) & ~(INVALID | NO_REMOTE)
+            if _is_communication(index) and moved and not (new | now) & INVALID:
+                raise Aborted(index, sub, NOT_NOW)  # not while it is in use
+        elif _is_communication(index) and sub == 2:
+            if 240 < new < (252 if index >= 0x1800 else 254):
+                raise Aborted(index, sub, OUT_OF_RANGE)
+        elif _is_mapping(index):
+            used = not self._number(index - 0x200, 1) & INVALID
+            if used and self.state is State.OPERATIONAL:
+                raise Aborted(index, sub, NOT_NOW)
+        elif index == 0x1016 and sub and new & 0xFFFF and new >> 16 > LARGEST_NODE:
+            raise Aborted(index, sub, OUT_OF_RANGE)
+
+    def _configure(self) -> None:
+        """Take over what the dictionary says of the communication."""
+        self._sync_id = self._number(0x1005, 0) & 0x7FF
+        emergency = self._number(0x1014, 0)
+        self._emergency_id = None if emergency & INVALID else emergency & 0x7FF
+        self._beat = self._number(0x1017, 0) * MS
+        watched = self._number(0x1016, 1)
+        before = self._watched
+        self._watched = (watched >> 16 & 0x7F, (watched & 0xFFFF) * MS)
+        if self._watched != before:
+            self._heard_at = None
+        for kept, first in ((self._receives, 0x1400), (self._sends, 0x1800)):
+            new = [self._pdo(first + k, first + 0x200 + k) for k in range(PDOS)]
+            # One that is set as before goes on with what it has waiting.
+            kept[:] = [
+                old if old == one else one for old, one in zip(kept or new, new, strict=True)
+            ]
+
+    def _pdo(self, communication: int, mapping: int) -> _Pdo:
+        cob = self._number(communication, 1)
+        words = (self._number(mapping, k + 1) for k in range(self._number(mapping, 0)))
+        places = [(word >> 16, word >> 8 & 0xFF, (word & 0xFF) // 8) for word in words]
+        is_used = places and not cob & INVALID
+        pdo = _Pdo(
+            cob & 0x7FF if is_used else -1,
+            not cob & NO_REMOTE,
+            self._number(communication, 2),
+            places,
+        )
+        if communication >= 0x1800:
+            pdo.inhibit = self._number(communication, 3) * 100_000
+            pdo.timer = self._number(communication, 5) * MS
+        return pdo
+
+    # ---------------------------------------------------------------------------------- frames
+
+    def boot(self) -> list[Frame]:
+        """Start up: the message that tells it, and the node is pre-operational."""
+        self.state = State.PRE_OPERATIONAL
+        self._toggle = 0
+        self._beat_at = self._heard_at = None
+        self._sdo.reset()
+        return [Frame(0x700 + self.number, bytes((State.BOOT,)))]
+
+    def receive(self, frame: Frame, now: int) -> list[Frame]:
+        """Take a frame other than SYNC, and return what the node sends.
+
+        Args:
+            frame: from the bus.
+            now: logical time [ns].
+        """
+        id_ = frame.id
+        if frame.remote:
+            return self._requested(id_)
+        if id_ == 0:
+            return self._command(frame.data, now)
+        if id_ == 0x600 + self.number:
+            if self.state is State.STOPPED or self.state is State.BOOT:
+                return []
+            return [Frame(0x580 + self.number, reply) for reply in self._sdo.answer(frame.data)]
+        if id_ == 0x700 + self._watched[0] and self._watched[1]:
+            self._heard_at = now
+        if self.state is State.OPERATIONAL:
+            return self._receive_data(frame)
+        return []
+
+    def takes_sync(self, frame: Frame) -> bool:
+        """Return whether a frame is SYNC to this node."""
+        return frame.id == self._sync_id and not frame.remote and len(frame.data) <= 1
+
+    def sync(self, now: int) -> list[Frame]:
+        """Take a SYNC: what was received holds from now on, and what is there now is sent."""
+        if self.state is not State.OPERATIONAL:
+            return []
+        frames = []
+        for pdo in self._receives:
+            if pdo.waiting is not None:
+                data, pdo.waiting = pdo.waiting, None
+                frames += self._unpack(pdo, data)
+        for pdo in self._sends:
+            if pdo.id < 0 or pdo.type in (*ASYNCHRONOUS, 253):
+                continue
+            data = self._pack(pdo)
+            pdo.count += 1
+            if pdo.type == 252:
+                pdo.sent = data
+            elif pdo.count >= pdo.type and (pdo.type or data != pdo.sent):
+                frames.append(self._send(pdo, data, now))
+        return frames
+
+    def after_period(self, now: int) -> list[Frame]:
+        """Return what the node sends on its own after a servo period."""
+        frames = self._watch(now)
+        code = self._number(0x603F, 0)
+        if code != self._error:
+            self._error = code
+            frames += self._emergency(code)
+        if self.state is State.OPERATIONAL:
+            frames += self._events(now)
+        return frames
+
+    def heartbeat(self, now: int) -> list[Frame]:
+        """Return the heartbeat if it is due at a time [ns] of whichever clock the bus has."""
+        if not self._beat or self.state is State.BOOT:
+            return []
+        if self._beat_at is not None and now - self._beat_at < self._beat:
+            return []
+        late = self._beat_at is not None and now - self._beat_at < 2 * self._beat
+        self._beat_at = (self._beat_at or 0) + self._beat if late else now
+        return [Frame(0x700 + self.number, bytes((self.state,)))]
+
+    @property
+    def beat(self) -> int:
+        """Time between heartbeats [ns]; 0: none."""
+        return self._beat
+
+    # --------------------------------------------------------------------------------- details
+
+    def _command(self, data: bytes, now: int) -> list[Frame]:
+        """NMT."""
+        if len(data) != 2 or data[1] not in (0, self.number):
+            return []
+        match data[0]:
+            case 1 if self.state is not State.OPERATIONAL:
+                self.state = State.OPERATIONAL
+                for pdo in (*self._receives, *self._sends):
+                    pdo.waiting = pdo.sent = None
+                    pdo.count = 0
+                return self._events(now)
+            case 2:
+                self._stop()
+            case 128:
+                self.state = State.PRE_OPERATIONAL
+            case 129:
+                self._drives.restart(self._drive)
+                self._set_defaults()
+                return self._begin_anew()
+            case 130:
+                self._stop()
+                self._restore_communication()
+                return self._begin_anew()
+        return []
+
+    def _begin_anew(self) -> list[Frame]:
+        self._configure()
+        self._error, self._bad_pdo = 0, False
+        return self.boot()
+
+    def _stop(self) -> None:
+        if self.state is State.OPERATIONAL:
+            self._drives.lost(self._drive, STOPPED_BY_MASTER)
+        self.state = State.STOPPED
+        self._sdo.reset()
+
+    def _restore_communication(self) -> None:
+        counts = []
+        for (index, sub), value in self._defaults.items():
+            if _is_mapping(index) and sub == 0:
+                self._drives.set(self._drive, index, 0)
+                counts.append((index, value))
+            else:
+                self._drives.download(self._drive, index, sub, value)
+        for index, value in counts:
+            self._drives.download(self._drive, index, 0, value)
+
+    def _requested(self, id_: int) -> list[Frame]:
+        """Remote frames: node guarding, and PDOs."""
+        if id_ == 0x700 + self.number and not self._beat and self.state is not State.BOOT:
+            told = self._toggle | self.state
+            self._toggle ^= 0x80
+            return [Frame(id_, bytes((told,)))]
+        if self.state is not State.OPERATIONAL:
+            return []
+        for pdo in self._sends:
+            if pdo.id == id_ and pdo.remote:
+                data = pdo.sent if pdo.type == 252 else self._pack(pdo)
+                return [Frame(id_, data)] if data is not None else []
+        return []
+
+    def _receive_data(self, frame: Frame) -> list[Frame]:
+        frames = []
+        for pdo in self._receives:
+            if pdo.id != frame.id:
+                continue
+            if len(frame.data) < pdo.length:
+                frames += self._emergency(TOO_SHORT)
+            elif pdo.type in ASYNCHRONOUS:
+                frames += self._unpack(pdo, frame.data)
+            else:
+                pdo.waiting = frame.data
+        return frames
+
+    def _unpack(self, pdo: _Pdo, data: bytes) -> list[Frame]:
+        at, bad = 0, False
+        for index, sub, size in pdo.places:
+            if index >= 8:
+                try:
+                    self._drives.download(self._drive, index, sub, data[at : at + size])
+                except Aborted:
+                    bad = True
+            at += size
+        told = self._emergency(NOT_TAKEN) if bad and not self._bad_pdo else []
+        self._bad_pdo = bad
+        return told
+
+    def _pack(self, pdo: _Pdo) -> bytes:
+        upload, drive = self._drives.upload, self._drive
+        return b"".join(
+            upload(drive, index, sub) if index >= 8 else bytes(size)
+            for index, sub, size in pdo.places
+        )
+
+    def _send(self, pdo: _Pdo, data: bytes, now: int) -> Frame:
+        pdo.sent, pdo.sent_at, pdo.count = data, now, 0
+        return Frame(pdo.id, data)
+
+    def _events(self, now: int) -> list[Frame]:
+        frames = []
+        for pdo in self._sends:
+            if pdo.id < 0 or pdo.type not in ASYNCHRONOUS:
+                continue
+            passed = now - pdo.sent_at
+            if pdo.sent is not None and passed < pdo.inhibit:
+                continue
+            data = self._pack(pdo)
+            if data != pdo.sent or (pdo.timer and passed >= pdo.timer):
+                frames.append(self._send(pdo, data, now))
+        return frames
+
+    def _watch(self, now: int) -> list[Frame]:
+        """Look whether the node whose heartbeats are expected is still there."""
+        if self._heard_at is None or now - self._heard_at <= self._watched[1]:
+            return []
+        self._heard_at = None  # told once, until it is heard again
+        self._drives.lost(self._drive, LOST)
+        told = self._emergency(LOST)
+        self._error = self._number(0x603F, 0)
+        if self.state is State.OPERATIONAL:
+            match self._number(0x1029, 1):
+                case 0:
+                    self.state = State.PRE_OPERATIONAL
+                case 2:
+                    self.state = State.STOPPED
+                    self._sdo.reset()
+        return told
+
+    def _emergency(self, code: int) -> list[Frame]:
+        if self._emergency_id is None or self.state in (State.STOPPED, State.BOOT):
+            return []
+        register = self._number(0x1001, 0)
+        return [Frame(self._emergency_id, struct.pack("<HB5x", code, register))]
+
+
+def _is_communication(index: int) -> bool:
+    return 0x1400 <= index < 0x1600 or 0x1800 <= index < 0x1A00
+
+
+def _is_mapping(index: int) -> bool:
+    return 0x1600 <= index < 0x1800 or 0x1A00 <= index < 0x1C00
+
+
+# Identifiers that CiA 301 keeps: no object may be given one of these.
+_RESTRICTED = (
+    (0x000, 0x07F),
+    (0x101, 0x180),
+    (0x581, 0x5FF),
+    (0x601, 0x67F),
+    (0x6E0, 0x6FF),
+    (0x701, 0x7FF),
+)
+
+
+def _is_restricted(id_: int) -> bool:
+    return any(low <= id_ <= high for low, high in _RESTRICTED)

@@ -1,0 +1,321 @@
+"""The paper's data converter: encoder counts and currents in, motor commands out, as registers.
+
+docs/modbus.md has the table. It stands between a bus of 16-bit words and a `Session`; of Modbus it
+knows the codes of refusals.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.doors.fieldbus.modbus_rtu import Code, ModbusException
+from arm_emulator.machine.core_calls import JointDescription
+from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.session import Needless, Session
+
+MAP_VERSION = 1
+# Where the blocks of registers begin.
+MACHINE, MEASURED, COMMANDED, SETTINGS, JOINTS = 0, 1000, 2000, 3000, 10000
+PER_JOINT = 48  # registers of a joint's description
+
+# Bits of the status, and of a joint's status.
+POWERED, WATCHDOG, FAULT, RUNNING = 1, 2, 4, 8
+JOINT_FAULT, JOINT_HOT, JOINT_BRAKED = 1, 2, 4
+# Bits of the control word.
+POWER, ACKNOWLEDGE, RESET = 1, 2, 4
+
+FULL_SCALE = 32768  # of a command's word
+LARGEST_PERIOD = 2**32 - 1  # ns, that a register can tell
+
+
+@dataclass(frozen=True)
+class Block:
+    """Registers of one kind, a row of docs/modbus.md."""
+
+    address: int
+    count: int  # registers
+    per: int  # of them per joint, 0: not by joints
+    name: str
+    kind: str
+    unit: str
+    writable: bool = False
+
+
+def full_scale(scene: Scene, joint: Joint) -> float:
+    """Return what a command of 32768 would be [V, N m or A, as the joint's motor takes it].
+
+    Raises:
+        Refusal: the scene does not tell, because a motor's torque or current has no limit.
+    """
+    limit = float(scene.largest_commands[scene.joints.index(joint)])
+    if not math.isfinite(limit):
+        assert joint.motor is not None, "a joint without a motor has the supply's"
+        where = f"joints.{joint.name}.motor.{joint.motor.limit}"
+        raise Refusal(scene.where, where, "be given: it is the full scale of its command", "none")
+    return limit
+
+
+def blocks(scene: Scene) -> tuple[Block, ...]:
+    """Return the table of registers of a scene, by address."""
+    N = len(scene.joints)
+    rows = [
+        Block(MACHINE, 1, 0, "version of this table", "uint16", "1"),
+        Block(MACHINE + 1, 1, 0, "joints N", "uint16", "1"),
+        Block(MACHINE + 2, 2, 0, "servo period", "uint32", "ns"),
+        Block(MEASURED, 1, 0, "status", "bits", ""),
+        Block(MEASURED + 1, 2, 0, "tick, modulo 2^32", "uint32", "servo periods"),
+    ]
+    at = MEASURED + 3
+    for per, name, kind, unit in (
+        (2, "encoder at the motor, modulo 2^32", "int32", "counts"),
+        (2, "motor current", "int32", "uA"),
+        (1, "command of the period that has passed", "int16", "full scale / 32768"),
+        (1, "joint status", "bits", ""),
+        (2, "encoder at the link, modulo 2^32", "int32", "counts"),
+        (2, "encoder at the motor at its newest index pulse", "int32", "counts"),
+        (1, "index pulses, modulo 2^16", "uint16", "1"),
+    ):
+        rows.append(Block(at, per * N, per, name, kind, unit))
+        at += per * N
+    rows += [
+        Block(COMMANDED, 1, 0, "control", "bits", "", True),
+        Block(COMMANDED + 1, N, 1, "command", "int16", "full scale / 32768", True),
+        Block(SETTINGS, 1, 0, "watchdog, 0: none", "uint16", "ms", True),
+    ]
+    for joint in range(N):
+        at = JOINTS + PER_JOINT * joint
+        for count, name, kind, unit in (
+            (1, "turns (0) or slides (1)", "uint16", "1"),
+            (1, "commanded V (1), N m (2), A (4), V across the flux (8)", "uint16", "1"),
+            (4, "full scale of its command", "float64", "V, N m or A"),
+            (4, "encoder at the motor", "float64", "counts/rad"),
+            (4, "where its counts wrap, 0: nowhere", "int64", "counts"),
+            (4, "gear ratio", "float64", "rad or m per rad"),
+            (4, "encoder at the link", "float64", "counts/rad or counts/m"),
+            (4, "where its counts wrap, 0: nowhere", "int64", "counts"),
+            (PER_JOINT - 42, "0", "", ""),
+            (16, "name", "UTF-8", ""),
+        ):
+            rows.append(Block(at, count, 0, f"joint {joint}: {name}", kind, unit))
+            at += count
+    return tuple(rows)
+
+
+class Converter:
+    """Registers of a machine, and the watchdog over its master.
+
+    Its owner lets time pass: `pass_period`, or in real time the session's own loop.
+
+    Attributes:
+        session: the machine.
+        wanted: commands that were written last (N,) [V, N m or A].
+        on_commands: is called when commands were written.
+
+    Args:
+        session: the machine, at tick 0.
+        watchdog: how long the drives stay on without new commands [ms]; 0: for ever.
+
+    Raises:
+        Refusal: no such time, or a scene that registers cannot tell.
+    """
+
+    def __init__(self, session: Session, watchdog: int) -> None:
+        scene = session.scene
+        if not 0 <= watchdog <= 0xFFFF:
+            raise Refusal("modbus", "watchdog", "be 0 to 65535 ms", watchdog)
+        if session.period_ns > LARGEST_PERIOD:
+            rule = f"be at most {LARGEST_PERIOD / 1e9:g} s"
+            raise Refusal(scene.where, "servo_period", rule, scene.servo_period)
+        N = len(scene.joints)
+        largest = min((SETTINGS - COMMANDED) - 1, (COMMANDED - MEASURED - 3) // 11)
+        if N > largest:
+            raise Refusal(scene.where, "joints", f"be at most {largest}", N)
+        self.session = session
+        self._full_scale = np.array([full_scale(scene, joint) for joint in scene.joints])
+        self._per_word = self._full_scale / FULL_SCALE
+        self._N = N
+        self._fixed = {
+            MACHINE: [MAP_VERSION, N, *_words(">I", session.period_ns)],
+            JOINTS: [word for joint in range(N) for word in self._description(joint)],
+        }
+        self._sizes = {
+            MACHINE: 4,
+            MEASURED: 3 + 11 * N,
+            COMMANDED: 1 + N,
+            SETTINGS: 1,
+            JOINTS: PER_JOINT * N,
+        }
+        self.on_commands: Callable[[], object] = lambda: None
+        self._watchdog = watchdog
+        self._forget()
+
+    def _forget(self) -> None:
+        self._command = [0] * self._N
+        self.wanted = np.zeros(self._N)
+        self._held = self.wanted  # in the period that is under way
+        self._written_tick: int | None = None  # when the newest commands came
+        self._tripped = False
+
+    def _description(self, index: int) -> list[int]:
+        scene = self.session.scene
+        joint = JointDescription(size=ctypes.sizeof(JointDescription))
+        self.session.plant.core.arm_describe_joint(index, ctypes.byref(joint))
+        return [
+            joint.kind,
+            joint.modes & 0xFFFF,
+            *_words(">d", full_scale(scene, scene.joints[index])),
+            *_words(">d", joint.counts_per_rad),
+            *_words(">q", joint.encoder_wrap),
+            *_words(">d", joint.gear_ratio),
+            *_words(">d", joint.link_counts_per_rad),
+            *_words(">q", joint.link_encoder_wrap),
+            *[0] * (PER_JOINT - 42),
+            *_words(">32s", scene.joint_names[index].encode()[:32]),
+        ]
+
+    def _block(self, address: int, count: int) -> tuple[int, int]:
+        for base, size in self._sizes.items():
+            if base <= address and address + count <= base + size:
+                return base, address - base
+        raise ModbusException(Code.ADDRESS)
+
+    def read(self, address: int, count: int) -> Sequence[int]:
+        """Return registers, see `modbus_rtu.Registers`."""
+        base, at = self._block(address, count)
+        if base == MEASURED:
+            words: Sequence[int] = self._measured(at + count)
+        elif base == COMMANDED:
+            words = [POWER * self.session.powered, *(word & 0xFFFF for word in self._command)]
+        elif base == SETTINGS:
+            words = [self._watchdog]
+        else:
+            words = self._fixed[base]
+        return words[at : at + count]
+
+    @property
+    def status(self) -> int:
+        """Bits of the status."""
+        session = self.session
+        return (
+            POWERED * session.powered
+            | WATCHDOG * self._tripped
+            | FAULT * (session.fault is not None)
+            | RUNNING * (self._written_tick is not None)
+        )
+
+    def _measured(self, count: int) -> Sequence[int]:
+        """Return at least the first `count` words of what was measured."""
+        session, N = self.session, self._N
+        tick = session.tick
+        words = [self.status, tick >> 16 & 0xFFFF, tick & 0xFFFF]
+        if count > 3:
+            measured = session.measured
+            words += _pairs(measured.encoder_counts)
+        if count > 3 + 2 * N:
+            microampere = np.clip(np.rint(measured.current * 1e6), -(2**31), 2**31 - 1)
+            words += _pairs(microampere.astype(np.int64))
+        if count > 3 + 4 * N:
+            applied = np.rint(measured.voltage / self._per_word)
+            applied = np.clip(applied, -FULL_SCALE, FULL_SCALE - 1).astype(np.int64)
+            words += (applied & 0xFFFF).tolist()
+            faults, brake = measured.joints["faults"], measured.joints["brake"]
+            words += (faults & 3 | JOINT_BRAKED * brake).tolist()
+        if count > 3 + 6 * N:
+            words += _pairs(measured.link_encoder_counts)
+            words += _pairs(measured.index_counts)
+            words += (measured.index_pulses & 0xFFFF).tolist()
+        return words
+
+    def write(self, address: int, words: Sequence[int]) -> None:
+        """Take registers, see `modbus_rtu.Registers`."""
+        base, at = self._block(address, len(words))
+        if base == SETTINGS:
+            self._watchdog = words[0]
+            return
+        if base != COMMANDED:
+            raise ModbusException(Code.ADDRESS)
+        control = words[0] if at == 0 else None
+        if control is not None and control & ~(POWER | ACKNOWLEDGE | RESET):
+            raise ModbusException(Code.VALUE)
+        values = words[1:] if at == 0 else words
+        resets = control is not None and control & RESET
+        if values and self.session.fault is not None and not resets:
+            raise ModbusException(Code.FAILURE)
+        if control is not None:
+            self._take_control(control)
+        if values:
+            first = max(at - 1, 0)
+            signed = [word - ((word & 0x8000) << 1) for word in values]
+            self._command[first : first + len(signed)] = signed
+            self.wanted = np.array(self._command) * self._per_word
+            self._written_tick = self.session.tick
+            self.on_commands()
+
+    def _take_control(self, control: int) -> None:
+        session = self.session
+        if control & RESET:
+            session.reset()
+            self._forget()
+        if control & ACKNOWLEDGE and self._tripped:
+            self._tripped = False
+            self._written_tick = session.tick
+        powered = bool(control & POWER) and not self._tripped
+        if powered != session.powered:
+            session.powered = powered
+
+    def pass_period(self) -> None:
+        """Let a servo period pass under the commands that were there when it began.
+
+        A machine that has diverged stays where it is.
+        """
+        session = self.session
+        if session.fault is None:
+            session.advance_under(self._held, session.tick)
+        self.watch()
+        self._held = self.wanted
+
+    def answer_tick(self) -> None:
+        """Let a servo period pass under the commands that were just written."""
+        self._held = self.wanted
+        self.pass_period()
+
+    def offer(self) -> None:
+        """Hand the commands to a session that runs by the clock."""
+        session = self.session
+        try:
+            session.offer(session.tick, session.scene.joint_names, self.wanted.tolist())
+        except Needless:
+            pass  # the same as before, in the same period
+
+    def watch(self) -> bool:
+        """Switch the drives off if the master has been silent for too long; return whether."""
+        session = self.session
+        if not self._watchdog or self._written_tick is None or self._tripped:
+            return False
+        silent = (session.tick - self._written_tick) * session.period_ns
+        if silent <= self._watchdog * 1_000_000:
+            return False
+        self._tripped = True
+        self._command = [0] * self._N
+        self.wanted = np.zeros(self._N)
+        session.powered = False
+        return True
+
+
+def _words(layout: str, value: object) -> tuple[int, ...]:
+    data = struct.pack(layout, value)
+    return struct.unpack(f">{len(data) // 2}H", data)
+
+
+def _pairs(values: NDArray[np.int64]) -> list[int]:
+    """Return the two words of each number modulo 2^32, the high one first."""
+    words: list[int] = (np.stack((values >> 16, values), axis=1) & 0xFFFF).ravel().tolist()
+    return words

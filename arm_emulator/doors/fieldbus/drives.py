@@ -1,0 +1,431 @@
+"""All drives of a scene behind one machine: core/drives.h, called from Python."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from arm_emulator.analysis.mode_loops import MODES as OFFERED
+from arm_emulator.analysis.mode_loops import withheld_modes
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import limits_of
+from arm_emulator.build.flags import SHARED
+from arm_emulator.build.unit import Calls, Unit, address, library
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.core_calls import MODES
+from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.servo.c import FOLDER
+from arm_emulator.servo.servo_config import ServoConfig
+from arm_emulator.servo.servo_law import JOINT
+from arm_emulator.servo.servo_numbers import servo_numbers
+
+DRIVES_CORE = Path(__file__).resolve().parent / "core"
+ETHERCAT, CANOPEN = 1, 2  # enum drives_bus
+
+# The servo's bits are those of its C library: nothing is contracted or reordered.
+DRIVES_FLAGS = (
+    *"-std=c++20 -O2 -fvisibility=hidden -fno-exceptions -ffp-contract=off".split(),
+    *"-fno-semantic-interposition -pthread".split(),
+    *SHARED,
+)
+SOURCE = '#include "servo.c"\n#include "drives.hpp"\n'
+
+_pointer, _int, _int32, _int64 = ctypes.c_void_p, ctypes.c_int, ctypes.c_int32, ctypes.c_int64
+_uint8, _uint16, _uint32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32
+
+DRIVES_CALLS: Calls = {
+    "drives_new": (_pointer, [_pointer]),
+    "drives_delete": (None, [_pointer]),
+    "drives_count": (_int32, [_pointer]),
+    "drives_begin": (None, [_pointer]),
+    "drives_period": (_int, [_pointer]),
+    "drives_periods": (_int, [_pointer, _int64]),
+    "drives_tick": (_int64, [_pointer]),
+    "drives_read": (
+        _uint32,
+        [_pointer, _int32, _uint16, _uint8, _pointer, _uint32, _pointer],
+    ),
+    "drives_write": (_uint32, [_pointer, _int32, _uint16, _uint8, _pointer, _uint32]),
+    "drives_list": (_int, [_int32, _pointer]),
+    "drives_set": (_int, [_pointer, _int32, _uint16, _uint8, _int64]),
+    "drives_periods_per_target": (_int32, [_pointer, _int32]),
+    "drives_lost": (None, [_pointer, _int32, _uint16]),
+    "drives_lock_mapping": (None, [_pointer, _int32, _int]),
+    "drives_restart": (None, [_pointer, _int32]),
+}
+
+
+def drives_unit(
+    name: str = "drives",
+    source: str = "",
+    calls: Calls | None = None,
+    about: str = "the drives behind field buses",
+) -> Unit:
+    """Return the drives, with a bus in the same unit, as what is compiled, for all scenes the same.
+
+    Args:
+        name: of the library.
+        source: C++ that comes behind core/drives.hpp.
+        calls: the functions that it adds.
+        about: what the user is told while it is compiled.
+    """
+    return Unit(
+        name,
+        SOURCE + source,
+        DRIVES_FLAGS,
+        (DRIVES_CORE, FOLDER, BOUNDARY),
+        {**DRIVES_CALLS, **(calls or {})},
+        "fieldbus",
+        about,
+        "drives.hpp",
+    )
+
+
+def drives_library_with(name: str, source: str, calls: Calls, about: str) -> ctypes.CDLL:
+    """Return the drives compiled with a bus, see `drives_unit`.
+
+    Raises:
+        Refusal: there is neither a sound cached library nor a working compiler.
+    """
+    return library(drives_unit(name, source, calls, about))
+
+
+@cache
+def drives_library() -> ctypes.CDLL:
+    """Return the drives compiled, see `drives_library_with`."""
+    return library(drives_unit())
+
+
+# ``drives_joint``.
+_JOINT = [
+    ("name", "u8"),
+    ("servo", JOINT),
+    *((name, "i8") for name in ("counts_per_turn", "lower", "upper")),
+    *((name, "i4") for name in ("brake", "index", "stops", "mode")),
+    *((name, "u4") for name in ("modes", "reserved")),
+]
+
+
+class _MachineStruct(ctypes.Structure):
+    """``drives_machine``."""
+
+    _fields_ = (
+        ("size", _uint32),
+        ("joints", _int32),
+        ("bus", _int32),
+        ("reserved", _int32),
+        *((name, _pointer) for name in ("machine", "measure", "exchange")),
+        ("period", _int64),
+        ("supply_voltage", ctypes.c_double),
+        ("device_name", ctypes.c_char_p),
+        ("joint", _pointer),
+    )
+
+
+class _EntryStruct(ctypes.Structure):
+    """``drives_entry``."""
+
+    _fields_ = (
+        ("index", _uint16),
+        ("sub", _uint8),
+        ("last_sub", _uint8),
+        ("type", _uint16),
+        ("bits", _uint16),
+        *((name, _uint8) for name in ("access", "pdo", "code", "buses")),
+        ("reserved", _uint32),
+        *((name, _int64) for name in ("standard", "least", "most")),
+        *((name, ctypes.c_char_p) for name in ("object", "name", "unit")),
+    )
+
+
+ACCESS = ("const", "ro", "wo", "rw")
+TYPES = {
+    1: "BOOLEAN",
+    2: "INTEGER8",
+    3: "INTEGER16",
+    4: "INTEGER32",
+    5: "UNSIGNED8",
+    6: "UNSIGNED16",
+    7: "UNSIGNED32",
+    9: "VISIBLE_STRING",
+}
+_SIGNED = ("INTEGER8", "INTEGER16", "INTEGER32")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the object dictionary, see core/object_dictionary.hpp."""
+
+    index: int
+    sub: int
+    object: str
+    """Name of its object."""
+    name: str
+    code: int
+    """7 variable, 8 array, 9 record."""
+    last_sub: int
+    """Of its object."""
+    type: str
+    """As CiA 301 calls it."""
+    bits: int
+    """0: text."""
+    access: str
+    """const, ro, wo or rw."""
+    rx: bool
+    """Whether a drive may receive it as process data."""
+    tx: bool
+    """Whether a drive may transmit it as process data."""
+    buses: int
+    """Bits ETHERCAT and CANOPEN: where it is there."""
+    unit: str
+    standard: int
+    least: int
+    most: int
+
+
+class Aborted(Exception):
+    """An access that a dictionary refuses.
+
+    Attributes:
+        code: abort code of an SDO server.
+    """
+
+    def __init__(self, index: int, sub: int, code: int) -> None:
+        super().__init__(f"0x{index:04X}:{sub}: abort code 0x{code:08X}")
+        self.code = code
+
+
+@cache
+def dictionary() -> tuple[Entry, ...]:
+    """Return all entries, in ascending order."""
+    return tuple(_walk(drives_library()))
+
+
+def _walk(calls: ctypes.CDLL) -> Iterator[Entry]:
+    one, slot = _EntryStruct(), 0
+    while calls.drives_list(slot, ctypes.byref(one)):
+        yield Entry(
+            one.index,
+            one.sub,
+            one.object.decode(),
+            one.name.decode(),
+            one.code,
+            one.last_sub,
+            TYPES[one.type],
+            one.bits,
+            ACCESS[one.access],
+            bool(one.pdo & 1),
+            bool(one.pdo & 2),
+            one.buses,
+            one.unit.decode(),
+            one.standard,
+            one.least,
+            one.most,
+        )
+        slot += 1
+
+
+class Drives:
+    """CiA 402 drives, one per joint of a scene in its order, on a plant.
+
+    Attributes:
+        plant: the machine.
+        withheld: the modes that drives do not offer (0x6502), because they would not hold the
+            machine.
+        calls: the library.
+        pointer: to ``drives``.
+
+    Args:
+        plant: the machine.
+        servo: gains and data sheets of its joints, in any order.
+        bus: ETHERCAT or CANOPEN.
+        calls: the library, if it has more in it than `drives_library`.
+
+    Raises:
+        Refusal: a motor that our servo cannot drive, a servo of other joints or of another period.
+    """
+
+    def __init__(
+        self, plant: Plant, servo: ServoConfig, bus: int, calls: ctypes.CDLL | None = None
+    ) -> None:
+        self.plant = plant
+        self.calls = calls or drives_library()
+        scene = plant.scene
+        self._joints = _joints_of(scene, servo)
+        self.withheld = withheld_modes(scene, servo)
+        for one in self.withheld:
+            self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode - 1
+        self._names = [name.encode() for name in scene.joint_names]
+        self._joints["name"] = [
+            ctypes.cast(ctypes.c_char_p(name), _pointer).value for name in self._names
+        ]
+        self._machine = _MachineStruct(
+            size=ctypes.sizeof(_MachineStruct),
+            joints=len(self._joints),
+            bus=bus,
+            machine=plant.machine,
+            measure=address(plant.core, "arm_measure"),
+            exchange=address(plant.core, "arm_exchange"),
+            period=round(scene.servo_period * 1e9),
+            supply_voltage=scene.supply_voltage,
+            device_name=scene.name.encode(),
+            joint=self._joints.ctypes.data,
+        )
+        self.pointer = self.calls.drives_new(ctypes.byref(self._machine))
+        self._room = ctypes.create_string_buffer(256)
+        self._size = _uint32()
+        self._entries = {(one.index, one.sub): one for one in _walk(self.calls)}
+
+    def __del__(self) -> None:
+        pointer, self.pointer = getattr(self, "pointer", None), None
+        if pointer:
+            self.calls.drives_delete(pointer)
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """All entries of the dictionary, in ascending order."""
+        return tuple(self._entries.values())
+
+    @property
+    def tick(self) -> int:
+        """Where the machine is."""
+        return int(self.calls.drives_tick(self.pointer))
+
+    def begin(self) -> None:
+        """Begin anew at the machine as it is now, after a reset or a restore of it."""
+        self.calls.drives_begin(self.pointer)
+
+    def period(self, periods: int = 1) -> None:
+        """Go through so many servo periods.
+
+        Raises:
+            Refusal: the machine refused a command.
+            Diverged: the machine did; the drives are in Fault.
+        """
+
+        def go() -> int:
+            result = int(self.calls.drives_periods(self.pointer, periods))
+            # The drives have measurements of their own; the plant tells of its newest one.
+            plant = self.plant
+            plant.core.arm_measure(plant.machine, ctypes.byref(plant.measurement))
+            return result
+
+        self.plant.exchange_in(go)
+
+    def upload(self, drive: int, index: int, sub: int = 0) -> bytes:
+        """Return the bytes of an entry, little-endian.
+
+        Raises:
+            Aborted: no such entry, or it cannot be read.
+        """
+        code = self.calls.drives_read(
+            self.pointer, drive, index, sub, self._room, len(self._room), ctypes.byref(self._size)
+        )
+        if code:
+            raise Aborted(index, sub, code)
+        return self._room.raw[: self._size.value]
+
+    def download(self, drive: int, index: int, sub: int, value: bytes) -> None:
+        """Write bytes to an entry.
+
+        Raises:
+            Aborted: it is not taken, and nothing has changed.
+        """
+        code = self.calls.drives_write(self.pointer, drive, index, sub, value, len(value))
+        if code:
+            raise Aborted(index, sub, code)
+
+    def read(self, drive: int, index: int, sub: int = 0) -> int:
+        """Return the number that an entry holds.
+
+        Raises:
+            Aborted: see `upload`.
+        """
+        value = self.upload(drive, index, sub)
+        return int.from_bytes(value, "little", signed=self._entries[index, sub].type in _SIGNED)
+
+    def write(self, drive: int, index: int, value: int, sub: int = 0) -> None:
+        """Write a number to an entry, in as many bytes as it has.
+
+        Raises:
+            Aborted: see `download`; or a number that so many bytes do not hold.
+        """
+        one = self._entries.get((index, sub))
+        try:
+            raw = (
+                value.to_bytes(one.bits // 8, "little", signed=one.type in _SIGNED) if one else b""
+            )
+        except OverflowError:
+            raise Aborted(index, sub, 0x06090030) from None
+        self.download(drive, index, sub, raw)
+
+    def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
+        """Set an entry that belongs to the bus, whatever its access and range."""
+        known = self.calls.drives_set(self.pointer, drive, index, sub, value)
+        assert known, "the dictionary has it"
+
+    def periods_per_target(self, drive: int) -> int:
+        """Return how many servo periods there are in a drive's interpolation time."""
+        return int(self.calls.drives_periods_per_target(self.pointer, drive))
+
+    def lost(self, drive: int = -1, error: int = 0x8100) -> None:
+        """Tell a drive, -1: all, that its master is gone."""
+        self.calls.drives_lost(self.pointer, drive, error)
+
+    def lock_mapping(self, locked: bool, drive: int = -1) -> None:
+        """Forbid or allow that the mapping of process data is changed."""
+        self.calls.drives_lock_mapping(self.pointer, drive, locked)
+
+    def restart(self, drive: int = -1) -> None:
+        """Put a drive, -1: all, to where it was when it was made."""
+        self.calls.drives_restart(self.pointer, drive)
+
+
+def _joints_of(scene: Scene, servo: ServoConfig) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    """Return rows of `_JOINT` in the scene's order of joints; names are left out."""
+    known = {joint.name: joint for joint in servo.joints}
+    if sorted(known) != sorted(scene.joint_names):
+        rule = "name every moving joint of the scene once"
+        got, valid = ", ".join(known), ", ".join(scene.joint_names)
+        raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
+    if round(servo.period * 1e9) != round(scene.servo_period * 1e9):
+        rule = f"be the scene's servo_period, {scene.servo_period:g} s"
+        raise Refusal(scene.where, "servo.period", rule, f"{servo.period:g} s")
+    told = tuple(known[name] for name in scene.joint_names)
+    rows = np.zeros(len(told), _JOINT)
+    rows["servo"] = servo_numbers(told, servo.period, servo.supply_voltage)
+    limits = limits_of(ET.fromstring(scene.urdf))
+    for row, joint in zip(rows, scene.joints, strict=True):
+        if joint.motor is not None and joint.motor.command != "V":
+            where = f"joints.{joint.name}.motor.kind"
+            raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
+        known[joint.name].check_command(scene.where, joint.command)
+        row["counts_per_turn"] = joint.counts_per_turn
+        row["lower"], row["upper"] = _limits(joint, limits.get(joint.name))
+        row["brake"] = joint.brake is not None
+        row["index"] = joint.encoder is not None and joint.encoder.index != "none"
+        row["stops"] = any(isinstance(part, EndStops) for part in joint.parts)
+        row["mode"] = MODES[joint.command]
+        row["modes"] = sum(1 << mode - 1 for mode in OFFERED)
+    return rows
+
+
+_FARTHEST = 2**31 - 1  # counts
+
+
+def _limits(joint: Joint, limits: tuple[float, float] | None) -> tuple[int, int]:
+    """Return the counts between which a joint is within its limits [rad or m]."""
+    if limits is None:
+        return -_FARTHEST - 1, _FARTHEST
+    per_rad = joint.counts_per_turn / (2.0 * math.pi) / joint.gear.ratio
+    low, high = sorted(per_rad * limit for limit in limits)
+    return max(math.ceil(low), -_FARTHEST - 1), min(math.floor(high), _FARTHEST)

@@ -1,0 +1,170 @@
+"""A segment of EtherCAT slaves, one CiA 402 drive per joint of a scene: core/ethercat.h."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+from functools import cache
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.unit import Calls, Unit, library
+from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives, drives_unit
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene
+from arm_emulator.servo.servo_config import ServoConfig
+
+MEMORY = 0x3000  # bytes of a slave
+LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
+
+_pointer, _int, _int32, _int64 = ctypes.c_void_p, ctypes.c_int, ctypes.c_int32, ctypes.c_int64
+
+CALLS: Calls = {
+    "ethercat_new": (_pointer, [_pointer]),
+    "ethercat_delete": (None, [_pointer]),
+    "ethercat_frame": (_int64, [_pointer, _pointer, _int64, _int64]),
+    "ethercat_period": (_int, [_pointer, _int64]),
+    "ethercat_get_figures": (None, [_pointer, _pointer]),
+    "ethercat_memory": (_pointer, [_pointer, _int32]),
+    "ethercat_open": (_int, [ctypes.c_char_p]),
+    "ethercat_serve": (_int, [_pointer, _int, _int64]),
+}
+
+
+class _Options(ctypes.Structure):
+    """``ethercat_options``."""
+
+    _fields_ = (
+        ("size", ctypes.c_uint32),
+        ("lockstep", _int32),
+        ("all", _pointer),
+        ("period", _int64),
+    )
+
+
+class Figures(ctypes.Structure):
+    """``ethercat_figures``, see core/ethercat.h."""
+
+    _fields_ = (
+        *(
+            (name, _int64)
+            for name in (
+                "frames",
+                "exchanges",
+                "periods",
+                "malformed",
+                "foreign",
+                "circulating",
+                "unknown",
+                "lost_cycles",
+                "late_periods",
+                "watchdogs",
+            )
+        ),
+        ("operational", _int32),
+        ("diverged", _int32),
+    )
+
+
+@cache
+def ethercat_library() -> ctypes.CDLL:
+    """Return drives and segment compiled.
+
+    Raises:
+        Refusal: there is neither a sound cached library nor a working compiler.
+    """
+    return library(ethercat_unit())
+
+
+def ethercat_unit() -> Unit:
+    """Return drives and segment as what is compiled."""
+    return drives_unit("ethercat", '#include "ethercat.cpp"\n', CALLS, "the EtherCAT segment")
+
+
+class Segment:
+    """The drives of a scene on a line of EtherCAT.
+
+    Attributes:
+        drives: their object dictionaries.
+        lockstep: a servo period per frame of process data; else by the clock.
+        pointer: to ``ethercat_segment``.
+
+    Args:
+        scene: the machine, which begins where it starts.
+        servo: gains and data sheets of the joints.
+        lockstep: see above.
+        calls: the library, if it has more in it than `ethercat_library`.
+
+    Raises:
+        Refusal: drives that do not fit the scene, or no compiler.
+    """
+
+    def __init__(
+        self, scene: Scene, servo: ServoConfig, lockstep: bool, calls: ctypes.CDLL | None = None
+    ) -> None:
+        self._calls = calls or ethercat_library()
+        self.lockstep = lockstep
+        self.drives = Drives(Plant(scene), servo, ETHERCAT, self._calls)
+        period = round(scene.servo_period * 1e9)
+        options = _Options(ctypes.sizeof(_Options), lockstep, self.drives.pointer, period)
+        self.pointer = self._calls.ethercat_new(ctypes.byref(options))
+        self._room = ctypes.create_string_buffer(LONGEST)
+
+    def __del__(self) -> None:
+        pointer, self.pointer = getattr(self, "pointer", None), None
+        if pointer:
+            self._calls.ethercat_delete(pointer)
+
+    def frame(self, frame: bytes, now: int = 0) -> bytes:
+        """Let an Ethernet frame through; return what comes back, nothing if none does.
+
+        Args:
+            frame: without its check sequence.
+            now: what a clock says [ns], where it is not lock-step.
+        """
+        size = min(len(frame), LONGEST)
+        ctypes.memmove(self._room, frame, size)
+        back = self._calls.ethercat_frame(self.pointer, self._room, size, now)
+        return self._room.raw[:back]
+
+    def period(self, now: int = 0) -> None:
+        """Let a servo period pass without a frame; `now` is what a clock says [ns]."""
+        self._calls.ethercat_period(self.pointer, now)
+
+    @property
+    def figures(self) -> Figures:
+        """What has happened since the segment was made."""
+        out = Figures()
+        self._calls.ethercat_get_figures(self.pointer, ctypes.byref(out))
+        return out
+
+    def memory(self, slave: int) -> bytes:
+        """Return registers and memory of a slave."""
+        return ctypes.string_at(self._calls.ethercat_memory(self.pointer, slave), MEMORY)
+
+    def open(self, interface: str) -> int:
+        """Return a descriptor of a network interface.
+
+        Raises:
+            Refusal: there is no such interface, or the system does not permit it.
+        """
+        descriptor = int(self._calls.ethercat_open(os.fsencode(interface)))
+        if descriptor >= 0:
+            return descriptor
+        if -descriptor in (errno.EPERM, errno.EACCES):
+            rule = "be open to this user (root, or the capability CAP_NET_RAW)"
+            raise Refusal("ethercat", "--interface", rule, interface)
+        if -descriptor == errno.EPFNOSUPPORT:
+            raise Refusal("ethercat", "--interface", "be an Ethernet interface", interface)
+        rule = "be a network interface that is there (`ip link` lists them)"
+        raise Refusal("ethercat", "--interface", rule, interface)
+
+    def serve(self, descriptor: int, seconds: float) -> None:
+        """Serve frames for so long, or until a signal comes, or until the machine diverges.
+
+        Raises:
+            Refusal: the interface is gone.
+        """
+        result = self._calls.ethercat_serve(self.pointer, descriptor, round(seconds * 1e9))
+        if result < 0:
+            raise Refusal("ethercat", "--interface", "stay", os.strerror(-result))

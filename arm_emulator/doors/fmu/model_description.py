@@ -1,0 +1,151 @@
+"""modelDescription.xml of FMI 3.0, and what says how to compile the sources."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+from arm_emulator.doors.fmu.names import convention, identifier, plain_text, written
+from arm_emulator.doors.fmu.units import BASE, displayed_in, unit_of
+from arm_emulator.doors.fmu.variables import Variable
+from arm_emulator.machine.scene import Scene
+
+TOOL = "arm_emulator"
+# Categories of what is logged, as in instance.hpp.
+LOG_CATEGORIES = {
+    "logEvents": "reset, start, states that were set",
+    "logStatusDiscard": "values and steps that are not taken; nothing has changed",
+    "logStatusError": "calls that end the simulation, among them a machine that diverged",
+}
+_CAUSALITY = {"fixed": "parameter", "tunable": "parameter"}
+
+
+def model_description(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
+    """Return modelDescription.xml.
+
+    Args:
+        scene: the machine.
+        variables: of it, in the order of their value references.
+        token: that the binary expects.
+    """
+    naming = convention(one.name for one in variables)
+    root = ET.Element("fmiModelDescription", fmiVersion="3.0", instantiationToken=token)
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=identifier(scene.name),
+        canGetAndSetFMUState="true",
+        canSerializeFMUState="true",
+        canHandleVariableCommunicationStepSize="true",
+        canReturnEarlyAfterIntermediateUpdate="true",
+        providesIntermediateUpdate="true",
+        fixedInternalStepSize=repr(scene.servo_period),
+    )
+    header(root, scene, variables)
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, one in enumerate(variables):
+        element = ET.SubElement(listed, one.type, attributes_of(one, reference, naming))
+        if one.role == "output":
+            element.set("intermediateUpdate", "true")
+        for size in one.shape:
+            ET.SubElement(element, "Dimension", start=str(size))
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [str(k) for k, one in enumerate(variables) if one.role == "output"]
+    begin = " ".join(str(k) for k, one in enumerate(variables) if one.decides_on_start)
+    for k in outputs:
+        ET.SubElement(structure, "Output", valueReference=k, dependencies="")
+    for k in outputs:
+        ET.SubElement(structure, "InitialUnknown", valueReference=k, dependencies=begin)
+    return as_bytes(root)
+
+
+def header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
+    """Add to a description what is the same in all versions: whose it is, units, categories."""
+    joints = plain_text(", ".join(scene.joint_names))
+    root.attrib.update(
+        modelName=plain_text(scene.name) or "arm",
+        description=f"{len(scene.joints)} joints with their drives, base to tool: {joints}",
+        generationTool=TOOL,
+        variableNamingConvention=convention(one.name for one in variables),
+    )
+    root.append(_units(variables))
+    categories = ET.SubElement(root, "LogCategories")
+    for name, what in LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=what)
+    period = repr(scene.servo_period)
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=period)
+
+
+def attributes_of(one: Variable, reference: int, naming: str) -> dict[str, str]:
+    """Return what is told of a variable, as attributes."""
+    continuous = one.type == "Float64"
+    attributes = {
+        "name": written(one.name, one.element, naming),
+        "valueReference": str(reference),
+        "description": plain_text(one.description),
+        "causality": _CAUSALITY.get(one.role, one.role),
+        "variability": "continuous" if continuous else "discrete",
+    }
+    if one.role in _CAUSALITY:
+        attributes["variability"] = one.role
+    if one.unit and continuous:
+        attributes["unit"] = one.unit
+        displayed = displayed_in(one.unit)
+        if displayed:
+            attributes["displayUnit"] = displayed
+    if one.bounds is not None:
+        attributes["min"], attributes["max"] = (repr(float(bound)) for bound in one.bounds)
+    if one.start is not None:
+        boolean = one.type == "Boolean"
+        texts = (str(bool(value)).lower() if boolean else repr(float(value)) for value in one.start)
+        attributes["start"] = " ".join(texts)
+    return attributes
+
+
+def build_description(scene: Scene, sources: Sequence[str], options: str, definition: str) -> bytes:
+    """Return sources/buildDescription.xml.
+
+    Args:
+        scene: the machine.
+        sources: the files to compile.
+        options: of the compiler.
+        definition: of its preprocessor, ``NAME=VALUE``.
+    """
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(
+        root, "BuildConfiguration", modelIdentifier=identifier(scene.name)
+    )
+    files = ET.SubElement(
+        configuration, "SourceFileSet", language="C++20", compiler="gcc", compilerOptions=options
+    )
+    for source in sources:
+        ET.SubElement(files, "SourceFile", name=source)
+    name, _, value = definition.partition("=")
+    ET.SubElement(files, "PreprocessorDefinition", name=name, value=value)
+    ET.SubElement(files, "IncludeDirectory", name=".")
+    ET.SubElement(configuration, "Library", name="pthread", external="true")
+    return as_bytes(root)
+
+
+def as_bytes(root: ET.Element) -> bytes:
+    """Return an XML file."""
+    ET.indent(root)
+    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def _units(variables: Sequence[Variable]) -> ET.Element:
+    root = ET.Element("UnitDefinitions")
+    for name in dict.fromkeys(one.unit for one in variables if one.unit):
+        unit = unit_of(name)
+        element = ET.SubElement(root, "Unit", name=name)
+        if unit.powers is not None:
+            base = {base: str(unit.powers[base]) for base in BASE if base in unit.powers}
+            if unit.offset:
+                base["offset"] = repr(unit.offset)
+            ET.SubElement(element, "BaseUnit", base)
+        for displayed in unit.displayed:
+            ET.SubElement(
+                element, "DisplayUnit", name=displayed.name, factor=repr(displayed.factor)
+            )
+    return root

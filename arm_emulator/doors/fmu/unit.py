@@ -1,0 +1,83 @@
+"""The C++ of a unit: a scene's machine, the table of its variables, and the functions of FMI."""
+
+from __future__ import annotations
+
+import ctypes
+import uuid
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.base.bound import VELOCITY
+from arm_emulator.build.unit import Unit
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.fmu.variables import Variable
+from arm_emulator.machine.compiler import machine_unit
+from arm_emulator.machine.core_calls import MODES
+from arm_emulator.machine.cxx_literals import number
+from arm_emulator.machine.plant import largest_position
+from arm_emulator.machine.scene import Scene
+
+FOLDER = Path(__file__).resolve().parent
+VERSIONS = ("3", "2")  # of FMI
+
+
+def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[Unit, str]:
+    """Return the unit, and the token that its binary expects.
+
+    The functions of FMI are compiled beside the machine, and so leave it its bits.
+
+    Args:
+        scene: the machine.
+        variables: of it, in the order of their value references.
+        version: of FMI, one of `VERSIONS`.
+    """
+    machine = machine_unit(scene)
+    table = _table(scene, variables)
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {machine.source} {table}')}}}"
+    unit = replace(
+        machine,
+        name=f"{scene.name}-fmu{version}",
+        beside=f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
+        f'#include "fmi{version}.cpp"\n',
+        folders=(*machine.folders, BOUNDARY, FOLDER),
+        calls={**machine.calls, f"fmi{version}GetVersion": (ctypes.c_char_p, [])},
+        about=f"{machine.about} for FMI {version}.0",
+    )
+    return unit, token
+
+
+def _table(scene: Scene, variables: Sequence[Variable]) -> str:
+    """Return the constants of instance.hpp; the namespace is left open."""
+    rows = ",\n".join(
+        f"    {{Type::{one.type.lower()}, Role::{one.role}, Quantity::{one.quantity}, "
+        f"{one.first}, {one.count}}}"
+        for one in variables
+    )
+    modes = ", ".join(str(MODES[joint.command]) for joint in scene.joints)
+    parameters = _numbers([*(one.value for one in scene.varied), 0.0])
+    return f"""\
+#include "variable.hpp"
+
+namespace fmu {{
+inline constexpr int kJoints = {len(scene.joints)}, kParameters = {len(scene.varied)};
+inline constexpr int kImus = {len(scene.imus)};
+inline constexpr bool kExternalWrench = {"true" if scene.external_wrench else "false"};
+inline constexpr double kPeriod = {number(scene.servo_period)};  // s, of the servo
+inline constexpr double kIntegrationStep = {number(scene.integrator.dt)};  // s
+inline constexpr long kStepsPerPeriod = {scene.steps_per_period};
+inline constexpr int kModes[] = {{{modes}}};  // enum arm_mode
+inline constexpr double kStartQ[] = {{{_numbers(scene.start)}}};
+inline constexpr double kLargestQ[] = {{{_numbers(largest_position(scene))}}};
+inline constexpr double kLargestV = {_numbers(VELOCITY.largest)};
+inline constexpr double kParameterStart[] = {{{parameters}}};
+inline constexpr Variable kVariables[] = {{
+{rows}}};
+"""
+
+
+def _numbers(values: ArrayLike) -> str:
+    return ", ".join(map(number, np.atleast_1d(values)))

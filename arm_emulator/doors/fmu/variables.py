@@ -1,0 +1,313 @@
+"""What a unit tells of a machine: one list, of which its XML and its C++ are made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from arm_emulator.doors.fmu.names import Parts
+from arm_emulator.machine.measured import told_by
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.varied import Varied
+
+AXES = 3  # of forces, and of inertial measurement units
+# The masses of links, arm_emulator/machine/varied_body.py, by the beginning of their names.
+_LINK_UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable; its value reference is its place in the list.
+
+    Attributes:
+        name: parts of its name.
+        quantity: where its values are, of `enum class Quantity` in variable.hpp.
+        type: Float64, Int64, Int32 or Boolean.
+        role: independent, fixed, tunable, input or output.
+        description: what it is.
+        units: of its values; one per joint if it is `per_joint`, else one or none.
+        first: its first value in the quantity's row.
+        shape: of its array; () of a single number.
+        start: values that it begins with, in a row; None of outputs.
+        bounds: least and largest value.
+        per_joint: whether its first index is that of a joint, base to tool.
+        element: which element of an array it is, from 1; None: none.
+    """
+
+    name: Parts
+    quantity: str
+    type: str
+    role: str
+    description: str
+    units: tuple[str, ...] = ()
+    first: int = 0
+    shape: tuple[int, ...] = ()
+    start: tuple[float, ...] | None = None
+    bounds: tuple[float, float] | None = None
+    per_joint: bool = False
+    element: int | None = None
+
+    @property
+    def count(self) -> int:
+        """How many values it has."""
+        return math.prod(self.shape)
+
+    @property
+    def decides_on_start(self) -> bool:
+        """Whether outputs at the start depend on it; other inputs decide on what comes after."""
+        return self.role in ("fixed", "tunable") or self.quantity == "power"
+
+    @property
+    def unit(self) -> str | None:
+        """Of all its values; None where they have none, or differ."""
+        return self.units[0] if len(set(self.units)) == 1 else None
+
+
+def variables(scene: Scene) -> tuple[Variable, ...]:
+    """Return the variables of a scene's machine, in the order of their value references."""
+    time = Variable(("time",), "time", "Float64", "independent", "simulation time", ("s",))
+    return (time, *_inputs(scene), *_parameters(scene), *_measured(scene), *_truth(scene))
+
+
+def scalars(scene: Scene) -> tuple[Variable, ...]:
+    """Return the same without arrays, for FMI 2: a variable per joint, named after it.
+
+    Time is no variable there, for some importers miss a start value of it, which it must not have.
+    """
+    found: list[Variable] = []
+    for array in variables(scene)[1:]:
+        rows = _of_joints(array, scene) if array.per_joint else [array]
+        for row in rows:
+            found += _elements(row) if row.shape else [row]
+    return tuple(found)
+
+
+def _of_joints(array: Variable, scene: Scene) -> list[Variable]:
+    each = array.count // len(scene.joints)
+    what, _, _ = array.description.partition(", base to tool")
+    return [
+        replace(
+            array,
+            name=(*array.name, joint.name),
+            description=f"{what}: {joint.name}",
+            units=array.units[j : j + 1],
+            first=array.first + j * each,
+            shape=array.shape[1:],
+            start=None if array.start is None else array.start[j * each : (j + 1) * each],
+            per_joint=False,
+        )
+        for j, joint in enumerate(scene.joints)
+    ]
+
+
+def _elements(array: Variable) -> list[Variable]:
+    return [
+        replace(
+            array,
+            first=array.first + k,
+            shape=(),
+            start=None if array.start is None else array.start[k : k + 1],
+            element=k + 1,
+        )
+        for k in range(array.count)
+    ]
+
+
+def _inputs(scene: Scene) -> list[Variable]:
+    N = len(scene.joints)
+    zero = (0.0,) * N
+    commands = _commands(scene)
+    what = "command to each motor, held over the step"
+    found = [_row(scene, "command", "Float64", "input", what, commands, zero)]
+    if _turned(scene):
+        what = "second command, the voltage along each rotor's flux"
+        found.append(_row(scene, "command_d", "Float64", "input", what, ("V",) * N, zero))
+    what = "whether each drive is enabled"
+    found.append(_row(scene, "enable", "Boolean", "input", what, (), (1.0,) * N))
+    if any(joint.brake for joint in scene.joints):
+        what = "whether each brake closes though its drive is enabled"
+        found.append(_row(scene, "close_brake", "Boolean", "input", what, (), zero))
+    what = "power of all drives"
+    found.append(Variable(("power",), "power", "Boolean", "input", what, start=(1.0,)))
+    if scene.external_wrench:
+        for name, unit, what in (
+            ("force", "N", "external force on the link that each joint moves"),
+            ("moment", "N m", "external moment on the link that each joint moves"),
+            ("point", "m", "where the external force acts, in the frame of each link"),
+        ):
+            quantity, name_ = f"external_{name}", ("external", name)
+            row = _row(scene, quantity, "Float64", "input", what, (unit,) * N, zero * AXES, name_)
+            found.append(replace(row, shape=(N, AXES)))
+        what = "whether external forces and moments are in axes of the world, not of the links"
+        name_ = ("external", "world_axes")
+        quantity = "external_world_axes"
+        found.append(Variable(name_, quantity, "Boolean", "input", what, start=(0.0,)))
+    return found
+
+
+def _parameters(scene: Scene) -> list[Variable]:
+    q = tuple(joint.start for joint in scene.joints)
+    v = (0.0,) * len(q)
+    found = [
+        _row(scene, "start_q", "Float64", "fixed", "position of each joint at the start",
+             _of_links(scene, "rad", "m"), q, ("start", "q")),
+        _row(scene, "start_v", "Float64", "fixed", "speed of each joint at the start",
+             _of_links(scene, "rad/s", "m/s"), v, ("start", "v")),
+    ]  # fmt: skip
+    units = _units_of_varied(scene)
+    for k, one in enumerate(scene.varied):
+        found.append(
+            Variable(
+                _parts(one, scene),
+                "parameter",
+                "Float64",
+                "tunable",
+                f"{one.name} of the scene",
+                tuple(filter(None, (units.get(one.name),))),
+                first=k,
+                start=(one.value,),
+                bounds=(one.least, one.most),
+            )
+        )
+    return found
+
+
+def _measured(scene: Scene) -> list[Variable]:
+    N = len(scene.joints)
+    more, ampere = set(told_by(scene)), ("A",) * N
+    effort = _of_links(scene, "N m", "N")
+    rows: list[tuple[str, str, str, tuple[str, ...]]] = [
+        ("encoder_counts", "Int64", "counts of the encoder at each motor", ()),
+        ("current", "Float64", "current of each motor, by its sensor", ampere),
+    ]
+    if _turned(scene):
+        rows.append(("current_d", "Float64", "current along each rotor's flux", ampere))
+    what = "what each motor got in the servo period that has passed"
+    rows.append(("applied", "Float64", what, _commands(scene)))
+    rows.append(("faults", "Int32", "of each drive: 1 diverged, 2 winding too hot, 3 both", ()))
+    for name, type_, what, units in (
+        ("brake_closed", "Boolean", "whether each brake is closed", ()),
+        ("index_counts", "Int64", "counts at each motor at its newest index pulse", ()),
+        ("index_pulses", "Int64", "index pulses at each motor", ()),
+        ("link_encoder_counts", "Int64", "counts of the encoder at each link", ()),
+        ("link_index_counts", "Int64", "counts at each link at its newest index pulse", ()),
+        ("link_index_pulses", "Int64", "index pulses at each link", ()),
+        ("torque", "Float64", "torque of each gear on its link, by its sensor", effort),
+    ):
+        if name in more:
+            rows.append((name, type_, what, units))
+    found = [
+        _row(scene, name, type_, "output", what, units, None) for name, type_, what, units in rows
+    ]
+    what = "whether the drives have power"
+    found.append(Variable(("powered",), "powered", "Boolean", "output", what))
+    for m, imu in enumerate(scene.imus):
+        for name, unit in (("specific_force", "m/s2"), ("angular_rate", "rad/s")):
+            what = f"{name.replace('_', ' ')} by {imu.name}, in its frame"
+            one = Variable((name, imu.name), name, "Float64", "output", what, (unit,))
+            found.append(replace(one, first=AXES * m, shape=(AXES,)))
+    return found
+
+
+def _truth(scene: Scene) -> list[Variable]:
+    N = len(scene.joints)
+    found = [
+        _row(scene, f"truth_{name}", "Float64", "output", what, units, None, ("truth", name))
+        for name, what, units in (
+            ("q", "true position of each joint", _of_links(scene, "rad", "m")),
+            ("v", "true speed of each joint", _of_links(scene, "rad/s", "m/s")),
+            ("gear_torque", "true torque of each gear on its link", _of_links(scene, "N m", "N")),
+            ("motor_angle", "true angle of each motor", ("rad",) * N),
+            ("motor_speed", "true speed of each motor", ("rad/s",) * N),
+            ("current", "true current of each motor", ("A",) * N),
+        )
+    ]
+    name = ("truth", "energy")
+    what = "kinetic, potential, elastic and magnetic energy"
+    found.append(Variable(name, "truth_energy", "Float64", "output", what, ("J",)))
+    for j, joint in enumerate(scene.joints):
+        if joint.winding is not None:
+            name, quantity = ("truth", "winding_temperature"), "truth_winding_temperature"
+            what = f"true temperature of the winding of {joint.name}"
+            one = Variable((*name, joint.name), quantity, "Float64", "output", what, ("degC",))
+            found.append(replace(one, first=j))
+    return found
+
+
+def _row(
+    scene: Scene,
+    quantity: str,
+    type_: str,
+    role: str,
+    what: str,
+    units: tuple[str, ...],
+    start: tuple[float, ...] | None,
+    name: Parts = (),
+) -> Variable:
+    """Return a variable with a value per joint."""
+    each = scene.joint_names
+    if len(set(units)) > 1:
+        each = tuple(f"{joint} [{unit}]" for joint, unit in zip(each, units, strict=True))
+    return Variable(
+        name or (quantity,),
+        quantity,
+        type_,
+        role,
+        f"{what}, base to tool: {', '.join(each)}",
+        units,
+        shape=(len(scene.joints),),
+        start=start,
+        per_joint=True,
+    )
+
+
+def _of_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:
+    kinds = [joint.kind for joint in scene.chain.joints]
+    return tuple(prismatic if kind == "prismatic" else revolute for kind in kinds)
+
+
+def _commands(scene: Scene) -> tuple[str, ...]:
+    return tuple(joint.command.removesuffix(" dq") for joint in scene.joints)
+
+
+def _turned(scene: Scene) -> bool:
+    """Whether a motor is commanded in the frame of its rotor."""
+    return any(joint.command == "V dq" for joint in scene.joints)
+
+
+def _parts(one: Varied, scene: Scene) -> Sequence[str]:
+    """Return the parts of the name of a varied number; names in it may have dots."""
+    group, _, rest = one.name.partition(".")
+    owners = {
+        "joints": scene.joint_names,
+        "links": tuple(joint.link for joint in scene.chain.joints),
+        "imus": tuple(imu.name for imu in scene.imus),
+    }.get(group, ())
+    for owner in sorted(owners, key=len, reverse=True):
+        if rest.startswith(f"{owner}."):
+            return (group, owner, *rest[len(owner) + 1 :].split("."))
+    return one.name.split(".")
+
+
+def _units_of_varied(scene: Scene) -> dict[str, str]:
+    """Return the units of numbers that may be varied, where they are known.
+
+    Those of parts are declared for joints that turn; of joints that slide they are left out.
+    """
+    units = {"payload.mass": "kg"}
+    for geometry, joint in zip(scene.chain.joints, scene.joints, strict=True):
+        for name, unit in _LINK_UNITS.items():
+            for tail in ("", *(f"_{x}" for x in (*"xyz", "xx", "yy", "zz", "xy", "xz", "yz"))):
+                units[f"links.{geometry.link}.{name}{tail}"] = unit
+        if geometry.kind == "prismatic":
+            continue
+        for part in (*joint.parts, *joint.sensors.parts.values()):
+            for key, one in part.numbers().items():
+                units[f"{part.owners}.{joint.name}.{part.section}.{key}"] = one.unit
+    for imu in scene.imus:
+        for three in (imu.accelerometer, imu.gyroscope):
+            if three is not None:
+                for key, one in three.numbers().items():
+                    units[f"imus.{imu.name}.{three.section}.{key}"] = one.unit
+    return units

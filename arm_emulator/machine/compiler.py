@@ -1,0 +1,112 @@
+"""From scenes to shared libraries, cached by content: of machines, of fleets, and of real time."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+from arm_emulator.build.flags import SHARED
+from arm_emulator.build.unit import Calls, Unit, compile_units, library
+from arm_emulator.core import CORE
+from arm_emulator.machine.core_calls import ARM_CALLS, FLEET_CALLS, REAL_TIME_CALLS
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene_unit import scene_unit
+
+# The stepping code never asks for errno, traps or the sign of zero, and may reassociate.
+# Finiteness is checked on bit patterns (core/machine/machine.hpp).
+FLAGS = (
+    *"-std=c++20 -O3 -fvisibility=hidden -fno-math-errno -fno-trapping-math -pthread".split(),
+    *"-fno-signed-zeros -fassociative-math -ffinite-math-only -freciprocal-math".split(),
+    *SHARED,
+)
+
+
+def library_of(scene: Scene) -> ctypes.CDLL:
+    """Return the scene's compiled machine, compiling it if no cached library fits.
+
+    Raises:
+        Refusal: there is neither a sound cached library nor a working compiler.
+    """
+    return library(machine_unit(scene))
+
+
+def machine_unit(scene: Scene) -> Unit:
+    """Return what the library of `library_of` is compiled of."""
+    about = f"scene {scene.name} ({len(scene.joints)} joints)"
+    unit = _unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
+    return replace(unit, data=_periods(scene))
+
+
+def _periods(scene: Scene) -> dict[str, bytes]:
+    """Return ``arm_scene_periods`` of core/boundary/boundary.hpp."""
+    numbers = scene.servo_period, scene.integrator.dt, scene.steps_per_period
+    return {"arm_scene_periods": struct.pack("<ddq", *numbers)}
+
+
+def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.CDLL:
+    """Return the scene's compiled machine with more C++ in the same unit, see `library_of`.
+
+    Args:
+        scene: the scene.
+        name: what is added, for the name of the library.
+        source: C++ that may use core/boundary/arm.h.
+        calls: the functions that it adds.
+    """
+    unit = machine_unit(scene)
+    return library(
+        replace(
+            unit,
+            name=f"{scene.name}-{name}",
+            source=unit.source + source,
+            calls={**unit.calls, **calls},
+            about=f"{unit.about} with {name}",
+        )
+    )
+
+
+def fleet_library_of(scene: Scene) -> ctypes.CDLL:
+    """Return the scene's compiled fleet, see `library_of`."""
+    return library(fleet_unit(scene))
+
+
+def real_time_library() -> ctypes.CDLL:
+    """Return the compiled loop of core/boundary/real_time.h, see `library_of`."""
+    return library(real_time_unit())
+
+
+def compile_ahead(
+    scene: Scene, target: str, folder: Path | None, fleet: bool = False
+) -> list[Path]:
+    """Compile machine and real-time loop, see `arm_emulator.build.unit.compile_units`.
+
+    Args:
+        scene: the scene.
+        target: see there.
+        folder: see there.
+        fleet: also for many arms side by side.
+
+    Raises:
+        Refusal: see there.
+    """
+    units = [machine_unit(scene), real_time_unit(), *([fleet_unit(scene)] if fleet else [])]
+    return compile_units(units, target, folder)
+
+
+def fleet_unit(scene: Scene) -> Unit:
+    """Return what the library of `fleet_library_of` is compiled of."""
+    about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
+    source = scene_unit(scene, "boundary/fleet_boundary.hpp")
+    unit = _unit(f"{scene.name}-fleet", source, FLEET_CALLS, scene.where, about)
+    return replace(unit, data=_periods(scene))
+
+
+def real_time_unit() -> Unit:
+    """Return what the library of `real_time_library` is compiled of."""
+    source = '#include "boundary/real_time.cpp"\n'
+    return _unit("real_time", source, REAL_TIME_CALLS, "real time", "the real-time loop")
+
+
+def _unit(name: str, source: str, calls: Calls, where: str, about: str) -> Unit:
+    return Unit(name, source, FLAGS, (CORE,), calls, where, about, "the scene's core")

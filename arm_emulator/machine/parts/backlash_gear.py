@@ -1,0 +1,40 @@
+"""Gears with play."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
+
+NO_TORQUE = 1e-6  # N m, N: rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class BacklashGear(ElasticGear):
+    """An elastic gear whose teeth touch nothing in the middle of its play."""
+
+    header = "backlash.hpp"
+    cxx = "BacklashGear"
+    told_by = ("stiffness", "backlash")
+
+    # By so much the link turns with the motor held.
+    backlash: Annotated[float, Number("play", "rad", at_least=0.0)] = field()
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Where no torque holds its teeth on one side, the link is anywhere within the play."""
+        share = super().rests(at)
+        if abs(at.torque) > at.torque_within + NO_TORQUE or isinstance(share, str):
+            return share
+        play = 0.5 * self.backlash
+        spread = math.hypot(at.torque_spread / self.stiffness, OFTEN_LARGEST * play)
+        within = at.torque_within / self.stiffness + play
+        return Share(ahead=Around(at.torque / self.stiffness, within, spread))
+
+    def wind_up(self, torque: float) -> float:
+        """Return the angle by which the gear gives way at rest, the play included."""
+        free = math.copysign(0.5 * self.backlash, torque) if torque else 0.0
+        return free + super().wind_up(torque)

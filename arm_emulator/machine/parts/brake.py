@@ -1,0 +1,59 @@
+"""Brakes on the shafts of motors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction
+from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.resting import AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Brake(Part):
+    """Dry friction that comes when power goes, and goes when power comes."""
+
+    section = "brake"
+    shaft = "rotor"
+    header = "brake.hpp"
+    cxx = "Brake"
+
+    torque: Annotated[float, Number("torque", "N m", above=0.0)]
+    close_delay: Annotated[
+        float, Number("close_delay", "s", at_least=0.0, at_most=10.0, varied=False)
+    ] = 0.0
+    release_delay: Annotated[
+        float, Number("release_delay", "s", at_least=0.0, at_most=10.0, varied=False)
+    ] = 0.0
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: in motion it is open."""
+        return np.zeros_like(motion.t)
+
+    def rests(self, at: AtRest) -> Share | str:
+        """It is open while the drives have power."""
+        return Share()
+
+    def rotor(
+        self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str
+    ) -> tuple[str, str]:
+        """Return type and initialiser of the rotor's friction with this brake, in C++.
+
+        Args:
+            friction: of the rotor without it.
+            joint: the joint's name.
+            places: where the values of varied numbers stand, by their name.
+            closed: where the number stands that is 1 while the brake is closed.
+        """
+        friction = friction or RotorFriction()
+        assert isinstance(friction, OfRotor)
+        law, values = friction.law(joint, places)
+        kind = f"arm::Braked<{law}>"
+        brake = self.initialiser(joint, places)
+        return f"arm::RotorFriction<{kind}>", f"{{{kind}{{{values}, {brake}, {closed}}}}}"

@@ -1,0 +1,44 @@
+"""Cogging of motors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from arm_emulator.base.section import Section
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.resting import AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cogging(Part):
+    """Magnets that are drawn to the teeth of the stator, with or without current."""
+
+    section = "motor.cogging"
+    shaft = "rotor"
+    header = "cogging.hpp"
+    cxx = "Cogging"
+
+    waves: tuple[Wave, ...] = ()  # N m
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        return wave_sum(self.waves, motion.angle)
+
+    @classmethod
+    def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
+        return {"waves": read_waves(section, "waves", "N m")}
+
+    def rests(self, at: AtRest) -> Share | str:
+        """What stands still is taken up by the servo's integral."""
+        return Share()
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::{self.cxx}<{len(self.waves)}>"
+
+    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        return [("waves", cxx_waves(self.waves))] if self.waves else []

@@ -1,0 +1,63 @@
+"""Springs that take the weight of an arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from arm_emulator.base.section import Section
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.resting import Around, AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counterbalance(Part):
+    """A spring between the link and what carries it, by its geometry; a negative force pulls."""
+
+    section = "counterbalance"
+    header = "counterbalance.hpp"
+    cxx = "Counterbalance"
+
+    base_distance: Annotated[float, Number("a", "m", above=0.0, at_most=100.0, varied=False)]
+    link_distance: Annotated[float, Number("b", "m", above=0.0, at_most=100.0, varied=False)]
+    angle: Annotated[float, Number("phi", "rad", at_least=-1e4, at_most=1e4)] = 0.0
+    force: Annotated[float, Number("F0", "N", at_least=-1e7, at_most=1e7, sought="known")]
+    length: Annotated[float, Number("l0", "m", above=0.0, at_most=200.0)]
+    stiffness: Annotated[float, Number("k", "N/m", at_least=0.0, sought="known")] = 0.0
+    gas_column: Annotated[float, Number("h", "m", at_least=0.0, varied=False)] = 0.0
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        a, b, at = self.base_distance, self.link_distance, motion.angle - self.angle
+        l = np.sqrt(a * a + b * b - 2.0 * a * b * np.cos(at))  # noqa: E741
+        longer = l - self.length
+        if h := self.gas_column:
+            F = self.force * h / (h + np.copysign(1.0, self.force) * longer)
+        else:
+            F = self.force - self.stiffness * longer
+        torque: Array = -F * a * b * np.sin(at) / l
+        return torque
+
+    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
+        return Share(torque=Around(-float(self.effort(at.motion)[0])))
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        least = 0.01 * self.base_distance
+        if abs(self.link_distance - self.base_distance) < least:
+            rule = f"differ by {least:g} m from base_distance, so that the spring keeps a length"
+            raise section.refusal("link_distance", rule, self.link_distance)
+        if not self.gas_column:
+            return
+        if self.stiffness:
+            rule = "be absent with gas_column, which has a progression of its own"
+            raise section.refusal("stiffness", rule, self.stiffness)
+        shortest = abs(self.base_distance - self.link_distance)
+        longest = self.base_distance + self.link_distance
+        # How far the gas is compressed beyond `length`, at most.
+        most = longest - self.length if self.force < 0.0 else self.length - shortest
+        if self.gas_column < 1.01 * most:
+            rule = f"be >= {1.01 * most:g} m, so that some gas is left wherever the link is"
+            raise section.refusal("gas_column", rule, self.gas_column)

@@ -1,0 +1,39 @@
+"""Motors whose current control is taken for granted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.part import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentMotor(Motor):
+    """The current follows the command, with a bandwidth if there is one."""
+
+    kind = "current"
+    header = "current_motor.hpp"
+    cxx = "CurrentMotor"
+    command = "A"
+    limit = "current_limit"
+
+    torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
+    resistance: Annotated[float, Number("R", "ohm", at_least=0.0)] = 0.0
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
+    bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
+    current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
+
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return self.torque_constant
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return self.current_limit
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+        return {
+            "rotor inertia": self.rotor_inertia / ratio**2,
+            "torque per current": self.torque_constant / abs(ratio),
+        }

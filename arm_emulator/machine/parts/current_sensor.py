@@ -1,0 +1,20 @@
+"""Sensors of motor currents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from arm_emulator.machine.parts.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.resting import AtRest, Share
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentSensor(AnalogSensor):
+    """Of the current of a joint's motor."""
+
+    section = "current_sensor"
+    unit = "A"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """What it is wrong by for good is taken up by the servo's integral."""
+        return Share(current_noise=self.noise or 0.0)

@@ -1,0 +1,56 @@
+"""Direct-current motors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from arm_emulator.machine.parts.motor import Circuit, Motor
+from arm_emulator.machine.parts.part import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class DcMotor(Motor):
+    """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current follows at once."""
+
+    kind = "dc"
+    has_winding = True
+    header = "dc_motor.hpp"
+    cxx = "DcMotor"
+    limit = "current_limit"  # with a current loop
+
+    resistance: Annotated[float, Number("R", "ohm", above=0.0)]
+    inductance: Annotated[float, Number("L", "H", at_least=0.0)] = 0.0
+    torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
+    back_emf_constant: Annotated[float, Number("Kb", "V s/rad", at_least=0.0)]
+    # With the gear's primary side.
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
+    current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return "arm::DcMotor" if self.current_limit is None else "arm::LimitedDcMotor"
+
+    @property
+    def follows_speed_at_once(self) -> bool:  # noqa: D102
+        return self.inductance == 0.0
+
+    @property
+    def circuit(self) -> Circuit | None:  # noqa: D102
+        if self.inductance == 0.0:
+            return None
+        return Circuit(self.resistance, self.inductance, self.back_emf_constant)
+
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return self.torque_constant / self.resistance
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return supply_voltage
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+        return {
+            "rotor inertia": self.rotor_inertia / ratio**2,
+            "torque per current": self.torque_constant / abs(ratio),
+            "voltage per speed": self.back_emf_constant / abs(ratio),
+        }

@@ -1,0 +1,169 @@
+"""Encoders, at the motor and at the link."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Self
+
+from arm_emulator.base.section import LARGEST_COUNT, Section
+from arm_emulator.machine import cxx_literals
+from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.resting import Around, AtRest, Share, waves_at
+
+# What a joint without an encoder reports, since encoder counts are whole numbers.
+IDEAL_COUNTS_PER_TURN = 2**20
+KINDS = ("incremental", "absolute")
+INDICES = ("none", "latch", "correct")  # what an index pulse does
+MOST_BITS = 48  # of a word; a servo computes with whole numbers up to 2^52
+LONGEST_DELAY = 100  # servo periods
+LARGEST_ANGLE = 1e4  # rad, of errors
+LARGEST_ORDER = 1_000_000  # ripples per turn
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoder(Part):
+    """Encoder on the motor shaft; with `counts_per_turn` alone floor(theta_m counts / (2 pi)).
+
+    What is None is absent. `turn` is what a turn is: 2 pi rad, or 1 m of a scale along a slide.
+    """
+
+    section = "encoder"
+    header = "encoder.hpp"
+    cxx = "Encoder"
+
+    kind: str = KINDS[0]
+    counts_per_turn: int
+    index: str = INDICES[0]
+    bits: int | None = None
+    delay: int = 0
+    turn: float = 2.0 * math.pi
+    offset: Annotated[
+        float | None,
+        Number("offset", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE),
+    ] = None
+    eccentricity: Annotated[
+        float | None, Number("eccentricity", "rad", at_least=0.0, at_most=1.0)
+    ] = None
+    eccentricity_phase: Annotated[
+        float | None,
+        Number("eccentricity_phase", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE),
+    ] = None
+    ripple: Annotated[float | None, Number("ripple", "rad", at_least=0.0, at_most=1.0)] = None
+    ripple_order: int = 2
+    ripple_phase: Annotated[
+        float | None,
+        Number("ripple_phase", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE),
+    ] = None
+    noise: Annotated[float | None, Number("noise", "rad", at_least=0.0, at_most=1.0)] = None
+    missed: Annotated[float | None, Number("missed", "1", at_least=0.0, at_most=0.5)] = None
+
+    @classmethod
+    def read(cls, section: Section, turn: float = 2.0 * math.pi) -> Self:
+        """Return the encoder that a section describes.
+
+        Args:
+            section: of the scene.
+            turn: what a turn of the shaft is [rad], or m of a scale along a slide.
+
+        Raises:
+            Refusal: a value breaks its rule.
+        """
+        kind = section.choice("kind", KINDS, default=KINDS[0])
+        counts = section.integer("counts_per_turn", at_least=1, at_most=LARGEST_COUNT)
+        bits = None
+        if kind == "absolute":
+            bits = section.integer(
+                "bits", at_least=max(1, (counts - 1).bit_length()), at_most=MOST_BITS
+            )
+        elif section.has("bits"):
+            raise section.refusal("bits", "belong to an encoder of kind absolute", kind)
+        index = section.choice("index", INDICES, default=INDICES[0])
+        if kind == "absolute" and index != INDICES[0]:
+            raise section.refusal("index", "be none of an encoder of kind absolute", repr(index))
+        numbers = cls.read_numbers(section)
+        for key in ("ripple_order", "ripple_phase", "eccentricity_phase"):
+            of = key.split("_")[0]
+            if section.has(key) and numbers[of] is None:
+                raise section.refusal(key, f"come with a key {of}", "alone")
+        return cls(
+            kind=kind,
+            counts_per_turn=counts,
+            index=index,
+            bits=bits,
+            delay=read_delay(section),
+            turn=turn,
+            ripple_order=section.integer(
+                "ripple_order", default=2, at_least=1, at_most=LARGEST_ORDER
+            ),
+            **numbers,
+        )
+
+    @property
+    def plain(self) -> bool:
+        """Whether it tells the counts of the shaft as it stands, and nothing else."""
+        return self == type(self)(counts_per_turn=self.counts_per_turn, turn=self.turn)
+
+    @property
+    def counts_per_rad(self) -> float:
+        """Counts per rad, or per m."""
+        return self.counts_per_turn / self.turn
+
+    @property
+    def wrap(self) -> int:
+        """Counts after which its word begins anew; 0: never."""
+        return 2**self.bits if self.bits is not None else 0
+
+    def rests(self, at: AtRest) -> Share | str:
+        """What it shows is the middle of a count; within it our servo asks for no correction."""
+        if self.missed:
+            return "misses edges, which sum up"
+        count, ratio = self.turn / self.counts_per_turn, abs(at.ratio)
+        if self.wrap and abs(at.start) > 0.5 * count * self.wrap:
+            return "does not know how often the motor has turned"
+        waves = [
+            (1.0, self.eccentricity or 0.0, self.eccentricity_phase or 0.0),
+            (float(self.ripple_order), self.ripple or 0.0, self.ripple_phase or 0.0),
+        ]
+        own = sum(amplitude for _, amplitude, _ in waves)  # the servo turns the motor by them
+        errors = waves_at(waves, at.theta, at.theta_within + own)
+        half = 0.5 * count
+        return Share(
+            ahead=Around(
+                at.ratio * ((self.offset or 0.0) + errors.centre),
+                ratio * (half + errors.within),
+                ratio * math.hypot(half / math.sqrt(3.0), errors.spread),
+            ),
+            stuck=Around(0.0, ratio * half),
+            angle_noise=self.noise or 0.0,
+        )
+
+    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        whole = {
+            "kind": f"arm::EncoderKind::{self.kind}",
+            "counts_per_turn": cxx_literals.number(self.counts_per_turn),
+            "counts_per_rad": cxx_literals.number(self.counts_per_rad),
+            "turns_per_rad": cxx_literals.number(1.0 / self.turn),
+            "index": f"arm::Index::{self.index}",
+            "bits": str(self.bits or 0),
+            "delay": str(self.delay),
+            "ripple_order": cxx_literals.number(self.ripple_order),
+        }
+        return [*whole.items(), *super().members(joint, places)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkEncoder(Encoder):
+    """Encoder at the link."""
+
+    section: ClassVar[str] = "link_encoder"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo does not look at it."""
+        return Share()
+
+
+def read_delay(section: Section) -> int:
+    """Return by how many servo periods a sensor's readings come late."""
+    return section.integer("delay", default=0, at_least=0, at_most=LONGEST_DELAY)

@@ -1,0 +1,61 @@
+"""Stops at the ends of a joint's way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from arm_emulator.base.section import Section
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.resting import Around, AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class EndStops(Part):
+    """A spring and a damper at each end that push the link back and never hold it."""
+
+    section = "end_stops"
+    header = "end_stops.hpp"
+    cxx = "EndStops"
+
+    lower: Annotated[float, Number("lower", "rad", at_least=-1e4, at_most=1e4)]
+    upper: Annotated[float, Number("upper", "rad", at_least=-1e4, at_most=1e4)]
+    stiffness: Annotated[float, Number("K", "N m/rad", above=0.0)]
+    damping: Annotated[float, Number("D", "N m s/rad", at_least=0.0)] = 0.0
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        q, v = motion.angle, motion.speed
+        K, D = self.stiffness, self.damping
+        above = np.where(q > self.upper, np.maximum(K * (q - self.upper) + D * v, 0.0), 0.0)
+        below = np.where(q < self.lower, np.maximum(K * (self.lower - q) - D * v, 0.0), 0.0)
+        torque: Array = above - below
+        return torque
+
+    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
+        return Share(torque=Around(-float(self.effort(at.motion)[0])))
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        if self.lower >= self.upper:
+            rule = f"be > {self.lower:g} rad, the lower one"
+            raise section.refusal("upper", rule, self.upper)
+
+
+def put_limits(section: Section, limits: tuple[float, float] | None) -> None:
+    """Put the URDF's limits of the joint into a section that asks for them by `at: limits`.
+
+    Raises:
+        Refusal: there are none, or other ends are given, too.
+    """
+    if not section.has("at"):
+        return
+    section.choice("at", ("limits",), default="limits")
+    for key, value in zip(("lower", "upper"), limits or (0.0, 0.0), strict=True):
+        if section.has(key):
+            raise section.refusal(key, "be absent beside `at: limits`", "both")
+        section.put(key, value)
+    if limits is None:
+        raise section.refusal("at", "be absent: the URDF has no limits of this joint", "limits")

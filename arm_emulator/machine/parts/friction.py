@@ -1,0 +1,95 @@
+"""Friction of links and of rotors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from arm_emulator.base.section import Section
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction(Part):
+    """Viscous, and Coulomb's: `coulomb` while the shaft slides, `breakaway` at rest."""
+
+    header = "friction.hpp"
+    cxx = "Friction"
+    told_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
+
+    viscous: Annotated[float, Number("Dv", "N m s/rad", at_least=0.0, sought="unknown")] = 0.0
+    coulomb: Annotated[float, Number("Dc", "N m", at_least=0.0, sought="unknown")] = 0.0
+    breakaway: Annotated[float, Number("Ds", "N m", follows="coulomb")] = 0.0
+
+    def sliding(self, motion: ShaftMotion) -> Array:
+        """Return the dry torque (K,) against a shaft that turns [N m]."""
+        return np.full_like(motion.speed, self.coulomb)
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        return self.viscous * motion.speed + self.sliding(motion) * np.sign(motion.speed)
+
+    @property
+    def sticks(self) -> bool:  # noqa: D102
+        return self.coulomb > 0.0
+
+    def holds(self, torque: float) -> float:
+        """Return what a shaft at rest withstands under a torque of the gear on it [N m]."""
+        return self.breakaway
+
+    def slides(self, torque: float) -> float:
+        """Return what a shaft feels that has just come to rest, likewise [N m]."""
+        return self.coulomb
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        if self.breakaway > 0.0 and self.coulomb == 0.0:
+            raise section.refusal("breakaway", "come with a coulomb friction", self.breakaway)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkFriction(Friction):
+    """Friction at the link."""
+
+    section = "friction"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Leave a gear wound up; without a spring the link sticks with its rotor."""
+        holds, slides = self.holds(at.torque), self.slides(at.torque)
+        stuck = at.stuck(holds, slides) if at.rigid else Around()
+        return Share(torque=Around(0.0, holds, OFTEN_LARGEST * slides), stuck=stuck)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfRotor(Friction):
+    """Any law of friction at the motor's shaft."""
+
+    section = "motor.friction"
+    shaft = "rotor"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """A rotor stays where it sticks until the servo's integral has grown beyond."""
+        torque, at_link = at.ratio * at.torque, 1.0 / abs(at.ratio)
+        return Share(stuck=at.stuck(at_link * self.holds(torque), at_link * self.slides(torque)))
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::RotorFriction<{super().cxx_type}>"
+
+    def initialiser(self, joint: str, places: Mapping[str, str]) -> str:  # noqa: D102
+        return f"{self.cxx_type}{{{self.law(joint, places)[1]}}}"
+
+    def law(self, joint: str, places: Mapping[str, str]) -> tuple[str, str]:
+        """Return type and initialiser of the law alone."""
+        kind = super().cxx_type
+        members = ", ".join(f".{name} = {value}" for name, value in self.members(joint, places))
+        return kind, f"{kind}{{{members}}}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorFriction(OfRotor):
+    """Friction at the motor's shaft."""

@@ -1,0 +1,57 @@
+"""Gears between motor and link, eq. (2): what they have in common, and the rigid one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.resting import Around, AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+RATIO_UNIT = "link turns per motor turn"  # m per rad for a prismatic joint
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gear(Part):
+    """What may be asked of any gear."""
+
+    section = "gear"
+    shaft = "rotor"
+    told_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
+
+    # Negative: the link turns the other way.
+    ratio: Annotated[
+        float, Number("Ng", RATIO_UNIT, above=0.0, at_most=1e3, in_size=True, varied=False)
+    ]
+    stiffness: float | None = None  # at the link, not wound up; None: rigid
+    damping: float = 0.0  # at the link
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: rotor and link move alike below the resonances."""
+        return np.zeros_like(motion.t)
+
+    def rests(self, at: AtRest) -> Share | str:
+        """The motor is ahead of its link by what the gear gives way."""
+        low, high = sorted(self.wind_up(at.torque + sign * at.torque_within) for sign in (-1, 1))
+        within = 0.5 * (high - low)
+        share = at.torque_spread / at.torque_within if at.torque_within else 0.0
+        return Share(ahead=Around(0.5 * (low + high), within, share * within))
+
+    def wind_up(self, torque: float) -> float:
+        """Return the angle by which the gear gives way at rest [rad], seen at the link."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidGear(Gear):
+    """The rotor turns with its link."""
+
+    header = "gear.hpp"
+    cxx = "RigidGear"
+
+    def wind_up(self, torque: float) -> float:  # noqa: D102
+        return 0.0

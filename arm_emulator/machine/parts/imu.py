@@ -1,0 +1,122 @@
+"""Inertial measurement units on links."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+from arm_emulator.base.section import Section
+from arm_emulator.machine import cxx_literals
+from arm_emulator.machine.chain import Chain, Frame, frame_of
+from arm_emulator.machine.parts.analog_sensor import LARGEST_ERROR, Converter
+from arm_emulator.machine.parts.encoder import read_delay
+from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.varied import Varied
+
+LARGEST_LENGTH = 100.0  # m
+LARGEST_ANGLE = 100.0  # rad
+
+_BIAS = Number("offset", "", at_least=-LARGEST_ERROR, at_most=LARGEST_ERROR)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axes(Converter):
+    """Three equal sensors along the axes of a unit's frame, but for their biases."""
+
+    owners = "imus"
+
+    bias_x: Annotated[float | None, _BIAS] = None
+    bias_y: Annotated[float | None, _BIAS] = None
+    bias_z: Annotated[float | None, _BIAS] = None
+
+    def initialiser(self, joint: str, places: Mapping[str, str]) -> str:
+        """Return the three sensors in C++."""
+        # The members in their order are the common ones and then the biases that there are.
+        members = self.members(joint, places)
+        common = [f".{name} = {value}" for name, value in members if name != "offset"]
+        biases = iter(value for name, value in members if name == "offset")
+        axes = []
+        for bias in (self.bias_x, self.bias_y, self.bias_z):
+            offset = [] if bias is None else [f".offset = {next(biases)}"]
+            axes.append("{" + ", ".join(common + offset) + "}")
+        return "{" + ", ".join(axes) + "}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accelerometer(Axes):
+    """Of specific force."""
+
+    section = "accelerometer"
+    unit = "m/s2"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gyroscope(Axes):
+    """Of angular rate."""
+
+    section = "gyroscope"
+    unit = "rad/s"
+
+
+@dataclass(frozen=True)
+class Imu:
+    """Specific force and angular rate in a frame fixed to a link.
+
+    Args:
+        name: of the unit.
+        joint: index of the joint that carries it.
+        frame: its frame in that of the joint's link (core/mechanics/scene.hpp).
+        delay: servo periods by which its readings come late.
+        accelerometer, gyroscope: what is wrong with them; None: nothing.
+    """
+
+    name: str
+    joint: int
+    frame: Frame
+    delay: int
+    accelerometer: Accelerometer | None
+    gyroscope: Gyroscope | None
+
+    @classmethod
+    def read(cls, name: str, section: Section, chain: Chain) -> Imu:
+        """Return the unit that a section describes.
+
+        Raises:
+            Refusal: a value breaks its rule, or the link does not move.
+        """
+        link = section.text("link")
+        if link not in chain.carried:
+            valid = ", ".join(chain.carried)
+            raise section.refusal("link", "be a link that a joint moves", link, valid)
+        xyz = section.vector("xyz", "m", bound=LARGEST_LENGTH) or (0.0, 0.0, 0.0)
+        rpy = section.vector("rpy", "rad", bound=LARGEST_ANGLE) or (0.0, 0.0, 0.0)
+        joint, frame = chain.place_of(link)
+        accelerometer, gyroscope = section.section("accelerometer"), section.section("gyroscope")
+        return cls(
+            name=name,
+            joint=joint,
+            frame=frame @ frame_of(xyz, rpy),
+            delay=read_delay(section),
+            accelerometer=None if accelerometer is None else Accelerometer.read(accelerometer),
+            gyroscope=None if gyroscope is None else Gyroscope.read(gyroscope),
+        )
+
+    def could_vary(self) -> list[Varied]:
+        """Return the numbers that a scene may list as varied."""
+        axes = (self.accelerometer, self.gyroscope)
+        return [one for three in axes if three is not None for one in three.could_vary(self.name)]
+
+    def initialiser(self, places: Mapping[str, str]) -> str:
+        """Return the unit in C++; `places` as for a part."""
+        members = {
+            "link": str(self.joint),
+            "p": cxx_literals.vector(self.frame.p),
+            "axis": "{" + ", ".join(map(cxx_literals.vector, self.frame.R.T)) + "}",
+            "delay": str(self.delay),
+        }
+        for three in (self.accelerometer, self.gyroscope):
+            if three is not None:
+                members[three.section] = three.initialiser(self.name, places)
+        text = ", ".join(f".{name} = {value}" for name, value in members.items())
+        return f"arm::Imu{{{text}}}"

@@ -1,0 +1,75 @@
+"""Gears whose teeth are not quite where they should be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from arm_emulator.base.section import Section
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.resting import Around, AtRest, Share, waves_at
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_slope
+
+
+@dataclass(frozen=True, kw_only=True)
+class KinematicErrorGear(ElasticGear):
+    """An elastic gear whose twist has an error that goes with the angles of motor and link."""
+
+    header = "kinematic_error.hpp"
+    cxx = "KinematicErrorGear"
+    told_by: ClassVar[tuple[str, ...]] = ("stiffness", "kinematic_error")
+
+    motor: tuple[Wave, ...] = ()
+    link: tuple[Wave, ...] = ()
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """What the rotor feels of the gear's torque beside the nominal ratio of it."""
+        by_motor = wave_slope(self.motor, motion.angle) / self.ratio
+        by_link = wave_slope(self.link, motion.angle * self.ratio)
+        torque: Array = motion.gear_torque * ((1.0 + by_motor) / (1.0 - by_link) - 1.0)
+        return torque
+
+    @classmethod
+    def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
+        values = super().read_numbers(section)
+        if (errors := section.section("kinematic_error")) is not None:
+            values |= {shaft: read_waves(errors, shaft, "rad") for shaft in ("motor", "link")}
+        return values
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        # A steeper error would turn the gear back at some angles.
+        for shaft, most in (("motor", abs(self.ratio)), ("link", 1.0)):
+            waves: tuple[Wave, ...] = getattr(self, shaft)
+            steepest = sum(abs(order * amplitude) for order, amplitude, _ in waves)
+            if steepest > 0.9 * most:
+                rule = f"have order times amplitude sum up to at most {0.9 * most:g}"
+                raise section.refusal(f"kinematic_error.{shaft}", rule, f"{steepest:g}")
+
+    def rests(self, at: AtRest) -> Share | str:
+        """The error is known as well as the angles are."""
+        share = super().rests(at)
+        if isinstance(share, str):
+            return share
+        motor = waves_at(self.motor, at.theta, at.theta_within)
+        link = waves_at(self.link, at.q, abs(at.ratio) * at.theta_within)
+        parts = (share.ahead, motor, link)
+        within = sum(one.within for one in parts)
+        spread = math.hypot(*(one.spread for one in parts))
+        centre = share.ahead.centre - motor.centre - link.centre
+        return Share(ahead=Around(centre, within, spread))
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::{self.cxx}<{len(self.motor)}, {len(self.link)}>"
+
+    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        waves = [
+            (shaft, cxx_waves(getattr(self, shaft)))
+            for shaft in ("motor", "link")
+            if getattr(self, shaft)
+        ]
+        return super().members(joint, places) + waves

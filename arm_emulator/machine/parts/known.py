@@ -1,0 +1,106 @@
+"""The parts that a scene may have. A new part is entered here, and nowhere else."""
+
+from __future__ import annotations
+
+from arm_emulator.base.section import Section
+from arm_emulator.machine.parts.backlash_gear import BacklashGear
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.cogging import Cogging
+from arm_emulator.machine.parts.counterbalance import Counterbalance
+from arm_emulator.machine.parts.current_loop import CurrentLoop
+from arm_emulator.machine.parts.current_motor import CurrentMotor
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.parts.friction import Friction, LinkFriction, RotorFriction
+from arm_emulator.machine.parts.gear import Gear, RigidGear
+from arm_emulator.machine.parts.kinematic_error_gear import KinematicErrorGear
+from arm_emulator.machine.parts.load_friction import LinkLoadFriction, RotorLoadFriction
+from arm_emulator.machine.parts.lugre import LinkLuGre, RotorLuGre
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.pmsm import Pmsm
+from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
+from arm_emulator.machine.parts.stribeck import LinkStribeck, RotorStribeck
+from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.parts.torque_ripple import TorqueRipple
+from arm_emulator.machine.parts.torque_table import TorqueTable
+from arm_emulator.machine.parts.winding import Winding
+
+# The first is meant where a scene gives no `motor.kind`.
+MOTORS: tuple[type[Motor], ...] = (
+    DcMotor,
+    TorqueMotor,
+    CurrentMotor,
+    Pmsm,
+)
+
+# A gear is the first of these whose keys it has all.
+GEARS: tuple[type[Gear], ...] = (
+    ProgressiveGear,
+    BacklashGear,
+    KinematicErrorGear,
+    ElasticGear,
+    RigidGear,
+)
+
+# And so is friction.
+LINK_FRICTIONS: tuple[type[LinkFriction], ...] = (LinkLoadFriction, LinkStribeck, LinkFriction)
+ROTOR_FRICTIONS: tuple[type[Friction], ...] = (RotorLoadFriction, RotorStribeck, RotorFriction)
+
+# Parts that stand in a section of their own, if there is one.
+EXTRAS: tuple[type[Part], ...] = (
+    Counterbalance,
+    EndStops,
+    LinkLuGre,
+    RotorLuGre,
+    Cogging,
+    TorqueTable,
+)
+
+PARTS: tuple[type[Part], ...] = (
+    *MOTORS,
+    CurrentLoop,
+    Winding,
+    TorqueRipple,
+    *GEARS,
+    *LINK_FRICTIONS,
+    *ROTOR_FRICTIONS,
+    Brake,
+    *EXTRAS,
+)
+
+
+def read_motor(section: Section) -> Motor:
+    """Return the motor that a section describes."""
+    kinds = {motor.kind: motor for motor in MOTORS}
+    return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
+
+
+def read_gear(section: Section) -> Gear:
+    """Return the gear that a section describes."""
+    kind = next(one for one in GEARS if all(map(section.has, one.told_by)))
+    gear = kind.read(section)
+    if gear.stiffness is None:
+        for key in {key: None for one in GEARS for key in one.numbers()}:
+            if key not in kind.numbers() and section.has(key):
+                rule = "come with a stiffness (a rigid gear has none)"
+                raise section.refusal(key, rule, "alone")
+    return gear
+
+
+def read_friction(section: Section, kinds: tuple[type[Friction], ...]) -> Friction:
+    """Return the friction that a section describes, of a link or of a rotor."""
+    return next(one for one in kinds if all(map(section.has, one.told_by))).read(section)
+
+
+def read_extras(joint: Section) -> tuple[Part, ...]:
+    """Return the parts of a joint that stand in sections of their own."""
+    found = []
+    for kind in EXTRAS:
+        section: Section | None = joint
+        for key in kind.section.split("."):
+            section = section and section.section(key)
+        if section is not None:
+            found.append(kind.read(section))
+    return tuple(found)

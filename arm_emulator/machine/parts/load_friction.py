@@ -1,0 +1,55 @@
+"""Friction that grows with the torque of the gear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
+from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.parts.stribeck import stribeck_torque
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadFriction(Friction):
+    """Beside friction of another kind, `load` times the gear's torque on that shaft."""
+
+    header = "load_friction.hpp"
+    cxx = "LoadFriction"
+    told_by = ("load",)
+
+    stribeck: Annotated[float | None, Number("vs", "rad/s", above=0.0, sought="known")] = None
+    load: Annotated[
+        float, Number("mu", "N m/(N m)", at_least=0.0, at_most=10.0, sought="known")
+    ] = field()
+
+    def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        dry = super().sliding(motion)
+        if self.stribeck is not None:
+            dry = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
+        torque: Array = dry + self.load * np.abs(motion.gear_torque)
+        return torque
+
+    def holds(self, torque: float) -> float:  # noqa: D102
+        return super().holds(torque) + self.load * abs(torque)
+
+    def slides(self, torque: float) -> float:  # noqa: D102
+        return super().slides(torque) + self.load * abs(torque)
+
+    @property
+    def sticks(self) -> bool:  # noqa: D102
+        return self.coulomb > 0.0 or self.load > 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkLoadFriction(LoadFriction, LinkFriction):
+    """At the link."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorLoadFriction(OfRotor, LoadFriction):
+    """At the motor's shaft."""

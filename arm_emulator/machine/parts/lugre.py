@@ -1,0 +1,75 @@
+"""Friction by bristles that bend before they slip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.parts.stribeck import stribeck_torque
+
+
+@dataclass(frozen=True, kw_only=True)
+class LuGre(Part):
+    """Where the motion before sliding matters: positioning, reversals, stick-slip."""
+
+    header = "lugre.hpp"
+    cxx = "LuGre"
+
+    coulomb: Annotated[float, Number("Dc", "N m", above=0.0, sought="unknown")]
+    breakaway: Annotated[float, Number("Ds", "N m", follows="coulomb")] = 0.0
+    stribeck: Annotated[float, Number("vs", "rad/s", above=0.0)] = 0.1
+    bristle_stiffness: Annotated[float, Number("s0", "N m/rad", above=0.0)]
+    bristle_damping: Annotated[float, Number("s1", "N m s/rad", at_least=0.0)] = 0.0
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """Bend the bristles along the motion, from straight ones."""
+        w = motion.speed
+        g = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
+        rate = self.bristle_stiffness * np.abs(w) / g  # 1/s, at which they let go
+        kept = np.exp(-np.gradient(motion.t) * rate)
+        # Where they slip in no time, this is where they end.
+        end = np.sign(w) * g / self.bristle_stiffness
+        step = np.where(rate > 0.0, (1.0 - kept) * end, 0.0)
+        z = np.empty_like(w)
+        bent = 0.0
+        for k, (share, more) in enumerate(zip(kept.tolist(), step.tolist(), strict=True)):
+            bent = share * bent + more
+            z[k] = bent
+        torque: Array = self.bristle_stiffness * z + self.bristle_damping * (w - rate * z)
+        return torque
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::{self.cxx}<arm::Place::{self.shaft}>"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkLuGre(LuGre):
+    """At the link."""
+
+    section = "lugre"
+    shaft = "link"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Its bristles stay bent, and the gear stays wound up."""
+        stuck = at.stuck(self.breakaway, self.coulomb) if at.rigid else Around()
+        return Share(torque=Around(0.0, self.breakaway, OFTEN_LARGEST * self.coulomb), stuck=stuck)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorLuGre(LuGre):
+    """At the motor's shaft."""
+
+    section = "motor.lugre"
+    shaft = "rotor"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """The rotor stays where it sticks until the servo's integral has grown beyond."""
+        at_link = 1.0 / abs(at.ratio)
+        return Share(stuck=at.stuck(at_link * self.breakaway, at_link * self.coulomb))

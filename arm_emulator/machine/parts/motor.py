@@ -1,0 +1,74 @@
+"""What all motors have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.resting import AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """A winding: L di/dt = V - R i - Kb omega."""
+
+    resistance: float  # ohm
+    inductance: float  # H, above 0
+    back_emf_constant: float  # V s/rad
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor(Part):
+    """A motor, with the gear's primary side on its rotor."""
+
+    section = "motor"
+    shaft = "rotor"
+    kind: ClassVar[str]  # `motor.kind` in the scene
+    has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
+    command: ClassVar[str] = "V"  # unit of what it is commanded: V, N m, A or V dq
+    limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """The rotor's inertia; what is measured is the torque that the windings give."""
+        torque: Array = vars(self)["rotor_inertia"] * motion.acceleration
+        return torque
+
+    @property
+    def follows_speed_at_once(self) -> bool:
+        """Whether its current follows the speed at once, for want of an inductance."""
+        return False
+
+    @property
+    def command_limit(self) -> float | None:
+        """The bound of a command that is not a voltage [N m or A]; None: there is none."""
+        limit: float | None = getattr(self, self.limit) if self.limit else None
+        return limit
+
+    @property
+    def circuit(self) -> Circuit | None:
+        """Return the winding that a drive can close a current loop around; None: there is none."""
+        return None
+
+    def rests(self, at: AtRest) -> Share | str:
+        """What stands still is taken up by the servo's integral."""
+        return Share()
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:
+        """Return sizes of what the link feels of it through a gear, by what it is."""
+        raise NotImplementedError
+
+    @property
+    def torque_per_command(self) -> float:
+        """Torque at rest for a unit of its command [N m/V, N m/(N m), N m/A]."""
+        raise NotImplementedError
+
+    def largest_command(self, supply_voltage: float) -> float | None:
+        """Return what it can be commanded in either direction; None: anything.
+
+        Args:
+            supply_voltage: of the scene [V].
+        """
+        raise NotImplementedError

@@ -1,0 +1,41 @@
+"""Permanent-magnet synchronous motors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.part import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pmsm(Motor):
+    """A permanent-magnet synchronous motor in the frame of its rotor, amplitudes of its phases."""
+
+    kind = "pmsm"
+    has_winding = True
+    header = "pmsm.hpp"
+    cxx = "Pmsm"
+    command = "V dq"
+
+    resistance: Annotated[float, Number("R", "ohm", above=0.0)]
+    inductance_d: Annotated[float, Number("Ld", "H", above=0.0)]
+    inductance_q: Annotated[float, Number("Lq", "H", above=0.0)]
+    flux: Annotated[float, Number("psi", "V s", at_least=0.0)]
+    pole_pairs: Annotated[int, Number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True)]
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
+
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return 1.5 * self.pole_pairs * self.flux / self.resistance
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return supply_voltage
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+        return {
+            "rotor inertia": self.rotor_inertia / ratio**2,
+            "torque per current": 1.5 * self.pole_pairs * self.flux / abs(ratio),
+            "voltage per speed": self.pole_pairs * self.flux / abs(ratio),
+        }

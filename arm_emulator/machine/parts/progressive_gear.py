@@ -1,0 +1,29 @@
+"""Gears that stiffen as they wind up."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from arm_emulator.machine.parts.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.part import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProgressiveGear(ElasticGear):
+    """An elastic gear whose spring has a cubic part, too."""
+
+    header = "progressive_gear.hpp"
+    cxx = "ProgressiveGear"
+    told_by = ("stiffness", "cubic_stiffness")
+
+    cubic_stiffness: Annotated[float, Number("Kg3", "N m/rad3", at_least=0.0)] = field()
+
+    def wind_up(self, torque: float) -> float:  # noqa: D102
+        if not self.cubic_stiffness:
+            return super().wind_up(torque)
+        # Kg w + Kg3 w^3 = T as 4 s^3 + 3 s = sinh(3 t), s = sinh(t): its only real root.
+        scale = math.sqrt(4.0 * self.stiffness / (3.0 * self.cubic_stiffness))
+        three_t = math.asinh(3.0 * torque / (self.stiffness * scale))
+        return scale * math.sinh(three_t / 3.0)

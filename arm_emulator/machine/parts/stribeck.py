@@ -1,0 +1,44 @@
+"""Friction that falls as a shaft begins to slide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
+from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+def stribeck_torque(coulomb: float, breakaway: float, stribeck: float, speed: Array) -> Array:
+    """Return the torque against sliding that falls from `breakaway` to `coulomb` [N m]."""
+    fallen = np.exp(-np.minimum((speed / stribeck) ** 2, 700.0))
+    torque: Array = coulomb + (breakaway - coulomb) * fallen
+    return torque
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stribeck(Friction):
+    """From `breakaway` at rest to `coulomb`, by exp(-(speed / stribeck)^2)."""
+
+    header = "stribeck.hpp"
+    cxx = "Stribeck"
+    told_by = ("stribeck",)
+
+    stribeck: Annotated[float, Number("vs", "rad/s", above=0.0, sought="known")] = field()
+
+    def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        return stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkStribeck(Stribeck, LinkFriction):
+    """At the link."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorStribeck(OfRotor, Stribeck):
+    """At the motor's shaft."""

@@ -1,0 +1,34 @@
+"""Motors whose torque control is taken for granted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.part import Number
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueMotor(Motor):
+    """The torque follows the command, with a bandwidth if there is one."""
+
+    kind = "torque"
+    header = "torque_motor.hpp"
+    cxx = "TorqueMotor"
+    command = "N m"
+    limit = "torque_limit"
+
+    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
+    bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
+    torque_limit: Annotated[float | None, Number("torque_limit", "N m", above=0.0)] = None
+
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return 1.0
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return self.torque_limit
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+        return {"rotor inertia": self.rotor_inertia / ratio**2}

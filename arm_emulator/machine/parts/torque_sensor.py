@@ -1,0 +1,20 @@
+"""Torque sensors at the output of gears."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from arm_emulator.machine.parts.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.resting import AtRest, Share
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueSensor(AnalogSensor):
+    """Of the torque that a joint's gear puts on its link."""
+
+    section = "torque_sensor"
+    unit = "N m"
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo does not look at it."""
+        return Share()

@@ -1,0 +1,119 @@
+"""Torques on a link that go with its angle as a table says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.section import LARGEST, Section
+from arm_emulator.machine import cxx_literals
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.resting import Around, AtRest, Share
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+LEAST, MOST = 4, 256  # points
+LARGEST_ANGLE, CLOSEST = 1e4, 1e-6  # rad (m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueTable(Part):
+    """A torque over the angle by its points, and a monotone cubic from each to the next."""
+
+    section = "torque_table"
+    header = "torque_table.hpp"
+    cxx = "TorqueTable"
+
+    angles: tuple[float, ...]  # rad (m), increasing
+    torques: tuple[float, ...]  # N m (N), on the link
+    periodic: bool = False
+
+    @classmethod
+    def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
+        return {
+            "angles": _numbers(section, "angles", "rad", LARGEST_ANGLE),
+            "torques": _numbers(section, "torques", "N m", LARGEST),
+            "periodic": section.flag("periodic"),
+        }
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        if len(self.torques) != len(self.angles):
+            rule = f"have as many numbers as angles, {len(self.angles)}"
+            raise section.refusal("torques", rule, len(self.torques))
+        for one, following in pairwise(self.angles):
+            if following - one < CLOSEST:
+                rule = f"increase by at least {CLOSEST:g} rad each"
+                raise section.refusal("angles", rule, f"{following!r} after {one!r}")
+        if self.periodic and self.torques[0] != self.torques[-1]:
+            rule = "end with the torque that they begin with, as the table is periodic"
+            raise section.refusal("torques", rule, f"{self.torques[0]!r} and {self.torques[-1]!r}")
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        periodic = "true" if self.periodic else "false"
+        return f"arm::{self.cxx}<{len(self.angles) - 1}, {periodic}>"
+
+    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        q, T = np.array(self.angles), self.coefficients()
+        h = np.diff(q)
+        works = h * (T[0] + h * (T[1] / 2.0 + h * (T[2] / 3.0 + h * T[3] / 4.0)))
+        U = [0.0, *np.cumsum(-works)]
+        rows = zip(q[:-1], *T, U[:-1], strict=True)
+        pieces = ", ".join("{" + ", ".join(map(cxx_literals.number, row)) + "}" for row in rows)
+        return [
+            ("pieces", "{{" + pieces + "}}"),
+            ("end", cxx_literals.number(q[-1])),
+            ("U_end", cxx_literals.number(U[-1])),
+        ]
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        from scipy.interpolate import PPoly
+
+        at, q = np.array(self.angles), motion.angle
+        within = np.clip(q, at[0], at[-1])
+        if self.periodic:
+            within = at[0] + np.mod(q - at[0], at[-1] - at[0])
+        torque: Array = -PPoly(self.coefficients()[::-1], at)(within)
+        return torque
+
+    def rests(self, at: AtRest) -> Share | str:  # noqa: D102
+        return Share(torque=Around(-float(self.effort(at.motion)[0])))
+
+    def coefficients(self) -> Array:
+        """Return T0 to T3 of each piece (4, pieces), by PCHIP of the table with what is beyond it.
+
+        Source: F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984.
+        """
+        from scipy.interpolate import (
+            PchipInterpolator,
+        )  # slow to import, and few scenes have tables
+
+        q, T = np.array(self.angles), np.array(self.torques)
+        if self.periodic:
+            period, before = q[-1] - q[0], len(q) - 1
+            q = np.concatenate([q[:-1] - period, q, q[1:] + period])
+            T = np.concatenate([T[:-1], T, T[1:]])
+        else:
+            before = 1
+            q = np.concatenate([[q[0] - 1.0], q, [q[-1] + 1.0]])
+            T = np.concatenate([T[:1], T, T[-1:]])
+        with np.errstate(over="ignore"):  # of slopes that are next to 0
+            found: Array = PchipInterpolator(q, T).c[::-1]
+        return found[:, before : before + len(self.angles) - 1]
+
+
+def _numbers(section: Section, key: str, unit: str, most: float) -> tuple[float, ...]:
+    entries = section.entries(key)
+    if not LEAST <= len(entries) <= MOST:
+        raise section.refusal(key, f"have {LEAST} to {MOST} numbers [{unit}]", len(entries))
+    numbers = []
+    for one in entries:
+        sound = isinstance(one, int | float) and not isinstance(one, bool)
+        if not (sound and abs(one) <= most):  # type: ignore[arg-type]
+            raise section.refusal(key, f"have numbers of at most {most:g} [{unit}]", repr(one))
+        numbers.append(float(one))  # type: ignore[arg-type]
+    return tuple(numbers)

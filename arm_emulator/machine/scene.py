@@ -1,0 +1,616 @@
+"""A scene: one YAML file and one URDF, checked once and frozen.
+
+What the file does not mention does not exist in the machine. Every refusal says where, which
+quantity, which rule, which value.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.config_files import BESIDE, find_config
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.section import LARGEST, LARGEST_COUNT, SMALLEST, Section
+from arm_emulator.base.text_file import why_no_file
+from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.machine.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.current_loop import CurrentLoop
+from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
+from arm_emulator.machine.parts.end_stops import put_limits
+from arm_emulator.machine.parts.friction import Friction, LinkFriction
+from arm_emulator.machine.parts.gear import Gear, RigidGear
+from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.known import (
+    LINK_FRICTIONS,
+    ROTOR_FRICTIONS,
+    read_extras,
+    read_friction,
+    read_gear,
+    read_motor,
+)
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.sensors import JointSensors
+from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.parts.torque_ripple import TorqueRipple
+from arm_emulator.machine.parts.winding import Winding
+from arm_emulator.machine.varied import Varied, choose_varied
+from arm_emulator.machine.varied_body import varied_body
+
+SCHEMES = ("rosenbrock", "extrapolated", "implicit", "paper")
+EXCHANGES = ("predict", "lag")
+DEEPEST_EXCHANGE = 4
+EVENTS = ("step", "located")
+LOCATING_SCHEMES = ("rosenbrock", "extrapolated")  # whose order 2 is worth to locate events
+LARGEST_SEED = 2**53  # whole numbers up to here are exact
+
+
+@dataclass(frozen=True)
+class Load:
+    """A payload whose mass is varied: the link that carries it, and what it adds to that link."""
+
+    link: int
+    bare: Body  # the link without it
+    per_kg: Body  # what 1 kg more adds
+
+
+@dataclass(frozen=True)
+class Joint:
+    """What the scene file says of one moving joint. A joint without a motor swings freely."""
+
+    name: str
+    start: float  # rad or m
+    motor: Motor | None
+    gear: Gear
+    sensors: JointSensors
+    friction: Friction
+    rotor_friction: Friction | None = None
+    current_loop: CurrentLoop | None = None
+    winding: Winding | None = None
+    ripple: TorqueRipple | None = None
+    brake: Brake | None = None
+    extras: tuple[Part, ...] = ()  # that stand in sections of their own
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """All parts of its drive."""
+        motor = () if self.motor is None else (self.motor,)
+        rotor = () if self.rotor_friction is None else (self.rotor_friction,)
+        brake = () if self.brake is None else (self.brake,)
+        loop = () if self.current_loop is None else (self.current_loop,)
+        winding = () if self.winding is None else (self.winding,)
+        ripple = () if self.ripple is None else (self.ripple,)
+        of_motor = (*motor, *loop, *winding, *ripple)
+        return (*of_motor, self.gear, self.friction, *rotor, *brake, *self.extras)
+
+    def torque_driven(self) -> Joint:
+        """Return the joint with a motor that gives what torque it is commanded, all else kept.
+
+        What stands between a voltage or a current and the torque of the windings goes.
+        """
+        if self.motor is None or self.command == TorqueMotor.command:
+            return self
+        motor = TorqueMotor(rotor_inertia=vars(self.motor)["rotor_inertia"])
+        return replace(self, motor=motor, current_loop=None, winding=None)
+
+    @property
+    def command(self) -> str:
+        """Unit of what its motor is commanded: V, N m or A."""
+        if self.current_loop is not None:
+            return "A"
+        return self.motor.command if self.motor else "V"
+
+    @property
+    def current_bandwidth(self) -> float:
+        """How fast its current follows the command of its drive's loop [Hz]; 0: it has no loop."""
+        if self.current_loop is None or self.motor is None or self.motor.circuit is None:
+            return 0.0
+        return self.current_loop.bandwidth_around(self.motor.circuit)
+
+    @property
+    def torque_per_command(self) -> float:
+        """Torque of the link at rest for a unit of command, of its sign; 0 without a motor."""
+        if self.motor is None:
+            return 0.0
+        return self.motor.torque_per_command * self._volts_per_command / self.gear.ratio
+
+    def largest_command(self, supply_voltage: float) -> float | None:
+        """Return what its drive can be commanded in either direction; None: anything.
+
+        Args:
+            supply_voltage: of the scene [V].
+        """
+        largest = 0.0 if self.motor is None else self.motor.largest_command(supply_voltage)
+        return None if largest is None else largest / self._volts_per_command
+
+    @property
+    def _volts_per_command(self) -> float:
+        """What its motor gets at rest for a unit of command; 1 but behind a current loop."""
+        circuit = self.motor.circuit if self.motor and self.current_loop else None
+        return circuit.resistance if circuit else 1.0
+
+    @property
+    def encoder(self) -> Encoder | None:
+        """Of its motor."""
+        return self.sensors.encoder
+
+    @property
+    def counts_per_turn(self) -> int:
+        """Counts of the encoder in a turn of the motor; without one, of the finest there is."""
+        return self.encoder.counts_per_turn if self.encoder else IDEAL_COUNTS_PER_TURN
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """Scheme and step [s]."""
+
+    scheme: str
+    dt: float
+    exchange: str  # between two threads, see core/schemes/two_threads.hpp
+    exchange_depth: int  # samples from which a step takes the links' part of two threads
+    events: str  # where modes of joints change, see core/schemes/located.hpp
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that there is about one machine."""
+
+    name: str
+    where: str  # the file, for refusals
+    urdf: str  # XML text, locked joints fixed
+    tool: str  # link whose frame is the tool
+    gravity: tuple[float, ...] | None  # m/s2 in the world
+    supply_voltage: float  # V
+    joints: tuple[Joint, ...]  # base to tool
+    chain: Chain  # the same joints' geometry and inertia
+    bare: tuple[Body, ...]  # what they move, without the payload
+    integrator: Integrator
+    servo_period: float  # s
+    external_wrench: bool  # whether there may be one, see core/mechanics/external_wrench.hpp
+    energy_flow: (
+        bool  # whether what is given and dissipated is told, see core/mechanics/energy_flow.hpp
+    )
+    threads: int
+    cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
+    varied: tuple[Varied, ...]  # numbers that every machine has for itself
+    load: Load | None  # the payload, where its mass is varied
+    imus: tuple[Imu, ...]
+    seed: int  # of the noise of sensors
+
+    @property
+    def sensed(self) -> bool:
+        """Whether there are sensors that do not tell what is there as it is."""
+        return bool(self.imus) or not all(joint.sensors.plain for joint in self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints, base to tool."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def largest_commands(self) -> Array:
+        """The largest command of each joint (N,) [V, N m or A]; inf: it has no limit."""
+        return np.array(
+            [
+                self.supply_voltage
+                if joint.command.startswith("V") or joint.motor is None
+                else joint.motor.command_limit or math.inf
+                for joint in self.joints
+            ]
+        )
+
+    @property
+    def gear_ratios(self) -> Array:
+        """Turns of the links per turn of their motors (N,); 1 where there is no gear."""
+        return np.array([joint.gear.ratio for joint in self.joints])
+
+    @property
+    def start(self) -> Array:
+        """Joint positions at reset (N,) [rad or m]."""
+        return np.array([joint.start for joint in self.joints])
+
+    def wind_up(self, torques: Iterable[float]) -> Array:
+        """Return by how much the gears give way at rest under torques (N,), at the links (N,)."""
+        pairs = zip(self.joints, torques, strict=True)
+        return np.array([joint.gear.wind_up(torque) for joint, torque in pairs])
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user of this scene had better know, one line each."""
+        now = self.integrator
+        sticking = [one.name for one in self.joints if any(part.sticks for part in one.parts)]
+        if not sticking or now.events == "located" or now.scheme not in LOCATING_SCHEMES:
+            return []
+        names = ", ".join(sticking)
+        return [
+            f"{self.where}: integrator.events is step, but joints stick ({names}): "
+            f"when one stops or breaks away is known to one step of {now.dt:g} s, and errors there "
+            "are of first order; located keeps order 2, `arm_emulator advise` compares the two"
+        ]
+
+    @property
+    def steps_per_period(self) -> int:
+        """Integration steps in one servo period."""
+        return round(self.servo_period / self.integrator.dt)
+
+
+def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
+    """Load a scene, checked.
+
+    Args:
+        path: a scene file, or the name of a scene that comes with the emulator.
+        overrides: values to put in place of the file's, by dotted path, such as
+            ``{"integrator.dt": 1e-4, "joints.*.gear.stiffness": None}``; ``*`` is every key there,
+            None takes the key out.
+
+    Raises:
+        Refusal: the file, its URDF or an override breaks a rule.
+    """
+    file = find_config(str(path), ".yaml")
+    data = read_yaml(file)
+    for dotted, value in (overrides or {}).items():
+        override(data, dotted, value, file.name)
+    return _build(Section(data, file.name), file)
+
+
+def _build(root: Section, file: Path) -> Scene:
+    where = file.name
+    name = root.text("name", most_bytes=100)
+    urdf_file = _find_urdf(root.text("urdf"), file)
+    urdf = read_urdf(urdf_file)
+    robot = parse_urdf(urdf, urdf_file.name)
+    tool = root.text("tool")
+    gravity = root.vector("gravity", "m/s2", bound=1000.0)
+    payload = root.section("payload")
+    locked_section = root.section("locked")
+    locked = {}
+    if locked_section is not None:
+        locked = {
+            key: locked_section.number(key, "rad or m", at_least=-1e4, at_most=1e4)
+            for key in locked_section.keys()
+        }
+    payload_body = None if payload is None else _payload(payload)
+
+    def read(load: Body | None) -> Chain:
+        return read_chain(robot, urdf_file.name, locked=locked, tool=tool, payload=load)
+
+    chain = read(payload_body)
+    bare = tuple(joint.body for joint in chain.joints)
+    if payload_body is not None:
+        # What a second one adds is the first.
+        twice = (joint.body for joint in read(payload_body.scaled(2.0)).joints)
+        bare = tuple(
+            one.scaled(2.0) + two.scaled(-1.0) for one, two in zip(bare, twice, strict=True)
+        )
+    if lock_joints(robot, locked, urdf_file.name):
+        urdf = ET.tostring(robot, encoding="unicode")
+    supply_voltage = root.number("supply_voltage", "V", above=0.0, at_most=1e5)
+    joints = _joints(root, chain, urdf_file.name, limits_of(robot))
+    integrator_section = root.required_section("integrator")
+    integrator = Integrator(
+        scheme=integrator_section.choice("scheme", SCHEMES, default=SCHEMES[0]),
+        dt=integrator_section.number("dt", "s", at_least=1e-9, at_most=1.0),
+        exchange=integrator_section.choice("exchange", EXCHANGES, default=EXCHANGES[0]),
+        exchange_depth=integrator_section.integer(
+            "exchange_depth", default=1, at_least=1, at_most=DEEPEST_EXCHANGE
+        ),
+        events=integrator_section.choice("events", EVENTS, default=EVENTS[0]),
+    )
+    servo_period = root.number("servo_period", "s", at_least=1e-6, at_most=1.0)
+    integrator = replace(integrator, dt=_dividing(servo_period, integrator.dt, where))
+    threads = root.integer("threads", default=1, at_least=1, at_most=2)
+    unfit = odds(integrator, threads)
+    if unfit is not None:
+        raise root.refusal(*unfit)
+    cores = _cores(root)
+    imus = _imus(root, chain)
+    seed = root.integer("seed", default=0, at_least=0, at_most=LARGEST_SEED)
+    possible = could_vary(joints, chain, imus)
+    if payload_body is not None:
+        possible.append(Varied("payload.mass", payload_body.mass, SMALLEST, LARGEST))
+    if root.has("seed"):
+        possible.append(Varied("seed", seed, 0.0, LARGEST_SEED))
+    by_name = {one.name: one for one in possible}
+    varied = choose_varied(root.entries("varied"), by_name, where)
+    load = None
+    if payload is not None and any(one.name == "payload.mass" for one in varied):
+        load = _load(*(read(_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
+    if load is not None:
+        carrier = f"links.{chain.joints[load.link].link}."
+        for one in varied:
+            if one.name.startswith(carrier):
+                rule = "not name both payload.mass and numbers of the link that carries it"
+                raise Refusal(where, "varied", rule, one.name)
+    external_wrench, energy_flow = root.flag("external_wrench"), root.flag("energy_flow")
+    for key in BESIDE:
+        if root.has(key):
+            root.text(key)
+    root.finish()
+    return Scene(
+        name=name,
+        where=where,
+        urdf=urdf,
+        tool=tool,
+        gravity=gravity,
+        supply_voltage=supply_voltage,
+        joints=joints,
+        chain=chain,
+        bare=bare,
+        integrator=integrator,
+        servo_period=servo_period,
+        external_wrench=external_wrench,
+        energy_flow=energy_flow,
+        threads=threads,
+        cores=cores,
+        varied=varied,
+        load=load,
+        imus=imus,
+        seed=seed,
+    )
+
+
+def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] | None:
+    """Return what of an integrator does not go together: key, rule, value, what would be valid."""
+    scheme = integrator.scheme
+    if threads == 2 and scheme == "rosenbrock":
+        rule = "be 1 with scheme rosenbrock, whose second stage waits for its first"
+        return "threads", rule, 2, "2 with another scheme"
+    if integrator.events != "located":
+        return None
+    if scheme not in LOCATING_SCHEMES:
+        rule = f"be step with scheme {scheme}, of first order at any event"
+        valid = f"step, or located with scheme {' or '.join(LOCATING_SCHEMES)}"
+    elif threads == 2:
+        rule = "be step with 2 threads, whose links come from an earlier sample"
+        valid = "step, or located with threads: 1"
+    else:
+        return None
+    return "integrator.events", rule, "located", valid
+
+
+def _cores(root: Section) -> tuple[int, int]:
+    cores = root.vector("cores", "core number", bound=1023.0, size=2)
+    if cores is None:
+        return -1, -1
+    available = os.sched_getaffinity(0)
+    if not set(cores) <= available:
+        valid = ", ".join(map(str, sorted(available)))
+        raise root.refusal("cores", "be cores of this machine", list(cores), valid)
+    return int(cores[0]), int(cores[1])
+
+
+def _joints(
+    root: Section, chain: Chain, urdf_name: str, limits: Mapping[str, tuple[float, float]]
+) -> tuple[Joint, ...]:
+    section = root.required_section("joints")
+    names = {joint.name: joint.kind for joint in chain.joints}
+    for key in section.keys():
+        if key not in names:
+            raise Refusal(
+                root.where,
+                f"joints.{key}",
+                f"be a moving joint of {urdf_name}",
+                key,
+                ", ".join(names),
+            )
+    joints = []
+    for name, kind in names.items():
+        one = section.section(name)
+        if one is None:
+            raise Refusal(
+                root.where,
+                f"joints.{name}",
+                f"be given, {urdf_name} moves it",
+                "nothing",
+                "a section, or its position under `locked`",
+            )
+        joints.append(_joint(name, kind, one, limits.get(name)))
+    return tuple(joints)
+
+
+def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
+    motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
+    of_rotor = None if motor is None else motor.section("friction")
+    loop = None if motor is None else motor.section("current_loop")
+    winding = None if motor is None else motor.section("winding")
+    ripple = None if motor is None else motor.section("ripple")
+    brake, stops = one.section("brake"), one.section("end_stops")
+    for key, part in (("gear", gear), ("brake", brake)):
+        if motor is None and part is not None:
+            raise one.refusal(key, "belong to a joint with a motor", "no motor section")
+    if stops is not None:
+        put_limits(stops, limits)
+    joint = Joint(
+        name=name,
+        start=one.number("start", "rad or m", default=0.0, at_least=-1e4, at_most=1e4),
+        motor=None if motor is None else read_motor(motor),
+        gear=RigidGear(ratio=1.0) if gear is None else read_gear(gear),
+        sensors=JointSensors.read(one, kind),
+        friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
+        rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
+        current_loop=None if loop is None else CurrentLoop.read(loop),
+        winding=None if winding is None else Winding.read(winding),
+        ripple=None if ripple is None else TorqueRipple.read(ripple),
+        brake=None if brake is None else Brake.read(brake),
+        extras=read_extras(one),
+    )
+    one.finish()
+    if joint.motor is not None:
+        if joint.ripple is not None and joint.motor.follows_speed_at_once:
+            rule = "come with an inductance: the current would follow each wave at once"
+            raise one.refusal("motor.ripple", rule, "none")
+        if joint.current_loop is not None and joint.motor.circuit is None:
+            rule = "belong to a dc motor that has an inductance"
+            at_once = " without one" if joint.motor.follows_speed_at_once else ""
+            raise one.refusal("motor.current_loop", rule, joint.motor.kind + at_once)
+        if joint.winding is not None:
+            if not joint.motor.has_winding:
+                rule = "belong to a motor that has a resistance"
+                raise one.refusal("motor.winding", rule, joint.motor.kind, "dc, pmsm")
+            if joint.motor.follows_speed_at_once:
+                rule = "come with an inductance: the current would follow the temperature at once"
+                raise one.refusal("motor.winding", rule, "none")
+        _check_reflected(joint.motor, joint.gear.ratio, one)
+    return joint
+
+
+def _check_reflected(motor: Motor, ratio: float, one: Section) -> None:
+    """Refuse a gear that makes of sound numbers unsound ones at the link."""
+    for what, value in motor.felt_at_link(ratio).items():
+        if value > LARGEST:
+            rule = f"make the {what} at the link at most {LARGEST:g}"
+            raise one.refusal("gear.ratio", rule, f"{value:.3g} with {ratio:g}")
+
+
+def _payload(section: Section, mass: float | None = None) -> Body:
+    """Return the payload in the frame of the tool; `mass` takes the place of the scene's."""
+    given = section.number("mass", "kg", above=0.0)
+    mass = given if mass is None else mass
+    com = section.vector("com", "m", bound=100.0) or (0.0, 0.0, 0.0)
+    entries = section.vector("inertia", "kg m2", size=6, bound=1e6)
+    inertia = np.zeros((3, 3))
+    if entries is not None:
+        xx, yy, zz, xy, xz, yz = entries
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        check_inertia(inertia, "payload.inertia", section.where)
+    section.finish()
+    return Body.from_center(mass, np.array(com), inertia)
+
+
+def _load(light: Chain, heavy: Chain) -> Load | None:
+    """Return the load of 1 and 2 kg in two chains; None where it rests on the base."""
+    for link, (one, two) in enumerate(zip(light.joints, heavy.joints, strict=True)):
+        if one.body.mass != two.body.mass:
+            per_kg = two.body + one.body.scaled(-1.0)
+            return Load(link, one.body + per_kg.scaled(-1.0), per_kg)
+    return None
+
+
+def _imus(root: Section, chain: Chain) -> tuple[Imu, ...]:
+    section = root.section("imus")
+    if section is None:
+        return ()
+    return tuple(Imu.read(name, section.required_section(name), chain) for name in section.keys())
+
+
+def could_vary(joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]) -> list[Varied]:
+    """Return the numbers of joints, measurement units and links that may be varied."""
+    of_joints = [
+        one
+        for joint in joints
+        for part in (*joint.parts, *joint.sensors.parts.values())
+        for one in part.could_vary(joint.name)
+    ]
+    of_imus = [one for imu in imus for one in imu.could_vary()]
+    of_links = [one for joint in chain.joints for one in varied_body(joint)]
+    return of_joints + of_imus + of_links
+
+
+def _dividing(servo_period: float, dt: float, where: str) -> float:
+    """Return the step [s] of which whole steps make a servo period, for one that has few digits."""
+    nanoseconds = servo_period * 1e9
+    # But for the rounding of a number that stands for whole nanoseconds.
+    if abs(nanoseconds - round(nanoseconds)) > 4.0 * sys.float_info.epsilon * nanoseconds:
+        nearest = f"{round(nanoseconds) * 1e-9:.10g} s, for example"
+        rule = "be a whole number of nanoseconds"
+        raise Refusal(where, "servo_period", rule, servo_period, nearest)
+    steps = servo_period / dt
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+        fitting = servo_period / max(1, math.ceil(steps - 1e-9))
+        raise Refusal(
+            where,
+            "integrator.dt",
+            f"divide the servo period of {servo_period:g} s",
+            dt,
+            f"{fitting!r} s, for example",
+        )
+    if steps > LARGEST_COUNT:
+        raise Refusal(where, "integrator.dt", f"be >= {servo_period / LARGEST_COUNT:g} s", dt)
+    return servo_period / round(steps)
+
+
+# Files
+
+
+def example_robot_data() -> Path | None:
+    """Return the folder of robots of the package example-robot-data, None if not installed."""
+    roots = [Path(entry) / "cmeel.prefix" for entry in sys.path if entry]
+    roots += map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
+    for root in roots:
+        folder = root / "share" / "example-robot-data" / "robots"
+        if folder.is_dir():
+            return folder
+    return None
+
+
+def _find_urdf(text: str, scene_file: Path) -> Path:
+    package, colon, rest = text.partition(":")
+    if colon and package == "example-robot-data":
+        folder = example_robot_data()
+        if folder is None:
+            raise Refusal(
+                scene_file.name,
+                "urdf",
+                "be in the package example-robot-data",
+                "no such package",
+                "install it with `make robots` or `pip install example-robot-data`",
+            )
+        inside = os.path.normpath(rest)
+        if os.path.isabs(inside) or inside.split(os.sep)[0] == "..":
+            rule = "be a file below robots/ of the package example-robot-data"
+            raise Refusal(scene_file.name, "urdf", rule, text)
+        file = folder / inside
+    else:
+        file = scene_file.parent / text
+    reason = why_no_file(file)
+    if reason is not None:
+        raise Refusal(scene_file.name, "urdf", "be a file", f"{text} ({reason})")
+    return file
+
+
+def override(data: dict[str, Any], dotted: str, value: object, where: str) -> None:
+    """Put a value into what a scene file holds, see `load_scene`."""
+    places: list[tuple[dict[str, Any], list[str]]] = [(data, dotted.split("."))]
+    while places:
+        place, steps = places.pop()
+        for key, rest in _keys(place, steps):
+            if not rest:
+                if value is None:
+                    place.pop(key, None)
+                else:
+                    place[key] = value
+                continue
+            # A copy, since YAML anchors make several joints share one mapping.
+            child = place.get(key)
+            if child is None:
+                child = {}
+            if not isinstance(child, dict):
+                raise Refusal(where, f"override {dotted}", "lead through sections", child)
+            place[key] = dict(child)
+            below = [".".join(rest)] if key == "locked" and place is data else rest
+            places.append((place[key], below))
+
+
+def _keys(place: dict[str, Any], steps: list[str]) -> list[tuple[str, list[str]]]:
+    """Return the keys that the first steps of a dotted path mean, with the steps that remain.
+
+    Names of joints may have dots: the longest key that is there is meant.
+    """
+    if steps[0] == "*":
+        return [(key, steps[1:]) for key in list(place)]
+    for count in range(len(steps), 1, -1):
+        key = ".".join(steps[:count])
+        if key in place:
+            return [(key, steps[count:])]
+    return [(steps[0], steps[1:])]

@@ -1,0 +1,200 @@
+"""A scene as C++: the constants that the core is compiled over, as a data sheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
+from arm_emulator.machine.cxx_literals import fields, number, text, vector
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.sensors import suite
+from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.varied import Varied
+from arm_emulator.machine.varied_body import AXES, TENSOR, expressions
+
+
+def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
+    """Return the C++ unit of a scene: its constants, then the core's C interface.
+
+    Neither the step size nor the values of varied numbers, which stand as p[k], are part of it, so
+    that scenes that differ in these alone share a library.
+
+    Args:
+        scene: the scene.
+        boundary: the header of the core that has the functions of the library.
+    """
+    threads, threads_header = {
+        1: ("OneThread", "schemes/one_thread.hpp"),
+        2: ("TwoThreads", "schemes/two_threads.hpp"),
+    }[scene.threads]
+    R_BW = scene.chain.R_BW
+    gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
+    places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
+    bodies = [_link_body(geometry, places) for geometry in scene.chain.joints]
+    if (load := scene.load) is not None:
+        bare, per_kg = _body(load.bare), _body(load.per_kg)
+        bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
+    links = ",\n".join(map(_link, scene.chain.joints, bodies))
+    axes = _axes(scene.chain) if scene.external_wrench else ""
+    devices = ",\n".join(_device(joint) for joint in scene.joints)
+    braked = [joint for joint in scene.joints if joint.brake]
+    closed = {one.name: f"p[{len(places) + k}]" for k, one in enumerate(braked)}
+    drives = ",\n".join(
+        _drive(joint, places, closed.get(joint.name), scene.supply_voltage)
+        for joint in scene.joints
+    )
+    headers = sorted({f"parts/{part.header}" for joint in scene.joints for part in joint.parts})
+    sensors = ""
+    if scene.sensed:
+        headers.append("mechanics/sensors.hpp")
+        of_joints = {joint.name: joint.sensors for joint in scene.joints}
+        sensors = suite(scene.seed, of_joints, scene.imus, places)
+    includes = "".join(f'#include "{header}"\n' for header in headers)
+    parameters = "".join(f"      {_parameter(one)},\n" for one in scene.varied)
+    return f"""\
+{includes}#include "parts/device.hpp"
+#include "mechanics/scene.hpp"
+#include "{threads_header}"
+
+struct Scene {{
+  static constexpr int N = {len(scene.joints)};
+  static constexpr arm::Scheme scheme = arm::Scheme::{scene.integrator.scheme};
+  template <class Stepper>
+  using Threads = arm::{threads}<Scene, Stepper>;
+  static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
+  static constexpr int exchange_depth = {scene.integrator.exchange_depth};
+  static constexpr bool energy_flow = {"true" if scene.energy_flow else "false"};
+  static constexpr bool external_wrench = {"true" if scene.external_wrench else "false"};
+{axes}\
+  static constexpr arm::Events events = arm::Events::{scene.integrator.events};
+  static constexpr double supply_voltage = {number(scene.supply_voltage)};
+  static constexpr arm::Vec3<double> gravity = {vector(gravity)};
+  static constexpr int brakes = {len(braked)};
+{_brakes(scene)}\
+  static constexpr int parameters = {len(scene.varied)};
+  static constexpr arm::Parameter parameter[parameters + 1] = {{
+{parameters}  }};
+  static constexpr arm::LinkRow<N> links([[maybe_unused]] const double* p) {{
+    return {{{{
+{links}}}}};
+  }}
+  static constexpr auto drives([[maybe_unused]] const double* p) {{
+    return std::tuple{{
+{drives}}};
+  }}
+  static constexpr arm::Device device[N] = {{
+{devices}}};
+{sensors}}};
+
+#include "{boundary}"
+"""
+
+
+def _axes(chain: Chain) -> str:
+    """Return what turns vectors of the URDF's links and of the world into the core's."""
+    links = ",\n".join(f"      {{{_matrix(joint.axes)}}}" for joint in chain.joints)
+    return f"""\
+  static constexpr double link_axes[N][3][3] = {{
+{links}}};
+  static constexpr double world_axes[3][3] = {{{_matrix(chain.R_BW)}}};
+"""
+
+
+def _matrix(rows: Array) -> str:
+    return ", ".join(f"{{{', '.join(map(number, row))}}}" for row in rows)
+
+
+def _parameter(one: Varied) -> str:
+    numbers = fields({"least": one.least, "most": one.most})
+    return f"{{.name = {text(one.name)}, {numbers}}}"
+
+
+def _body(body: Body) -> str:
+    I = body.inertia  # noqa: E741
+    tensor = dict(zip(("xx", "yy", "zz"), np.diag(I), strict=True))
+    tensor |= {"xy": I[0, 1], "xz": I[0, 2], "yz": I[1, 2]}
+    m, h = number(body.mass), vector(body.moment)
+    return f"arm::Body<double>{{.m = {m}, .h = {h}, .I = {{{fields(tensor)}}}}}"
+
+
+def _link_body(geometry: ChainJoint, places: Mapping[str, str]) -> str:
+    of = expressions(geometry, places)
+    if of is None:
+        return _body(geometry.body)
+    h = ", ".join(of[f"moment_{x}"] for x in AXES)
+    tensor = ", ".join(f".{xx} = {of[f'inertia_{xx}']}" for xx in TENSOR)
+    return f"arm::Body<double>{{.m = {of['mass']}, .h = {{{h}}}, .I = {{{tensor}}}}}"
+
+
+def _link(geometry: ChainJoint, body: str) -> str:
+    theta_0 = geometry.theta_0
+    numbers = {
+        "cos_alpha": geometry.cos_alpha,
+        "sin_alpha": geometry.sin_alpha,
+        "theta_0": theta_0,
+        "cos_theta_0": math.cos(theta_0),
+        "sin_theta_0": math.sin(theta_0),
+    }
+    return f"""\
+      {{.kind = arm::JointKind::{geometry.kind},
+       {fields(numbers)},
+       .p = {vector(geometry.p)},
+       .body = {body}}}"""
+
+
+def _brakes(scene: Scene) -> str:
+    """Return the joints of the brakes, and the delays after which they close and open."""
+    brakes = {j: joint.brake for j, joint in enumerate(scene.joints) if joint.brake}
+    delays = (f"{{{number(b.close_delay)}, {number(b.release_delay)}}}" for b in brakes.values())
+    return f"""\
+  static constexpr int braked[brakes + 1] = {{{", ".join(map(str, brakes))}}};
+  static constexpr double brake_delays[brakes + 1][2] = {{{", ".join(delays)}}};
+"""
+
+
+def _drive(
+    joint: Joint, places: Mapping[str, str], closed: str | None, supply_voltage: float
+) -> str:
+    def part(one: Part) -> str:
+        return one.initialiser(joint.name, places)
+
+    rotor = joint.rotor_friction
+    kind, values = (rotor.cxx_type, part(rotor)) if rotor else ("arm::FreeRotor", "{}")
+    if joint.brake and closed:
+        kind, values = joint.brake.rotor(rotor, joint.name, places, closed)
+    motor = "arm::NoMotor"
+    own = f"{motor}{{}}"
+    if joint.motor is not None:
+        motor, own = joint.motor.cxx_type, part(joint.motor)
+        loop, circuit = joint.current_loop, joint.motor.circuit
+        if loop is not None and circuit is not None:
+            own = loop.around(motor, own, part(loop), circuit, supply_voltage)
+            motor = loop.around_type(motor)
+        if joint.winding is not None:
+            own = joint.winding.around(motor, own, part(joint.winding))
+            motor = joint.winding.around_type(motor)
+        if joint.ripple is not None:
+            motor, own = joint.ripple.around_type(motor), joint.ripple.around(motor, own)
+    kinds = [
+        motor,
+        joint.gear.cxx_type,
+        joint.friction.cxx_type,
+        kind,
+        *(extra.cxx_type for extra in joint.extras),
+    ]
+    extras = ", ".join(map(part, joint.extras))
+    return f"""\
+      arm::Drive<{", ".join(kinds)}>{{
+          .motor = {own},
+          .gear = {part(joint.gear)},
+          .friction = {part(joint.friction)},
+          .rotor = {values},
+          .extras = {{{extras}}}}}"""
+
+
+def _device(joint: Joint) -> str:
+    counts_per_rad = number(joint.counts_per_turn / (2.0 * math.pi))
+    return f"      {{.name = {text(joint.name)}, .counts_per_rad = {counts_per_rad}}}"

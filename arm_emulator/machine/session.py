@@ -1,0 +1,354 @@
+"""One run of the machine under command: ticks, answers, phases. Knows nothing of ROS.
+
+A tick is the start of a servo period. The session publishes nothing and waits for nothing: its
+owner asks `may_advance`, calls `advance`, and tells the world.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from arm_emulator.base.bound import VOLTAGE
+from arm_emulator.base.count import LARGEST, check_count
+from arm_emulator.base.joint_order import JointOrder
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
+from arm_emulator.machine.firmware_loop import FirmwareLoop
+from arm_emulator.machine.measured import Measured
+from arm_emulator.machine.plant import Diverged, Plant, PlantState
+from arm_emulator.machine.scene import Scene
+
+CLOCKS = ("lockstep", "realtime")
+END_OF_TIME = 2**31 * 10**9  # ns
+STARTS = ("free_run", "first_answer", "paused")
+
+
+class Phase(enum.IntEnum):
+    """What the session is doing; the values are those of EmulatorStatus."""
+
+    FREE_RUNNING = 0
+    WAITING = 1
+    RUNNING = 2
+    PAUSED = 3
+    STOPPED = 4
+
+
+class Needless(Refusal):
+    """A command that is not taken, and need not be: nothing is wrong with it.
+
+    Attributes:
+        kind: which one it is, in two or three words.
+    """
+
+    def __init__(self, kind: str, rule: str, got: str) -> None:
+        super().__init__("motor_commands", "tick", rule, f"{got} ({kind})")
+        self.kind = kind
+
+
+class EndOfTime(RuntimeError):
+    """Logical time has come as far as the time stamps of messages go."""
+
+    def __init__(self) -> None:
+        super().__init__("logical time ends at 2**31 s, the largest that a message can tell")
+
+
+class Session:
+    """The machine, driven tick by tick by motor commands.
+
+    Lock-step: tick k is left only with the command that answers tick k. Real time: the newest
+    command is held, and the owner advances by the clock.
+
+    Args:
+        scene: the machine.
+        clock: "lockstep" or "realtime".
+        start: what goes on until the first command: "free_run" runs at zero voltage,
+            "first_answer" stands still at tick 0, "paused" stands still until `paused` is set to
+            False and then runs free.
+
+    Raises:
+        Refusal: another clock or start than these.
+    """
+
+    def __init__(self, scene: Scene, clock: str, start: str) -> None:
+        for quantity, value, known in (("clock", clock, CLOCKS), ("start", start, STARTS)):
+            if value not in known:
+                raise Refusal("Session", quantity, "be known", value, ", ".join(known))
+        self.scene = scene
+        self.plant = Plant(scene)
+        self._powered = True
+        self.lockstep = clock == "lockstep"
+        self.period_ns = round(scene.servo_period * 1e9)
+        self.plant.measure_time()
+        self._start = start
+        self._order = JointOrder("motor_commands", scene.joint_names)
+        self._zero = np.zeros(len(scene.joint_names))
+        self.tick = -1
+        self.reset()
+
+    @property
+    def step_wall_ns(self) -> int:
+        """Wall time that integration steps have taken so far [ns]."""
+        return self.plant.spent_ns
+
+    def reset(self) -> None:
+        """Begin anew at tick 0, as after construction. Power stays as it is."""
+        self.plant.reset()
+        self._left_tick = self.tick  # where the run before was
+        self.tick = 0
+        self.paused = self._start == "paused"
+        self.fault: Diverged | EndOfTime | None = None
+        self.voltage = self._zero  # applied now
+        self._commanded: Array | None = None  # newest accepted command
+        self._answered_tick = -1  # the tick that it answers
+        self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
+        self._state: PlantState | None = None
+        self._measured: Measured | None = None
+
+    @property
+    def powered(self) -> bool:
+        """Whether the drives have power."""
+        return self._powered
+
+    @powered.setter
+    def powered(self, on: bool) -> None:
+        with self.between_ticks():
+            self._powered = on
+            self.plant.powered = on
+
+    @contextmanager
+    def between_ticks(self) -> Iterator[None]:
+        """Within, no time passes: the machine can be saved, and changed by hand."""
+        yield
+
+    def restore(self, saved: bytes) -> None:
+        """Continue with a machine that was saved, with its power and its fault.
+
+        The machine's own time is that of the saved one. Ticks go on, and the commands that were
+        given hold.
+
+        Raises:
+            Refusal: see `Plant.restore`; nothing has changed.
+        """
+        with self.between_ticks():
+            self.plant.restore(saved)
+            self._take_machine()
+
+    def set_state(self, joint_names: Sequence[str], given: Mapping[str, Sequence[float]]) -> None:
+        """Set some quantities of some joints; whatever is not given stays as it is.
+
+        Args:
+            joint_names: joints of the scene, each at most once.
+            given: one value per name, by names of `PlantState`; an empty one is not given. A motor
+                behind a rigid gear comes along with its link if it is not given.
+
+        Raises:
+            Refusal: no or other names, another number of values, values that are not finite, too
+                large or contradict each other; nothing has changed.
+        """
+        where, known = "set_state", self.scene.joint_names
+        names = list(joint_names)
+        if not names or len(set(names)) < len(names) or not set(names) <= set(known):
+            rule, got = "name joints, each once", ", ".join(map(str, names)) or "none"
+            raise Refusal(where, "joint names", rule, got, ", ".join(known))
+        places = [known.index(name) for name in names]
+        values = {quantity: row for quantity, row in given.items() if len(row)}
+        if not values:
+            raise Refusal(where, "what is set", "be one quantity at least", "none")
+        for quantity, row in values.items():
+            if len(row) != len(names):
+                rule = f"have one value per joint name ({len(names)})"
+                called = self.plant.bounds[quantity].quantity
+                raise Refusal(where, called, rule, f"{len(row)} values")
+        with self.between_ticks():
+            now = self.plant.state
+            rows = {quantity: getattr(now, quantity) for quantity in values}
+            for quantity, row in values.items():
+                rows[quantity][places] = row
+            self.plant.put(where, rows)
+            self._take_machine()
+
+    def set_varied(self, name: str, value: float) -> None:
+        """Set a number that the scene lists as varied, see `Plant.set_parameter`.
+
+        Raises:
+            Refusal: no such number, or out of its range; nothing has changed.
+        """
+        with self.between_ticks():
+            self.plant.set_parameter(name, value)
+            self._take_machine()
+
+    def acts_already(self, link: str, wrench: ExternalWrench) -> bool:
+        """Return whether this is the wrench that acts, so that setting it would change nothing.
+
+        Raises:
+            Refusal: see `Plant.set_external_wrench`.
+        """
+        joint, moved = on_moving_link(self.scene, "external wrench", link, wrench)
+        return self.plant.external_wrenches[self.scene.chain.joints[joint].link] == moved
+
+    def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
+        """Let a force and a moment act from now on, see `Plant.set_external_wrench`.
+
+        Raises:
+            Refusal: see there; nothing has changed.
+        """
+        with self.between_ticks():
+            self.plant.set_external_wrench(link, wrench)
+            self._take_machine()
+
+    def _take_machine(self) -> None:
+        """Take over what became of the machine."""
+        self._powered = self.plant.powered
+        self.fault = self.plant.diverged
+        self._state = self._measured = None
+
+    @property
+    def state(self) -> PlantState:
+        """State of the machine at this tick."""
+        if self._state is None:
+            self._state = self.plant.state
+        return self._state
+
+    @property
+    def measured(self) -> Measured:
+        """What the sensors told at this tick."""
+        if self._measured is None:
+            self._measured = self.plant.measured
+        return self._measured
+
+    @property
+    def energy(self) -> float:
+        """Energy of the machine at this tick [J]."""
+        return self.plant.energy
+
+    @property
+    def logical_ns(self) -> int:
+        """Logical time [ns]."""
+        return self.tick * self.period_ns
+
+    @property
+    def answered(self) -> bool:
+        """Whether a command that answers this tick is there."""
+        return self._answered_tick == self.tick
+
+    @property
+    def phase(self) -> Phase:
+        """What the session is doing."""
+        if self.fault is not None:
+            return Phase.STOPPED
+        if self.paused:
+            return Phase.PAUSED
+        if self._commanded is None:
+            return Phase.WAITING if self._start == "first_answer" else Phase.FREE_RUNNING
+        return Phase.WAITING if self.lockstep and not self.answered else Phase.RUNNING
+
+    @property
+    def may_advance(self) -> bool:
+        """Whether the rules of the clock allow to leave this tick now."""
+        return self.phase in (Phase.FREE_RUNNING, Phase.RUNNING)
+
+    def offer(self, tick: int, joint_names: Sequence[str], voltage: Sequence[float]) -> None:
+        """Take a motor command; it changes nothing if it is refused.
+
+        Args:
+            tick: the tick that it answers: this one in lock-step; in real time one that is newer
+                than the last and not of the future. The first command may come late in both: it
+                ends the free run, and the next one answers in time.
+            joint_names: every joint of the scene once, in any order.
+            voltage: one per name [V].
+
+        Raises:
+            Needless: the same bits once more for one of the two ticks answered last, or an answer
+                that was on its way when the run before was left.
+            Refusal: wrong tick, names, length, or a voltage that is not finite or too large.
+        """
+        check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
+        if tick > self.tick:
+            rule, got = f"be at most {self.tick}", f"{tick} (future)"
+            if self._commanded is None and tick <= self._left_tick:
+                raise Needless("before the reset", rule, f"{tick}")
+            raise Refusal("motor_commands", "tick", rule, got)
+        newest = self._answered_tick
+        if (self.lockstep and self._commanded is not None and tick < self.tick) or tick < newest:
+            at_least = self.tick if self.lockstep else newest
+            rule = f"be at least {at_least}"
+            if self._is_repeated(tick, self._order.arrange(joint_names, voltage, VOLTAGE)):
+                raise Needless("repeated", rule, f"{tick}")
+            raise Refusal("motor_commands", "tick", rule, f"{tick} (stale)")
+        command = self._order.arrange(joint_names, voltage, VOLTAGE)
+        if tick == newest and self._is_repeated(tick, command):
+            raise Needless("repeated", "be answered once", f"{tick}")
+        if tick != newest:
+            self._before = (newest, self._commanded)
+        self._commanded = command
+        self._answered_tick = tick
+
+    def _is_repeated(self, tick: int, command: Array) -> bool:
+        for answered, known in ((self._answered_tick, self._commanded), self._before):
+            if tick == answered and known is not None and known.tobytes() == command.tobytes():
+                return True
+        return False
+
+    def advance(self) -> None:
+        """Advance by one servo period under the command, or under 0 V without one or without power.
+
+        After a `fault`, and only then, tick and state stay as they were.
+        """
+        commanded = self._commanded
+        self.advance_under(self._zero if commanded is None else commanded, self._answered_tick)
+
+    def advance_under(self, voltage: Array, answered: int = -1) -> None:
+        """Advance by one servo period under voltages (N,) [V] that answer a tick, see `advance`."""
+        if self.logical_ns + self.period_ns >= END_OF_TIME:
+            self.fault = EndOfTime()
+            return
+        try:
+            self.plant.exchange(voltage, answered)
+        except Diverged as fault:
+            self.fault = fault
+        self.voltage = self.plant.voltage
+        self._state = self._measured = None
+        if self.fault is not None:
+            return
+        self.tick += 1
+
+    def advance_in(self, loop: FirmwareLoop, ticks: int) -> None:
+        """Advance by so many servo periods, the commands of which control code in C gives.
+
+        After a `fault`, and only then, or a refusal it has come less far.
+
+        Raises:
+            Refusal: a command is none; tick and state are those in which it was given.
+        """
+        left = (END_OF_TIME - 1 - self.logical_ns) // self.period_ns
+        try:
+            loop.run(self.tick, min(ticks, left))
+            if ticks > left:
+                self.fault = EndOfTime()
+        except Diverged as fault:
+            self.fault = fault
+        finally:
+            self.voltage = self.plant.voltage
+            self._state = self._measured = None
+            self._before = (-1, None)
+            self._commanded, self._answered_tick = self.plant.commanded, loop.tick - 1
+            self.tick = loop.tick
+
+    def close(self) -> None:
+        """Let go of whatever drives the session."""
+
+    def step(self) -> str:
+        """Advance a paused session by one tick; return why not, or an empty text."""
+        if self.fault is not None:
+            return f"stopped, reset first: {self.fault}"
+        if not self.paused:
+            return "not paused, pause first"
+        if self.lockstep and self._commanded is not None and not self.answered:
+            return f"no motor command answers tick {self.tick} yet"
+        self.advance()
+        return "" if self.fault is None else f"stopped: {self.fault}"

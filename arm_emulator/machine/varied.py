@@ -1,0 +1,42 @@
+"""Numbers of a scene that are data of each machine, not constants of the compiled core."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from arm_emulator.base.refusal import Refusal
+
+
+@dataclass(frozen=True)
+class Varied:
+    """One of them, by its place in the scene."""
+
+    name: str
+    value: float  # that a machine begins with
+    least: float
+    most: float
+
+
+def choose_varied(
+    wanted: Sequence[object], possible: Mapping[str, Varied], where: str
+) -> tuple[Varied, ...]:
+    """Return what is named, each once and in the order of the scene.
+
+    Args:
+        wanted: names such as ``payload.mass``, or patterns such as ``joints.*.friction.coulomb``.
+        possible: all numbers that can be varied, by name.
+        where: the file, for refusals.
+
+    Raises:
+        Refusal: a name or pattern that is no such number.
+    """
+    chosen = set()
+    for one in wanted:
+        found = fnmatch.filter(possible, one) if isinstance(one, str) else []
+        if not found:
+            rule = "name numbers of this scene that can be varied"
+            raise Refusal(where, "varied", rule, one, ", ".join(possible) or "none")
+        chosen.update(found)
+    return tuple(one for name, one in possible.items() if name in chosen)

@@ -1,0 +1,1 @@
+"""Motion control: a tool target in, joint targets out."""

@@ -1,0 +1,92 @@
+"""Whether another configuration of the arm reaches a target that this one does not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.motion.joint_goal import JointGoal
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.pose import Pose
+
+FloatArray = npt.NDArray[np.float64]
+
+STARTS = 32
+_STEPS = 40  # from each
+
+
+class ConfigurationSearch:
+    """Steps of a `JointGoal` from joint angles all over the limits, those nearest to the arm first.
+
+    Before these, joints that stand at a limit are tried a turn farther back.
+
+    The angles are evenly spread and the same for every target (an additive sequence with the powers
+    of the generalised golden ratio: Roberts 2018, The unreasonable effectiveness of quasirandom
+    sequences). Joints that turn farther than half a turn either way begin within half a turn of
+    where they are.
+
+    Args:
+        kinematics: of the arm.
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self._goal = JointGoal(kinematics)
+        n = len(kinematics.joint_names)
+        ratio = 2.0
+        for _ in range(64):  # the root of x^(n+1) = x + 1
+            ratio = (1.0 + ratio) ** (1.0 / (n + 1))
+        powers = ratio ** -np.arange(1.0, n + 1.0)
+        self._parts = np.mod(0.5 + np.outer(np.arange(1.0, STARTS + 1.0), powers), 1.0)
+        self._starts: list[FloatArray] = []
+
+    def begin(self, target: Pose, q: FloatArray) -> None:
+        """Look for a configuration for another target, the arm being at q (N,)."""
+        kinematics = self._goal.kinematics
+        turn = math.pi * kinematics.joint_scale
+        low = np.maximum(kinematics.lower, np.minimum(q, kinematics.upper) - turn)
+        high = np.minimum(kinematics.upper, np.maximum(q, kinematics.lower) + turn)
+        starts = low + self._parts * (high - low)
+        far = np.linalg.norm((starts - q) / kinematics.joint_scale, axis=1)
+        self._starts = self._whole_turns(q) + list(starts[np.argsort(far, kind="stable")])
+        self._target, self._here = target, q
+        self._begin_next()
+
+    @property
+    def over(self) -> bool:
+        """Whether all has been tried."""
+        return not self._starts
+
+    def search(self, steps: int) -> FloatArray | None:
+        """Take so many steps; return joint angles that reach the target once they are found."""
+        if self.over:
+            return None
+        goal = self._goal
+        goal.approach(steps)
+        self._left -= steps
+        if goal.reached:
+            self._starts = []
+            return goal.q
+        if goal.settled or self._left <= 0:
+            self._starts.pop(0)
+            if self._starts:
+                self._begin_next()
+        return None
+
+    def _whole_turns(self, q: FloatArray) -> list[FloatArray]:
+        """Return where joints at a limit are after a turn back: all of them, and each alone."""
+        kinematics = self._goal.kinematics
+        turns = np.where(q >= kinematics.upper, -2.0 * math.pi, 0.0)
+        turns[q <= kinematics.lower] = 2.0 * math.pi
+        turns[kinematics.joint_scale != 1.0] = 0.0
+        # From the other end of its range a joint can go on, even if that is short of a turn.
+        back = np.minimum(np.maximum(q + turns, kinematics.lower), kinematics.upper)
+        joints = np.flatnonzero(turns)
+        alone = [np.where(np.arange(len(q)) == j, back, q) for j in joints]
+        return ([back] if len(joints) else []) + (alone if len(joints) > 1 else [])
+
+    def _begin_next(self) -> None:
+        self._goal.begin(self._starts[0])
+        self._goal.aim(self._target, self._starts[0])
+        self._left = _STEPS

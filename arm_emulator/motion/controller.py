@@ -1,0 +1,56 @@
+"""What every method of motion control offers, and which one a configuration asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy.typing as npt
+
+from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.jacobian import JacobianController
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.qp import QpController
+
+
+class Controller(Protocol):
+    """A control law that brings an arm's tool to its target, one instruction per motion period.
+
+    Attributes:
+        kinematics: of the arm.
+        error: tool error that the last `update` found, (rows,) [m, rad]; NaN before any.
+        notices: what limited the last `update`, in words; empty: nothing did.
+    """
+
+    kinematics: Kinematics
+    error: FloatArray
+    notices: tuple[str, ...]
+
+    @property
+    def searching(self) -> bool:
+        """Whether it still looks for a way to a target that it has not reached."""
+
+    def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+        """Begin at joint angles q (N,), with joint speeds v (N,); None: at rest."""
+
+    def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
+        """Return the joint targets of this motion period, from the measured joint angles (N,)."""
+
+    def retune(self, config: MotionConfig) -> None:
+        """Go on with other parameters."""
+
+
+def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConfig) -> Controller:
+    """Return the control law that a configuration asks for.
+
+    Raises:
+        Refusal: a description, name or value that is not taken.
+    """
+    kinematics = Kinematics(urdf_xml, joint_names, config.tool, config.task)
+    if config.method_for(len(kinematics.joint_names)) == "qp":
+        return QpController(
+            kinematics, config.period, config.velocity_limit, config.acceleration_limit
+        )
+    return JacobianController(kinematics, config.weight, config.step_limit, config.singular_below)

@@ -1,0 +1,72 @@
+"""How fast eq. (6) converges, by its weight and by how far the servo gets in a motion period."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.bound import Bound
+from arm_emulator.base.count import check_count
+from arm_emulator.base.refusal import Refusal
+
+FloatArray = npt.NDArray[np.float64]
+
+_STEPS = Bound("step_response", "", 1e3)
+
+
+def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: int) -> FloatArray:
+    """Return the error of the tool after each instruction of eq. (6), in parts of its way.
+
+    Let S_m be the part of a step of its target that the servo has gone m motion periods later,
+    s_m = S_m - S_(m-1), and E_k the error at instruction k, E_0 = 1. Near the target eq. (6) tells
+    the servo ``1 - (1 - w) E_k`` of the way. With all that it was told it is then, after k,
+
+        E_k = 1 - sum_(m = 1..k) s_m (1 - (1 - w) E_(k-m))
+
+    A servo that makes the part g of what is left in every period, s_m = g (1 - g)^(m-1), has
+    ``E_k = (1 - w g)^k``; one that is always there ``(1 - w)^k``.
+
+    Args:
+        weight: w, in (0, 1].
+        step_response: S_1, S_2, ... (M,); later ones are as the last.
+        instructions: K.
+
+    Returns:
+        E_1 to E_K, (K,).
+
+    Raises:
+        Refusal: a weight, a response or a number that is none.
+    """
+    if not 0.0 < weight <= 1.0:
+        raise Refusal("expected_errors", "weight", "be in (0, 1]", weight)
+    check_count("expected_errors", "instructions", instructions)
+    steps = _STEPS.numbers("expected_errors", step_response)
+    if steps.ndim != 1 or len(steps) == 0:
+        raise Refusal("expected_errors", "step_response", "be a row of numbers", step_response)
+    _STEPS.check("expected_errors", steps)
+    parts = np.zeros(max(instructions, len(steps)))
+    parts[: len(steps)] = np.diff(steps, prepend=0.0)
+    told = np.zeros(instructions)
+    errors = np.ones(instructions + 1)
+    for k in range(instructions):
+        told[k] = 1.0 - (1.0 - weight) * errors[k]
+        errors[k + 1] = 1.0 - parts[: k + 1] @ told[k::-1]
+    return errors[1:]
+
+
+def convergence_factor(errors: npt.ArrayLike, down_to: float = 0.02) -> float:
+    """Return the factor by which an instruction makes the error smaller, in the mean.
+
+    Args:
+        errors: in parts of the way after each instruction, (K,).
+        down_to: part until which the errors count.
+
+    Raises:
+        Refusal: errors that are none.
+    """
+    sizes = np.abs(_STEPS.numbers("convergence_factor", errors))
+    if sizes.ndim != 1 or len(sizes) == 0 or not np.isfinite(sizes).all():
+        raise Refusal("convergence_factor", "errors", "be a row of finite numbers", errors)
+    small = np.flatnonzero(sizes < down_to)
+    last = int(small[0]) if len(small) else len(sizes) - 1
+    return float(sizes[last] ** (1.0 / (last + 1)))

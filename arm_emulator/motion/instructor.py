@@ -1,0 +1,398 @@
+"""Instructions to the servo, one per motion period: what holds now, and what became of the rest."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.controller import Controller
+from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.laws import Laws, joint_limits, tool_limits
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.motion_report import Kind, MotionReport, Reports, State
+from arm_emulator.motion.orders import (
+    Order,
+    PathOrder,
+    Progress,
+    Reference,
+    TargetOrder,
+    TrajectoryOrder,
+)
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.qp import LOST
+from arm_emulator.motion.tolerances import Allowed, Tolerances
+from arm_emulator.motion.tool_path import ToolPath
+
+MOST_TARGETS = 10_000  # that wait for their time
+LONGEST_WAIT_NS = 3_600_000_000_000  # an hour; a stamp of the wall clock is decades ahead
+_Q = POSITION.named("q")
+_Q_TARGET = POSITION.named("q_target")
+_V_TARGET = VELOCITY.named("v_target")
+_TAU = EFFORT.named("tau_feedforward")
+
+
+@dataclass(eq=False)
+class _Taken:
+    """An order that was accepted."""
+
+    order: Order
+    number: int
+    """Among those of its kind; 0: one of our own, of which nothing is published."""
+    begins_ns: int = 0
+    """Logical time at which it begins at the earliest."""
+    state: State = State.ACCEPTED
+
+
+class Instructor:
+    """Answers joint angles with joint targets.
+
+    Until something else holds these are the angles at first. Of tool targets, joint trajectories
+    and tool paths the newest holds, from its time on: one that begins takes over from the angles
+    and speeds commanded so far, so that nothing jumps.
+
+    What it computes is checked. If it is not finite, or beyond the bound of joint positions, the
+    instructor forgets everything and holds the arm where it is.
+
+    Args:
+        config: parameters.
+
+    Attributes:
+        restarts: how often that happened.
+        trouble: why, the last time, in words.
+        reports: what became of targets, trajectories and paths.
+    """
+
+    def __init__(self, config: MotionConfig | None = None) -> None:
+        self.restarts = 0
+        self.trouble = ""
+        self.reports = Reports()
+        self._config = config or MotionConfig()
+        self._coming: list[tuple[int, _Taken]] = []  # in the order of their times
+        self._active: _Taken | None = None
+        self._laws: Laws | None = None
+        self.start_over()
+
+    def start_over(self, reason: str = "the motion controller was reset") -> None:
+        """Forget all that was asked for, and where the arm stood."""
+        for taken in [self._active, *(taken for _, taken in self._coming)]:
+            if taken is not None:
+                self._report(taken, Progress(State.ABORTED, reason))
+        self._hold: FloatArray | None = None
+        self._active = None
+        self._coming = []
+        self._now_ns: int | None = None  # logical time of the newest joint angles
+        self._last: tuple[int, Instruction] | None = None
+        if self._laws is not None:
+            self._laws.nobody_leads()
+
+    def retune(self, config: MotionConfig) -> None:
+        """Go on with other parameters; a path that has begun keeps its speed."""
+        self._config = config
+        if self._laws is not None:
+            self._laws.retune(config)
+
+    @property
+    def holding(self) -> bool:
+        """Whether nothing but the angles at first holds yet."""
+        return self._active is None
+
+    @property
+    def leading(self) -> Controller | None:
+        """The control law that moves the tool now; None: none does."""
+        if self._active is None or self._laws is None:
+            return None
+        return self._laws.leading
+
+    @property
+    def torques_unknown(self) -> str:
+        """Why no torques are given though they were asked for; empty: they are, or were not."""
+        return "" if self._laws is None else self._laws.trouble
+
+    def add(self, time_ns: int, target: Pose) -> None:
+        """Take a tool target that holds from a logical time [ns] on, until something else does.
+
+        Of two with the same time the newer wins; a time that is past means at once.
+
+        Raises:
+            Refusal: more wait for their time than are taken.
+        """
+        self._take(Kind.TOOL_TARGET, time_ns, lambda: TargetOrder(time_ns, target))
+
+    def add_trajectory(
+        self,
+        controller: Controller | None,
+        names: Sequence[str],
+        points: Sequence[TrajectoryPoint],
+        stamp_ns: int = 0,
+        tolerances: Callable[[Tolerances], Tolerances] = lambda default: default,
+    ) -> int:
+        """Take a joint trajectory; see `JointTrajectory`. Return its number.
+
+        Args:
+            controller: of the arm; None: not known yet.
+            names: of the joints that it moves.
+            points: of it.
+            stamp_ns: logical time at which it starts [ns]; 0: at once.
+            tolerances: makes its own of those that the parameters say.
+
+        Raises:
+            Refusal: see `JointTrajectory`, no arm, or more wait for their time than are taken.
+        """
+
+        def order() -> Order:
+            kinematics, config = _known(controller, "joint_trajectory"), self._config
+            joints, limits = kinematics.joint_names, joint_limits(kinematics, config)
+            trajectory = JointTrajectory(
+                joints, limits, names, points, stamp_ns, config.may_end_moving
+            )
+            default = Tolerances(
+                Allowed.alike(len(joints), config.path_tolerance),
+                Allowed.alike(len(joints), config.goal_tolerance),
+                config.goal_time,
+            )
+            return TrajectoryOrder(trajectory, tolerances(default))
+
+        return self._take(Kind.JOINT_TRAJECTORY, stamp_ns, order)
+
+    def add_path(
+        self,
+        controller: Controller | None,
+        poses: Sequence[Pose],
+        stamp_ns: int = 0,
+        times_ns: Sequence[int] | None = None,
+    ) -> int:
+        """Take a tool path; see `ToolPath`. Return its number.
+
+        Args:
+            controller: of the arm; None: not known yet.
+            poses: of the tool.
+            stamp_ns: logical time at which the way to the first one begins [ns]; 0: at once.
+            times_ns: when the tool shall be in each [ns]; None: as the parameters say.
+
+        Raises:
+            Refusal: see `ToolPath`, no arm, or more wait for their time than are taken.
+        """
+
+        def order() -> Order:
+            kinematics, config = _known(controller, "tool_path"), self._config
+            turning = kinematics.turns_tool
+            # Without a say about the orientation it must not take time either.
+            level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
+            path = ToolPath(
+                level, tool_limits(config), stamp_ns, times_ns, config.path_arcs, config.path_blend
+            )
+            return PathOrder(path)
+
+        begins_ns = max(stamp_ns, times_ns[0]) if times_ns else stamp_ns
+        return self._take(Kind.TOOL_PATH, stamp_ns, order, begins_ns)
+
+    def cancel(self, number: int) -> None:
+        """Give up a joint trajectory by its number: the joints come to rest if it moves them."""
+        for i, (_, taken) in enumerate(self._coming):
+            if taken.order.kind is Kind.JOINT_TRAJECTORY and taken.number == number:
+                del self._coming[i]
+                self._report(taken, Progress(State.ABORTED, "cancelled"))
+                return
+        active = self._active
+        if self._laws is None or active is None or active.state.final:
+            return
+        if active.order.kind is Kind.JOINT_TRAJECTORY and active.number == number:
+            self._coming.insert(0, (0, _Taken(_stop(self._laws), 0)))
+
+    def instruct(
+        self, controller: Controller, time_ns: int, q: FloatArray, v: FloatArray | None = None
+    ) -> Instruction:
+        """Return the joint targets at a logical time [ns].
+
+        Args:
+            controller: the control law for the arm.
+            time_ns: of the joint angles; never before that of the last call.
+            q: measured joint angles (N,) [rad].
+            v: measured joint speeds (N,) [rad/s]; None: not measured.
+
+        Raises:
+            Refusal: q is not finite or too large; nothing has changed then.
+        """
+        _Q.check("motion_controller", q.tolist())
+        laws = self._laws_of(controller)
+        try:
+            self._take_up(laws, time_ns, q)
+            instruction = laws.complete(self._instruct(laws, time_ns, q, v))
+            _Q_TARGET.check("motion_controller", instruction.q.tolist())
+            if instruction.v is not None:
+                _V_TARGET.check("motion_controller", instruction.v.tolist())
+            if instruction.tau is not None:
+                _TAU.check("motion_controller", instruction.tau.tolist())
+        except (Refusal, ArithmeticError, np.linalg.LinAlgError) as error:
+            # q is within its bound and what was asked for was checked when it came. What remains
+            # is this object's state, or a robot description that cannot be computed with.
+            self.restarts += 1
+            self.trouble = str(error)
+            self.start_over(self.trouble)
+            self._hold = q
+            instruction = Instruction(q)
+        self._last = time_ns, instruction
+        return instruction
+
+    def _laws_of(self, controller: Controller) -> Laws:
+        if self._laws is None or self._laws.controller is not controller:
+            self._laws = Laws(controller, self._config)
+        return self._laws
+
+    def _take(
+        self, kind: Kind, time_ns: int, make: Callable[[], Order], begins_ns: int | None = None
+    ) -> int:
+        begins_ns = time_ns if begins_ns is None else begins_ns
+        try:
+            if self._now_ns is not None:
+                _check_wait(kind, begins_ns, self._now_ns)
+            order = make()
+            place = bisect.bisect_left(self._coming, time_ns, key=lambda item: item[0])
+            same = place < len(self._coming) and self._coming[place][0] == time_ns
+            if not same and len(self._coming) >= MOST_TARGETS:
+                rule = f"be one of at most {MOST_TARGETS} that wait for their time"
+                raise Refusal(kind.topic, "the target", rule, "one more")
+        except Refusal as reason:
+            self.reports.refuse(kind, time_ns, reason)
+            raise
+        taken = _Taken(order, self.reports.next_number(kind), begins_ns)
+        self._report(taken, Progress(State.ACCEPTED))
+        if same:
+            self._report(self._coming[place][1], _replaced_by(taken))
+            self._coming[place] = (time_ns, taken)
+        else:
+            self._coming.insert(place, (time_ns, taken))
+        return taken.number
+
+    def _take_up(self, laws: Laws, time_ns: int, q: FloatArray) -> None:
+        """Let what waited for its time hold from now on."""
+        if self._now_ns is None:  # what came before the first joint states
+            self._refuse_long_waits(time_ns)
+        self._now_ns = time_ns
+        while self._coming and self._coming[0][0] <= time_ns:
+            taken = self._coming.pop(0)[1]
+            if self._coming and self._coming[0][0] <= time_ns:
+                self._report(taken, _replaced_by(self._coming[0][1]))
+                continue
+            reference = self._reference(laws, time_ns, q)
+            try:
+                taken.order.begin(laws, time_ns, reference)
+            except Refusal as reason:
+                self._report(taken, Progress(State.REFUSED, str(reason)))
+                continue
+            if self._active is not None:
+                self._report(self._active, _replaced_by(taken))
+            self._active = taken
+            self._report(taken, Progress(State.MOVING))
+
+    def _refuse_long_waits(self, now_ns: int) -> None:
+        for one in list(self._coming):
+            taken = one[1]
+            try:
+                _check_wait(taken.order.kind, taken.begins_ns, now_ns)
+            except Refusal as reason:
+                self._coming.remove(one)
+                self._report(taken, Progress(State.REFUSED, str(reason)))
+
+    def _instruct(
+        self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None
+    ) -> Instruction:
+        taken = self._active
+        if taken is None:
+            if self._hold is None:
+                self._hold = q
+            return Instruction(self._hold)
+        instruction = taken.order.instruct(laws, time_ns, q)
+        progress = taken.order.progress(time_ns, q, v)
+        if taken.state is State.MOVING or (taken.state, progress.state) == (
+            State.UNREACHABLE,
+            State.REACHED,
+        ):
+            self._report(taken, progress)
+        if taken.state is State.ABORTED:
+            return self._stop(laws, time_ns, q, v)
+        return instruction
+
+    def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
+        """Bring the joints to rest from how they really move."""
+        stop = _stop(laws)
+        still = np.zeros_like(q)
+        stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
+        self._active = _Taken(stop, 0, State.MOVING)
+        return stop.instruct(laws, time_ns, q)
+
+    def _reference(self, laws: Laws, time_ns: int, q: FloatArray) -> Reference:
+        """Return how the joints are commanded to move now, or where they are if that is far off."""
+        still = np.zeros_like(q)
+        reference = None if self._active is None else self._active.order.reference(time_ns)
+        if reference is None and self._last is not None:
+            then, last = self._last
+            if last.v is None:
+                reference = Reference(last.q, still, still)
+            else:
+                reference = Reference(last.q + (time_ns - then) * 1e-9 * last.v, last.v, still)
+        elif reference is None and self._hold is not None:
+            reference = Reference(self._hold, still, still)
+        scale = laws.controller.kinematics.joint_scale
+        if reference is None or not (np.abs(reference.q - q) <= LOST * scale).all():
+            return Reference(q, still, still)
+        return reference
+
+    def _report(self, taken: _Taken, progress: Progress) -> None:
+        if taken.state.final and not (
+            taken.state is State.UNREACHABLE and progress.state is State.REACHED
+        ):
+            return
+        if progress.state is taken.state is State.MOVING or not taken.number:
+            taken.state = progress.state
+            return
+        taken.state = progress.state
+        order = taken.order
+        self.reports.waiting.append(
+            MotionReport(
+                order.kind,
+                taken.number,
+                order.stamp_ns,
+                progress.state,
+                progress.reason,
+                progress.distance,
+                progress.angle,
+            )
+        )
+
+
+def _check_wait(kind: Kind, time_ns: int, now_ns: int) -> None:
+    if time_ns - now_ns > LONGEST_WAIT_NS:
+        rule = f"be at most {LONGEST_WAIT_NS * 1e-9:g} s after logical time {now_ns * 1e-9:g} s"
+        valid = "0 for at once, or a time of the topic clock (use_sim_time)"
+        raise Refusal(kind.topic, "header.stamp", rule, f"{time_ns * 1e-9:.10g} s", valid)
+
+
+def _known(controller: Controller | None, where: str) -> Kinematics:
+    if controller is None:
+        raise Refusal(where, "the message", "come after the robot description", "none so far")
+    return controller.kinematics
+
+
+def _stop(laws: Laws) -> TrajectoryOrder:
+    """Return the order to come to rest."""
+    names = laws.controller.kinematics.joint_names
+    anything = Allowed.alike(len(names), 0.0)
+    trajectory = JointTrajectory(
+        names, joint_limits(laws.controller.kinematics, laws.config), (), ()
+    )
+    return TrajectoryOrder(trajectory, Tolerances(anything, anything))
+
+
+def _replaced_by(taken: _Taken) -> Progress:
+    if not taken.number:
+        return Progress(State.ABORTED, "cancelled")
+    what = taken.order.kind.name.lower().replace("_", " ")
+    return Progress(State.REPLACED, f"by {what} {taken.number}")

@@ -1,0 +1,267 @@
+"""Where an arm's tool is, and how it moves with the joints: kinematics by Pinocchio."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from arm_emulator.base.bound import POSITION, TOOL_POSITION, Bound
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import UNLIMITED
+from arm_emulator.motion.kinematics_model import (
+    JOINT,
+    LINK,
+    link_names,
+    rate_limits,
+    whole_model,
+)
+from arm_emulator.motion.pose import Pose
+
+FloatArray = npt.NDArray[np.float64]
+
+_Q = POSITION.named("q")
+_REACH = TOOL_POSITION.named("the length of the arm")
+_TARGET_ROTATION = Bound("the rotation", "", 1.001)  # no entry is larger, but for rounding
+
+POSITION_ROWS = 3
+POSE_ROWS = 6
+
+
+class Kinematics:
+    """Tool pose, Jacobian and joint limits of any serial arm.
+
+    Tool errors and Jacobians have the rows of the task: translation, then in a pose task the
+    rotation, both along the world's axes at the tool.
+
+    Args:
+        urdf_xml: the robot description. Moving joints that are not in `joint_names` stay at their
+            neutral position.
+        joint_names: the joints commanded, in the order of all arrays.
+        tool: link (or any frame of the URDF) that is the tool.
+        task: "position", "pose", or "auto": pose from 6 joints on.
+
+    Attributes:
+        urdf_xml: the robot description.
+        rows: of the task, 3 or 6.
+        turns_tool: whether the task rules the tool's orientation.
+        reach: length of the chain from its first joint to the tool, with what limited joints slide
+            [m].
+        base: link that stands in the world, in whose frame poses are given.
+        scale: of the rows of the task, (rows,): translations are divided by `reach`, so that all
+            entries of a scaled Jacobian are rad per rad.
+        joint_scale: of the joints, (N,): 1 for one that turns, `reach` for one that slides.
+        continuous: whether a joint is the same again after a turn, (N,).
+        lower, upper: position limits, (N,) each [rad or m]; infinite where there is none.
+        velocity_limit, acceleration_limit: (N,) each, in rad or m and s; infinite where there is
+            none.
+
+    Raises:
+        Refusal: a description, name or value that is not taken.
+    """
+
+    def __init__(
+        self, urdf_xml: str, joint_names: Sequence[str], tool: str, task: str = "auto"
+    ) -> None:
+        self.urdf_xml = urdf_xml
+        self.joint_names = tuple(joint_names)
+        self.tool = tool
+        self.rows = _rows(task, len(self.joint_names))
+        self.turns_tool = self.rows == POSE_ROWS
+        self.model = _model(urdf_xml, self.joint_names, tool)
+        self._data = self.model.createData()
+        self._joints = [
+            self.model.joints[self.model.getJointId(JOINT + n)] for n in self.joint_names
+        ]
+        self._columns = [joint.idx_v for joint in self._joints]
+        self.continuous = np.array([joint.nq == 2 for joint in self._joints])
+        self._places = np.array([joint.idx_q for joint in self._joints])
+        self._neutral = pin.neutral(self.model)
+        self._frame = _frame(self.model, tool)
+        self.lower, self.upper = self._position_limits()
+        rates = rate_limits(urdf_xml)
+        self.velocity_limit = np.array([rates[name].velocity for name in self.joint_names])
+        self.acceleration_limit = np.array([rates[name].acceleration for name in self.joint_names])
+        self.reach = self._reach()
+        _REACH.check("robot_description", [self.reach])
+        pin.framesForwardKinematics(self.model, self._data, self._neutral)
+        R_WT, p_WT = self._data.oMf[self._frame].rotation, self._data.oMf[self._frame].translation
+        TOOL_POSITION.named("tool").check("robot_description", p_WT.tolist())
+        _TARGET_ROTATION.check("robot_description", np.ravel(R_WT).tolist())
+        self.base = _base(self.model)
+        self.scale = np.ones(self.rows)
+        self.scale[:POSITION_ROWS] = 1.0 / self.reach
+        slides = [_slides(joint) for joint in self._joints]
+        self.joint_scale = np.where(slides, self.reach, 1.0)
+
+    def forward(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return where the tool is: ``R_WT`` (3, 3) and ``p_WT`` (3,) [m]."""
+        pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
+        placement = self._data.oMf[self._frame]
+        return placement.rotation.copy(), placement.translation.copy()
+
+    def jacobian(self, q: npt.ArrayLike) -> FloatArray:
+        """Return J(q), (rows, N) [m/rad, rad/rad], along the world's axes at the tool."""
+        return self._jacobian(self._configuration(q))
+
+    def tool_error(self, q: npt.ArrayLike, target: Pose) -> FloatArray:
+        """Return ``X_target - X(q)``, (rows,) [m, rad]."""
+        return self._tool_error(*self.forward(q), target)
+
+    def error_and_jacobian(self, q: npt.ArrayLike, target: Pose) -> tuple[FloatArray, FloatArray]:
+        """Return `tool_error` and `jacobian` at the price of one of them."""
+        J = self._jacobian(self._configuration(q))
+        placement = pin.updateFramePlacement(self.model, self._data, self._frame)
+        return self._tool_error(placement.rotation, placement.translation, target), J
+
+    def _jacobian(self, configuration: FloatArray) -> FloatArray:
+        J = pin.computeFrameJacobian(
+            self.model,
+            self._data,
+            configuration,
+            self._frame,
+            pin.ReferenceFrame.LOCAL_WORLD_ALIGNED,
+        )
+        J = np.reshape(J, (POSE_ROWS, -1))  # of a single joint it comes as a vector
+        rows: FloatArray = J[: self.rows, self._columns]
+        return rows
+
+    def _tool_error(self, R_WT: FloatArray, p_WT: FloatArray, target: Pose) -> FloatArray:
+        error = target.p_WT - p_WT
+        if self.rows == POSITION_ROWS:
+            return error
+        both: FloatArray = np.concatenate([error, pin.log3(target.R_WT @ R_WT.T)])
+        return both
+
+    def singular_values(self, q: npt.ArrayLike) -> FloatArray:
+        """Return the singular values of the scaled Jacobian, largest first [rad/rad]."""
+        scaled = self.jacobian(q) * self.scale[:, None]
+        return np.asarray(np.linalg.svd(scaled, compute_uv=False), dtype=np.float64)
+
+    def vector(self, q: npt.ArrayLike) -> FloatArray:
+        """Return joint angles as an array (N,).
+
+        Raises:
+            Refusal: a wrong length, not finite or too large.
+        """
+        return _Q.vector("motion_controller", q, len(self.joint_names))
+
+    def _configuration(self, q: npt.ArrayLike) -> FloatArray:
+        """Return Pinocchio's configuration: a continuous joint has cos and sin there."""
+        q = self.vector(q)
+        configuration: FloatArray = self._neutral.copy()
+        configuration[self._places] = q
+        turning = self.continuous
+        if turning.any():
+            configuration[self._places[turning]] = np.cos(q[turning])
+            configuration[self._places[turning] + 1] = np.sin(q[turning])
+        return configuration
+
+    def _position_limits(self) -> tuple[FloatArray, FloatArray]:
+        """Return the position limits of the URDF, (N,) each; a continuous joint has none."""
+        bounds = [
+            (-math.inf, math.inf)
+            if joint.nq == 2
+            else (
+                self.model.lowerPositionLimit[joint.idx_q],
+                self.model.upperPositionLimit[joint.idx_q],
+            )
+            for joint in self._joints
+        ]
+        lower, upper = np.array(bounds, dtype=np.float64).T
+        return lower, upper
+
+    def _reach(self) -> float:
+        frame = self.model.frames[self._frame]
+        length = math.hypot(*frame.placement.translation)
+        joint = frame.parentJoint
+        while joint > 0:
+            if self.model.parents[joint] > 0:
+                length += math.hypot(*self.model.jointPlacements[joint].translation)
+            if _slides(self.model.joints[joint]):
+                place = self.model.joints[joint].idx_q
+                travel = max(
+                    abs(self.model.lowerPositionLimit[place]),
+                    abs(self.model.upperPositionLimit[place]),
+                )
+                length += travel if travel < UNLIMITED else 0.0
+            joint = self.model.parents[joint]
+        return length or 1.0
+
+
+def _slides(joint: Any) -> bool:
+    return bool(joint.shortname().removeprefix("JointModel").startswith("P"))
+
+
+def moving_joints(urdf_xml: str) -> tuple[str, ...]:
+    """Return the names of a robot description's moving joints, base to tool.
+
+    Raises:
+        Refusal: not a robot description, or one that Pinocchio does not take.
+    """
+    return _moving(whole_model(urdf_xml))
+
+
+def _rows(task: str, joints: int) -> int:
+    """Return the number of task rows."""
+    tasks = {
+        "auto": POSE_ROWS if joints >= POSE_ROWS else POSITION_ROWS,
+        "position": POSITION_ROWS,
+        "pose": POSE_ROWS,
+    }
+    if task not in tasks:
+        raise Refusal("motion_controller", "task", "be known", task, ", ".join(tasks))
+    return tasks[task]
+
+
+def _moving(model: Any) -> tuple[str, ...]:
+    return tuple(name.removeprefix(JOINT) for name in list(model.names)[1:])
+
+
+def _model(urdf_xml: str, joint_names: tuple[str, ...], tool: str) -> Any:
+    """Return the Pinocchio model whose moving joints are exactly `joint_names`."""
+    model = whole_model(urdf_xml, tool)
+    moving = _moving(model)
+    for name in joint_names:
+        if name not in moving:
+            raise Refusal(
+                "motion_controller",
+                "joint_names",
+                "be moving joints of the robot description",
+                name,
+                ", ".join(moving),
+            )
+    if not joint_names or len(set(joint_names)) != len(joint_names):
+        raise Refusal("motion_controller", "joint_names", "be different names", joint_names)
+    locked = [model.getJointId(JOINT + name) for name in moving if name not in joint_names]
+    model = pin.buildReducedModel(model, locked, pin.neutral(model))
+    for name in joint_names:
+        if model.joints[model.getJointId(JOINT + name)].nv != 1:
+            raise Refusal("motion_controller", name, "have one degree of freedom", "more")
+    return model
+
+
+def _frame(model: Any, tool: str) -> int:
+    """Return the index of the link (or other frame) `tool`."""
+    for name, kind in (
+        (LINK + tool, pin.FrameType.BODY),
+        (JOINT + tool, pin.FrameType.FIXED_JOINT),
+    ):
+        if model.existFrame(name, kind):
+            return int(model.getFrameId(name, kind))
+    raise Refusal(
+        "motion_controller",
+        "tool",
+        "be a link of the robot description",
+        tool,
+        ", ".join(link_names(model)),
+    )
+
+
+def _base(model: Any) -> str:
+    """Return the name of the root link."""
+    return link_names(model)[0]

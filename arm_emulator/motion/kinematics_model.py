@@ -1,0 +1,156 @@
+"""From a robot description to Pinocchio's model, of what its kinematics need and nothing else.
+
+Shapes, masses, transmissions and limits of effort are left out: they need not even be
+readable. Fixed links cost nothing, however many they are. Limits of speed and acceleration are read
+here, since readers of a URDF drop them with a joint that has no limits of position.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Any
+
+import pinocchio as pin
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import complete_limits, parse_urdf
+
+# Before the names in the model: a joint and a link may be called the same, and a joint "universe".
+JOINT, LINK = "joint ", "link "
+MOST_MOVING = 128  # joints; for 400 Pinocchio takes 20 s to set up its data
+MOST_IN_A_ROW = 1000  # joints; Pinocchio goes down a chain by recursion
+
+WHERE = "robot_description"
+
+
+def whole_model(urdf_xml: str, tool: str = "", masses: bool = False) -> Any:
+    """Return the model of all moving joints, with the frame of `tool` (a link or a fixed joint).
+
+    With `masses` it has those of all links, too.
+
+    Raises:
+        Refusal: not a robot description, or one that Pinocchio does not take.
+    """
+    robot = parse_urdf(urdf_xml, WHERE)
+    complete_limits(robot, WHERE)
+    joints = robot.findall("joint") if masses else _needed(robot.findall("joint"), tool)
+    _check_depth(joints)
+    moving = sum(joint.get("type") != "fixed" for joint in joints)
+    if moving > MOST_MOVING:
+        raise Refusal(WHERE, "the robot", f"have at most {MOST_MOVING} moving joints", moving)
+    bare = ET.Element("robot", name="robot")
+    gone = {_end(j, "child") for j in robot.findall("joint")} - {_end(j, "child") for j in joints}
+    for link in robot.findall("link"):
+        if link.get("name") not in gone:
+            kept = ET.SubElement(bare, "link", name=LINK + link.get("name", ""))
+            kept.extend(link.findall("inertial") if masses else ())
+    bare.extend(map(_bare_joint, joints))
+    try:
+        return pin.buildModelFromXML(ET.tostring(bare, encoding="unicode"))
+    except (ValueError, RuntimeError, IndexError) as error:
+        raise Refusal(WHERE, "the text", "be a URDF", error) from error
+
+
+@dataclass(frozen=True)
+class RateLimits:
+    """How fast a joint may move; infinite where the description does not say."""
+
+    velocity: float
+    """[rad/s or m/s]"""
+    acceleration: float
+    """[rad/s2 or m/s2]"""
+
+
+def rate_limits(urdf_xml: str) -> dict[str, RateLimits]:
+    """Return the limits of a robot description's joints by their names.
+
+    They are the attributes `velocity` and `acceleration` of <limit>; 0 is how descriptions leave
+    one open.
+
+    Raises:
+        Refusal: not a robot description, or a limit that is no number or below 0.
+    """
+    limits = {}
+    for joint in parse_urdf(urdf_xml, WHERE).findall("joint"):
+        if joint.get("type") == "fixed":
+            continue
+        limits[joint.get("name", "")] = RateLimits(
+            _rate_limit(joint, "velocity"), _rate_limit(joint, "acceleration")
+        )
+    return limits
+
+
+def _rate_limit(joint: ET.Element, key: str) -> float:
+    limit = joint.find("limit")
+    text = None if limit is None else limit.get(key)
+    try:
+        value = float(text or "0")
+    except ValueError:
+        value = math.nan
+    if not value >= 0.0:
+        what = f"joint {joint.get('name')}: limit {key}"
+        raise Refusal(WHERE, what, "be a number >= 0", repr(text))
+    return value or math.inf
+
+
+def link_names(model: Any) -> list[str]:
+    """Return the names of the model's links, the base first."""
+    bodies = (str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
+    return [name.removeprefix(LINK) for name in bodies]
+
+
+def _end(joint: ET.Element, tag: str) -> str:
+    found = joint.find(tag)
+    return "" if found is None else found.get("link", "")
+
+
+def _needed(joints: list[ET.Element], tool: str) -> list[ET.Element]:
+    """Return the joints without the fixed ones behind which nothing moves and no tool is."""
+    above = {_end(joint, "child"): joint for joint in joints}
+    children: dict[str, int] = {}
+    for joint in joints:
+        children[_end(joint, "parent")] = children.get(_end(joint, "parent"), 0) + 1
+    ends = [link for link in above if link not in children]
+    dropped = set()
+    while ends:
+        link = ends.pop()
+        joint = above[link]
+        if joint.get("type") != "fixed" or tool in (link, joint.get("name")):
+            continue
+        dropped.add(joint)
+        parent = _end(joint, "parent")
+        children[parent] -= 1
+        if not children[parent] and parent in above:
+            ends.append(parent)
+    return [joint for joint in joints if joint not in dropped]
+
+
+def _check_depth(joints: list[ET.Element]) -> None:
+    parents = {_end(joint, "child"): _end(joint, "parent") for joint in joints}
+    depths: dict[str, int] = {}
+    for link in parents:
+        row: list[str] = []
+        at = link
+        while at in parents and at not in depths and len(row) <= MOST_IN_A_ROW:
+            row.append(at)
+            at = parents[at]
+        for depth, one in enumerate(reversed(row), start=depths.get(at, 0) + 1):
+            depths[one] = depth
+        if row and depths[row[0]] > MOST_IN_A_ROW:
+            rule = f"have at most {MOST_IN_A_ROW} joints in a row, and no loop"
+            raise Refusal(WHERE, "the robot", rule, "more")
+
+
+def _bare_joint(joint: ET.Element) -> ET.Element:
+    kind = joint.get("type", "")
+    bare = ET.Element("joint", name=JOINT + joint.get("name", ""), type=kind)
+    for tag in ("parent", "child"):
+        ET.SubElement(bare, tag, link=LINK + _end(joint, tag))
+    bare.extend(element for element in joint if element.tag in ("origin", "axis"))
+    limit = joint.find("limit")
+    if limit is not None and kind in ("revolute", "prismatic"):
+        bounds = {key: limit.get(key, "0") for key in ("lower", "upper")}
+        ET.SubElement(bare, "limit", {**bounds, "effort": "0", "velocity": "0"})
+    return bare

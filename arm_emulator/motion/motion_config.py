@@ -1,0 +1,163 @@
+"""Parameters of the motion controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from arm_emulator.base.parameters import load_parameters, parameter
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """Parameters of the motion controller."""
+
+    tool: str = parameter("tool", "link of the robot description that is the tool")
+    period: float = parameter(
+        0.05, "logical time between joint targets", unit="s", minimum=1e-4, maximum=10.0
+    )
+    method: str = parameter(
+        "auto",
+        "control law: paper, eq. (6); qp, within all limits; auto: paper below 6 joints, else qp",
+        choices=("auto", "paper", "qp"),
+    )
+    weight: float = parameter(0.5, "w of eq. (6)", minimum=1e-6, maximum=1.0, settable=True)
+    task: str = parameter(
+        "auto",
+        "what the target rules; auto: position below 6 joints, else pose",
+        choices=("auto", "position", "pose"),
+    )
+    step_limit: float = parameter(
+        0.2,
+        "largest joint step per instruction",
+        unit="rad",
+        minimum=1e-6,
+        maximum=100.0,
+        settable=True,
+    )
+    singular_below: float = parameter(
+        0.02,
+        "singular values of the Jacobian below this are damped",
+        minimum=1e-9,
+        maximum=1.0,
+        settable=True,
+    )
+    velocity_limit: float = parameter(
+        3.0,
+        "qp: largest joint speed, beside the robot description's",
+        unit="rad/s",
+        minimum=1e-6,
+        maximum=1e3,
+        settable=True,
+    )
+    acceleration_limit: float = parameter(
+        10.0,
+        "qp: largest joint acceleration, beside the robot description's",
+        unit="rad/s2",
+        minimum=1e-6,
+        maximum=1e5,
+        settable=True,
+    )
+    feedforward: str = parameter(
+        "auto",
+        "given to the servo beside joint angles: none; speed; torque, of the links' gravity and "
+        "motion, and speed; auto: speed with the method paper, torque with qp",
+        choices=("auto", "none", "speed", "torque"),
+    )
+    gravity_x: float = parameter(
+        0.0, "gravity in the world, for torques", unit="m/s2", minimum=-1e3, maximum=1e3
+    )
+    gravity_y: float = parameter(
+        0.0, "gravity in the world, for torques", unit="m/s2", minimum=-1e3, maximum=1e3
+    )
+    gravity_z: float = parameter(
+        -9.81, "gravity in the world, for torques", unit="m/s2", minimum=-1e3, maximum=1e3
+    )
+    reached_within: float = parameter(
+        1e-3,
+        "a tool no farther from its target has reached it",
+        unit="m",
+        minimum=1e-9,
+        maximum=1e3,
+        settable=True,
+    )
+    reached_within_angle: float = parameter(
+        5e-3, "the same of its orientation", unit="rad", minimum=1e-9, maximum=10.0, settable=True
+    )
+    tool_speed: float = parameter(
+        0.25, "of the tool along paths", unit="m/s", minimum=1e-6, maximum=100.0, settable=True
+    )
+    tool_turn_speed: float = parameter(
+        1.0, "of its turning along paths", unit="rad/s", minimum=1e-6, maximum=100.0, settable=True
+    )
+    tool_acceleration: float = parameter(
+        1.0,
+        "of the tool along paths, and across them",
+        unit="m/s2",
+        minimum=1e-6,
+        maximum=1e4,
+        settable=True,
+    )
+    tool_jerk: float = parameter(
+        10.0, "of the tool along paths", unit="m/s3", minimum=1e-6, maximum=1e6, settable=True
+    )
+    path_arcs: bool = parameter(
+        False,
+        "whether each three poses of a path (0 1 2, 2 3 4, ...) are on an arc of a circle; else "
+        "there are lines between them",
+        settable=True,
+    )
+    path_blend: float = parameter(
+        0.0,
+        "where two lines of a path meet, an arc begins so far before the corner; 0: through it",
+        unit="m",
+        minimum=0.0,
+        maximum=100.0,
+        settable=True,
+    )
+    path_tolerance: float = parameter(
+        0.0,
+        "joints farther from a joint trajectory end it; 0: however far",
+        unit="rad",
+        minimum=0.0,
+        maximum=1e3,
+        settable=True,
+    )
+    goal_tolerance: float = parameter(
+        0.0,
+        "joints this near to the end of a joint trajectory have reached it; 0: however far",
+        unit="rad",
+        minimum=0.0,
+        maximum=1e3,
+        settable=True,
+    )
+    goal_time: float = parameter(
+        0.0,
+        "how long after its time a joint trajectory may take to reach its end; 0: for ever",
+        unit="s",
+        minimum=0.0,
+        maximum=1e6,
+        settable=True,
+    )
+    may_end_moving: bool = parameter(
+        False, "whether the last point of a joint trajectory may have a speed", settable=True
+    )
+
+    def method_for(self, joints: int) -> str:
+        """Return the method, paper or qp, for an arm of so many joints."""
+        return self.method if self.method != "auto" else "qp" if joints >= 6 else "paper"
+
+    def feedforward_for(self, joints: int) -> str:
+        """Return what is given beside joint angles: none, speed, or torque (and speed)."""
+        if self.feedforward != "auto":
+            return self.feedforward
+        return "torque" if self.method_for(joints) == "qp" else "speed"
+
+
+def load_motion_config(path: Path) -> MotionConfig:
+    """Read a ROS parameter file of the node `motion_controller`.
+
+    Raises:
+        Refusal: a value that is not taken.
+    """
+    return load_parameters(path, "motion_controller", MotionConfig)

@@ -1,0 +1,102 @@
+"""Where a tool is, or shall be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.bound import TOOL_POSITION, Bound
+from arm_emulator.base.refusal import Refusal
+
+FloatArray = npt.NDArray[np.float64]
+
+# A quaternion this far from length 1, and a matrix this far from a rotation, is rounding of its
+# sender; farther, it is a mistake.
+_UNIT_TOLERANCE = 1e-3
+_ROTATION = Bound("R_WT", "", 1.0 + _UNIT_TOLERANCE)  # no entry of a rotation is larger
+_ORIENTATION = Bound("orientation", "", math.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Pose of the tool frame T in the world frame W."""
+
+    p_WT: FloatArray
+    """Position (3,) [m]."""
+    R_WT: FloatArray
+    """Rotation matrix (3, 3)."""
+
+    def __post_init__(self) -> None:
+        """Keep copies of both.
+
+        Raises:
+            Refusal: a wrong shape, not finite, too far away, or a matrix that is no rotation.
+        """
+        p = TOOL_POSITION.vector("Pose", self.p_WT, 3).copy()
+        R = np.array(_ROTATION.numbers("Pose", self.R_WT))
+        if R.shape != (3, 3):
+            raise Refusal("Pose", "R_WT", "have shape (3, 3)", R.shape)
+        _ROTATION.check("Pose", R.ravel().tolist())
+        off = float(np.abs(R @ R.T - np.eye(3)).max())
+        if off > _UNIT_TOLERANCE:
+            rule = f"be a rotation, R R' = 1 +- {_UNIT_TOLERANCE}"
+            raise Refusal("Pose", "R_WT", rule, f"one off by {off:.3g}")
+        if np.linalg.det(R) < 0.0:
+            raise Refusal("Pose", "R_WT", "be a rotation", "a reflection")
+        for name, array in (("p_WT", p), ("R_WT", R)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @classmethod
+    def from_quaternion(
+        cls, position: npt.ArrayLike, quaternion: npt.ArrayLike, where: str = "tool_target"
+    ) -> Pose:
+        """Take a pose as messages give it.
+
+        Args:
+            position: (3,) [m].
+            quaternion: x, y, z, w (the order of geometry_msgs).
+            where: name of the source, for refusals.
+
+        Raises:
+            Refusal: not finite, too far away, a wrong length, or a quaternion whose length is
+                not 1.
+        """
+        p = TOOL_POSITION.vector(where, position, 3).copy()
+        q = _ORIENTATION.vector(where, quaternion, 4)
+        length = math.hypot(*q.tolist())  # of numbers of any size
+        if abs(length - 1.0) > _UNIT_TOLERANCE:
+            raise Refusal(
+                where, "orientation", f"be a quaternion of length 1 +- {_UNIT_TOLERANCE}", length
+            )
+        x, y, z, w = q / length
+        return cls(
+            p,
+            np.array(
+                [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+                ]
+            ),
+        )
+
+    def quaternion(self) -> FloatArray:
+        """Return the orientation as x, y, z, w with w >= 0, (4,)."""
+        # The column of 4 q q' with the largest diagonal entry (Shepperd 1978): never near 0 / 0.
+        R = self.R_WT
+        xx, yy, zz = R[0, 0], R[1, 1], R[2, 2]
+        outer = np.array(
+            [
+                [1 + xx - yy - zz, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[2, 1] - R[1, 2]],
+                [R[0, 1] + R[1, 0], 1 - xx + yy - zz, R[1, 2] + R[2, 1], R[0, 2] - R[2, 0]],
+                [R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1 - xx - yy + zz, R[1, 0] - R[0, 1]],
+                [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1 + xx + yy + zz],
+            ]
+        )
+        q: FloatArray = outer[:, int(np.argmax(np.diag(outer)))]
+        q = q / np.linalg.norm(q)
+        return -q if q[3] < 0.0 else q

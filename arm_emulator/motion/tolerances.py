@@ -1,0 +1,78 @@
+"""By how much joints may miss a trajectory, on its way and in the end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.refusal import Refusal
+
+FloatArray = npt.NDArray[np.float64]
+
+WHERE = "joint_trajectory"
+
+
+@dataclass(frozen=True, eq=False)
+class Allowed:
+    """Largest errors, (N,) each; 0: any."""
+
+    q: FloatArray
+    """[rad]."""
+    v: FloatArray
+    """[rad/s]."""
+
+    @classmethod
+    def alike(cls, count: int, q: float) -> Allowed:
+        """Return the same angle for all joints, and any speed."""
+        return cls(np.full(count, q), np.zeros(count))
+
+    def broken(self, names: Sequence[str], q: FloatArray, v: FloatArray | None) -> str:
+        """Return in words which joint's error is larger; empty: none.
+
+        Args:
+            names: of the joints.
+            q: errors of the angles [rad].
+            v: errors of the speeds [rad/s]; None: not known.
+        """
+        for error, most, unit in ((q, self.q, "rad"), (v, self.v, "rad/s")):
+            if error is None:
+                continue
+            for j in np.flatnonzero((most > 0.0) & ~(np.abs(error) <= most)).tolist():
+                return f"{names[j]} is off by {abs(error[j]):.3g} {unit}, more than {most[j]:.3g}"
+        return ""
+
+    def changed(self, names: Sequence[str], given: Mapping[str, tuple[float, float]]) -> Allowed:
+        """Return what control_msgs/JointTolerance makes of it: 0 keeps a value, -1 means any.
+
+        Args:
+            names: of the joints.
+            given: angle [rad] and speed [rad/s] by joint.
+
+        Raises:
+            Refusal: an unknown joint, or another number below 0.
+        """
+        q, v = self.q.copy(), self.v.copy()
+        for name, values in given.items():
+            if name not in names:
+                valid = ", ".join(names)
+                raise Refusal(WHERE, "tolerances", "be of joints of the arm", name, valid)
+            for table, value, unit in ((q, values[0], "rad"), (v, values[1], "rad/s")):
+                if not (value >= 0.0 or value == -1.0):
+                    rule = f"be >= 0 {unit}, or -1 for any"
+                    raise Refusal(WHERE, f"tolerance of {name}", rule, value)
+                if value:
+                    table[names.index(name)] = max(0.0, value)
+        return Allowed(q, v)
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerances:
+    """What is allowed on the way of a trajectory, and in the end."""
+
+    path: Allowed
+    goal: Allowed
+    goal_time: float = 0.0
+    """How long after its end the joints may take to keep `goal` [s]; 0: as long as they like."""

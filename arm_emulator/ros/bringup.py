@@ -1,0 +1,179 @@
+"""The three nodes as three processes that live and end together."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.ros.ctrl_c import END_SIGNALS
+from arm_emulator.ros.end_with_parent import parent_environment
+
+STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine too
+
+
+@dataclass
+class _NodeProcess:
+    name: str
+    process: subprocess.Popen[bytes]
+
+
+class Bringup:
+    """Starts emulator, servo and motion controller; use it in a `with` block.
+
+    Args:
+        scene: a scene file, or the name of a scene that comes along. Gains are those that belong
+            to it, see `find_beside`.
+        clock: "lockstep" or "realtime".
+        start: see the emulator's parameter.
+        emulator: more parameters of the emulator, by name.
+        log: folder for one log file per node; None: their output goes to this process's terminal.
+        only: names of the nodes to start, for users with nodes of their own.
+        namespace: of all nodes and topics, such as "/cell1".
+        use_sim_time: whether the nodes' own clocks follow the emulator's.
+        params_file: a ROS parameter file for all nodes; it rules over all of the above.
+
+    Raises:
+        Refusal: a configuration file is missing, or a namespace that is none.
+    """
+
+    def __init__(
+        self,
+        scene: str,
+        *,
+        clock: str = "lockstep",
+        start: str = "first_answer",
+        emulator: Mapping[str, object] | None = None,
+        log: Path | None = None,
+        only: tuple[str, ...] = ("emulator", "servo", "motion_controller"),
+        namespace: str = "",
+        use_sim_time: bool = False,
+        params_file: Path | None = None,
+    ) -> None:
+        file = find_scene(scene)
+        self.log = log
+        self._running: list[_NodeProcess] = []
+        self._commands: dict[str, list[str]] = {}
+        emulator_parameters = {"scene": file, "clock": clock, "start": start, **(emulator or {})}
+        every: dict[str, tuple[str, str | None, dict[str, object]]] = {
+            "emulator": ("emulator_node.node", None, emulator_parameters),
+            "servo": ("servo_node.node", "servo", {"clock": clock}),
+            "motion_controller": ("motion_controller_node.node", "motion", {}),
+        }
+        common = _common_arguments(namespace, use_sim_time, params_file)
+        for name in only:
+            module, kind, parameters = every[name]
+            command = [sys.executable, "-P", "-m", module, "--ros-args"]
+            if kind is not None:
+                command += ["--params-file", str(find_beside(file, kind))]
+            for key, value in parameters.items():
+                command += ["-p", f"{key}:={value}"]
+            command += common
+            self._commands[name] = command
+
+    def __enter__(self) -> Bringup:
+        try:
+            for name in self._commands:
+                self.start(name)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def start(self, name: str) -> None:
+        """Start one node (again)."""
+        log: IO[bytes] | None = None
+        if self.log is not None:
+            self.log.mkdir(parents=True, exist_ok=True)
+            log = (self.log / f"{name}.log").open("wb")
+        process = subprocess.Popen(
+            self._commands[name],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT if log is not None else None,
+            process_group=0,  # takes no signals from the terminal: `stop` passes them on
+            preexec_fn=_hold_signals_back,  # noqa: PLW1509 - one system call, no lock
+            env={**os.environ, **parent_environment(), **_python_path()},
+        )
+        if log is not None:
+            log.close()
+        self._running.append(_NodeProcess(name, process))
+
+    def process(self, name: str) -> subprocess.Popen[bytes]:
+        """Return the process of a running node."""
+        return next(one.process for one in reversed(self._running) if one.name == name)
+
+    def ended(self) -> tuple[str, int] | None:
+        """Return name and exit code of a node that has ended, None while all run."""
+        for one in self._running:
+            code = one.process.poll()
+            if code is not None:
+                return one.name, code
+        return None
+
+    def stop(self) -> dict[str, int]:
+        """End every node as Ctrl-C does, harder if it does not listen; return the exit codes."""
+        for patience, how in (
+            (STOP_PATIENCE, signal.SIGINT),
+            (STOP_PATIENCE, signal.SIGTERM),
+            (STOP_PATIENCE, signal.SIGKILL),
+        ):
+            alive = [one for one in self._running if one.process.poll() is None]
+            for one in alive:
+                one.process.send_signal(how)
+            deadline = time.monotonic() + patience
+            # Another Ctrl-C means: faster.
+            with contextlib.suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
+                for one in alive:
+                    one.process.wait(max(0.0, deadline - time.monotonic()))
+        return {one.name: one.process.returncode for one in self._running}
+
+
+def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | None) -> list[str]:
+    """Return ROS arguments for every node; the last ones rule."""
+    arguments = []
+    if namespace:
+        full = f"/{namespace.strip('/')}"
+        if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", full) or "__" in full:
+            rule = "be names of letters, digits and _, with / between them"
+            raise Refusal("arm_emulator", "the namespace", rule, namespace, "cell1, /line2/cell1")
+        arguments += ["-r", f"__ns:={full}"]
+    if use_sim_time:
+        # Nodes on simulated time listen to /clock; the emulator publishes it in its namespace.
+        arguments += ["-p", "use_sim_time:=true", "-r", "/clock:=clock"]
+    if params_file is not None:
+        read_yaml(params_file)  # what is no YAML is refused here, not by each node
+        arguments += ["--params-file", str(params_file.resolve())]
+    return arguments
+
+
+def _python_path() -> dict[str, str]:
+    """Return where nodes find our modules: where we are, and nothing of the working folder."""
+    folders = [one for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]
+    ours = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    return {"PYTHONPATH": os.pathsep.join([*folders, ours])}
+
+
+def _hold_signals_back() -> None:
+    """In the child: signals wait until the node takes care of them; Python alone would complain."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)

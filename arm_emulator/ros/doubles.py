@@ -1,0 +1,159 @@
+"""A second node of one kind on the same topics: named on both sides, by node, host and process.
+
+Every node publishes in its diagnostics its kind, its topic, where it runs and since
+when. Who was started first comes first, and everybody knows who that is.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from arm_emulator.ros.node_shell import Diagnostics, StartAnew, wall_timer
+
+STARTED = time.time_ns()  # wall time [ns] at which this process was started, which identifies it
+LISTEN = 0.5  # s, wall: in which the middleware finds those who are there already
+IDENTIFY = 4.0  # s, wall: in which a node that was found identifies itself
+SILENCE = 5.0  # s, wall: a node that is silent for so long is gone
+LOOK_PERIOD = 0.25  # s, wall
+
+
+@dataclass
+class _Double:
+    node: str  # its full name
+    words: str
+    heard_at: float  # s, monotonic
+    seen: bool = False  # by the middleware, which may learn of it a little later
+
+
+class Doubles:
+    """Finds other nodes of this one's kind that publish on the same topic.
+
+    Args:
+        node: this node.
+        diagnostics: where others are named.
+        kind: such as "emulator".
+        topic: the topic that only one of them should publish on.
+        consequence: what two of them mean, in words.
+    """
+
+    def __init__(
+        self, node: Node, diagnostics: Diagnostics, kind: str, topic: str, consequence: str
+    ) -> None:
+        self._node, self._diagnostics = node, diagnostics
+        self._kind, self._topic = kind, node.resolve_topic_name(topic)
+        self._consequence = consequence
+        self._known: dict[int, _Double] = {}  # by when they were started
+        self._leads = False
+        diagnostics.values.update(
+            {
+                "kind": kind,
+                "topic": self._topic,
+                "host": socket.gethostname(),
+                "process": os.getpid(),
+                "started [ns]": STARTED,
+            }
+        )
+        late = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, late)
+        wall_timer(node, LOOK_PERIOD, self._forget_who_is_gone)
+
+    def wait_until_first(self, sign: str) -> None:
+        """Serve the node, silent but for its diagnostics, until nobody who came before is there.
+
+        From then on `StartAnew` is raised when such a one is found after all, as on a machine so
+        busy that the middleware has not found it in time.
+
+        Args:
+            sign: a topic on which only nodes of this kind publish, and this one not yet.
+        """
+        executor = SingleThreadedExecutor(context=self._node.context)
+        executor.add_node(self._node)
+        begin = time.monotonic()
+
+        def waits() -> bool:
+            listened = time.monotonic() - begin
+            if listened < LISTEN or self._first():
+                return True
+            unknown = self._node.count_publishers(sign) > len(self._known)
+            return unknown and listened < IDENTIFY
+
+        while waits():
+            executor.spin_once(timeout_sec=0.05)
+            first = self._first()
+            if first:
+                self._diagnostics.warn(
+                    f"silent until it ends: another {self._kind} was started before on "
+                    f"{self._topic}, {first.words}"
+                )
+        executor.remove_node(self._node)
+        executor.shutdown()
+        self._leads = True
+
+    def _first(self) -> _Double | None:
+        """Return the one that was started first, None if that is this node."""
+        started = min(self._known, default=STARTED)
+        return self._known[started] if started < STARTED else None
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            values = {pair.key: pair.value for pair in status.values}
+            if values.get("kind") != self._kind or values.get("topic") != self._topic:
+                continue
+            started = values.get("started [ns]", "")
+            if not started.isdecimal() or int(started) == STARTED:
+                continue
+            words = (
+                f"node /{status.name} on host {values.get('host', 'unknown')}, "
+                f"process {values.get('process', 'unknown')}"
+            )
+            one = self._known.get(int(started))
+            if one is not None:
+                one.heard_at = time.monotonic()
+                continue
+            self._known[int(started)] = _Double(f"/{status.name}", words, time.monotonic())
+            self._name(int(started), words)
+
+    def _name(self, started: int, words: str) -> None:
+        if self._leads and started < STARTED:
+            raise StartAnew
+        order = "before" if started < STARTED else "after"
+        self._node.get_logger().warning(
+            f"another {self._kind} is on {self._topic}, started {order} this one: {words}; "
+            f"{self._consequence}"
+        )
+        self._tell()
+
+    def _tell(self) -> None:
+        self._diagnostics.doubles = (
+            {f"another {self._kind}": "; ".join(one.words for one in self._known.values())}
+            if self._known
+            else {}
+        )
+        self._diagnostics.publish()
+
+    def _forget_who_is_gone(self) -> None:
+        if not self._known:
+            return
+        now, node = time.monotonic(), self._node
+        there = [
+            f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+            for one in node.get_publishers_info_by_topic(node.resolve_topic_name("diagnostics"))
+        ]
+        mine = node.get_fully_qualified_name()
+        if mine in there:
+            there.remove(mine)
+        for started, one in list(self._known.items()):
+            left = one.seen and one.node not in there
+            one.seen = one.node in there
+            if left or now - one.heard_at > SILENCE:
+                del self._known[started]
+                node.get_logger().info(f"the other {self._kind} is gone: {one.words}")
+                self._tell()

@@ -1,0 +1,379 @@
+"""What the three nodes share as ROS nodes: QoS, parameters, diagnostics, and `main`."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from arm_emulator.base.memory import is_want_of_memory
+from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, perhaps
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
+from arm_emulator.ros.end_anyway import end_anyway
+from arm_emulator.ros.end_with_parent import end_with_parent
+from arm_emulator.ros.lean_executor import HOUSEKEEPING, LeanExecutor
+from arm_emulator.ros.shared_memory import clear_left_over
+
+# Commands: nothing is lost, and the newest wins. Who receives them reads them all: in a depth of 1
+# a bad command would take the place of a good one that is not read yet. States: a reliable
+# publisher serves reliable and best-effort subscribers alike. Descriptions: late-comers get the
+# last one. Publishers keep what a reliable listener, such as a recorder, has not taken yet: what is
+# more than `KEPT` behind is lost to it without notice.
+KEPT = 1000  # messages: seconds of a busy machine, and ten times what an emulator runs ahead
+COMMAND_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
+COMMAND_SUB_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+STATE_PUB_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
+STATE_SUB_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+DESCRIPTION_QOS = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+# Changes by hand: who comes late gets those before, since what follows depends on them.
+EVENT_QOS = QoSProfile(depth=KEPT, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# Who comes late learns at once who is there.
+DIAGNOSTICS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+NANOSECONDS = 1_000_000_000
+ENDING = 5.0  # s, wall: what the middleware is given to end
+
+
+def stamp(nanoseconds: int) -> Time:
+    """Return a message's time stamp for a logical time [ns]."""
+    return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
+
+
+def set_stamp(stamp: Any, nanoseconds: int) -> None:
+    """Set the fields of a time stamp in place to a logical time [ns]."""
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+
+
+def nanoseconds_of(stamp: Time) -> int:
+    """Return the logical time [ns] of a message's time stamp."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def time_of(where: str, stamp: Time) -> int:
+    """Return the logical time [ns] of a stamp that came from outside.
+
+    Raises:
+        Refusal: a time before 0, or one that is not well-formed.
+    """
+    if stamp.sec < 0 or stamp.nanosec >= NANOSECONDS:
+        got = f"{stamp.sec} s and {stamp.nanosec} ns"
+        raise Refusal(where, "header.stamp", "be a logical time >= 0 s, with less than 1e9 ns", got)
+    return nanoseconds_of(stamp)
+
+
+def guard_clock(node: Node, refuse: Callable[[str, Refusal], None]) -> None:
+    """Refuse times on `clock` that rclpy's own subscription (`use_sim_time`) would fail at."""
+    source = node._time_source
+    follow = source.clock_callback
+
+    def on_clock(message: ClockMessage) -> None:
+        try:
+            time_of("clock", message.clock)
+        except Refusal as reason:
+            refuse("clock", reason)
+            return
+        follow(message)
+
+    source.clock_callback = on_clock  # type: ignore[method-assign, assignment]
+    if source._clock_sub is not None:  # made before, with the method as it was
+        source._clock_sub.callback = on_clock
+
+
+class Closable(Protocol):
+    """A node that lets go of what it holds when its process ends."""
+
+    def close(self) -> None:
+        """Release everything; a `Refusal` is printed, and makes the exit code 1."""
+
+
+def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
+    """Declare every field of the frozen dataclass `kind` on the node and return what was set.
+
+    Raises:
+        Refusal: a value of the wrong type or out of its range.
+    """
+    where, fields = f"node {node.get_name()}", dataclasses.fields(kind)  # type: ignore[arg-type]
+    values = {}
+    for field in fields:
+        if not node.has_parameter(field.name):
+            # A loose descriptor first: the check below refuses in our words, and takes 1 for 1.0.
+            loose = ParameterDescriptor(dynamic_typing=True)
+            node.declare_parameter(field.name, field.default, loose)
+        value = checked(node.get_parameter(field.name).value, field, where)
+        values[field.name] = value
+        choices = field.metadata["choices"]
+        descriptor = ParameterDescriptor(
+            description=field.metadata["description"],
+            additional_constraints=f"one of {', '.join(choices)}" if choices else "",
+            read_only=not field.metadata["settable"],
+            dynamic_typing=True,
+        )
+        _set_range(descriptor, field)
+        node.set_descriptor(field.name, descriptor)
+    return kind(**values)
+
+
+def refuse_other_parameters(node: Node, config: object) -> None:
+    """Refuse parameters that were given to the node and are neither in `config` nor ROS's own.
+
+    The node must have been created with ``automatically_declare_parameters_from_overrides``.
+
+    Raises:
+        Refusal: a parameter that nobody knows, such as a misspelt one.
+    """
+    known = [field.name for field in dataclasses.fields(config)]  # type: ignore[arg-type]
+    for name in node.get_parameters_by_prefix(""):
+        if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
+            where = f"node {node.get_name()}"
+            got = f"an unknown one{perhaps(name, known)}"
+            raise Refusal(where, f"parameter {name}", "be a known one", got, ", ".join(known))
+
+
+def accept_changes(
+    node: Node, prepare: Callable[[Mapping[str, Any]], Any], take: Callable[[Any], None]
+) -> None:
+    """Let parameters be set while the node runs: all of a request that fit together, or none.
+
+    Args:
+        node: whose parameters are declared; read-only ones are refused before.
+        prepare: returns what the node will work with, given what changes; a Refusal is the answer.
+        take: is given that when nobody refuses.
+    """
+
+    def changes(parameters: list[RosParameter]) -> dict[str, Any]:
+        own = (one for one in parameters if one.name.split(".")[0] not in ROS_PARAMETERS)
+        return {one.name: one.value for one in own}
+
+    def check(parameters: list[RosParameter]) -> SetParametersResult:
+        try:
+            prepare(changes(parameters))
+        except Refusal as reason:
+            return SetParametersResult(successful=False, reason=str(reason))
+        return SetParametersResult(successful=True)
+
+    def on_change(parameters: list[RosParameter]) -> None:
+        if given := changes(parameters):
+            take(prepare(given))
+
+    node.add_on_set_parameters_callback(check)
+    node.add_post_set_parameters_callback(on_change)
+
+
+def replaced(node: Node, config: Parameters, changes: Mapping[str, Any]) -> Parameters:
+    """Return the parameters of a node with some changed.
+
+    Raises:
+        Refusal: a value of the wrong type or out of its range.
+    """
+    fields = {field.name: field for field in dataclasses.fields(config)}  # type: ignore[arg-type]
+    where = f"node {node.get_name()}"
+    given = {name: checked(value, fields[name], where) for name, value in changes.items()}
+    return dataclasses.replace(config, **given)  # type: ignore[type-var]
+
+
+def _set_range(descriptor: ParameterDescriptor, field: dataclasses.Field[Any]) -> None:
+    low, high = field.metadata["minimum"], field.metadata["maximum"]
+    if low is not None or high is not None:
+        set_range(descriptor, low, high, whole=isinstance(field.default, int))
+
+
+def set_range(
+    descriptor: ParameterDescriptor, low: float | None, high: float | None, *, whole: bool
+) -> None:
+    """Set a descriptor's range for ROS tools; None: unbounded."""
+    if whole:
+        first = -(2**62) if low is None else int(low)
+        last = 2**62 if high is None else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=first, to_value=last, step=1)]
+    else:
+        lowest = -sys.float_info.max if low is None else float(low)
+        highest = sys.float_info.max if high is None else float(high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=lowest, to_value=highest)]
+
+
+def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
+    """Call back every `period` [s] of wall time, whatever the node's own clock is."""
+    return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+class Diagnostics:
+    """The node's health in words, on `diagnostics`: every second, and at once when it changes.
+
+    A message whose figures alone have changed waits for its second.
+
+    Refused input is counted by kind, and the newest refusal is published in full. Stamps are of the
+    node's clock: wall time, or logical time with `use_sim_time`.
+
+    Attributes:
+        values: more to publish, by name.
+        doubles: what to publish, and to warn of, while another node does the same.
+        say: what publishes; a node that records itself puts its own in place.
+    """
+
+    def __init__(self, node: Node, hardware_id: str) -> None:
+        # Several arms may publish their health on one topic: names begin with the namespace.
+        self._name = node.get_fully_qualified_name().strip("/")
+        namespace = node.get_namespace().strip("/")
+        self._hardware_id = f"{namespace}/{hardware_id}" if namespace else hardware_id
+        self._clock = node.get_clock()
+        self.publisher = node.create_publisher(DiagnosticArray, "diagnostics", DIAGNOSTICS_QOS)
+        self.say: Callable[[DiagnosticArray], None] = self.publisher.publish
+        self._refused: Counter[str] = Counter()
+        self._newest_refusal = ""
+        self._level, self._message = DiagnosticStatus.OK, "starting"
+        self.values: dict[str, object] = {}
+        self.doubles: dict[str, str] = {}
+        guard_clock(node, self.refuse)
+        # With `use_sim_time` too: health is asked for when logical time stands still.
+        wall_timer(node, 1.0, self.publish)
+
+    @property
+    def refused(self) -> int:
+        """How many inputs were refused so far."""
+        return self._refused.total()
+
+    def refuse(self, topic: str, reason: Refusal) -> None:
+        """Count an input that was not taken."""
+        first = self._refused[topic] == 0
+        self._refused[topic] += 1
+        self._newest_refusal = str(reason)
+        if first:
+            self.publish()
+
+    def count(self, what: str) -> None:
+        """Count under `what` an input that was not needed; that is no reason to worry."""
+        before = self.values.get(what, 0)
+        assert isinstance(before, int)
+        self.values[what] = before + 1
+        if not before:
+            self.publish()
+
+    def ok(self, message: str) -> None:
+        """Report that all is well, and what is going on."""
+        self._say(DiagnosticStatus.OK, message)
+
+    def warn(self, message: str) -> None:
+        """Report what hinders the node, though it goes on."""
+        self._say(DiagnosticStatus.WARN, message)
+
+    def error(self, message: str) -> None:
+        """Report what stopped the node's work."""
+        self._say(DiagnosticStatus.ERROR, message)
+
+    def publish(self) -> None:
+        """Publish now."""
+        level = self._level
+        if level == DiagnosticStatus.OK and (self._refused or self.doubles):
+            level = DiagnosticStatus.WARN
+        values = {f"refused {topic}": count for topic, count in self._refused.items()}
+        if self._newest_refusal:
+            values["newest refusal"] = self._newest_refusal  # type: ignore[assignment]
+        status = DiagnosticStatus(
+            level=level,
+            name=self._name,
+            message=self._message,
+            hardware_id=self._hardware_id,
+            values=[
+                KeyValue(key=key, value=str(value))
+                for key, value in {**values, **self.values, **self.doubles}.items()
+            ],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._clock.now().to_msg()
+        self.say(array)
+
+    def _say(self, level: bytes, message: str) -> None:
+        changed = level != self._level or _words(message) != _words(self._message)
+        self._level, self._message = level, message
+        if changed:
+            self.publish()
+
+
+def _words(message: str) -> str:
+    """Return a message without its figures."""
+    return re.sub(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", message)
+
+
+class StartAnew(Exception):
+    """A node is to let go of all that it holds, and to begin again."""
+
+
+def _init() -> None:
+    clear_left_over()
+    try:
+        rclpy.init()
+    except RuntimeError as error:  # rcl's, of the arguments after --ros-args
+        got = str(error).removeprefix("failed to initialize rcl: ")
+        raise Refusal("command line", "the ROS arguments", "be well-formed", got) from None
+
+
+def run_node(create: Callable[[], Closable]) -> None:
+    """Run one node until it is stopped; exit code 2 and one line if its set-up is refused."""
+    node: Any = None
+    ctrl_c = CtrlC()
+    end_with_parent()
+    try:
+        with ctrl_c, until_shut_down():
+            _init()
+            while not ctrl_c.told:
+                node = create()
+                ctrl_c.leave_to_rclpy()
+                try:
+                    LeanExecutor(node, getattr(node, "housekeeping", HOUSEKEEPING)).spin()
+                except StartAnew:
+                    node.close()
+                    node.destroy_node()
+                    node = None
+                    ctrl_c.break_off_again()
+    except (Refusal, ParameterException) as refusal:
+        print(refusal, file=sys.stderr)
+        sys.exit(2)
+    except Exception as error:
+        if not is_want_of_memory(error):
+            raise
+        print(Refusal("node", "memory", "suffice", repr(error)), file=sys.stderr)
+        sys.exit(2)
+    finally:
+        # A second Ctrl-C, from the terminal beside the launcher's, must not break off the ending.
+        ctrl_c.leave_to_rclpy()
+        code = 0 if sys.exc_info()[0] is None else 1
+        if node is not None:
+            try:
+                node.close()
+            except Refusal as refusal:  # what it leaves behind is not as it was asked for
+                print(refusal, file=sys.stderr)
+                code = 1
+        end_anyway(ENDING, code=code)
+        if node is not None:
+            # Not left to the garbage collector: the middleware may leave its shared memory then.
+            node.destroy_node()
+        with contextlib.suppress(RuntimeError):  # the signal's own shutdown may come in between
+            rclpy.try_shutdown()
+    if code:
+        sys.exit(code)

@@ -1,0 +1,194 @@
+"""How complete a recording is, by the numbers of messages and the ticks of motor states."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import Trigger
+
+from arm_emulator.ros.recorder_presence import STATES
+from arm_emulator_msgs.msg import MotorState, RecorderReport
+
+REPORT_EVERY = 20  # motor states; an emulator in lock-step is at most a few times that many ahead
+GOOD_BYE = Duration(seconds=0.5)  # wall: for it to arrive
+SETTLED = 2.0  # s, wall: after which all publishers of what has come are known
+MOST_CHAINS = 100  # of numbers that do not follow each other: publishers and fresh gaps
+ASK_AGAIN = 5.0  # s, wall: after which a reset that has not come is asked for once more
+
+
+@dataclass
+class _Chain:
+    """Numbers in a row, as one publisher gives them; `began`, `ended`: in the order of coming."""
+
+    first: int
+    last: int
+    began: int
+    ended: int
+    at: float  # s, wall, when it began
+
+
+class Numbered:
+    """Counts what is lost on one topic, by the numbers that publishers give to their messages.
+
+    A number does not say which publisher it comes from, so each message continues a chain of
+    numbers. There are as many chains as publishers, and one more for each gap. How many publishers
+    there are may be known a moment after their first messages.
+
+    Args:
+        publishers: returns how many there are.
+    """
+
+    def __init__(self, publishers: Callable[[], int]) -> None:
+        self._publishers = publishers
+        self._most_publishers = 1
+        self._chains: list[_Chain] = []  # in the order in which they began
+        self._count = 0
+        self._gaps = 0  # between chains that are one by now
+        self._told_lost = 0
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest message of the publisher with the most messages, 0 without any."""
+        return max((chain.last for chain in self._chains), default=0)
+
+    @property
+    def lost(self) -> int:
+        """Messages between others that did not come."""
+        self._most_publishers = max(self._most_publishers, self._publishers())
+        return max(self._gaps + self._join(self._chains), self._told_lost)
+
+    def on_lost(self, event: Any) -> None:
+        """Count messages that the middleware reports as lost."""
+        self._told_lost = int(event.total_count)
+
+    def take(self, number: int | None) -> None:
+        """Count a message; None where the middleware gives no numbers."""
+        if number is None:
+            return
+        self._count += 1
+        for chain in self._chains:
+            if chain.last == number - 1:
+                chain.last, chain.ended = number, self._count
+                return
+        now = time.monotonic()
+        self._chains.append(_Chain(number, number, self._count, self._count, now))
+        if len(self._chains) > MOST_CHAINS or now - self._chains[0].at > SETTLED:
+            self._settle(now)
+
+    def _settle(self, now: float) -> None:
+        """Join for good what began when all publishers were known already."""
+        self._most_publishers = max(self._most_publishers, self._publishers())
+        many = len(self._chains) > MOST_CHAINS
+        settled = [chain for chain in self._chains if many or now - chain.at > SETTLED]
+        young = self._chains[len(settled) :]
+        self._gaps += self._join(settled, for_good=True)
+        self._chains = settled + young
+
+    def _join(self, chains: list[_Chain], for_good: bool = False) -> int:
+        """Return the gaps between chains if there are no more of them than publishers."""
+        gaps, joined = 0, list[_Chain]()
+        for one in chains:
+            before = None
+            if len(joined) >= self._most_publishers:
+                fits = [c for c in joined if c.last < one.first and c.ended < one.began]
+                before = max(fits, key=lambda c: c.last, default=None)
+            if before is None:
+                joined.append(one if for_good else replace(one))
+            else:
+                gaps += one.first - before.last - 1
+                before.last, before.ended = one.last, one.ended
+        if for_good:
+            chains[:] = joined
+        return gaps
+
+
+class RecordedRuns:
+    """Follows one emulator's ticks, and reports to it how far they are written.
+
+    Args:
+        node: of the recorder.
+        topic: the emulator's motor states.
+        numbered: of the same topic.
+        recorder: a name that no other recorder has.
+        from_start: reset the machine if it runs already.
+
+    Attributes:
+        topic: as given.
+        missing: ticks between others that did not come, and first ticks of later runs.
+    """
+
+    def __init__(
+        self, node: Node, topic: str, numbered: Numbered, recorder: str, from_start: bool
+    ) -> None:
+        self.topic = topic
+        self.missing = 0
+        self._numbered = numbered
+        self._emulator = topic.removesuffix(STATES) + "emulator"
+        self._message = RecorderReport(recorder=recorder)
+        self._reports = node.create_publisher(
+            RecorderReport, f"{self._emulator}/recorders", QoSProfile(depth=10)
+        )
+        self._reset = node.create_client(Trigger, f"{self._emulator}/reset") if from_start else None
+        self._ask_at = 0.0  # wall time, when the reset may be asked for (again)
+        self._tick = -1
+        self._unreported = 0
+        self._greeted = False
+
+    def take(self, data: bytes) -> None:
+        """Follow a motor state that is written."""
+        tick, before = int(deserialize_message(data, MotorState).tick), self._tick
+        self._tick = tick
+        if before < 0:
+            self._on_first(tick)
+        elif tick < before:
+            self.missing += tick  # a new run
+        else:
+            self.missing += max(0, tick - before - 1)
+        if tick == 0:
+            self._reset = None
+        self._unreported += 1
+        if tick == 0 or self._unreported >= REPORT_EVERY:
+            self.report()
+
+    def report(self) -> None:
+        """Report to the emulator what is written, and thereby that this recorder is there."""
+        written = self._numbered.newest
+        if self._reset is not None and self._tick > 0:
+            self._ask_for_reset(self._reset)
+        if self._greeted and written == self._message.written:
+            return
+        self._greeted = self._greeted or self._reports.get_subscription_count() > 0
+        self._unreported = 0
+        self._message.written = written
+        self._reports.publish(self._message)
+
+    def leave(self) -> None:
+        """Report to the emulator that it need not wait any more."""
+        self._message.leaving = True
+        self._reports.publish(self._message)
+        self._reports.wait_for_all_acked(GOOD_BYE)
+
+    def _on_first(self, tick: int) -> None:
+        print(f"{self.topic}: the first state has arrived, tick {tick}", flush=True)
+        if tick > 0:
+            what = (
+                "it is reset now" if self._reset is not None
+                else f"call {self._emulator}/reset, or record with --from-start"
+            )  # fmt: skip
+            print(
+                f"{self.topic}: the machine is at tick {tick} already, and `check` needs a run "
+                f"from tick 0 on: {what}",
+                flush=True,
+            )
+
+    def _ask_for_reset(self, client: Any) -> None:
+        if time.monotonic() > self._ask_at and client.service_is_ready():
+            self._ask_at = time.monotonic() + ASK_AGAIN
+            client.call_async(Trigger.Request())

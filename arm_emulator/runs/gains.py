@@ -1,0 +1,104 @@
+"""The servo's and the motion controller's parameters of a scene, and whether they fit it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from arm_emulator.base.config_files import find_beside
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.scene import Scene
+from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Parameters of servo and motion controller."""
+
+    servo: ServoConfig
+    motion: MotionConfig
+
+
+def load_gains(file: Path) -> Gains:
+    """Return the gains that belong to a scene file.
+
+    Raises:
+        Refusal: a file that is missing or not taken.
+    """
+    return Gains(
+        load_servo_config(find_beside(file, "servo")),
+        load_motion_config(find_beside(file, "motion")),
+    )
+
+
+def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
+    """Refuse gains that are those of another scene.
+
+    Raises:
+        Refusal: as `check_joints`, or other periods.
+    """
+    check_servo(scene, servo)
+    where = scene.where
+    other = "motion_controller.period"
+    _same(where, "servo.motion_period", servo.motion_period, other, motion.period)
+
+
+def check_servo(scene: Scene, servo: ServoConfig) -> None:
+    """Refuse a servo that is that of another scene.
+
+    Raises:
+        Refusal: as `check_joints`, or another period.
+    """
+    check_joints(scene, servo)
+    period = scene.servo_period
+    _same(scene.where, "servo.period", servo.period, "the scene's servo_period", period)
+
+
+def check_joints(scene: Scene, servo: ServoConfig) -> None:
+    """Refuse a servo of other joints than the scene's, or of other motors, gears or encoders.
+
+    Raises:
+        Refusal: a joint too many or too few, a motor that our servo cannot drive or that takes
+            another command, a gear that turns the other way, or another word length of an absolute
+            encoder.
+    """
+    if sorted(servo.joint_names) != sorted(scene.joint_names):
+        rule = "name every moving joint of the scene once"
+        got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
+        raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
+    of_servo = {joint.name: joint for joint in servo.joints}
+    for joint in scene.joints:
+        told = of_servo[joint.name]
+        if joint.motor is not None and not isinstance(joint.motor, DcMotor):
+            where = f"joints.{joint.name}.motor.kind"
+            raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
+        told.check_command(scene.where, joint.command)
+        bits = 0 if joint.encoder is None else joint.encoder.bits or 0
+        if told.encoder_bits != bits:
+            rule = f"be that of the scene's encoder, {bits}"
+            where = f"servo.joints.{joint.name}.encoder_bits"
+            raise Refusal(scene.where, where, rule, told.encoder_bits)
+        if told.gear_ratio * joint.gear.ratio < 0.0:
+            rule = f"have the sign of the scene's gear.ratio, {joint.gear.ratio:g}"
+            where = f"servo.joints.{joint.name}.gear_ratio"
+            raise Refusal(scene.where, where, rule, told.gear_ratio)
+
+
+def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
+    """Warn of torques given to the servo for another gravity than the scene's."""
+    given = (motion.gravity_x, motion.gravity_y, motion.gravity_z)
+    real = scene.gravity or (0.0, 0.0, 0.0)
+    if motion.feedforward_for(len(scene.joint_names)) == "torque" and given != tuple(real):
+        print(
+            f"warning: {scene.where}: the motion controller gives torques for a gravity of {given} "
+            f"m/s2 (gravity_x, _y, _z), but the scene's is {real}",
+            file=sys.stderr,
+        )
+
+
+def _same(where: str, one: str, value: float, other: str, expected: float) -> None:
+    if round(value * 1e9) != round(expected * 1e9):
+        raise Refusal(where, one, f"be {other}, {expected:g} s", f"{value:g} s")

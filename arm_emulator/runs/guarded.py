@@ -1,0 +1,120 @@
+"""A user's library in a process of its own: however it ends, somebody is left to report where.
+
+The library shares its process with Python. One that exits or crashes takes the process along, with
+an exit code of its choice. So the run goes on in a child, and this process waits for its end.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import os
+import select
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.firmware import Doing, Progress
+
+LOOK = 1.0  # s, after which a library that has not returned is looked at
+TELL_STALL = 5.0  # s
+_PR_SET_PDEATHSIG = 1
+
+
+def guarded(name: str, work: Callable[[Progress], int]) -> int:
+    """Do work that calls a user's library, and return its exit code.
+
+    Under a debugger it is done in this process, which the debugger watches.
+
+    Args:
+        name: of the library, for reports.
+        work: writes where it is into the progress that it gets.
+
+    Raises:
+        Refusal: the library has ended the process.
+    """
+    if _debugged():
+        return work(Progress())
+    memory = mmap.mmap(-1, ctypes.sizeof(Progress))
+    progress = Progress.from_buffer(memory)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    watcher = os.getpid()
+    child = os.fork()
+    if child == 0:
+        _work(work, progress, watcher)
+    try:
+        status = _wait(child, name, progress)
+    except KeyboardInterrupt:
+        print(f"{name}, tick {progress.loop.tick}: ended by a signal", file=sys.stderr)
+        raise
+    code = os.waitstatus_to_exitcode(status)
+    if progress.doing == Doing.ENDED and code == progress.code:
+        return code
+    got = f"exit with code {code}" if code >= 0 else _name(-code)
+    where = f"{name}, tick {progress.loop.tick}" if progress.doing == Doing.STEP else name
+    raise Refusal(where, *Doing(progress.doing).must, got)
+
+
+def _work(work: Callable[[Progress], int], progress: Progress, watcher: int) -> NoReturn:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    code = 1
+    if os.getppid() == watcher:
+        try:
+            code = work(progress)
+        except Refusal as refusal:
+            print(refusal, file=sys.stderr)
+            code = 2
+        except KeyboardInterrupt:
+            code = 128 + signal.SIGINT
+        except BaseException:
+            traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    ctypes.CDLL(None).fflush(None)  # what the library has printed
+    progress.code = code
+    progress.doing = Doing.ENDED
+    os._exit(code)
+
+
+def _wait(child: int, name: str, progress: Progress) -> int:
+    """Wait for the child, and return its status; report a library that does not return."""
+    looks, tick = 0, -1  # how often it was found at this tick
+    with open(os.pidfd_open(child)) as end:
+        try:
+            while not select.select([end], [], [], LOOK)[0]:
+                stands = progress.doing != Doing.OURS and progress.loop.tick == tick
+                looks, tick = looks + 1 if stands else 0, progress.loop.tick
+                if looks == round(TELL_STALL / LOOK):
+                    quantity = Doing(progress.doing).must[0]
+                    print(
+                        f"{name}, tick {tick}: {quantity} has not returned for {TELL_STALL:g} s; "
+                        "Ctrl-C ends it",
+                        file=sys.stderr,
+                    )
+        except KeyboardInterrupt:
+            os.kill(child, signal.SIGKILL)
+            raise
+        finally:
+            status = os.waitpid(child, 0)[1]
+    return status
+
+
+def _name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _debugged() -> bool:
+    """Whether a debugger watches this process."""
+    try:
+        words = Path("/proc/self/status").read_text(encoding="ascii").split()
+    except OSError:
+        return False
+    return words[words.index("TracerPid:") + 1] != "0"

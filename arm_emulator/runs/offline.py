@@ -1,0 +1,124 @@
+"""Machine, servo and motion controller coupled in one process: lock-step without a network.
+
+The three do in every tick what their nodes do in lock-step, in the same order and with the same
+numbers, so that the motor states are the same to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.bound import Bound
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.count import check_count
+from arm_emulator.base.joint_order import JointOrder
+from arm_emulator.machine.firmware_loop import FirmwareLoop
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.motion.controller import controller_for
+from arm_emulator.motion.instruction import Instruction
+from arm_emulator.motion.instructor import Instructor
+from arm_emulator.motion.kinematics import moving_joints
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.runs.gains import check_fit, load_gains
+from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.servo.drives import Drives, Target
+from arm_emulator.servo.servo_config import ServoConfig
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class OfflineRun:
+    """One run from tick 0.
+
+    Attributes:
+        session: the machine; tick, logical time, state, energy.
+        drives: the servo.
+        controller: the control law for the arm.
+        instructor: takes tool targets, joint trajectories and tool paths.
+        motion_ticks: servo periods in a motion period.
+
+    Args:
+        scene: the machine.
+        servo: as the node `servo` gets it.
+        motion: as the node `motion_controller` gets it.
+
+    Raises:
+        Refusal: periods or joints that do not fit together.
+    """
+
+    def __init__(self, scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
+        check_fit(scene, servo, motion)
+        self.session = Session(scene, "lockstep", "first_answer")
+        self.drives = Drives(servo)
+        self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
+        self.instructor = Instructor(motion)
+        self.motion_ticks = round(motion.period / servo.period)
+        # Indices of one side's joints in the other's arrays; a slice where the order is the same.
+        places = _places("servo", scene.joint_names, servo.joint_names)
+        names = self.controller.kinematics.joint_names
+        self._to_motion = _index(_places("joint_states", servo.joint_names, names))
+        self._from_motion = _index(_places("joint_targets", names, servo.joint_names))
+        self._step = ServoStep(self.drives, places)
+        session = self.session
+        self._loop = FirmwareLoop(session.plant, session.period_ns, self._step)
+
+    def advance(self, ticks: int) -> None:
+        """Advance by so many servo periods.
+
+        Raises:
+            Refusal: no such count.
+            Diverged: the machine did; it stays at the last state before.
+        """
+        check_count("OfflineRun.advance", "ticks", ticks)
+        session, end = self.session, self.session.tick + ticks
+        while session.tick < end:
+            begun = session.tick % self.motion_ticks
+            if begun == 0:
+                self._instruct()
+            session.advance_in(self._loop, min(self.motion_ticks - begun, end - session.tick))
+            if session.fault is not None:
+                raise session.fault
+
+    def _instruct(self) -> None:
+        """Let the motion controller answer what the servo has measured."""
+        session, drives = self.session, self.drives
+        now = session.logical_ns
+        self._step.measure(self._loop, session.tick)
+        q = drives.servo.q_measured[self._to_motion]
+        v = drives.servo.v_measured[self._to_motion]
+        drives.aim(self._target(self.instructor.instruct(self.controller, now, q, v)))
+
+    def _target(self, instruction: Instruction) -> Target:
+        """Return joint targets in the servo's order of joints."""
+        order = self._from_motion
+        return Target(
+            instruction.q[order],
+            None if instruction.v is None else instruction.v[order],
+            None if instruction.tau is None else instruction.tau[order],
+        )
+
+
+def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> list[int]:
+    """Return what to index an array in the order `given` with, to get it in the order `wanted`."""
+    place = Bound("place", "", math.inf)
+    places = JointOrder(topic, wanted).arrange(given, range(len(given)), place)
+    return [int(place) for place in places]
+
+
+def _index(places: list[int]) -> slice | list[int]:
+    return slice(None) if places == list(range(len(places))) else places
+
+
+def load_offline_run(scene_name: str) -> OfflineRun:
+    """Return a run of a scene with the gains that belong to it.
+
+    Raises:
+        Refusal: a file that is missing or not taken, or gains that do not fit.
+    """
+    file = find_scene(scene_name)
+    scene, gains = load_scene(file), load_gains(file)
+    return OfflineRun(scene, gains.servo, gains.motion)

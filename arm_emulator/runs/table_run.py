@@ -1,0 +1,122 @@
+"""`arm_emulator run` with joint targets from a table, and no Python in the loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.count import check_count
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.control_code import ControlCode
+from arm_emulator.machine.firmware import Firmware, Progress
+from arm_emulator.machine.firmware_loop import FirmwareLoop
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.runs.gains import check_servo, load_gains
+from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.runs.target_table import TargetTable, load_target_table
+from arm_emulator.servo.drives import Drives
+
+_PIECE = 1000  # ticks after which a call looks whether Ctrl-C was pressed
+
+
+class TableRun:
+    """One run from tick 0 of a machine and control code in C.
+
+    Until the first row of the table the target is where the arm starts.
+
+    Attributes:
+        session: the machine.
+
+    Args:
+        scene: the machine.
+        table: joint targets in the scene's order of joints; None: the control code knows them.
+        servo: a library of a user's, a microcontroller with firmware, or our servo.
+
+    Raises:
+        Refusal: the control code does not take the scene.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        table: TargetTable | None,
+        servo: ControlCode,
+    ) -> None:
+        self.session = Session(scene, "lockstep", "first_answer")
+        self._servo = servo  # it must not go before the loop
+        targets = None
+        if table is not None:
+            ticks, rows = table.ticks(scene.servo_period), table.q
+            if ticks[0] > 0:
+                ticks, rows = [0, *ticks], np.vstack([scene.start, rows])
+            targets = ticks, rows
+        session = self.session
+        servo.start(session.plant, session.period_ns)
+        self._loop = FirmwareLoop(session.plant, session.period_ns, servo, targets)
+
+    def advance(self, ticks: int) -> None:
+        """Advance by so many servo periods.
+
+        Raises:
+            Refusal: no such count, or the control code gave a command that is none.
+            Diverged: the machine did; it stays at the last state before.
+            Exception: what `ControlCode.ended` gives.
+        """
+        check_count("TableRun.advance", "ticks", ticks)
+        session = self.session
+        for done in range(0, ticks, _PIECE):
+            try:
+                with self._servo.stepping():
+                    session.advance_in(self._loop, min(_PIECE, ticks - done))
+            except Refusal as no:
+                name = self._servo.name
+                raise Refusal(
+                    f"{name}, tick {session.tick}", no.quantity, no.rule, no.got
+                ) from None
+            if session.fault is not None:
+                raise session.fault
+            if self._servo.ended is not None:
+                raise self._servo.ended
+
+    def close(self) -> None:
+        """End a user's library; the run cannot go on."""
+        self._servo.close()
+
+
+def load_table_run(
+    scene_name: str, table: Path, library: Path | None, progress: Progress | None = None
+) -> tuple[TableRun, TargetTable]:
+    """Return a run of a scene, and its table.
+
+    Args:
+        scene_name: scene file or name.
+        table: file of joint targets.
+        library: control code; None: our servo with the gains that belong to the scene.
+        progress: gets what of the library runs.
+
+    Raises:
+        Refusal: a file that is missing or not taken, or gains that do not fit.
+    """
+    file = find_scene(scene_name)
+    scene = load_scene(file)
+    targets = load_target_table(table, scene.joint_names)
+    if library is not None:
+        return TableRun(scene, targets, Firmware(library, progress)), targets
+    config = load_gains(file).servo
+    check_servo(scene, config)
+    place = [scene.joint_names.index(name) for name in config.joint_names]
+    return TableRun(scene, targets, ServoStep(Drives(config), place)), targets
+
+
+def off_target(session: Session, targets: TargetTable, ticks: int) -> npt.NDArray[np.float64]:
+    """Return what the tool lacks to its target after so many ticks, in the world (3,) [m]."""
+    scene = session.scene
+    at = sum(tick < ticks for tick in targets.ticks(scene.servo_period))
+    forward = Kinematics(scene.urdf, scene.joint_names, scene.tool).forward
+    wanted = forward(targets.q[at - 1] if at else scene.start)[1]
+    return np.asarray(wanted - forward(session.state.q)[1])

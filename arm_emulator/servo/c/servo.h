@@ -1,0 +1,215 @@
+/* The servo: cascaded position and velocity control of geared motors, from encoder counts and
+ * currents alone, under a watchdog. C99 without heap and without a C library.
+ *
+ * Per joint and servo period, in motor quantities:
+ *
+ *   measure    theta = (counts + 1/2) count_angle                  the middle of the count
+ *   observe    theta, omega, load from theta, current, voltage     tracking observer
+ *   position   omega_ref = v_target / Ng + Kp (q_target / Ng - theta), 0 within the count
+ *   velocity   i_ref = Kv (omega_ref - omega) + integral + tau_feedforward Ng / Kt
+ *   current    V such that the mean current of the coming period is i_ref - c (i_ref - i)
+ *
+ * The last stage is exact for winding and rotor over a period in which voltage and load are held,
+ * so that the law holds for motors slower and faster than the period alike. For slow ones
+ * V = R i_ref + Kb omega + Rc (i_ref - i).
+ *
+ * A drive that closes a current loop takes a current in the place of a voltage. To the law that is
+ * a winding of 1 ohm without back EMF whose voltages are amperes (arm_emulator/servo/commanded.py):
+ * read A for V in all that follows.
+ *
+ * Every stage is limited (speed, current, supply voltage), and the integral follows the current
+ * that the limits have left over (automatic reset), so that it cannot wind up.
+ *
+ * "Within the count": as drives that are commanded in counts do, the servo asks for no correction
+ * where the target lies in the very count that the encoder shows. An encoder cannot tell positions
+ * within a count apart, and integral action on a difference that cannot be measured would hunt for
+ * ever. So the servo guarantees, at rest, a measured angle within half a count of the target, and
+ * no more.
+ *
+ * A null pointer where none may be: nothing happens, and what is returned is 0 (SERVO_CUT).
+ *
+ * Numbers are `double`, or `float` with SERVO_FLOAT defined. Compile without contraction of
+ * products and sums (-ffp-contract=off), and every compiler and processor gives the same bits.
+ */
+#ifndef SERVO_H
+#define SERVO_H
+
+#include <float.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifdef SERVO_FLOAT
+typedef float servo_real;
+#define SERVO_UNLIMITED FLT_MAX
+#else
+typedef double servo_real;
+#define SERVO_UNLIMITED DBL_MAX
+#endif
+
+/* A quantity of a period as a sum over current, speed, voltage and load at its start. */
+typedef struct servo_sum {
+  servo_real current, speed, voltage, load;
+} servo_sum;
+
+/* What is known of a joint: its numbers follow from the data sheet and the gains
+ * (arm_emulator/servo/servo_numbers.py; `python -m arm_emulator servo-header SCENE` writes them as
+ * C). */
+typedef struct servo_joint {
+  int64_t wrap;               /* counts of an absolute encoder's word; 0: they go on */
+  servo_real count_angle;     /* rad at the motor */
+  servo_real ratio;           /* link turns per motor turn; negative: the other way */
+  servo_real motor_turns;     /* 1 / ratio */
+  servo_real torque_constant; /* N m/A */
+  servo_real current_per_tau; /* ratio / torque_constant, A per N m of the link */
+  servo_real emf;             /* V s/rad */
+  servo_real omega_limit;     /* rad/s, of the motor, as all that follows */
+  servo_real current_limit;   /* A */
+  servo_real voltage_limit;   /* V */
+  servo_real position_gain;   /* 1/s */
+  servo_real velocity_gain;   /* A s/rad */
+  servo_real reset_rate;      /* period / integral time */
+  /* The motor over a period, voltage and load held. */
+  servo_sum end_current, end_speed, turn, mean_current;
+  servo_real voltage_per_current; /* 1 / mean_current.voltage */
+  /* By current above its prediction: what another voltage has done, and how much it was. */
+  servo_real speed_per_surplus, turn_per_surplus, voltage_per_surplus;
+  servo_real current_memory;  /* share of a current error that is left in the mean */
+  servo_real winding;         /* ohm, on the current that flows */
+  servo_real current_voltage; /* ohm, on the current asked for */
+  servo_real theta_gain, omega_gain, load_gain; /* of the observer */
+} servo_joint;
+
+/* What a joint remembers, and what it was asked for last. */
+typedef struct servo_state {
+  int64_t counts; /* that have been turned, of an absolute encoder */
+  int32_t known;  /* 1: something was measured since the reset */
+  int32_t reserved;
+  servo_real theta_measured, theta, omega, load; /* rad, rad, rad/s, N m, of the motor */
+  servo_real current, integral;                  /* A */
+  servo_real voltage, unknown_voltage;           /* V */
+  servo_real q_target, v_target, tau;            /* newest target */
+  servo_real q_hold;                             /* where it is held without one */
+} servo_state;
+
+/* What is asked of a joint in one period, where it is more than a target: a drive that is commanded
+ * in speeds or currents, or has limits of its own. */
+enum servo_wants { SERVO_POSITION = 0, SERVO_SPEED = 1, SERVO_CURRENT = 2 };
+enum servo_limits { SERVO_LIMITS_SPEED = 1, SERVO_LIMITS_CURRENT = 2, SERVO_LIMITS_VOLTAGE = 4 };
+
+typedef struct servo_wish {
+  int32_t wants;                      /* enum servo_wants */
+  int32_t limited;                    /* bits of enum servo_limits: what was less than asked for */
+  servo_real q_target, v_target;      /* of the link, for SERVO_POSITION */
+  servo_real tau;                     /* torque of the link that is known, but for SERVO_CURRENT */
+  servo_real omega;                   /* rad/s of the motor, for SERVO_SPEED */
+  servo_real current;                 /* A, for SERVO_CURRENT */
+  servo_real least_omega, most_omega; /* of the motor; they bound a SERVO_CURRENT, too */
+  servo_real least_current, most_current; /* A */
+} servo_wish;
+
+/* ------------------------------------------------------------------------------- the watchdog */
+
+enum servo_does { SERVO_FOLLOWS = 0, SERVO_HOLDS = 1, SERVO_CUT = 2 };
+enum servo_silence {
+  SERVO_HEARS = 0,
+  SERVO_NO_TARGET = 1,
+  SERVO_LATE_TARGET = 2,
+  SERVO_LATE_STATE = 3
+};
+
+/* Targets or states silent: hold first, then cut the power.
+ *
+ * - No target has come yet: hold. A drive that was switched on waits where it stands, for ever.
+ * - Silence longer than `hold_after`: hold, until both come again.
+ * - Silence longer than `cut_after`: cut, until a reset. Power that was cut does not come back by
+ *   itself: whoever restarts a silent controller may have a hand in the machine, and the arm has
+ *   meanwhile sunk to where the last target no longer fits.
+ * - A clock that jumps back (an emulator that was reset) starts the silence anew.
+ */
+typedef struct servo_watchdog {
+  int64_t hold_after, cut_after; /* ns */
+  int64_t last_target, last_state;
+  int64_t silence; /* ns, that led to what it does */
+  int32_t target_came, state_came;
+  int32_t does;  /* enum servo_does */
+  int32_t cause; /* enum servo_silence */
+} servo_watchdog;
+
+void servo_watchdog_reset(servo_watchdog* dog);
+void servo_watchdog_target(servo_watchdog* dog, int64_t now);
+void servo_watchdog_state(servo_watchdog* dog, int64_t now);
+/* Return what to do at `now`, enum servo_does. */
+int32_t servo_watchdog_check(servo_watchdog* dog, int64_t now);
+
+/* ------------------------------------------------------------------------------------ an arm */
+
+typedef struct servo {
+  int32_t joints;
+  uint32_t restarts; /* how often a joint's numbers were no longer finite, and it began anew */
+  const servo_joint* joint;
+  servo_state* state;
+  servo_watchdog watchdog;
+  int64_t motion_period; /* ns, that a target with a speed goes on at most */
+  int64_t now;           /* ns, of the newest measurement */
+  int64_t target_time;   /* ns, of the newest target */
+  int32_t measured, aimed, holding;
+  int32_t does; /* enum servo_does, of the newest `servo_voltage` */
+} servo;
+
+/* Forget everything, a cut too; what is known of the joints and all times stay. To be called once
+ * before anything else. */
+void servo_reset(servo* arm);
+
+/* Per servo period: measure once, aim when a target comes, then ask for the voltages. Arrays have
+ * an entry per joint; times are ns of any clock that all calls share. Numbers must be finite. */
+
+/* `voltage` is what the drives applied in the period that ends now; null: what was asked for. */
+void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
+                   const servo_real* voltage);
+/* Link angles [rad], speeds with which they go on [rad/s], and torques of the links that are known
+ * beforehand [N m]; speeds and torques may be null: 0.
+ *
+ * A target goes on with its speed until the next one comes, for a motion period at most:
+ * q + v (t - t_target), so that the angles asked for are a line from target to target, no stairs.
+ */
+void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau);
+/* Voltages for the period that begins with the newest measurement: follow the newest target, hold
+ * without one, or 0 where nothing was measured yet, the watchdog has cut the power or the drives
+ * have none. */
+void servo_voltage(servo* arm, int32_t powered, servo_real* voltage);
+
+/* The same without watchdog and clock. */
+void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
+                   const servo_real* voltage);
+void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
+                   servo_real* voltage);
+/* Tell that the motors get no voltage; control will start without an integral again. */
+void servo_release(servo* arm);
+
+/* The same for one joint, whatever is asked of it. */
+servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish);
+
+/* ---------------------------------------------------------------------------------- one joint */
+
+void servo_joint_reset(servo_state* state);
+void servo_joint_observe(const servo_joint* joint, servo_state* state, int64_t counts,
+                         servo_real current, servo_real voltage);
+/* The same for an angle of the motor that was measured in another way [rad]. */
+void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,
+                      servo_real current, servo_real voltage);
+/* Return the voltage for the period that begins now. */
+servo_real servo_joint_control(const servo_joint* joint, servo_state* state, servo_real q_target,
+                               servo_real v_target, servo_real tau);
+/* Set a wish to a position of 0 within the limits of the joint. */
+void servo_wish_within(const servo_joint* joint, servo_wish* wish);
+/* As servo_joint_control, for whatever is wished. */
+servo_real servo_joint_drive(const servo_joint* joint, servo_state* state, servo_wish* wish);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,115 @@
+"""The servo under its watchdog, with and without joint targets: servo.c does it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy.typing as npt
+
+from arm_emulator.servo.servo import FloatArray, Servo, ServoConfig
+from arm_emulator.servo.servo_law import servo_law
+from arm_emulator.servo.watchdog import DOES, Watchdog, WatchdogState
+
+
+@dataclass(frozen=True)
+class Target:
+    """Joint targets of one moment, (N,) each in the servo's order of joints."""
+
+    q: FloatArray
+    """Link angles [rad]."""
+    v: FloatArray | None = None
+    """Link speeds [rad/s], with which the angles go on; None: 0."""
+    tau: FloatArray | None = None
+    """Link torques known beforehand [N m]; None: 0."""
+
+
+class Drives:
+    """All drives of an arm: follow the newest target, hold without one, or give no voltage.
+
+    Per servo period `measure` once, `aim` when a target comes, then `voltage`.
+
+    A target that has a speed goes on with it until the next one comes, for one motion period at
+    most: q + v (t - t_target). So the angles asked for are a line from target to target and no
+    stairs. Without a motion period nobody knows when the next one comes, and the angles stand.
+    """
+
+    def __init__(self, config: ServoConfig) -> None:
+        self.servo = Servo(config)
+        self._law = servo_law()
+        arm = self.servo.arm
+        arm.motion_period = round(config.motion_period * 1e9)
+        self._watchdog = Watchdog(config.hold_after, config.cut_after, arm.watchdog)
+        self._powered = True
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; power that was cut comes back."""
+        self.servo.reset()
+        self._asked = False
+
+    def retune(self, config: ServoConfig) -> None:
+        """Change gains, limits and timeouts, between two ticks.
+
+        Raises:
+            Refusal: see `Servo.retune`. Nothing has changed then.
+        """
+        self.servo.retune(config)
+        self._watchdog.retune(config.hold_after, config.cut_after)
+
+    def measure(
+        self,
+        time_ns: int,
+        counts: npt.ArrayLike,
+        current: npt.ArrayLike,
+        voltage: npt.ArrayLike | None = None,
+    ) -> None:
+        """Take this period's measurement.
+
+        Args:
+            time_ns: logical time [ns].
+            counts: see `Servo.observe`, as for the others.
+            current: [A].
+            voltage: applied in the period that ends now [V].
+
+        Raises:
+            Refusal: see `Servo.observe`. Nothing has changed then.
+        """
+        servo = self.servo
+        places = servo.measurement(counts, current, voltage)
+        self._law.servo_measure(servo.pointer, time_ns, *places)
+
+    def aim(self, target: Target) -> None:
+        """Take new joint targets, from this period on.
+
+        Raises:
+            Refusal: see `Servo.control`. Nothing has changed then.
+        """
+        servo = self.servo
+        places = servo.targets(target.q, target.v, target.tau)
+        self._law.servo_aim(servo.pointer, *places)
+
+    def voltage(self, powered: bool) -> FloatArray:
+        """Return the voltages for the period that began with the last measurement, (N,) [V].
+
+        Args:
+            powered: whether the drives have power; without it the motors turn no matter what.
+        """
+        servo = self.servo
+        assert servo.arm.measured, "measure first"
+        self._law.servo_voltage(servo.pointer, powered, servo.places[6])
+        self._asked, self._powered = True, powered
+        return servo.voltage
+
+    @property
+    def state(self) -> WatchdogState:
+        """What the last `voltage` did."""
+        return DOES[self.servo.arm.does]
+
+    @property
+    def reason(self) -> str:
+        """The same in words."""
+        if not self._asked:
+            return "starting"
+        if not self._powered and self._watchdog.state is not WatchdogState.CUT:
+            return "the drives' power is off"
+        return self._watchdog.reason

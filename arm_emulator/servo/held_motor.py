@@ -1,0 +1,118 @@
+"""A motor over one servo period: voltage and load held, winding and rotor exact.
+
+Over a period T in which voltage V and load torque do not change, eq. (1) and (2) of the paper,
+
+    L di/dt = V - R i - Kb omega        Mm domega/dt = Kt i - load        dtheta/dt = omega
+
+are linear, so that current, speed and angle at its end are known sums of those at its start. They
+depend on two ratios only, T to the motor's time constant R Mm / (Kt Kb) and that of the winding
+L / R to T, and hold for every value of both: a motor may be much faster than the period.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from arm_emulator.servo.held import FloatArray, exponential
+
+
+class Sum(NamedTuple):
+    """A quantity of a period as a sum over current, speed, voltage and load at its start."""
+
+    current: float
+    speed: float
+    voltage: float
+    load: float
+
+    def of(self, current: float, speed: float, voltage: float, load: float) -> float:
+        """Return the sum."""
+        a, b, c, d = self
+        return a * current + b * speed + c * voltage + d * load
+
+
+@dataclass(frozen=True)
+class HeldMotor:
+    """What a motor does in one period; quantities in SI units, all of the motor.
+
+    A current that differs from its prediction has two possible causes: another voltage (or another
+    resistance, back EMF or limit of the drive), or another load. Both are taken to be off by
+    currents of equal size; what the voltage then explains has moved the rotor, the load is left to
+    the encoder. Where the motor is slow (T far below its time constant) the voltage explains all,
+    so that the torque is that of the measured currents; where it is fast, the current at the end
+    tells of the load alone, and the speed comes from the voltage.
+    """
+
+    current: Sum
+    """At the end of the period [A]."""
+    speed: Sum
+    """At the end of the period [rad/s]."""
+    turn: Sum
+    """Angle turned in the period [rad]."""
+    speed_per_surplus: float
+    """Speed per current above its prediction [rad/s/A]."""
+    turn_per_surplus: float
+    """Angle per current above its prediction [rad/A]."""
+    voltage_per_surplus: float
+    """Voltage per current above its prediction [V/A]."""
+
+
+def held_motor(
+    resistance: float,
+    inductance: float,
+    torque_constant: float,
+    back_emf_constant: float,
+    rotor_inertia: float,
+    period: float,
+) -> HeldMotor:
+    """Return what a motor does in one period; units as in `JointServo`.
+
+    Raises:
+        ArithmeticError: numbers so far apart that something overflows.
+    """
+    # In currents and periods: v = V / R, l = load / Kt, w = omega / g, turn / (g T), s = t / T:
+    #   y di/ds = v - i - x w    dw/ds = i - l    dturn/ds = w
+    g = torque_constant * period / rotor_inertia
+    x = back_emf_constant * g / resistance
+    y = inductance / resistance / period
+    rows = _one_period(x, y)  # i, w, turn by i, w, v, l
+    i_v, i_l = rows[0, 2:].tolist()
+    size = math.hypot(i_v, i_l)
+    if size == 0.0:
+        raise ZeroDivisionError("neither voltage nor load moves the current")
+    to_si = np.array([1.0, g, g * period])[:, None]
+    from_si = np.array([1.0, 1.0 / g, 1.0 / resistance, 1.0 / torque_constant])
+    with np.errstate(over="ignore", invalid="ignore"):
+        volts = i_v / size / size
+        moved = rows[1:, 2:3] * volts * to_si[1:]
+        current, speed, turn = (Sum(*row) for row in (to_si * rows * from_si).tolist())
+    by_speed, by_turn = moved[:, 0].tolist()
+    return HeldMotor(current, speed, turn, by_speed, by_turn, resistance * volts)
+
+
+_AT_ONCE = 1e-6  # of a period: a winding that is faster than this is taken as one at once
+
+
+def _one_period(x: float, y: float) -> FloatArray:
+    """Return current, speed and turn (3,) after a period by current, speed, voltage, load (4,)."""
+    # Held quantities are states that do not change.
+    if y < _AT_ONCE:  # i = v - x w, also before
+        A = np.zeros((4, 4))  # w, turn, v, l
+        A[0] = -x, 0.0, 1.0, -1.0
+        A[1, 0] = 1.0
+        (w_w, _, w_v, w_l), (t_w, _, t_v, t_l) = exponential(A)[:2].tolist()
+        return np.array(
+            [
+                [0.0, -x * w_w, 1.0 - x * w_v, -x * w_l],
+                [0.0, w_w, w_v, w_l],
+                [0.0, t_w, t_v, t_l],
+            ]
+        )
+    A = np.zeros((5, 5))  # i, w, turn, v, l
+    A[0] = -1.0 / y, -x / y, 0.0, 1.0 / y, 0.0
+    A[1, [0, 4]] = 1.0, -1.0
+    A[2, 1] = 1.0
+    return exponential(A)[:3, [0, 1, 3, 4]]

@@ -1,0 +1,221 @@
+"""The servo of an arm: what comes from outside is checked, then servo.c does the rest."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.servo.servo_config import JointServo, ServoConfig, load_servo_config
+from arm_emulator.servo.servo_law import STATE, Rows, ServoStruct, address, servo_law
+from arm_emulator.servo.servo_numbers import servo_numbers
+
+__all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
+
+FloatArray = npt.NDArray[np.float64]
+Places = tuple[int | None, int | None, int | None]  # of arrays in memory; None: not given
+
+_Q_TARGET = POSITION.named("q_target")
+_V_TARGET = VELOCITY.named("v_target")
+_TAU = EFFORT.named("tau_feedforward")
+
+
+class Servo:
+    """All joints of an arm under cascaded control, see arm_emulator/servo/c/servo.h.
+
+    Arrays are (N,) in the order of ``config.joints``. Call once in every servo period `update`, or
+    its two halves: `observe` when the measurement is there, `control` when the target is.
+
+    A joint whose observer or integral is no longer finite begins anew where the motor stands, gets
+    0 V for that period, and is counted in `restarts`. Within the bounds of base/bound.py
+    only a data sheet of impossible numbers can lead there.
+
+    Attributes:
+        config: data-sheet values, gains and limits.
+        arm: the struct that the law works on.
+        state: what each joint remembers, (N,) rows of `servo_law.STATE`.
+        places: where the law finds counts, current, voltage, q, v, tau, and puts voltages.
+
+    Args:
+        config: data-sheet values, gains and limits.
+
+    Raises:
+        Refusal: numbers of a data sheet that cannot be computed with.
+    """
+
+    def __init__(self, config: ServoConfig) -> None:
+        self.config = config
+        self._law = servo_law()
+        self._N = len(config.joints)
+        self._joint = self._numbers_of(config)
+        self.state: Rows = np.zeros(self._N, STATE)
+        self.arm = ServoStruct(
+            joints=self._N, joint=address(self._joint), state=address(self.state)
+        )
+        self.pointer = ctypes.byref(self.arm)
+        self._counts = config.counts.named("counts")
+        self._theta_measured, self._omega = self.state["theta_measured"], self.state["omega"]
+        self._is_known, self._ratio = self.state["known"], self._joint["ratio"]
+        # What the law reads and writes has its place for good: finding an array's costs time.
+        self._whole = np.zeros(self._N, np.int64)
+        self._rows = np.zeros((6, self._N))
+        self.places = (address(self._whole), *map(address, self._rows))
+        self._law.servo_reset(self.pointer)
+
+    @staticmethod
+    def _numbers_of(config: ServoConfig) -> Rows:
+        return servo_numbers(config.joints, config.period, config.supply_voltage)
+
+    @property
+    def restarts(self) -> int:
+        """How often the state of a joint was no longer finite, and began anew."""
+        return int(self.arm.restarts)
+
+    def reset(self) -> None:
+        """Forget everything; the next measurement starts the observer where the motor stands."""
+        self._law.servo_reset(self.pointer)
+
+    def retune(self, config: ServoConfig) -> None:
+        """Go on with other gains and limits; what was observed and the integrals stay.
+
+        Raises:
+            Refusal: as the constructor. Nothing has changed then.
+        """
+        self._joint[:] = self._numbers_of(config)
+        self.config = config
+
+    @property
+    def q_measured(self) -> FloatArray:
+        """Link angles by the encoders, the middle of the count, (N,) [rad]; NaN before any."""
+        return self._known(self._theta_measured)
+
+    @property
+    def v_measured(self) -> FloatArray:
+        """Link speeds by the observer, (N,) [rad/s]; NaN before any count."""
+        return self._known(self._omega)
+
+    def _known(self, of_motors: FloatArray) -> FloatArray:
+        return of_motors * (self._ratio if self._is_known[0] else np.nan)
+
+    def update(
+        self,
+        counts: npt.ArrayLike,
+        current: npt.ArrayLike,
+        q_target: npt.ArrayLike,
+        v_target: npt.ArrayLike | None = None,
+        tau_feedforward: npt.ArrayLike | None = None,
+        voltage: npt.ArrayLike | None = None,
+    ) -> FloatArray:
+        """Return the voltages for the period that begins now: `observe`, then `control`.
+
+        Raises:
+            Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
+                then.
+        """
+        measured = self.measurement(counts, current, voltage)
+        wanted = self.targets(q_target, v_target, tau_feedforward)
+        self._law.servo_observe(self.pointer, *measured)
+        return self._control(wanted)
+
+    def observe(
+        self,
+        counts: npt.ArrayLike,
+        current: npt.ArrayLike,
+        voltage: npt.ArrayLike | None = None,
+    ) -> None:
+        """Take this period's measurement.
+
+        Args:
+            counts: encoder counts, (N,) whole numbers.
+            current: motor currents, (N,) [A].
+            voltage: what the drives applied in the period that ends now, (N,) [V]; None: what
+                `control` returned last, 0 after `release`.
+
+        Raises:
+            Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
+                then.
+        """
+        self._law.servo_observe(self.pointer, *self.measurement(counts, current, voltage))
+
+    def control(
+        self,
+        q_target: npt.ArrayLike,
+        v_target: npt.ArrayLike | None = None,
+        tau_feedforward: npt.ArrayLike | None = None,
+    ) -> FloatArray:
+        """Return the voltages for the period that began with the last measurement.
+
+        Args:
+            q_target: link angles wanted, (N,) [rad].
+            v_target: link speeds that belong to them, (N,) [rad/s]; None: 0.
+            tau_feedforward: link torques known beforehand, e.g. of gravity, (N,) [N m]; None: 0.
+
+        Returns:
+            Motor voltages, (N,) [V], within the supply voltage.
+
+        Raises:
+            Refusal: a wrong length, a value that is not finite or too large, or nothing was
+                measured yet. Nothing has changed then.
+        """
+        wanted = self.targets(q_target, v_target, tau_feedforward)
+        if not self._is_known[0]:
+            raise Refusal("servo", "control", "follow a measurement", "none since the reset")
+        return self._control(wanted)
+
+    def release(self) -> None:
+        """Tell that the motors get no voltage; control will start without an integral again."""
+        self._law.servo_release(self.pointer)
+
+    def _control(self, wanted: Places) -> FloatArray:
+        self._law.servo_control(self.pointer, *wanted, self.places[6])
+        return self.voltage
+
+    @property
+    def voltage(self) -> FloatArray:
+        """The newest voltages, (N,) [V], as a copy."""
+        voltage: FloatArray = self._rows[5].copy()
+        return voltage
+
+    def measurement(
+        self, counts: npt.ArrayLike, current: npt.ArrayLike, voltage: npt.ArrayLike | None
+    ) -> Places:
+        """Return where counts, currents and voltages lie for the law.
+
+        Raises:
+            Refusal: see `observe`.
+        """
+        given = self._vector(counts, self._counts)
+        self._whole[:] = given
+        if (self._whole != given).any():
+            raise Refusal("servo", "counts", "be whole numbers", given.tolist())
+        volts = None if voltage is None else self._vector(voltage, VOLTAGE)
+        return self.places[0], self._row(0, self._vector(current, CURRENT)), self._row(1, volts)
+
+    def targets(
+        self,
+        q_target: npt.ArrayLike,
+        v_target: npt.ArrayLike | None,
+        tau_feedforward: npt.ArrayLike | None,
+    ) -> Places:
+        """Return where angles, speeds and torques lie for the law.
+
+        Raises:
+            Refusal: see `control`.
+        """
+        q = self._vector(q_target, _Q_TARGET)
+        v = None if v_target is None else self._vector(v_target, _V_TARGET)
+        tau = None if tau_feedforward is None else self._vector(tau_feedforward, _TAU)
+        return self._row(2, q), self._row(3, v), self._row(4, tau)
+
+    def _row(self, row: int, values: FloatArray | None) -> int | None:
+        if values is None:
+            return None
+        self._rows[row] = values
+        return self.places[row + 1]
+
+    def _vector(self, values: npt.ArrayLike, bound: Bound) -> FloatArray:
+        """Return `values` as N numbers within the bound."""
+        return bound.vector("servo", values, self._N)

@@ -1,0 +1,384 @@
+"""Parameters of the servo: data-sheet values and gains of its joints, validated in one place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.bound import Bound, encoder_counts
+from arm_emulator.base.parameters import ROS_PARAMETERS, perhaps, ros_parameters
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.servo.commanded import Commanded
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """Range of a number, and its text for refusals."""
+
+    words: str
+    low: float
+    open: bool = True
+    integer: bool = False
+    high: float = math.inf
+    nonzero: bool = False
+
+    @property
+    def interval(self) -> str:
+        """The same in short: ``number in (0, inf)``."""
+        if self.nonzero:
+            return "number other than 0"
+        number, bracket = "whole number" if self.integer else "number", "[("[self.open]
+        end = "inf)" if self.high == math.inf else f"{self.high:g}]"
+        return f"{number} in {bracket}{self.low:g}, {end}"
+
+    def refuses(self, value: float) -> bool:
+        return (
+            (self.nonzero and value == 0.0)
+            or value > self.high
+            or (value <= self.low if self.open else value < self.low)
+        )
+
+
+def _positive(unit: str) -> dict[str, _Rule]:
+    return {"rule": _Rule(f"be a number > 0 {unit}".rstrip(), 0.0)}
+
+
+def _not_negative(unit: str) -> dict[str, _Rule]:
+    return {"rule": _Rule(f"be a number >= 0 {unit}".rstrip(), 0.0, open=False)}
+
+
+@dataclass(frozen=True)
+class JointServo:
+    """One joint as its drive sees it: motor, gear and encoder from the data sheets, and the gains.
+
+    Link-side quantities (``velocity_limit``, ``velocity_gain``) are those a joint has behind its
+    gear; ``gear_ratio`` is link turns per motor turn.
+    """
+
+    name: str
+    gear_ratio: float = field(
+        metadata={"rule": _Rule("be a number other than 0", -math.inf, nonzero=True)}
+    )
+    """Link turns per motor turn; negative: the link turns the other way."""
+    counts_per_turn: int = field(
+        metadata={"rule": _Rule("be a whole number >= 1", 1.0, open=False, integer=True)}
+    )
+    """Encoder counts per motor turn."""
+    resistance: float = field(metadata=_positive("ohm"))
+    """Of the winding [ohm]."""
+    torque_constant: float = field(metadata=_positive("N m/A"))
+    """Motor torque per current [N m/A]."""
+    back_emf_constant: float = field(metadata=_not_negative("V s/rad"))
+    """Voltage per motor speed [V s/rad]."""
+    rotor_inertia: float = field(metadata=_positive("kg m2"))
+    """Of the rotor and the primary side of the gear [kg m2]."""
+    velocity_limit: float = field(metadata=_positive("rad/s"))
+    """Largest link speed that the position loop may ask for [rad/s]."""
+    position_gain: float = field(metadata=_positive("1/s"))
+    """Speed asked for per position error [1/s]."""
+    velocity_gain: float = field(metadata=_positive("N m s/rad"))
+    """Link torque asked for per link speed error [N m s/rad]."""
+    integral_time: float = field(metadata=_positive("s"))
+    """Reset time of the velocity loop's integral action [s]."""
+    observer_bandwidth: float = field(metadata=_positive("rad/s"))
+    """Where the three poles of the speed observer lie [rad/s]."""
+    inductance: float = field(default=0.0, metadata=_not_negative("H"))
+    """Of the winding [H]; 0: the current follows the voltage at once."""
+    link_inertia: float = field(default=0.0, metadata=_not_negative("kg m2"))
+    """Link inertia that turns rigidly with the rotor [kg m2]; 0: behind an elastic gear."""
+    current_limit: float = field(default=math.inf, metadata=_positive("A"))
+    """Largest current that the drive may ask for [A]; left out: only the voltage limits."""
+    current_bandwidth: float = field(default=0.0, metadata=_not_negative("Hz"))
+    """Of the current loop that the drive closes by itself [Hz]: it is commanded a current [A];
+    left out: a voltage."""
+    encoder_bits: int = field(
+        default=0,
+        metadata={
+            "rule": _Rule(
+                "be a whole number from 0 to 48", 0.0, open=False, integer=True, high=48.0
+            )
+        },
+    )
+    """Word length of an absolute encoder, whose counts begin anew at 0 after 2**bits; 0: counts
+    that go on."""
+
+    @property
+    def commanded(self) -> Commanded:
+        """What the motor's command meets."""
+        emf = self.back_emf_constant
+        return Commanded.by(self.resistance, self.inductance, emf, self.current_bandwidth)
+
+    def largest_command(self, supply_voltage: float) -> float:
+        """Return the largest command [V, A]: what the supply, or the current limit, leaves."""
+        if self.current_bandwidth == 0.0:
+            return supply_voltage
+        return min(self.current_limit, supply_voltage / self.resistance)
+
+    def check_command(self, where: str, unit: str) -> None:
+        """Refuse a motor of a scene that is commanded something else than this servo gives.
+
+        Args:
+            where: the scene's file.
+            unit: of what the scene's motor is commanded.
+
+        Raises:
+            Refusal: it is.
+        """
+        quantity = f"servo.joints.{self.name}.current_bandwidth"
+        if unit == "A" and self.current_bandwidth == 0.0:
+            rule = "be given: the motor's drive closes a current loop"
+            raise Refusal(where, quantity, rule, "nothing")
+        if unit == "V" and self.current_bandwidth > 0.0:
+            rule = "be absent: the scene's motor takes a voltage"
+            raise Refusal(where, quantity, rule, f"{self.current_bandwidth:g} Hz")
+
+    @property
+    def inertia(self) -> float:
+        """What the motor moves rigidly, seen at the motor [kg m2]."""
+        return self.rotor_inertia + self.gear_ratio**2 * self.link_inertia
+
+    @property
+    def count_angle(self) -> float:
+        """Link angle of one encoder count [rad], >= 0."""
+        return 2.0 * math.pi / self.counts_per_turn * abs(self.gear_ratio)
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """Parameters of the servo: periods, supply and its joints in the order of its arrays."""
+
+    period: float
+    """Servo period [s]."""
+    motion_period: float
+    """Period of the joint targets in lock-step [s]; 0: targets come when they come."""
+    hold_after: float
+    """Silence after which the watchdog holds the joints where they are [s]."""
+    cut_after: float
+    """Silence after which the watchdog cuts the power [s]."""
+    supply_voltage: float
+    """Largest voltage at a motor, of either sign [V]."""
+    joints: tuple[JointServo, ...]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in the order of all arrays."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def counts(self) -> Bound:
+        """How large the encoders' counts may be, (N,)."""
+        going_on = encoder_counts([joint.count_angle for joint in self.joints])
+        words = np.array([2.0**joint.encoder_bits for joint in self.joints])
+        largest = np.where(words > 1.0, words - 1.0, going_on.largest)
+        return Bound(going_on.quantity, "", largest)
+
+    def count_angles(self, joint_names: Iterable[str]) -> list[float]:
+        """Return the link angle of one encoder count for each of some joints [rad]."""
+        known = {joint.name: joint.count_angle for joint in self.joints}
+        return [known[name] for name in joint_names]
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> ServoConfig:
+        """Validate the parameters of a servo.
+
+        Args:
+            mapping: ``period``, ``motion_period``, ``hold_after``, ``cut_after``,
+                ``supply_voltage``, ``joint_names`` and, for each name, ``joints.<name>.<field of
+                JointServo>``. Nested mappings and ROS's dotted names are both taken.
+            where: name of their source, for refusals.
+
+        Raises:
+            Refusal: an unknown, missing or impossible value.
+        """
+        given = _dotted(mapping, where)
+        for name in given:
+            if any(name.startswith(f"{other}.") for other in _SCALARS if other in given):
+                raise Refusal(where, name, "be given once", given[name])
+        for name in list(given):
+            if name.split(".")[0] in ROS_PARAMETERS:
+                del given[name]
+        names = _joint_names(given.pop("joint_names", None), where)
+        # A joint's name may have dots, a field has none.
+        tables: dict[str, dict[str, Any]] = {}
+        for key in [key for key in given if key.startswith("joints.")]:
+            name, _, field_name = key.removeprefix("joints.").rpartition(".")
+            if not name:
+                raise Refusal(where, key, "be a mapping", given[key])
+            tables.setdefault(name, {})[field_name] = given.pop(key)
+        if "joints" in given:
+            raise Refusal(where, "joints", "be a mapping", given["joints"])
+        for name in tables:
+            # What ROS makes of a section under a name with dots is not what was meant.
+            if name not in names and any("." in known for known in names):
+                rule = "be a joint (one whose name has dots is written out in parameter files)"
+                raise Refusal(where, f"joints.{name}", rule, name, "joints.NAME.gear_ratio: VALUE")
+        _check_keys(tables, names, where, "joints")
+        _check_keys(given, _SCALARS, where, "")
+        scalars = {name: _number(given[name], rule, where, name) for name, rule in _SCALARS.items()}
+        _check_periods(scalars, where)
+        joints = tuple(_joint(name, tables[name], where) for name in names)
+        for joint in joints:
+            _check_rates(joint, scalars["period"], where)
+        return cls(**scalars, joints=joints)
+
+
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6  # s
+
+_SCALARS = {
+    "period": _positive("s")["rule"],
+    "motion_period": _not_negative("s")["rule"],
+    "hold_after": _positive("s")["rule"],
+    "cut_after": _positive("s")["rule"],
+    "supply_voltage": _positive("V")["rule"],
+}
+_FIELDS = {f.name: f for f in fields(JointServo) if f.name != "name"}
+
+
+# What can be set while the servo runs: not the data sheet.
+SETTABLE = (
+    "hold_after",
+    "cut_after",
+    "velocity_limit",
+    "current_limit",
+    "position_gain",
+    "velocity_gain",
+    "integral_time",
+    "observer_bandwidth",
+)
+
+
+@dataclass(frozen=True)
+class ParameterDescription:
+    """A parameter of the servo, for ROS tools."""
+
+    words: str
+    low: float | None = None
+    """Smallest value; None: not a number."""
+    whole: bool = False
+
+
+def describe(name: str) -> ParameterDescription:
+    """Return what the parameter of a dotted name may be."""
+    leaf = name.rsplit(".", 1)[-1]
+    words = leaf.replace("_", " ")
+    rule = _FIELDS[leaf].metadata["rule"] if leaf in _FIELDS else _SCALARS.get(leaf)
+    if rule is None:
+        return ParameterDescription(words)
+    unit = "" if rule.high < math.inf else rule.words.partition(f" {rule.low:g}")[2].strip()
+    words = f"{words}: {rule.interval}" + (f" [{unit}]" if unit else "")
+    low = math.nextafter(rule.low, math.inf) if rule.open else rule.low
+    return ParameterDescription(words, low, rule.integer)
+
+
+def load_servo_config(path: str | Path) -> ServoConfig:
+    """Read a ROS parameter file of the node ``servo``.
+
+    Raises:
+        Refusal: no such file, not a parameter file, or a value that is not taken.
+    """
+    path = Path(path)
+    return ServoConfig.from_mapping(ros_parameters(path, "servo"), path.name)
+
+
+def _dotted(mapping: object, where: str, path: str = "") -> dict[str, Any]:
+    """Return nested mappings as one of dotted names, as ROS has them."""
+    if not isinstance(mapping, Mapping):
+        raise Refusal(where, path or "the parameters", "be a mapping", mapping)
+    flat: dict[str, Any] = {}
+    for key, value in mapping.items():
+        name = f"{path}.{key}" if path else str(key)
+        below = _dotted(value, where, name) if isinstance(value, Mapping) else {name: value}
+        for one in below:
+            if one in flat:
+                raise Refusal(where, one, "be given once", value)
+        flat |= below
+    return flat
+
+
+def _joint_names(value: object, where: str) -> tuple[str, ...]:
+    if (
+        not isinstance(value, list | tuple)
+        or not value
+        or not all(isinstance(name, str) and name for name in value)
+        or len(set(value)) != len(value)
+    ):
+        raise Refusal(where, "joint_names", "be a list of different joint names", value)
+    return tuple(value)
+
+
+def _check_keys(table: object, allowed: Any, where: str, path: str) -> None:
+    """Refuse a table that is none, lacks one of `allowed` or has anything else."""
+    if not isinstance(table, Mapping):
+        raise Refusal(where, path, "be a mapping", table)
+    prefix = f"{path}." if path else ""
+    valid = ", ".join(allowed)
+    for key in table:
+        if key not in allowed:
+            got = f"an unknown one{perhaps(str(key), allowed)}"
+            raise Refusal(where, f"{prefix}{key}", "be a known key", got, valid)
+    for key in allowed:
+        if key not in table:
+            raise Refusal(where, f"{prefix}{key}", "be given", "nothing")
+
+
+def _number(value: object, rule: _Rule, where: str, path: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise Refusal(where, path, rule.words, repr(value))
+    whole = not rule.integer or float(value).is_integer()
+    if not math.isfinite(value) or rule.refuses(value) or not whole:
+        raise Refusal(where, path, rule.words, value)
+    return int(value) if rule.integer else float(value)
+
+
+def _joint(name: str, table: Any, where: str) -> JointServo:
+    path = f"joints.{name}"
+    optional = {
+        key: f.default
+        for key, f in _FIELDS.items()
+        if f.default is not MISSING and (not isinstance(table, Mapping) or key not in table)
+    }
+    if isinstance(table, Mapping):
+        table = {**optional, **table}
+    _check_keys(table, _FIELDS, where, path)
+    values: dict[str, Any] = {
+        key: value
+        if key in optional
+        else _number(value, _FIELDS[key].metadata["rule"], where, f"{path}.{key}")
+        for key, value in table.items()
+    }
+    return JointServo(name=name, **values)
+
+
+def _check_periods(scalars: Mapping[str, float], where: str) -> None:
+    period, motion_period = scalars["period"], scalars["motion_period"]
+    if not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
+        rule = f"be a number from {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g} s"
+        raise Refusal(where, "period", rule, period)
+    if motion_period > _LONGEST_PERIOD:
+        rule = f"be a number from 0 to {_LONGEST_PERIOD:g} s"
+        raise Refusal(where, "motion_period", rule, motion_period)
+    cycles = motion_period / period
+    if abs(cycles - round(cycles)) > 1e-9 * max(1.0, cycles):
+        raise Refusal(
+            where, "motion_period", f"be a whole multiple of period = {period} s", motion_period
+        )
+    if scalars["cut_after"] <= scalars["hold_after"]:
+        rule = f"be > hold_after = {scalars['hold_after']} s"
+        raise Refusal(where, "cut_after", rule, scalars["cut_after"])
+
+
+def _check_rates(joint: JointServo, period: float, where: str) -> None:
+    """Refuse what a law that is computed once per period cannot do."""
+    path = f"joints.{joint.name}"
+    fastest = 1.0 / period
+    for key in ("observer_bandwidth", "position_gain"):
+        if (value := getattr(joint, key)) > fastest:
+            raise Refusal(where, f"{path}.{key}", f"be <= 1/period = {fastest:g} 1/s", value)
+    if joint.integral_time < period:
+        rule = f"be >= period = {period} s"
+        raise Refusal(where, f"{path}.integral_time", rule, joint.integral_time)

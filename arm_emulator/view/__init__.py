@@ -1,0 +1,1 @@
+"""The arm and its signals in Rerun, live and recorded."""

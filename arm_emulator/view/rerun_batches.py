@@ -1,0 +1,323 @@
+"""Samples of the arm turned into columns of Rerun."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.view.rerun_blueprint import (
+    COLOURS,
+    DEVIATION,
+    TIMELINE,
+    TOOL_PATH,
+    TOOL_TARGET,
+    TRANSFORMS,
+    WORLD_AXES,
+    blueprint,
+)
+from arm_emulator.view.sample_queue import Array, Times
+from arm_emulator.view.tool_position import ToolPosition
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+    from rerun.urdf import UrdfTree
+
+# In the order in which `RerunStream.offer` takes them.
+QUANTITIES = ("q", "v", "gear_torque", "current", "voltage", "q_measured")
+
+AXIS_LENGTH = 0.2  # m, of the axes of the world at the base
+SECOND = 1_000_000_000  # ns
+
+
+class RerunBatches:
+    """Sends batches of samples, used by one thread.
+
+    Args:
+        tree: the URDF.
+        joint_names: the N moving joints, in the order of the samples.
+        tool: the link whose path is drawn; None draws none.
+        arm_rate: poses of the arm per second on the time line [Hz].
+        signal_every: of so many samples one goes into the signals.
+
+    Attributes:
+        waiting: samples whose signals are still to be sent.
+
+    Raises:
+        Refusal: a joint or the tool is not in the URDF.
+    """
+
+    def __init__(
+        self,
+        tree: UrdfTree,
+        joint_names: tuple[str, ...],
+        tool: str | None,
+        arm_rate: int,
+        signal_every: int,
+    ) -> None:
+        known = [joint.name for joint in tree.joints() if joint.joint_type != "fixed"]
+        for name in joint_names:
+            if name not in known:
+                raise Refusal("URDF", "joint", "be a moving joint of it", name, ", ".join(known))
+        self._tree = tree
+        self._names = joint_names
+        self._tool = None if tool is None else ToolPosition(tree, joint_names, tool)
+        self._arm_rate = arm_rate
+        self._signal_every = signal_every
+        self._transform_columns = _transform_columns()
+        self._start_over()
+
+    def _start_over(self) -> None:
+        self._count = 0  # samples seen
+        self._shift = 0  # ns, from logical time to the time line
+        self._last_time = -1  # ns, on the time line
+        self._last_pose = -1  # number of the last pose shown, at `arm_rate`
+        self._cuts: list[int] = []  # ns, on the time line: where logical time stepped back
+        self._path_time = np.empty(0, np.int64)  # of the last pose shown, if there is one
+        self._path_end = np.empty((0, 3))
+        self._targets: list[tuple[int, tuple[float, ...]]] = []  # from when [ns, line], p_WT
+        self._waiting: list[tuple[Times, Array]] = []
+        self.waiting = 0
+
+    def warm_up(self) -> None:
+        """Send a batch into nowhere: Rerun's first calls take up to 30 ms, later ones 0.1 ms."""
+        import rerun as rr
+
+        nowhere = rr.RecordingStream("arm_emulator_warm_up")
+        rows = np.zeros((2, len(QUANTITIES), len(self._names)))
+        times = np.array([0, SECOND], np.int64)
+        for steps in (
+            self.send_targets(nowhere, [(0, (0.0, 0.0, 0.0))]),
+            self.send_poses(nowhere, times, rows),
+            self.send_signals(nowhere),
+        ):
+            for _ in steps:
+                pass
+        self._start_over()
+
+    def blueprint(self, q_start: ArrayLike | None) -> rrb.Blueprint:
+        """Return the layout of the viewer, its eyes set for the pose q_start (N,)."""
+        q = np.zeros((1, len(self._names)))
+        q[0] = 0.0 if q_start is None else q_start
+        names = [self._tree.root_link().name, *(j.child_link for j in self._tree.joints())]
+        links = [ToolPosition(self._tree, self._names, name)(q)[0] for name in names]
+        tool = None if self._tool is None else self._tool(q)[0]
+        return blueprint(self._tree.name, names[0], np.array(links), tool)
+
+    def send_static(self, recording: rr.RecordingStream) -> None:
+        """Send what does not change: geometry, names and colours of the curves."""
+        import rerun as rr
+
+        self._tree.log_urdf_to_recording(recording)
+        root = rr.CoordinateFrame(self._tree.root_link().name)
+        # Radii below zero are in points of the screen.
+        line = rr.LineStrips3D.from_fields(radii=-1.5, colors=(250, 200, 60))
+        point = rr.Points3D.from_fields(radii=-6.0, colors=(230, 60, 60))
+        axes = rr.Arrows3D(
+            vectors=AXIS_LENGTH * np.eye(3),
+            colors=[(230, 80, 80), (90, 190, 90), (90, 140, 240)],
+            labels=["x", "y", "z"],
+            radii=-1.5,
+        )
+        recording.log(WORLD_AXES, root, axes, static=True)
+        recording.log(TOOL_PATH, root, line, static=True)
+        recording.log(TOOL_TARGET, root, point, static=True)
+        curves = [
+            (_path("signals", quantity, name), name, colour, quantity == "voltage")
+            for quantity in QUANTITIES
+            for name, colour in zip(self._names, itertools.cycle(COLOURS), strict=False)
+        ]
+        if self._tool is not None:
+            curves += [
+                (f"{DEVIATION}/{axis}", axis, colour, False)
+                for axis, colour in zip("xyz", COLOURS, strict=False)
+            ]
+        for path, name, colour, held in curves:
+            mode = rr.components.InterpolationMode
+            drawn = mode.StepAfter if held else mode.Linear
+            curve = rr.SeriesLines(names=name, colors=colour, interpolation_mode=drawn)
+            recording.log(path, curve, static=True)
+
+    # Each of these yields wherever Python's lock may be given up.
+
+    def send_targets(
+        self, recording: rr.RecordingStream, targets: list[tuple[int, tuple[float, ...]]]
+    ) -> Iterator[None]:
+        """Send targets: from when [ns, logical], p_WT [m]."""
+        import rerun as rr
+
+        for time_ns, p_WT in targets:
+            start = max(time_ns + self._shift, self._last_time)
+            self._targets = sorted([*self._targets, (start, p_WT)], key=lambda target: target[0])
+            recording.send_columns(
+                TOOL_TARGET,
+                [_line(np.array([start]))],
+                rr.Points3D.columns(positions=[p_WT]),
+                strict=True,
+            )
+            yield
+
+    def send_poses(
+        self, recording: rr.RecordingStream, times: Times, rows: Array
+    ) -> Iterator[None]:
+        """Send the arm's motion of samples, times (K,) [ns] and rows (K, quantities, N), K > 0.
+
+        Their signals wait for `send_signals`.
+        """
+        import rerun as rr
+
+        times = self._on_the_line(times)
+        chosen = slice((-self._count) % self._signal_every, None, self._signal_every)
+        self._count += len(times)
+        self._waiting.append((times[chosen], rows[chosen]))
+        self.waiting += len(times[chosen])
+
+        numbers = times * self._arm_rate // SECOND
+        q = rows[:, 0]
+        new = (np.diff(numbers, prepend=self._last_pose) > 0) & np.isfinite(q).all(axis=1)
+        self._last_pose = int(numbers[-1])
+        if not new.any():
+            return
+        times, q = times[new], q[new]
+        yield
+        yield from self._send_transforms(recording, times, q)
+        if self._tool is None:
+            return
+        p_WT = self._tool(q)
+        yield
+        ends, pieces = self._pieces_of_path(times, p_WT)
+        if len(pieces):
+            columns = rr.LineStrips3D.columns(strips=list(pieces))
+            yield
+            recording.send_columns(TOOL_PATH, [_line(ends)], columns, strict=True)
+            yield
+        yield from self._send_deviation(recording, times, p_WT)
+
+    def send_signals(self, recording: rr.RecordingStream) -> Iterator[None]:
+        """Send the signals of the samples that wait."""
+        import rerun as rr
+
+        waiting, self._waiting, self.waiting = self._waiting, [], 0
+        if not waiting:
+            return
+        line = _line(np.concatenate([times for times, _ in waiting]))
+        rows = np.concatenate([rows for _, rows in waiting])
+        for index, quantity in enumerate(QUANTITIES):
+            if len(rows) == 0 or np.isnan(rows[:, index]).all():
+                continue
+            for column, name in enumerate(self._names):
+                recording.send_columns(
+                    _path("signals", quantity, name),
+                    [line],
+                    rr.Scalars.columns(scalars=np.ascontiguousarray(rows[:, index, column])),
+                    strict=True,
+                )
+                yield
+
+    def _pieces_of_path(self, times: Times, p_WT: Array) -> tuple[Times, Array]:
+        """Return the pieces (P, 2, 3) [m] of the tool's path and when each is done (P,) [ns]."""
+        times = np.append(self._path_time, times)
+        points = np.vstack((self._path_end, p_WT))
+        self._path_time, self._path_end = times[-1:], points[-1:]
+        pieces = np.stack((points[:-1], points[1:]), axis=1)
+        whole = np.ones(len(pieces), bool)
+        for cut in self._cuts:  # the tool did not travel through a reset
+            whole &= (times[1:] < cut) | (cut <= times[:-1])
+        self._cuts = []
+        return times[1:][whole], pieces[whole]
+
+    def _send_deviation(
+        self, recording: rr.RecordingStream, times: Times, p_WT: Array
+    ) -> Iterator[None]:
+        import rerun as rr
+
+        starts = [start for start, _ in self._targets]
+        current = np.searchsorted(starts, times, side="right") - 1
+        given = current >= 0
+        if not given.any():
+            return
+        deviation = np.array([p for _, p in self._targets])[current[given]] - p_WT[given]
+        self._targets = self._targets[int(current[-1]) :]
+        for axis, values in zip("xyz", deviation.T, strict=True):
+            recording.send_columns(
+                f"{DEVIATION}/{axis}",
+                [_line(times[given])],
+                rr.Scalars.columns(scalars=np.ascontiguousarray(values)),
+                strict=True,
+            )
+            yield
+
+    def _on_the_line(self, times: Times) -> Times:
+        """Return the times on the time line, which goes on where logical time steps back."""
+        times = times + self._shift
+        before = np.concatenate(([self._last_time], times[:-1]))
+        for index in np.flatnonzero(times < before):
+            last = self._last_time if index == 0 else int(times[index - 1])
+            start = int(times[index]) - self._shift  # logical
+            shift = ((last - start) // SECOND + 1) * SECOND
+            times[index:] += shift - self._shift
+            self._shift = shift
+            self._cuts.append(int(times[index]))
+        self._last_time = int(times[-1])
+        return times
+
+    def _send_transforms(
+        self, recording: rr.RecordingStream, times: Times, q: Array
+    ) -> Iterator[None]:
+        """Send the joints' transforms for q (K, N): one row per joint and time, in one entity."""
+        import pyarrow as pa
+        import rerun as rr
+
+        count, joints = q.shape
+        starts = np.arange(0, count * joints + 1, joints, dtype=np.int32)
+        names = pa.ListArray.from_arrays(starts, pa.array(list(self._names) * count))
+        values = pa.ListArray.from_arrays(starts, pa.array(q.ravel()))
+        yield
+        transforms = self._tree.compute_joint_transform_batches(names, values).flatten()
+        yield
+        columns = [
+            rr.ComponentColumn(descriptor, batch(transforms.field(field)))
+            for field, descriptor, batch in self._transform_columns
+        ]
+        yield
+        line = _line(np.repeat(times, joints))
+        recording.send_columns(TRANSFORMS, [line], columns, strict=True)
+        yield
+
+
+def _transform_columns() -> list[tuple[str, rr.ComponentDescriptor, Any]]:
+    """Return field, descriptor and batch type of each column of a joint's transform."""
+    import rerun as rr
+
+    batches = {
+        "translation": rr.components.Translation3DBatch,
+        "quaternion": rr.components.RotationQuatBatch,
+        "parent_frame": rr.components.TransformFrameIdBatch,
+        "child_frame": rr.components.TransformFrameIdBatch,
+    }
+    example = rr.Transform3D.columns(
+        translation=[(0.0, 0.0, 0.0)],
+        quaternion=[(0.0, 0.0, 0.0, 1.0)],
+        parent_frame=["parent"],
+        child_frame=["child"],
+    )
+    descriptors = [column.component_descriptor() for column in example]
+    fields = [descriptor.component.split(":")[1] for descriptor in descriptors]
+    return [(f, d, batches[f]) for f, d in zip(fields, descriptors, strict=True)]
+
+
+def _line(times: Times) -> rr.TimeColumn:
+    import rerun as rr
+
+    return rr.TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))
+
+
+def _path(*parts: str) -> str:
+    import rerun as rr
+
+    return rr.new_entity_path(list(parts))

@@ -1,0 +1,24 @@
+"""Which headers of the core include which: a floor stands on those below it."""
+
+from __future__ import annotations
+
+import re
+
+from arm_emulator.core import CORE
+
+FLOORS = ("numerics", "parts", "mechanics", "schemes", "machine", "boundary")
+
+
+def test_a_header_includes_what_is_on_its_floor_or_below() -> None:
+    files = [file for file in CORE.rglob("*") if file.suffix in (".hpp", ".cpp", ".h", ".c")]
+    assert {file.parent.name for file in files} == set(FLOORS), "the floors"
+    wrong, seen = [], 0
+    for file in files:
+        floor = FLOORS.index(file.parent.name)
+        for name in re.findall(r'^#include "(.+)"', file.read_text(), re.M):
+            to = FLOORS.index(name.split("/")[0]) if "/" in name else floor
+            assert (CORE / FLOORS[to] / name.split("/")[-1]).is_file(), f"{file.name}: {name}"
+            seen += 1
+            if to > floor:
+                wrong.append(f"{file.relative_to(CORE)} includes {name}")
+    assert seen > 100 and not wrong, wrong
