@@ -20,10 +20,7 @@ from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_
 from bench import pages
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = (
-    "arm_emulator|bench|compiled|config|docs|emulator_node|firmware|motion_controller_node|msg|"
-    "ros_shell|servo_node|test|words"
-)
+FOLDERS = "arm_emulator|bench|config|docs|emulator_node|motion_controller_node|msg|servo_node|test"
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
@@ -77,7 +74,7 @@ def test_files_named_in_text_exist(document: Path) -> None:
 
 def test_every_key_of_a_scene_is_listed() -> None:
     """What parts declare is compared in test_parts.py."""
-    source = (ROOT / "emulator_node" / "scene.py").read_text()
+    source = (ROOT / "arm_emulator" / "machine" / "scene.py").read_text()
     keys = set(
         re.findall(
             r"\.(?:number|text|choice|integer|vector|(?:required_)?section)\(\s*\"(\w+)\"", source
@@ -148,7 +145,7 @@ def test_the_depths_of_queues_are_those_of_the_nodes() -> None:
 
 def test_tolerances_named_in_the_physics_are_those_of_the_core() -> None:
     text = (ROOT / "docs" / "physics.md").read_text()
-    located = (ROOT / "emulator_node" / "core" / "located.hpp").read_text()
+    located = (ROOT / "arm_emulator" / "core" / "schemes" / "located.hpp").read_text()
     instant = re.search(r"kInstant = (\S+);", located)
     assert instant and f"found to {instant[1]} of the" in text
 
@@ -222,7 +219,7 @@ int main(void) {
 
 def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> None:
     """Addresses and numbers of its headers, as C has them, against board.yaml and ur5."""
-    folder = ROOT / "microcontroller" / "examples" / "stm32f4_like"
+    folder = ROOT / "arm_emulator" / "doors" / "microcontroller" / "examples" / "stm32f4_like"
     board = yaml.safe_load((folder / "board.yaml").read_text())
     scene = yaml.safe_load((ROOT / "config" / "ur5.yaml").read_text())
     (tmp_path / "told.c").write_text(TOLD)

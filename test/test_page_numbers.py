@@ -41,7 +41,7 @@ def plain(page: str) -> str:
 def value(place: str) -> Any:
     module, _, name = place.rpartition(".")
     if "." not in module:
-        module = f"motion_controller_node.{module}"
+        module = f"arm_emulator.motion.{module}"
     return getattr(import_module(module), name)
 
 

@@ -18,7 +18,7 @@
 #pragma GCC visibility push(default)
 #include "arm.h"
 #pragma GCC visibility pop
-#include "finite.hpp"
+#include "numerics/finite.hpp"
 #include "variable.hpp"
 
 namespace fmu {
