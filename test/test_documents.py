@@ -223,7 +223,7 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
     board = yaml.safe_load((folder / "board.yaml").read_text())
     scene = yaml.safe_load((ROOT / "config" / "ur5.yaml").read_text())
     (tmp_path / "told.c").write_text(TOLD)
-    include = [f"-I{folder}", f"-I{ROOT / 'firmware'}"]
+    include = [f"-I{folder}", f"-I{ROOT / 'arm_emulator/servo/c'}"]
     command = [*find_compiler(), "-x", "c", "-w", *include, str(tmp_path / "told.c"), "-o", "told"]
     subprocess.run(command, check=True, cwd=tmp_path)
     words = subprocess.run(tmp_path / "told", capture_output=True, text=True, check=True).stdout
