@@ -22,7 +22,7 @@ def main() -> int:
         help="measure this section (may be given several times)",
     )
     parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for the report")
-    parser.add_argument("--publish", type=Path, help="folder to copy the report to, docs/report")
+    parser.add_argument("--publish", type=Path, help="folder for a copy, docs/validation/report")
     arguments = parser.parse_args()
     try:
         return bench(arguments.quick, arguments.only, arguments.out, arguments.publish)

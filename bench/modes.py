@@ -1,4 +1,4 @@
-"""The page of eigenvalues, docs/modes.md: every loop of the drives of the scenes that come along.
+"""docs/reference/modes.md: eigenvalues of every loop of the drives of the shipped scenes.
 
     python -m bench.modes
 
@@ -14,7 +14,7 @@ from arm_emulator.cli.mode_table import mode_rows, page_table
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "modes.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "modes.md"
 SCENES = ("three_axis", "ur5", "panda")
 HEAD = """\
 # Eigenvalues of every mode

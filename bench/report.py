@@ -33,7 +33,8 @@ SECTIONS = (
     "first_use",
 )
 # What is measured only when it is named, how well controllers and given machines do:
-# docs/motion.md, docs/assumed.md, docs/validation.md and docs/identify.md.
+# docs/concepts/motion.md, docs/validation/assumed.md, docs/validation/validation.md and
+# docs/how_to/identify.md.
 BY_NAME = (
     "tool_line",
     "hard_places",

@@ -44,7 +44,7 @@ def run(quick: bool) -> dict[str, Any]:
 def report(figures: dict[str, Any]) -> str:
     """Return the section."""
     lines = [
-        "Manutec r3, against an independent solution ([docs/validation.md](../validation.md)):\n",
+        "Manutec r3, against an independent solution ([validation](../validation.md)):\n",
         "| period, us | angles, rad | currents, A | times real time |", "|---|---|---|---|",
     ]  # fmt: skip
     for one in figures["manutec_r3"]:

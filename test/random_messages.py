@@ -9,7 +9,7 @@
 - `joint_names` are those of the scene, `tick` is where the emulator stands [servo periods], or any
   later one, `period_ns` is the servo period [ns].
 
-`bad_message` breaks at least one rule of docs/topics.md: its receiver must refuse it, count it, and
+`bad_message` breaks at least one rule of topics.md: its receiver must refuse it, count it, and
 be as before, bit by bit, in both clocks. `random_message` is anything of the topic's type, from
 sound to absurd: its receiver may take it, and must go on working.
 """
@@ -56,7 +56,7 @@ RECEIVER = {
 
 LARGEST_FLOAT = sys.float_info.max
 SMALLEST_FLOAT = 5e-324
-# Beyond the bound of every quantity, see docs/topics.md.
+# Beyond the bound of every quantity, see docs/reference/topics.md.
 BEYOND = 2e9
 BEYOND_COUNTS = 2**53
 MOTION_PERIOD_NS = 50_000_000  # of the scenes that come along

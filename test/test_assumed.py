@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from documents import page_of
 from machines import CONFIG
 
 from arm_emulator.base.config_files import find_scene
@@ -18,7 +19,7 @@ from arm_emulator.runs.offline import load_offline_run
 from bench.assumed import ARMS, assumed_of, demos
 from bench.origins import SECTIONS, origins
 
-PAGE = (CONFIG.parent / "docs" / "assumed.md").read_text()
+PAGE = page_of("assumed").read_text()
 # Scenes that mark anything mark everything.
 MARKED = sorted(
     file for file in CONFIG.glob("*.yaml") if re.search(r"#.*\bassumed [\d.]", file.read_text())

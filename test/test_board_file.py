@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from documents import page_of
 from draws import some
 
 from arm_emulator.base.refusal import Refusal
@@ -135,12 +136,12 @@ def test_the_example_and_a_board_with_every_key_are_read(tmp_path: Path) -> None
 
 
 def test_every_key_is_documented() -> None:
-    text = (FOLDER.parent / "docs/microcontroller.md").read_text()
+    text = page_of("microcontroller").read_text()
     for path in places(FULL):
         key = path[-1]
         if key in ("a", "b", "A", "ADC", "line", "on", "one", "fast", "ready", "flash", "ram"):
             continue
-        assert f"`{key}`" in text, f"{'.'.join(path)} in docs/microcontroller.md"
+        assert f"`{key}`" in text, f"{'.'.join(path)} in docs/how_to/microcontroller.md"
 
 
 WRONG = {

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from documents import page_of
 from draws import FULL
 
 from arm_emulator.base.refusal import Refusal
@@ -785,7 +786,7 @@ def test_torque_and_speed_stay_within_their_limits_and_say_so() -> None:
     drives.write(0, 0x6071, 200)
     drives.write(0, MODE, CST)
     drives.period(1500)
-    # The torque goes as the speed comes near, see 0x6080 in docs/drives.md.
+    # The torque goes as the speed comes near, see 0x6080 in docs/reference/drives.md.
     assert truth(drives, "omega_m")[0] * 60 / (2 * math.pi) < 510, "speed under a torque"
 
 
@@ -1175,7 +1176,7 @@ def test_the_same_words_give_the_same_bits() -> None:
 
 
 def dictionary_rows() -> list[str]:
-    """The dictionary as docs/drives.md lists it: objects of the buses, entries of the drive."""
+    """The dictionary as drives.md lists it: objects of the buses, entries of the drive."""
     drives = make()
     rows = ["| index | object | sub-indices | on |", "|---|---|---|---|"]
     for one in dictionary():
@@ -1206,6 +1207,6 @@ def dictionary_rows() -> list[str]:
 
 
 def test_the_page_lists_the_dictionary() -> None:
-    page = (ROOT / "docs/drives.md").read_text()
+    page = page_of("drives").read_text()
     rows = "\n".join(dictionary_rows())
-    assert page.endswith(f"\n{rows}\n"), f"the end of docs/drives.md; it should be\n{rows}"
+    assert page.endswith(f"\n{rows}\n"), f"the end of drives.md; it should be\n{rows}"

@@ -21,7 +21,7 @@ from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
 from arm_emulator.servo.servo_config import load_servo_config
 
 ROOT = Path(__file__).resolve().parents[1]
-EXAMPLES = ROOT / "docs" / "examples"
+EXAMPLES = ROOT / "examples"
 
 
 @contextmanager

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+from documents import page_of
 
 # Page, words with the number's place, where the number is, and in which unit the page has it.
 NUMBERS: list[tuple[str, str, str, float]] = [
@@ -35,7 +33,7 @@ NUMBERS: list[tuple[str, str, str, float]] = [
 
 def plain(page: str) -> str:
     """A page's words in one line."""
-    return " ".join((DOCS / f"{page}.md").read_text(encoding="utf-8").split())
+    return " ".join(page_of(page).read_text(encoding="utf-8").split())
 
 
 def value(place: str) -> Any:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documents import DOCS, page_of
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import LARGEST, SMALLEST, Section
@@ -21,7 +22,6 @@ from arm_emulator.machine.parts.sensors import SENSORS
 from arm_emulator.machine.parts.torque_sensor import TorqueSensor
 from arm_emulator.machine.parts.torque_table import TorqueTable
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
 OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), CurrentSensor, TorqueSensor)
 parts = pytest.mark.parametrize("part", OF_NUMBERS, ids=lambda part: part.__name__)
@@ -185,8 +185,8 @@ def written_range(one: Number) -> str:
 @pytest.mark.parametrize("part", (*PARTS, *SENSORS), ids=lambda part: part.__name__)
 def test_every_key_has_a_row_with_its_unit_range_and_default(part: type[Part]) -> None:
     """In the page of its part, or in that of the scene."""
-    page = DOCS / "parts" / f"{part.__module__.rsplit('.', 1)[1]}.md"
-    rows = rows_of(page if page.exists() else DOCS / "scene.md")
+    page = DOCS / "reference" / "parts" / f"{part.__module__.rsplit('.', 1)[1]}.md"
+    rows = rows_of(page if page.exists() else page_of("scene"))
     for key, one in part.numbers().items():
         at = f"{part.section}.{key}"
         assert at in rows, f"{at} in {page.name}"

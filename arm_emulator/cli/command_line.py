@@ -150,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
         "--servo",
         type=Path,
         metavar="LIBRARY",
-        help="control code in C in place of our servo (docs/firmware.md); with --targets",
+        help="control code in C in place of our servo; with --targets",
     )
     run.set_defaults(run=_run)
 

@@ -35,7 +35,7 @@ HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
 MOTION_PERIOD = 0.01  # s
 SETTLE, WATCHED = 1.0, 3.0  # s, of the demo
 SERVO_HEADING = """\
-Servo of {name}: data sheets as in {name}.yaml; gains as in docs/gains.md."""
+Servo of {name}: data sheets as in {name}.yaml; gains as in docs/how_to/gains.md."""
 MOTION_COMMENTS = {
     "tool": "link that is the tool",
     "period": "s, between joint targets",

@@ -21,8 +21,8 @@ UNITS_OF_TURN = ("N m", "rad/s", "kg m2", "rad")
 _RULES = """\
 # Made by `arm_emulator new` from {robot}. Links are the description's.
 # Motors, gears, friction and encoders are not in it: all numbers under `motor`, `gear`, `friction`
-# and `encoder` are guesses of the right size, by these rules (docs/new.md), from the peak torque
-# and the speed beside each joint:
+# and `encoder` are guesses of the right size, by these rules (docs/tutorials/your_robot.md), from
+# the peak torque and the speed beside each joint:
 #   ratio        the joint's full speed at 3000 rpm of the motor
 #   motor        back EMF 60 % of the supply at full speed, 25 % for the winding at peak torque,
 #                L/R 1 ms, rotor accelerates with 14 000 rad/s2; current of the peak torque

@@ -262,7 +262,7 @@ class Fleet:
         """Return the values of a varied number (count,), checked."""
         known = {one.name: one for one in self.scene.varied}
         if name not in known:
-            listed = ", ".join(known) or "none, see `varied` in docs/scene.md"
+            listed = ", ".join(known) or "none, see `varied` in docs/reference/scene.md"
             raise Refusal(where, "name", "be varied in the scene", name, listed)
         column = as_numbers(values, where, name, "number")
         if column.shape not in ((), (1,), (self._count,)):

@@ -317,7 +317,7 @@ class Plant:
     def measured(self) -> Measured:
         """What the sensors told at the newest tick, as a copy.
 
-        Without sensors of their own, see docs/parts/sensors.md, joints tell what is there now.
+        Joints without sensors (docs/reference/parts/sensors.md) report their present values.
         """
         self.core.arm_measure(self.machine, self._structs[1])
         return self._place.read()
@@ -353,7 +353,7 @@ class Plant:
         if name not in known:
             raise Refusal(
                 "Plant.set_parameter", "name", "be varied in the scene", name,
-                ", ".join(known) or "none, see `varied` in docs/scene.md",
+                ", ".join(known) or "none, see `varied` in docs/reference/scene.md",
             )  # fmt: skip
         one = known[name]
         if not isinstance(value, int | float) or not one.least <= value <= one.most:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documents import page_of
 from draws import FULL
 
 from arm_emulator.base.config_files import find_scene
@@ -143,8 +144,8 @@ def test_profile_position_in_real_time_by_sdo_alone(tmp_path: Path) -> None:
 
 
 def test_page_shows_what_happens(tmp_path: Path) -> None:
-    """The master of docs/canopen.md, in another process than the nodes."""
-    page = (ROOT / "docs" / "canopen.md").read_text()
+    """The master of docs/how_to/canopen.md, in another process than the nodes."""
+    page = page_of("canopen").read_text()
     blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)
     (place,) = [k for k, block in enumerate(blocks) if "import canopen" in block]
     shown = textwrap.dedent(blocks[place]).strip()

@@ -63,7 +63,7 @@ FLOATS = {
 
 
 def test_ideal_converters_give_the_motion_of_the_template(tmp_path: Path) -> None:
-    """The template of docs/firmware.md, its FLOAT build, against the servo on a chip."""
+    """The template of your_firmware.md, its FLOAT build, against the servo on a chip."""
     servo = load_gains(find_scene("three_axis")).servo
     (tmp_path / "servo_joints.h").write_text(servo_header("three_axis", SCENE.joint_names, servo))
     objects = []

@@ -300,7 +300,7 @@ def test_fmpy_saves_restores_and_goes_on_with_equal_bits(unpacked: Path) -> None
 
 
 def test_the_servo_of_the_page_moves_the_arm(unit: Path) -> None:
-    command = [sys.executable, str(ROOT / "docs" / "examples" / "simulate_fmu.py"), str(unit)]
+    command = [sys.executable, str(ROOT / "examples" / "simulate_fmu.py"), str(unit)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "q [rad]: [0.2 0.5 0.8]", done.stdout
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documents import page_of
 
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session
@@ -109,8 +110,8 @@ def test_wrong_requests_are_answered_with_exceptions(tmp_path: Path) -> None:
 
 
 def test_page_shows_what_happens(tmp_path: Path) -> None:
-    """The master of docs/modbus.md."""
-    page = (ROOT / "docs" / "modbus.md").read_text()
+    """The master of docs/how_to/modbus.md."""
+    page = page_of("modbus").read_text()
     blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)
     (shown,) = [textwrap.dedent(block).strip() for block in blocks if "import Modbus" in block]
     script, _, said = shown.rpartition("\n\n")

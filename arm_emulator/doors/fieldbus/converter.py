@@ -1,7 +1,7 @@
 """The paper's data converter: encoder counts and currents in, motor commands out, as registers.
 
-docs/modbus.md has the table. It stands between a bus of 16-bit words and a `Session`; of Modbus it
-knows the codes of refusals.
+docs/how_to/modbus.md has the table. It stands between a bus of 16-bit words and a `Session`; of
+Modbus it knows the codes of refusals.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LARGEST_PERIOD = 2**32 - 1  # ns, that a register can tell
 
 @dataclass(frozen=True)
 class Block:
-    """Registers of one kind, a row of docs/modbus.md."""
+    """Registers of one kind, a row of docs/how_to/modbus.md."""
 
     address: int
     count: int  # registers

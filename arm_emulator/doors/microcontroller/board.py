@@ -141,7 +141,7 @@ class Mailbox:
 
 @dataclass(frozen=True)
 class Board:
-    """A microcontroller and its wiring, see docs/microcontroller.md for each key.
+    """A microcontroller and its wiring, see docs/how_to/microcontroller.md for each key.
 
     Attributes:
         where: the file's name.

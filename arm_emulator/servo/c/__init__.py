@@ -1,4 +1,4 @@
-"""Control code in portable C, see docs/firmware.md."""
+"""Control code in portable C, see docs/tutorials/your_firmware.md."""
 
 from pathlib import Path
 
