@@ -8,8 +8,8 @@
 // energy.hpp).
 //
 // A drive is put together of parts: a motor, a gear, friction of the link and of the rotor, and any
-// number of extras that put a torque on the one or the other (place.hpp). docs/concepts/parts.md says
-// what a part has to tell.
+// number of extras that put a torque on the one or the other (place.hpp). docs/concepts/parts.md
+// lists what a part declares.
 //
 // Each part names a part that is linear, by `linear()`: itself if it is, else the one that stands
 // in its place in the matrix A of the schemes. What the two differ by is the drive's rest, which
