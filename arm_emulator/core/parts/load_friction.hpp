@@ -2,7 +2,7 @@
 //
 //   sliding   Dc + mu |T|, or what stribeck.hpp has in the place of Dc      holding   Ds + mu |T|
 //
-// Of a rotor it is the loss of a gear (docs/reference/parts/load_friction.md): mu = 1/efficiency - 1.
+// Of a rotor it is the loss of a gear, mu = 1/efficiency - 1 (docs/reference/parts).
 #pragma once
 
 #include "parts/stribeck.hpp"
