@@ -34,9 +34,9 @@ from arm_emulator.analysis.advice import Advice, Judge, advise, step_counts
 from arm_emulator.analysis.judged_motions import KINDS, SECONDS, Leader, Motion, judged_motions
 from arm_emulator.analysis.true_motion import Method
 from arm_emulator.machine.scene import Scene, load_scene
-from bench import mixtures
 from bench.measure import progress
-from bench.random_chain import moving_joints, random_chain_urdf
+from oracles import mixtures
+from oracles.random_chain import moving_joints, random_chain_urdf
 
 CLASSES = ("friction", "play", "limits", "pmsm", "torque")
 ERRORS = (1e-3, 1e-4, 1e-5, 1e-6)  # rad or m

@@ -19,7 +19,7 @@ from arm_emulator.machine.compiler import machine_unit
 from arm_emulator.machine.core_calls import ARM_CALLS
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
-from bench.random_chain import LINK
+from oracles.random_chain import LINK
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 KINDS = {"Float64": ctypes.c_double, "Int64": ctypes.c_int64, "Int32": ctypes.c_int32}

@@ -10,7 +10,7 @@ import pinocchio as pin
 import yaml
 
 from arm_emulator.machine.scene import Scene, load_scene
-from bench.random_chain import LINK, moving_joints, random_chain_urdf
+from oracles.random_chain import LINK, moving_joints, random_chain_urdf
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 

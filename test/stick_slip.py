@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
-from bench.random_chain import LINK
+from oracles.random_chain import LINK
 
 RATIO = 0.05
 STEPS = (40, 80, 160, 320)  # of a row

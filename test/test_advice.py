@@ -35,8 +35,8 @@ from arm_emulator.identification.fitted_scene import write_fitted
 from arm_emulator.machine.plant import Diverged, Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from bench.advice import CLASSES, judge_scene
-from bench.event_reference import reference_with_events
-from bench.random_machines import machine
+from oracles.event_reference import reference_with_events
+from oracles.random_machines import machine
 
 Array = NDArray[np.float64]
 STEP = "step"

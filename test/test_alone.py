@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from draws import some
 
-from bench.alone import judge
+from oracles.alone import judge
 
 
 # 15: a gap and friction with the load, where teeth part within a step.

@@ -14,8 +14,8 @@ from machines import ROTOR, write_scene
 from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
-from bench.at_rest import INSTANT, LAWS, PARTS, PLACES, Case, equations_of, judge
-from bench.random_chain import moving_joints, random_chain_urdf
+from oracles.at_rest import INSTANT, LAWS, PARTS, PLACES, Case, equations_of, judge
+from oracles.random_chain import moving_joints, random_chain_urdf
 
 DRY, LOADED = ("viscous", "coulomb", "breakaway"), ("load", "load and coulomb")
 # Laws of one kind share a library.

@@ -18,7 +18,7 @@ from arm_emulator.machine.compiler import compile_ahead
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.plant import Diverged, Plant
 from arm_emulator.machine.scene import Scene, load_scene
-from bench.random_machines import machine
+from oracles.random_machines import machine
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart
 NAMES = ("current", "theta_m", "omega_m", "q", "v", "gear_torque")

@@ -34,8 +34,8 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.servo.servo_config import ServoConfig
-from bench.any_arm import arms
 from bench.modes import PAGE, table_of
+from oracles.any_arm import arms
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = ("ur5", "three_axis", "panda")

@@ -25,8 +25,8 @@ from arm_emulator.design.survey import survey
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.runs.gains import check_fit, load_gains
-from bench.any_arm import move, reachable
-from bench.own_robots import OWN, Part, Robot, serial
+from oracles.any_arm import move, reachable
+from oracles.own_robots import OWN, Part, Robot, serial
 
 # Names that YAML, ROS or a shell might take for something else.
 ODD_NAMES = [

@@ -6,7 +6,7 @@ import pytest
 from draws import some
 
 from arm_emulator.analysis.advice import ORDERS
-from bench.random_machines import LOCATED, judge
+from oracles.random_machines import LOCATED, judge
 
 
 # 10 and 31 have progressive gears, limits and dry friction; the current of 138 touches its limit,

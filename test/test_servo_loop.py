@@ -38,7 +38,7 @@ from arm_emulator.servo.held import held
 from arm_emulator.servo.held_motor import held_motor
 from arm_emulator.servo.servo import Servo, ServoConfig
 from arm_emulator.servo.servo_config import JointServo
-from bench.random_chain import random_chain_urdf
+from oracles.random_chain import random_chain_urdf
 
 Rng = np.random.Generator
 

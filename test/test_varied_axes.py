@@ -21,8 +21,8 @@ from arm_emulator.machine.measured import MORE_SENSORS, Measured
 from arm_emulator.machine.plant import Diverged, Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.varied_body import AXES, NAMES, TENSOR, expressions, numbers_of, of_child
-from bench.mixtures import STEPS, commands, push, write_mixture
-from bench.random_chain import moving_joints, random_chain_urdf
+from oracles.mixtures import STEPS, commands, push, write_mixture
+from oracles.random_chain import moving_joints, random_chain_urdf
 
 SENSORS: dict[str, Any] = {
     "link_encoder": {"counts_per_turn": 8192, "noise": 1e-3, "eccentricity": 1e-3},

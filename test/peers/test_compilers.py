@@ -27,7 +27,7 @@ from arm_emulator.machine.firmware_loop import firmware_loop_unit
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
-from bench.mixtures import write_mixture
+from oracles.mixtures import write_mixture
 
 KINDS = {"g++": range(11, 16), "clang++": range(14, 22)}
 AS_G = 1e-10  # rad, after 0.4 s: rounding, which the two do in another order

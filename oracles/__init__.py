@@ -1,0 +1,1 @@
+"""Independent solutions and random machines, with which tests and benches judge the emulator."""

@@ -1,0 +1,204 @@
+"""Every scene at rest without a command, in random poses, with each law of friction alone.
+
+For each shipped scene, each law of friction at its links or its rotors, and each scheme: the
+machine is put at rest in a random pose, takes a few steps without a command, and two claims are
+held against it:
+
+- it does not diverge;
+- joints that move do so as the equations say, and joints that rest do so because friction can hold
+  them (without weights all rest). Gears are not wound up then: M dv/dt + nle + friction = 0, where
+  the mean of dv/dt over a us is what the machine has done, M and nle are Pinocchio's, and friction
+  is that of a law's own numbers against the motion, at rest at most what holds. Of Coulomb's
+  friction at several joints there is one solution only: who stands still must have a reason.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from arm_emulator.analysis.reference import links_model
+from arm_emulator.base.config_files import find_config
+from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
+
+SHIPPED = ("three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300")
+LOCATING = ("rosenbrock", "extrapolated")
+STEPS = 40  # of the scene's length, which a machine must survive
+INSTANT, PARTS = 1e-7, 10  # s and steps, in which no gear is wound up
+REACH = 1.5  # rad, of random poses
+SHARE = 0.3  # of the weight that a joint carries on average: the size of its dry friction
+BEND = 0.01  # rad, of bristles at the link
+RESOLVED = 0.01  # of the torques at a joint: what winding up and speed make of them by then
+
+# The law stands alone: other friction, brakes and springs are put away.
+ALONE: dict[str, Any] = {
+    "gravity": [0.0, 0.0, -9.81],
+    "joints.*.friction": None,
+    "joints.*.motor.friction": None,
+    "joints.*.brake": None,
+    "joints.*.counterbalance": None,
+    "joints.*.end_stops": None,
+}
+
+Numbers = dict[str, float]
+
+
+def laws(dry: float, inertia: float, bend: float) -> dict[str, tuple[str, Numbers]]:
+    """Return sections of friction by name, with the key of the section, for a shaft.
+
+    Args:
+        dry: torque of sliding [N m].
+        inertia: by which viscous friction and bristles are sized [kg m2].
+        bend: of bristles that slip [rad].
+    """
+    coulomb, breakaway = {"coulomb": dry}, {"coulomb": dry, "breakaway": 1.5 * dry}
+    bristles = {
+        "coulomb": dry, "breakaway": 1.5 * dry, "bristle_stiffness": dry / bend,
+        "bristle_damping": inertia,
+    }  # fmt: skip
+    return {
+        "viscous": ("friction", {"viscous": inertia}),
+        "coulomb": ("friction", coulomb),
+        "breakaway": ("friction", breakaway),
+        "stribeck": ("friction", {**breakaway, "stribeck": 0.1}),
+        "load": ("friction", {"load": 0.3}),
+        "load and coulomb": ("friction", {**coulomb, "load": 0.3}),
+        "lugre": ("lugre", bristles),
+    }
+
+
+LAWS = tuple(laws(1.0, 1.0, 1.0))
+PLACES = ("link", "rotor")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene with one law alone, and how it is solved."""
+
+    scene: str
+    place: str
+    law: str
+    scheme: str
+    events: str = "step"
+    weightless: bool = False
+
+
+class Equations:
+    """What holds at rest in a scene: Pinocchio's M and nle, and the sizes that friction has."""
+
+    def __init__(self, scene: Scene, payload: Mapping[str, Any] | None) -> None:
+        self.model = links_model(scene, payload)
+        self.data = self.model.createData()
+        self.carried = np.array(
+            [
+                getattr(joint.motor, "rotor_inertia", 0.0) / joint.gear.ratio**2
+                if joint.gear.stiffness is None
+                else 0.0
+                for joint in scene.joints
+            ]
+        )
+        self.ratio = np.array([abs(joint.gear.ratio) for joint in scene.joints])
+        poses = np.random.default_rng(0).uniform(-REACH, REACH, (200, len(scene.joints)))
+        self.dry = SHARE * np.mean([np.abs(self.weight(q)) for q in poses], axis=0) + 1e-2
+        self.inertia = np.mean([np.diag(self.mass(q)) for q in poses], axis=0)
+
+    def mass(self, q: Array) -> Array:
+        """Return M with the rotors that turn with their links."""
+        M = pin.crba(self.model, self.data, q)
+        return np.asarray(np.triu(M) + np.triu(M, 1).T + np.diag(self.carried))
+
+    def weight(self, q: Array) -> Array:
+        """Return the torques that hold the links."""
+        return np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
+
+    def residual(self, case: Case, q: Array, v: Array) -> float:
+        """Return by how much torques at q do not add up, of a weight, where v came from rest."""
+        weight = self.weight(q) * (not case.weightless)
+        left = -weight - self.mass(q) @ v / (PARTS * INSTANT)  # that friction takes
+        slides, holds = self._friction(case)
+        off = np.where(
+            v == 0.0, np.maximum(np.abs(left) - holds, 0.0), np.abs(left - np.sign(v) * slides)
+        )
+        return float(off.max() / (self.dry.max() / SHARE))
+
+    def _friction(self, case: Case) -> tuple[Array, Array]:
+        """Return what friction takes of joints that begin to move, and what it holds at most."""
+        # Nothing loads the gears yet, and what a rotor behind an elastic one does is not felt yet.
+        felt = self.dry * (1.0 if case.place == "link" else self.carried > 0.0)
+        slides, holds = {
+            "coulomb": (1.0, 1.0),
+            "breakaway": (1.0, 1.5),
+            "stribeck": (1.5, 1.5),
+            "load and coulomb": (1.0, 1.0),
+        }.get(case.law, (0.0, 0.0))
+        return slides * felt, holds * felt
+
+
+def equations_of(name: str) -> Equations:
+    """Return those of a shipped scene."""
+    payload = read_yaml(find_config(name, ".yaml")).get("payload")
+    return Equations(load_scene(name, ALONE), payload)
+
+
+def scene_of(case: Case, equations: Equations, dt: float | None = None) -> Scene:
+    """Return the scene of a case, friction sized to what its joints carry; dt: of its steps."""
+    at_rotor = case.place == "rotor"
+    ratio = equations.ratio if at_rotor else np.ones_like(equations.ratio)
+    overrides: dict[str, Any] = {
+        **ALONE, "integrator.scheme": case.scheme, "integrator.events": case.events
+    }  # fmt: skip
+    if case.weightless:
+        overrides["gravity"] = None
+    if dt is not None:
+        overrides |= {"integrator.dt": dt, "servo_period": PARTS * dt}
+    key = ""
+    for j, joint in enumerate(load_scene(case.scene, ALONE).joints):
+        dry, inertia, bend = equations.dry * ratio, equations.inertia * ratio**2, BEND / ratio
+        key, numbers = laws(float(dry[j]), float(inertia[j]), float(bend[j]))[case.law]
+        key = f"motor.{key}" if at_rotor else key
+        overrides[f"joints.{joint.name}.{key}"] = numbers
+    # Laws of one kind share a library.
+    return load_scene(case.scene, {**overrides, "varied": [f"joints.*.{key}.*"]})
+
+
+def judge(case: Case, poses: int, equations: Equations) -> list[str]:
+    """Return in a line each what is wrong in so many random poses."""
+    rng = np.random.default_rng(zlib.crc32(repr(case).encode()))
+    plant = Plant(scene_of(case, equations))
+    instant = Plant(scene_of(case, equations, INSTANT))
+    still, wrong = np.zeros(len(equations.ratio)), []
+    for _ in range(poses):
+        q = rng.uniform(-REACH, REACH, len(still))
+        plant.reset(q)
+        try:
+            plant.advance(still, STEPS)
+        except Diverged as fault:
+            wrong.append(f"{case}: at {q.tolist()}: {fault}")
+            continue
+        instant.reset(q)
+        instant.advance(still, PARTS)
+        off = equations.residual(case, q, instant.state.v)
+        if off > RESOLVED:
+            wrong.append(f"{case}: at {q.tolist()}: torques differ by {off:.2g}")
+    return wrong
+
+
+def cases(scenes: tuple[str, ...], schemes: tuple[str, ...]) -> list[Case]:
+    """Return all cases; schemes that locate events do so and do not."""
+    return [
+        Case(scene, place, law, scheme, events, weightless)
+        for scene in scenes
+        for weightless in (False, True)
+        for place in PLACES
+        for law in LAWS
+        for scheme in schemes
+        for events in (("step", "located") if scheme in LOCATING else ("step",))
+    ]

@@ -1,0 +1,207 @@
+"""The claims about order and energy, held against random machines that stick and meet limits.
+
+Each machine is a random chain of one to three links with a mixture of motors with and without
+inductance and limits, rigid, elastic and progressive gears, dry friction and gravity, moved by
+voltages that jump. Claims, for rosenbrock and extrapolated with events located:
+
+- the error at a tenth of the step follows the scheme's order, or `Diverged` is raised;
+- what is left of energy given - stored - dissipated falls with the scheme's order, and is below
+  1e-9 of what was exchanged at steps of 1 us.
+
+The truth is oracles/event_reference.py's.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import yaml
+
+from arm_emulator.analysis.advice import ORDERS
+from arm_emulator.analysis.reference import ReferenceMachine
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from oracles.event_reference import reference_with_events
+from oracles.random_chain import random_chain_urdf
+
+LOCATED = ("rosenbrock", "extrapolated")  # the others take events at the ends of steps
+PERIOD, ROWS = 0.02, 6  # s, that each voltage is held, and how many of them
+STEP_OF_RATE = 0.1  # the coarse step times the machine's fastest rate
+MICROSECOND = 1e-6  # s
+# By how much errors fall at least, from a step to its tenth, by the scheme's order; for first order
+# an event may lie well in the coarse step and badly in the fine one.
+FALLS = {1: 10**0.5, 2: 10**1.7}
+# rad; below it the error is the reference's: 1e-12 a step, in some thousand steps.
+RESOLVED = 1e-10
+BALANCED = 1e-9  # of the energy exchanged, at steps of 1 us
+ROUNDED = 1e-12  # of the energy exchanged: what sums of 1e5 parts lose to rounding
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came out of one machine with one scheme."""
+
+    seed: int
+    scheme: str
+    joints: int
+    events: int  # that the reference found
+    rate: float  # 1/s, the fastest
+    steps: int  # in a period, coarse; the fine ones are ten times as many
+    errors: tuple[float, float]  # rad or m, coarse and fine
+    left: tuple[float, float, float]  # of energy, of what was exchanged: coarse, fine, 1 us
+    note: str = ""
+
+    @property
+    def in_order(self) -> bool:
+        """Whether the fine error is that of the scheme's order."""
+        falls = FALLS[ORDERS[self.scheme]]
+        return self.note != "" or self.errors[1] < max(RESOLVED, self.errors[0] / falls)
+
+    @property
+    def balance_in_order(self) -> bool:
+        """Whether what is left of energy is that of the scheme's order."""
+        falls = FALLS[ORDERS[self.scheme]]
+        return self.note != "" or self.left[1] < max(ROUNDED, self.left[0] / falls)
+
+    @property
+    def balanced(self) -> bool:
+        """Whether energy balances at 1 us."""
+        return self.note != "" or self.left[2] < BALANCED
+
+
+def machine(folder: Path, seed: int) -> tuple[Path, Array]:
+    """Write a random machine into `folder`; return its scene's file and its voltages."""
+    rng = np.random.default_rng(seed)
+    urdf = random_chain_urdf(rng, int(rng.integers(1, 4)))
+    names = [name for name in pin.buildModelFromXML(urdf).names if name != "universe"]
+    joints = {name: _joint(rng) for name in names}
+    if not any("motor" in joint for joint in joints.values()):
+        joints[names[0]] |= {"motor": _motor(rng), "gear": _gear(rng)}
+    apart = np.random.default_rng([seed, 1])  # so that all else is drawn as without
+    for joint in joints.values():
+        _stiffen(apart, joint.get("gear", {}))
+    data: dict[str, Any] = {
+        "name": f"random_{seed}",
+        "urdf": "robot.urdf",
+        "tool": "base",
+        "supply_voltage": 48.0,
+        "joints": joints,
+        "integrator": {"dt": 1e-4},
+        "servo_period": PERIOD,
+        "energy_flow": True,
+    }
+    if rng.random() < 0.5:
+        data["gravity"] = [0.0, 0.0, -9.81]
+    (folder / "robot.urdf").write_text(urdf)
+    file = folder / "scene.yaml"
+    file.write_text(yaml.safe_dump(data))
+    return file, rng.uniform(-20.0, 20.0, size=(ROWS, len(names)))
+
+
+def _joint(rng: np.random.Generator) -> dict[str, Any]:
+    joint: dict[str, Any] = {"friction": {"viscous": float(rng.uniform(0.0, 1.0))}}
+    if rng.random() < 0.7:
+        Dc = float(rng.uniform(0.5, 5.0))
+        joint["friction"]["coulomb"] = Dc
+        if rng.random() < 0.5:
+            joint["friction"]["breakaway"] = Dc * float(rng.uniform(1.0, 1.6))
+    if rng.random() < 0.9:
+        joint |= {"motor": _motor(rng), "gear": _gear(rng)}
+    return joint
+
+
+def _motor(rng: np.random.Generator) -> dict[str, float]:
+    motor = {
+        "resistance": float(rng.uniform(0.5, 2.0)),
+        "torque_constant": 0.05,
+        "back_emf_constant": float(rng.choice([0.05, 0.04])),
+        "rotor_inertia": float(10 ** rng.uniform(-5, -3.5)),
+    }
+    if rng.random() < 0.65:
+        motor["inductance"] = float(10 ** rng.uniform(-4, -2.5))
+    if rng.random() < 0.6:
+        motor["current_limit"] = float(rng.uniform(1.0, 6.0))
+    return motor
+
+
+def _gear(rng: np.random.Generator) -> dict[str, float]:
+    gear = {"ratio": float(rng.uniform(0.01, 0.03))}
+    if rng.random() < 0.6:
+        gear["stiffness"] = float(10 ** rng.uniform(3.0, 4.5))
+        gear["damping"] = float(rng.choice([0.0, rng.uniform(1.0, 30.0)]))
+    return gear
+
+
+def _stiffen(rng: np.random.Generator, gear: dict[str, float]) -> None:
+    """Make some elastic gears progressive: the cube has a share of 20 N m."""
+    if "stiffness" in gear and rng.random() < 0.4:
+        share = float(10 ** rng.uniform(-1.0, 0.5))
+        gear["cubic_stiffness"] = share * gear["stiffness"] ** 3 / 20.0**2
+
+
+def judge(seed: int, schemes: tuple[str, ...] = LOCATED) -> list[Verdict]:
+    """Hold one machine against the claims."""
+    with tempfile.TemporaryDirectory() as folder:
+        file, voltages = machine(Path(folder), seed)
+        scene = load_scene(file)
+        equations = ReferenceMachine(scene, smooth=False)
+        rate = equations.fastest_rate(equations.at_rest(scene.start, None))
+        truth, events = reference_with_events(scene, voltages, PERIOD)
+        steps = math.ceil(PERIOD * max(rate, 1e3) / STEP_OF_RATE)
+        verdicts = []
+        for scheme in schemes:
+            about = (seed, scheme, len(scene.joints), events, rate)
+            verdict = _judge(file, scheme, voltages, truth, about, steps)
+            # Where the coarse error is small by chance, as its parts cancel, the next tenth tells.
+            if not (verdict.in_order and verdict.balance_in_order):
+                verdict = _judge(file, scheme, voltages, truth, about, 10 * steps)
+            verdicts.append(verdict)
+        return verdicts
+
+
+def _judge(
+    file: Path,
+    scheme: str,
+    voltages: Array,
+    truth: Array,
+    about: tuple[int, str, int, int, float],
+    steps: int,
+) -> Verdict:
+    try:
+        runs = [
+            run(_with(file, scheme, PERIOD / n), voltages, n)
+            for n in (steps, 10 * steps, round(PERIOD / MICROSECOND))
+        ]
+    except Diverged as fault:
+        return Verdict(
+            *about, steps, (math.nan, math.nan), (math.nan, math.nan, math.nan), str(fault)
+        )
+    (q, left), (q_fine, left_fine), (_, left_there) = runs
+    errors = float(np.abs(q - truth).max()), float(np.abs(q_fine - truth).max())
+    return Verdict(*about, steps, errors, (left, left_fine, left_there))
+
+
+def _with(file: Path, scheme: str, dt: float) -> Scene:
+    events = "located" if scheme in LOCATED else "step"
+    integrator = {"scheme": scheme, "dt": dt, "events": events}
+    return load_scene(file, {"integrator": integrator})
+
+
+def run(scene: Scene, voltages: Array, steps: int) -> tuple[Array, float]:
+    """Return the links' positions after each row, and what part of the energy is left over."""
+    plant = Plant(scene)
+    before, given, dissipated, exchanged, q = plant.energy, 0.0, 0.0, 0.0, []
+    for row in voltages:
+        flow = plant.advance_metered(row, steps)
+        given += float(flow.given.sum())
+        dissipated += float(flow.dissipated.sum())
+        exchanged += float(np.abs(flow.given).sum() + flow.dissipated.sum())
+        q.append(plant.state.q)
+    return np.array(q), abs(plant.energy - before - given + dissipated) / exchanged
