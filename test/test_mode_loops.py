@@ -18,7 +18,6 @@ from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults, swings
 
 from arm_emulator.analysis.linear_servo import Loop
 from arm_emulator.analysis.mode_loops import (
-    MODES,
     LoopFigure,
     ModeLoops,
     withheld_modes,
@@ -29,7 +28,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.new import write_new
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_servo
-from arm_emulator.doors.fieldbus.drives import Aborted
+from arm_emulator.doors.fieldbus.drives import Aborted, dictionary, modes
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
@@ -59,7 +58,7 @@ def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
 @pytest.mark.parametrize("name", some(SHIPPED, 2))
 def test_every_mode_of_the_arms_that_come_along_is_offered_and_holds(name: str) -> None:
     scene, servo = shipped(name)
-    assert withheld_modes(scene, servo) == []
+    assert withheld_modes(scene, servo, modes()) == []
     seen = {(one.joint, one.loop, one.braked) for one in ModeLoops(scene, servo).figures}
     for j, joint in enumerate(scene.joints):
         for loop in set(Loop) - {Loop.POSITION}:
@@ -84,9 +83,9 @@ def test_torques_are_what_was_asked_for_on_arms_that_are_made_new() -> None:
             except Refusal:
                 continue  # is no arm
             scene, servo = load_scene(file), load_gains(file).servo
-            withheld = withheld_modes(scene, servo)
+            withheld = withheld_modes(scene, servo, modes())
             bad += withheld_words(scene, withheld)
-            if not any(one.mode in (PROFILE_TORQUE, CYCLIC_TORQUE) for one in withheld):
+            if not any(one.mode.number in (PROFILE_TORQUE, CYCLIC_TORQUE) for one in withheld):
                 bad += list(faults(scene, servo))
         count += 1
     assert count >= 40, f"{count} arms"
@@ -95,9 +94,9 @@ def test_torques_are_what_was_asked_for_on_arms_that_are_made_new() -> None:
 
 def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
     scene, servo = by_voltage()
-    withheld = withheld_modes(scene, servo)
-    modes = {(one.joint, one.mode) for one in withheld}
-    assert modes == {(j, mode) for j in range(6) for mode in (PROFILE_TORQUE, CYCLIC_TORQUE)}
+    withheld = withheld_modes(scene, servo, modes())
+    withheld_of = {(one.joint, one.mode.number) for one in withheld}
+    assert withheld_of == {(j, mode) for j in range(6) for mode in (PROFILE_TORQUE, CYCLIC_TORQUE)}
     drives = enabled(scene, servo)
     assert drives.withheld == withheld
     for j in range(6):
@@ -281,7 +280,17 @@ def test_the_page_has_the_table_of_every_mode(name: str) -> None:
         assert found == pytest.approx(today, rel=2e-2, abs=2e-3), f"{line}: {advice}"
 
 
-def test_modes_are_those_of_the_dictionary() -> None:
-    assert sum(1 << mode - 1 for mode in MODES) == 0x3AD
-    assert {loop for _, loops in MODES.values() for loop in loops} == set(Loop)
+def test_modes_are_those_of_cia_402_and_of_the_dictionary() -> None:
+    position, speed, torque, limit = Loop.POSITION, Loop.SPEED, Loop.TORQUE, Loop.SPEED_LIMIT
+    assert {mode.number: (mode.name, mode.loops) for mode in modes()} == {
+        1: ("profile position", (position,)),
+        3: ("profile velocity", (speed,)),
+        4: ("profile torque", (torque, limit)),
+        6: ("homing", (position, speed)),
+        8: ("cyclic position", (position,)),
+        9: ("cyclic velocity", (speed,)),
+        10: ("cyclic torque", (torque, limit)),
+    }
+    (supported,) = (one for one in dictionary() if one.index == 0x6502)
+    assert supported.standard == sum(1 << mode.number - 1 for mode in modes())
     assert isinstance(LoopFigure.holds, property)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,17 +37,21 @@ GAIN = 1.25
 # integral of a speed holds against some weight.
 FALLING = {Loop.POSITION: 0.0, Loop.SPEED: 0.1, Loop.TORQUE: 1.1, Loop.SPEED_LIMIT: 1.1}
 
-# Modes of CiA 402 by their numbers, 0x6060, and what they control.
-MODES: dict[int, tuple[str, tuple[Loop, ...]]] = {
-    1: ("profile position", (Loop.POSITION,)),
-    3: ("profile velocity", (Loop.SPEED,)),
-    4: ("profile torque", (Loop.TORQUE, Loop.SPEED_LIMIT)),
-    6: ("homing", (Loop.POSITION, Loop.SPEED)),
-    8: ("cyclic position", (Loop.POSITION,)),
-    9: ("cyclic velocity", (Loop.SPEED,)),
-    10: ("cyclic torque", (Loop.TORQUE, Loop.SPEED_LIMIT)),
-}
 _STANDS = 1e-4  # rad per period: what turns more slowly does not swing; rounding splits poles at 1
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode of operation of a drive."""
+
+    number: int
+    """Of CiA 402, 0x6060."""
+    name: str
+    loops: tuple[Loop, ...]
+    """What it controls."""
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.number})"
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ class Withheld:
     """A mode that a drive does not offer."""
 
     joint: int
-    mode: int
+    mode: Mode
     why: str
 
 
@@ -181,15 +185,15 @@ class ModeLoops:
         growth = rates.real[np.abs(rates) >= least].max(initial=-math.inf)
         return float(growth) - FALLING[loop] * falls
 
-    def withheld(self) -> list[Withheld]:
-        """Return the modes that do not hold, by joint and mode, each with its worst loop."""
+    def withheld(self, modes: Iterable[Mode]) -> list[Withheld]:
+        """Return which of some modes do not hold, by joint and mode, each with its worst loop."""
         found = []
         for j in range(self._N):
-            for mode, (_, loops) in MODES.items():
+            for mode in modes:
                 bad = [
                     one
                     for one in self.figures
-                    if one.joint == j and one.loop in loops and not one.holds
+                    if one.joint == j and one.loop in mode.loops and not one.holds
                 ]
                 if bad:
                     worst = max(bad, key=lambda one: one.beyond)
@@ -207,13 +211,15 @@ def _scaled(plant: SampledPlant, factor: float, joint: int | None) -> SampledPla
     )
 
 
-_Key = tuple[str, bytes, tuple[float, ...], ServoConfig]
+_Key = tuple[str, bytes, tuple[float, ...], ServoConfig, tuple[Mode, ...]]
 _KNOWN: dict[_Key, list[Withheld]] = {}
 _MOST_KNOWN = 64
 
 
-def withheld_modes(scene: Scene, servo: ServoConfig, plant: Plant | None = None) -> list[Withheld]:
-    """Return the modes that drives of this scene do not offer, with the reasons.
+def withheld_modes(
+    scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...], plant: Plant | None = None
+) -> list[Withheld]:
+    """Return which modes drives of this scene do not offer, with the reasons.
 
     None are where a joint has no motor, or numbers are so far apart that small motions cannot be
     computed.
@@ -221,13 +227,13 @@ def withheld_modes(scene: Scene, servo: ServoConfig, plant: Plant | None = None)
     if any(joint.motor is None for joint in scene.joints):
         return []
     values = tuple(one.value for one in scene.varied)
-    key = scene_unit(scene), scene.start.tobytes(), values, servo
+    key = scene_unit(scene), scene.start.tobytes(), values, servo, modes
     if key not in _KNOWN:
         while len(_KNOWN) >= _MOST_KNOWN:
             del _KNOWN[next(iter(_KNOWN))]
         try:
             with np.errstate(all="ignore"):
-                _KNOWN[key] = ModeLoops(scene, servo, plant).withheld()
+                _KNOWN[key] = ModeLoops(scene, servo, plant).withheld(modes)
         except (ArithmeticError, np.linalg.LinAlgError):
             _KNOWN[key] = []
     return _KNOWN[key]
@@ -235,11 +241,11 @@ def withheld_modes(scene: Scene, servo: ServoConfig, plant: Plant | None = None)
 
 def withheld_words(scene: Scene, withheld: list[Withheld]) -> list[str]:
     """Return the same in lines for people, one per joint and reason."""
-    by_reason: dict[tuple[int, str], list[int]] = {}
+    by_reason: dict[tuple[int, str], list[Mode]] = {}
     for one in withheld:
         by_reason.setdefault((one.joint, one.why), []).append(one.mode)
     return [
         f"{scene.where}: {scene.joint_names[j]}: a drive offers no "
-        f"{' or '.join(f'{MODES[mode][0]} ({mode})' for mode in modes)}: {why}"
+        f"{' or '.join(map(str, modes))}: {why}"
         for (j, why), modes in by_reason.items()
     ]

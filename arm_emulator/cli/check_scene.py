@@ -10,6 +10,7 @@ from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.mode_table import mode_rows, page_table
+from arm_emulator.doors.fieldbus.drives import modes
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.runs.gains import check_fit, check_servo, load_gains, warn_of_gravity
@@ -37,7 +38,7 @@ def check_scene(name: str) -> str:
     check_fit(scene, gains.servo, gains.motion)
     _check_controller(scene.urdf, scene.joint_names, gains.motion)
     warn_of_loops(scene, gains.servo)
-    for text in withheld_words(scene, withheld_modes(scene, gains.servo)):
+    for text in withheld_words(scene, withheld_modes(scene, gains.servo, modes())):
         print(f"warning: {text}", file=sys.stderr)
     warn_of_gravity(scene, gains.motion)
     return line

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from arm_emulator.analysis.mode_loops import MODES as OFFERED
-from arm_emulator.analysis.mode_loops import withheld_modes
+from arm_emulator.analysis.linear_servo import Loop
+from arm_emulator.analysis.mode_loops import Mode, withheld_modes
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import limits_of
 from arm_emulator.build.flags import SHARED
@@ -56,6 +56,7 @@ DRIVES_CALLS: Calls = {
     ),
     "drives_write": (_uint32, [_pointer, _int32, _uint16, _uint8, _pointer, _uint32]),
     "drives_list": (_int, [_int32, _pointer]),
+    "drives_list_mode": (_int, [_int32, _pointer]),
     "drives_set": (_int, [_pointer, _int32, _uint16, _uint8, _int64]),
     "drives_periods_per_target": (_int32, [_pointer, _int32]),
     "drives_lost": (None, [_pointer, _int32, _uint16]),
@@ -147,6 +148,12 @@ class _EntryStruct(ctypes.Structure):
     )
 
 
+class _ModeStruct(ctypes.Structure):
+    """``drives_mode``."""
+
+    _fields_ = (("number", _int32), ("loops", _uint32), ("name", ctypes.c_char_p))
+
+
 ACCESS = ("const", "ro", "wo", "rw")
 TYPES = {
     1: "BOOLEAN",
@@ -234,6 +241,20 @@ def _walk(calls: ctypes.CDLL) -> Iterator[Entry]:
         slot += 1
 
 
+@cache
+def modes() -> tuple[Mode, ...]:
+    """Return all modes of operation that drives have, see core/modes/modes.hpp."""
+    return tuple(_walk_modes(drives_library()))
+
+
+def _walk_modes(calls: ctypes.CDLL) -> Iterator[Mode]:
+    one, row = _ModeStruct(), 0
+    while calls.drives_list_mode(row, ctypes.byref(one)):
+        loops = tuple(loop for bit, loop in enumerate(Loop) if one.loops >> bit & 1)
+        yield Mode(one.number, one.name.decode(), loops)
+        row += 1
+
+
 class Drives:
     """CiA 402 drives, one per joint of a scene in its order, on a plant.
 
@@ -261,9 +282,9 @@ class Drives:
         self.calls = calls or drives_library()
         scene = plant.scene
         self._joints = _joints_of(scene, servo)
-        self.withheld = withheld_modes(scene, servo)
+        self.withheld = withheld_modes(scene, servo, modes())
         for one in self.withheld:
-            self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode - 1
+            self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode.number - 1
         self._names = [name.encode() for name in scene.joint_names]
         self._joints["name"] = [
             ctypes.cast(ctypes.c_char_p(name), _pointer).value for name in self._names
@@ -415,7 +436,7 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> np.ndarray[tuple[int], np.dt
         row["index"] = joint.encoder is not None and joint.encoder.index != "none"
         row["stops"] = any(isinstance(part, EndStops) for part in joint.parts)
         row["mode"] = MODES[joint.command]
-        row["modes"] = sum(1 << mode - 1 for mode in OFFERED)
+        row["modes"] = sum(1 << mode.number - 1 for mode in modes())
     return rows
 
 

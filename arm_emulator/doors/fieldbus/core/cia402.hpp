@@ -25,17 +25,6 @@ enum class State : std::uint8_t {
   fault,
 };
 
-enum class Mode : std::int8_t {
-  none = 0,
-  profile_position = 1,
-  profile_velocity = 3,
-  profile_torque = 4,
-  homing = 6,
-  cyclic_position = 8,
-  cyclic_velocity = 9,
-  cyclic_torque = 10,
-};
-
 // Bits of the controlword 0x6040.
 namespace control {
 inline constexpr std::uint16_t switch_on = 1 << 0, enable_voltage = 1 << 1, quick_stop = 1 << 2,

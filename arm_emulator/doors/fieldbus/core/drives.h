@@ -94,6 +94,23 @@ typedef struct drives_entry {
 /* Walk the dictionary: entries 0, 1, ... in ascending order; 0 where there are no more, else 1. */
 int drives_list(int32_t slot, drives_entry* out);
 
+/* What a mode of operation controls: position; speed; torque; a torque at the limit of the speed.
+ */
+enum drives_loops {
+  DRIVES_LOOP_POSITION = 1,
+  DRIVES_LOOP_SPEED = 2,
+  DRIVES_LOOP_TORQUE = 4,
+  DRIVES_LOOP_SPEED_LIMIT = 8
+};
+typedef struct drives_mode {
+  int32_t number; /* of 0x6060 */
+  uint32_t loops; /* bits of enum drives_loops */
+  const char* name;
+} drives_mode;
+
+/* Walk the modes of operation that drives have, as drives_list. */
+int drives_list_mode(int32_t row, drives_mode* out);
+
 /* ------------------------------------------------------------------------------------ the bus */
 
 /* Set an entry that belongs to the bus (COB-IDs, sync manager parameters), whatever its access and

@@ -133,6 +133,14 @@ int drives_list(std::int32_t slot, drives_entry* out) {
   return 1;
 }
 
+int drives_list_mode(std::int32_t row, drives_mode* out) {
+  constexpr auto all = fieldbus::Modes::all();
+  if (!out || row < 0 || row >= static_cast<std::int32_t>(all.size())) return 0;
+  const fieldbus::AboutMode& one = all[static_cast<std::size_t>(row)];
+  *out = {one.number, one.loops, one.name};
+  return 1;
+}
+
 int drives_set(drives* all, std::int32_t drive, std::uint16_t index, std::uint8_t sub,
                std::int64_t value) {
   return has(all, drive) && all->at(drive).set(index, sub, value);

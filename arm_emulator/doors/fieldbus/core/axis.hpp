@@ -1,0 +1,154 @@
+// One axis as its modes of operation see it: the dictionary, what was measured, what is demanded of
+// the inner loops, and the limits of all that.
+//
+// Inside, positions are counts of the encoder since the machine began; those of the dictionary are
+// less by `shift`, which homing sets.
+#pragma once
+
+#include "drives.h"
+#include "profile.hpp"
+#include "units.hpp"
+#include "values.hpp"
+
+namespace fieldbus {
+
+enum class Loop : std::uint8_t { position, speed, torque };
+
+struct Demand {
+  Loop loop = Loop::position;
+  double position = 0.0;  // counts
+  double speed = 0.0;     // counts/s
+  double torque = 0.0;    // 0.1 %
+  // Whether a target speed, a target position was beyond a limit.
+  bool speed_cut = false, position_cut = false;
+};
+
+struct Measured {
+  std::int64_t counts = 0, turned = 0;  // turned: in the newest period
+  std::int64_t index = 0, pulses = 0;   // counts at the newest index pulse, how many there were
+  double speed = 0.0;                   // counts/s
+  double torque = 0.0;                  // 0.1 %
+  double command = 0.0;                 // V or A that the motor got
+  bool powered = true, brake = false, hot = false, diverged = false;
+};
+
+struct Axis {
+  Axis(const drives_joint& of, const drives_machine& machine)
+      : joint(of),
+        units(of.servo),
+        dt(1e-9 * static_cast<double>(machine.period)),
+        values(static_cast<Bus>(machine.bus)) {}
+  Axis(const Axis&) = delete;
+  Axis& operator=(const Axis&) = delete;
+
+  const drives_joint& joint;
+  const Units units;
+  const double dt;  // s, servo period
+  Values values;
+  std::uint16_t word = 0, word_before = 0;  // controlwords of this period and the one before
+  std::int64_t targets = 0;                 // times that the target position was written
+  std::int64_t shift = 0;
+  Demand demand;
+  Measured measured;
+  int limited = 0;  // bits of enum servo_limits
+
+  template <std::uint16_t index, std::uint8_t sub = 0>
+  double number() const {
+    return static_cast<double>(values.get<index, sub>());
+  }
+  double counts() const { return static_cast<double>(measured.counts); }
+  // Whether a bit of the controlword has come in this period.
+  bool rises(std::uint16_t bit) const { return (word & bit) && !(word_before & bit); }
+
+  // ------------------------------------------------------------------------------------ limits
+
+  double most_omega() const {
+    const double rpm = number<0x6080>() * kTurn / 60.0;
+    return rpm < joint.servo.omega_limit ? rpm : joint.servo.omega_limit;
+  }
+  double motor_speed() const { return units.speed(most_omega()); }  // counts/s
+  double profile_speed() const {
+    const double motor = motor_speed(), profile = number<0x607F>();
+    return motor < profile ? motor : profile;
+  }
+  template <std::uint16_t index>
+  double acceleration() const {
+    const double most = number<0x60C5>(), one = number<index>();
+    return one < most ? one : most;
+  }
+  template <std::uint16_t index>
+  double deceleration() const {
+    const double most = number<0x60C6>(), one = number<index>();
+    return one < most ? one : most;
+  }
+  double torque_slope() const { return number<0x6087>(); }
+  bool bounded() const { return values.get<0x607D, 1>() < values.get<0x607D, 2>(); }
+  // A position of the dictionary within the software limits, as one inside.
+  double inside(std::int64_t position) {
+    const std::int64_t low = values.get<0x607D, 1>(), high = values.get<0x607D, 2>();
+    std::int64_t within = position;
+    if (bounded()) within = position < low ? low : position > high ? high : position;
+    demand.position_cut = within != position;
+    return static_cast<double>(within + shift);
+  }
+  double within_speed(std::int64_t asked, double most) {
+    const double speed = static_cast<double>(asked);
+    const double within = speed > most ? most : speed < -most ? -most : speed;
+    demand.speed_cut = demand.speed_cut || within != speed;
+    return within;
+  }
+
+  // ----------------------------------------------------------------------------------- targets
+
+  // The target position 0x607A that is near the motor, in the dictionary's coordinates.
+  std::int64_t target_position() const {
+    return near(measured.counts - shift, values.get<0x607A>());
+  }
+  // Periods in the interpolation time 0x60C2, one at least.
+  int periods_per_target() const {
+    static constexpr double kTen[] = {1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6};
+    const double time = number<0x60C2, 1>() * kTen[-values.get<0x60C2, 2>()];
+    const double periods = std::floor(time / dt + 0.5);
+    return periods < 1.0 ? 1 : periods > 1e9 ? 1000000000 : static_cast<int>(periods);
+  }
+  bool lasts(double time, std::int64_t ms) const {
+    return time + 0.5 * dt >= 1e-3 * static_cast<double>(ms);
+  }
+
+  // ----------------------------------------------------------------------- from loop to loop
+
+  // Demands at the motor as it is, without speed.
+  void follow_motor() {
+    demand.loop = Loop::position;
+    demand.position = counts();
+    demand.speed = demand.torque = 0.0;
+    demand.position_cut = false;
+  }
+  // Change to a loop, the motion going on.
+  void control_position() {
+    if (demand.loop != Loop::position) demand.position = counts();
+    if (demand.loop == Loop::torque) demand.speed = measured.speed;
+    demand.loop = Loop::position;
+  }
+  void control_speed() {
+    if (demand.loop == Loop::torque) demand.speed = measured.speed;
+    demand.loop = Loop::speed;
+  }
+  void control_torque() {
+    demand.torque = measured.torque;
+    demand.loop = Loop::torque;
+  }
+  void stand() {
+    if (demand.loop != Loop::position) demand.position = counts();
+    demand.loop = Loop::position;
+    demand.speed = 0.0;
+  }
+};
+
+// How long something has been so without a break.
+struct Lasting {
+  double time = 0.0;  // s
+  void look(bool so, double dt) { time = so ? time + dt : 0.0; }
+};
+
+}  // namespace fieldbus

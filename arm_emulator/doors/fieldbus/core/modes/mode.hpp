@@ -1,0 +1,66 @@
+// What a mode of operation (0x6060) is to the drive.
+//
+// A mode is made anew each time it is chosen. In Operation enabled it sets the demands of the inner
+// loops, period after period; the drive enables, stops and publishes.
+#pragma once
+
+#include <limits>
+
+#include "../axis.hpp"
+#include "../cia402.hpp"
+
+namespace fieldbus {
+
+// What a mode is, without an axis.
+struct AboutMode {
+  int number = 0;  // 0x6060
+  const char* name = "none";
+  std::uint32_t loops = 0;       // bits of enum drives_loops that it closes
+  bool follows = false;          // the following error is watched
+  bool within_limits = true;     // software limits hold
+  bool halts_in_torque = false;  // a halt takes the torque away
+};
+
+// What a master adds to what the inner loops are to do.
+struct Offsets {
+  double speed = 0.0;   // counts/s
+  double torque = 0.0;  // 0.1 %
+};
+
+// What bits of the statusword depend on.
+struct Situation {
+  bool operates;  // Operation enabled
+  bool stops;     // ... and on its way out of it
+  bool halted;    // slowed down by a stop or a halt
+  bool off;       // the following error is beyond its window
+};
+
+class Mode {
+ public:
+  // The motor is not controlled: begin at it as it is.
+  virtual void hold(Axis&) {}
+  // The motor moves in another mode: go on from there.
+  virtual void take_over(Axis&) {}
+  // A stop has ended; `by_halt`: it was a halt, and what was under way goes on.
+  virtual void go_on(Axis& axis, bool /*by_halt*/) { take_over(axis); }
+  // Set the demands of a period.
+  virtual void run(Axis& axis) { axis.stand(); }
+  virtual Offsets offsets(const Axis&) const { return {}; }
+  // 0.1 %, beside the limits that the dictionary has for all modes.
+  virtual double torque_limit(const Axis&) const { return std::numeric_limits<double>::infinity(); }
+  // A period was measured.
+  virtual void look(const Axis&) {}
+  // Bits of the statusword.
+  virtual std::uint16_t status(const Axis&, const Situation&) const { return 0; }
+
+ protected:
+  ~Mode() = default;
+};
+
+// 0x6060 is 0: the motor is held.
+class NoMode final : public Mode {
+ public:
+  static constexpr AboutMode about = {};
+};
+
+}  // namespace fieldbus

@@ -1,0 +1,60 @@
+// How a motor comes to a standstill: by a ramp, by what torque there is, or, in a mode that
+// controls torque, by no torque.
+#pragma once
+
+#include "axis.hpp"
+#include "cia402.hpp"
+
+namespace fieldbus {
+
+class Stopping {
+ public:
+  bool halted() const { return halted_; }    // it slows down, or stands after that
+  bool by_halt() const { return by_halt_; }  // the newest one was a halt
+  bool stands() const { return stands_; }
+
+  void end() { *this = {}; }
+  void begin(bool by_halt) {
+    halted_ = true;
+    by_halt_ = by_halt;
+  }
+
+  // A period of it.
+  void fade(Axis& axis) const {
+    const double slope = axis.torque_slope();
+    axis.demand.torque = ramp(axis.demand.torque, 0.0, slope, slope, axis.dt);
+  }
+  void slow_down(Axis& axis, Stop way) {
+    Demand& demand = axis.demand;
+    if (way == Stop::torque_limit && !stands_) {
+      axis.control_speed();
+      demand.speed = 0.0;
+    } else {
+      if (demand.loop == Loop::torque) axis.control_speed();
+      const double d =
+          way == Stop::quick_ramp ? axis.deceleration<0x6085>() : axis.deceleration<0x6084>();
+      const double before = demand.speed;
+      demand.speed = ramp(demand.speed, 0.0, d, d, axis.dt);
+      if (demand.loop == Loop::position) demand.position += 0.5 * (before + demand.speed) * axis.dt;
+    }
+    settle(axis);
+  }
+
+ private:
+  static constexpr double kLongest = 0.5;  // s that a motor may creep at the end
+
+  void settle(Axis& axis) {
+    const bool at_end = axis.demand.speed == 0.0;
+    stood_.look(at_end, axis.dt);
+    const bool slow = std::fabs(axis.measured.speed) <= axis.number<0x606F>();
+    stands_ = at_end && (slow || stood_.time > kLongest);
+    if (!stands_ || axis.demand.loop != Loop::speed) return;
+    axis.demand.position = axis.counts();
+    axis.demand.loop = Loop::position;
+  }
+
+  bool halted_ = false, by_halt_ = false, stands_ = false;
+  Lasting stood_;
+};
+
+}  // namespace fieldbus
