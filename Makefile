@@ -57,7 +57,7 @@ endef
 export FITS
 
 define LOCAL_SETUP
-# Tells ROS tools of the packages in this environment. install/setup.* reads this file.
+# ROS tools find the packages of this environment by it. install/setup.* reads this file.
 export AMENT_PREFIX_PATH="$(CURDIR)/.venv$${AMENT_PREFIX_PATH:+:$$AMENT_PREFIX_PATH}"
 export CMAKE_PREFIX_PATH="$(CURDIR)/.venv$${CMAKE_PREFIX_PATH:+:$$CMAKE_PREFIX_PATH}"
 endef

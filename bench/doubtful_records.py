@@ -254,7 +254,7 @@ def spoils(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> dict[str
                        (f"zero of {middle}'s angle",)),
         "torque zero": (spoiled(tau=tau + one * size(0.6, 1.5) * spread),
                         (f"zero of {name}'s torque", "offset")),
-        "degrees": (spoiled(q_motor=np.degrees(q)), ("deg, told as rad",)),
+        "degrees": (spoiled(q_motor=np.degrees(q)), ("deg, given as rad",)),
         "N mm": (spoiled(tau=1e3 * tau), ("N mm", "1e+03 times")),
         "at the links": (spoiled(tau=tau / ratio), ("at the links",)),
         "torques swapped": (spoiled(tau=swapped(tau)), (f"torques of {name} and {other}",

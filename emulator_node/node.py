@@ -362,7 +362,7 @@ class EmulatorNode(Node):
             kind_hash = str(known[0].topic_type_hash)
             topics.append(Topic(name, kind, definition_of(kind), offered, kind_hash))
         self._record = RunRecord(folder, topics, self._session.lockstep)
-        self._diagnostics.say = partial(self._publish, self._diagnostics.publisher)
+        self._diagnostics.send = partial(self._publish, self._diagnostics.publisher)
 
     def _publish(self, publisher: Publisher, message: Any) -> None:
         """Publish a message, or the bytes of one, and write it into the emulator's own record."""

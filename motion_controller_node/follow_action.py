@@ -1,7 +1,7 @@
 """The action `follow_joint_trajectory`, where control_msgs is installed.
 
 Nothing waits in it: a goal is a joint trajectory like those that come on the topic, and ends when
-the motion controller says so. So one thread serves it beside everything else.
+the motion controller reports it. So one thread serves it beside everything else.
 """
 
 from __future__ import annotations

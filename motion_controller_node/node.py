@@ -69,7 +69,7 @@ class MotionControllerNode(Node):
 
     It answers the joint states at every multiple of its period with joint targets of the same time
     stamp: where the arm stood at first, until a tool target, a joint trajectory or a tool path
-    holds. What becomes of each of them is told on `motion/status`.
+    holds. What becomes of each of them is published on `motion/status`.
     """
 
     def __init__(self) -> None:
@@ -163,7 +163,7 @@ class MotionControllerNode(Node):
         """Take a goal of the action; return its number among the trajectories.
 
         Raises:
-            Refusal: it is not taken, which is told.
+            Refusal: it is not taken, which is published.
         """
         trajectory = goal.trajectory
         kinematics = None if self._controller is None else self._controller.kinematics
@@ -197,7 +197,7 @@ class MotionControllerNode(Node):
                 self._check_frame("tool_path", header)
             stamp_ns = time_of("tool_path", message.header.stamp)
             times = [time_of("tool_path", one.header.stamp) for one in message.poses]
-            # Planners put one stamp on all poses, or none: that says nothing.
+            # Planners put one stamp on all poses, or none: that means nothing.
             given = times if len(set(times)) > 1 else None
             poses = [_pose(one.pose, "tool_path") for one in message.poses]
             self._instructor.add_path(self._controller, poses, stamp_ns, given)
@@ -205,7 +205,7 @@ class MotionControllerNode(Node):
         self._take(Kind.TOOL_PATH, message.header, take)
 
     def _take(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
-        """Hand over what came, and tell what becomes of it; return why it was not taken."""
+        """Hand over what came, and publish what becomes of it; return why it was not taken."""
         refusal = None
         reports = self._instructor.reports
         before = reports.numbers[kind]

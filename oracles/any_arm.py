@@ -2,7 +2,7 @@
 
 For every arm a scene is made by `arm_emulator new`; the whole machine, servo and motion controller
 are then sent on random moves of 50 and 300 mm (less for small arms) between poses within the
-joint limits. A move counts as arrived if the true tool rests where `predicted_residual` says.
+joint limits. A move counts as arrived if the true tool rests where `predicted_residual` predicts.
 Without names: every robot of example-robot-data with an arm, and those of oracles/own_robots.py.
 """
 

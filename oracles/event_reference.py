@@ -122,8 +122,8 @@ class MachineWithModes(ReferenceMachine):
         """Hold the current of joint j at its limit, unless it has left it, beyond by rounding."""
         currents, surplus = self.currents(x, V)
         side = np.sign(currents[j])
-        # Without inductance there is no surplus before it is held; whether there will be tells how
-        # the back-EMF changes. One that just touches its limit is not held.
+        # Without inductance there is no surplus before it is held; whether there will be decides
+        # how the back-EMF changes. One that just touches its limit is not held.
         T, a, _ = self.forces(x, V)
         back_emf_rate = self.Kb * self.motor_accelerations(currents, T, a)
         ahead = surplus[j] if self.inductive[j] else -back_emf_rate[j]

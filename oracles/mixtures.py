@@ -11,8 +11,8 @@ way. Claims, with rosenbrock and events located:
 There is no truth that knows all parts at once: the order is that of the differences between runs
 with steps of 1, 1/2 and 1/4. An order is one of small steps: where the fastest winding or the
 shortest wave is not yet resolved by steps of 0.5 to 0.125 ms, these are halved further, down to
-16 us; the three steps that are judged are told. Each part by itself is compared with a closed form
-in test/.
+16 us; the three steps that are judged are printed. Each part by itself is compared with a closed
+form in test/.
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ def judge(seed: int, schemes: tuple[str, ...] = LOCATED) -> list[Verdict]:
         for scheme in schemes:
             about = (seed, scheme, len(scene.joints), events, rate)
             verdict = _judge(file, scheme, voltages, truth, about, steps)
-            # Where the coarse error is small by chance, as its parts cancel, the next tenth tells.
+            # Where the coarse error is small by chance, as its parts cancel, the next decides.
             if not (verdict.in_order and verdict.balance_in_order):
                 verdict = _judge(file, scheme, voltages, truth, about, 10 * steps)
             verdicts.append(verdict)

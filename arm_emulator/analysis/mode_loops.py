@@ -145,7 +145,7 @@ class ModeLoops:
     def _figures(
         self, j: int, loop: Loop, braked: bool = False, alike: bool = False
     ) -> Iterator[LoopFigure]:
-        """Look at one loop; one that all joints are in is told of the joint that is loudest."""
+        """Look at one loop; one that all joints are in is named after the joint that is loudest."""
         plants = self._braked[j] if braked else self._free
         servos = [
             self._servos[loop if alike or k == j else Loop.POSITION][k] for k in range(self._N)

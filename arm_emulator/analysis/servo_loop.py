@@ -53,7 +53,7 @@ def poses(scene: Scene, count: int = POSES) -> list[Array]:
 def sampled_plant(
     motions: SmallMotions, servo: ServoConfig, period: float, braked: int | None = None
 ) -> SampledPlant:
-    """Return the machine over a servo period, its motor angles as the servo's encoders tell.
+    """Return the machine over a servo period, its motor angles as its encoders measure.
 
     Args:
         motions: the machine.
@@ -65,7 +65,7 @@ def sampled_plant(
     N, n = len(scene.joints), len(motions.J)
     q = np.eye(N, n, motions.links)
     known = {joint.name: joint.counts_per_turn for joint in servo.joints}
-    # A servo that is told of another encoder takes the angle for another one.
+    # A servo that is set up for another encoder takes the angle for another one.
     scale = np.array([[joint.counts_per_turn / known[joint.name]] for joint in scene.joints])
     J, B = (motions.J, motions.B) if braked is None else motions.braked(braked)
     return SampledPlant.of(
@@ -253,8 +253,8 @@ def warn_of_loops(scene: Scene, servo: ServoConfig) -> None:
 def check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
     """Hold the servo's gains against the machine; return warnings, one line each.
 
-    Nothing is said where a joint has no motor, and so no loop, or where the machine's numbers are
-    so far apart that its small motions cannot be computed.
+    Nothing is reported where a joint has no motor, and so no loop, or where the machine's numbers
+    are so far apart that its small motions cannot be computed.
 
     Raises:
         Refusal: the loop is unstable where the machine starts.

@@ -248,8 +248,8 @@ def what_holds(fault: Diverged) -> str:
             continue
         if scheme != own and last and last[-1].held:
             break
-    told = ", ".join(map(str, last)) or "nothing could be"
-    return f"{_why(fault, motions)}; tried in this pose and from the start, under this: {told}"
+    tried = ", ".join(map(str, last)) or "nothing could be"
+    return f"{_why(fault, motions)}; tried in this pose and from the start, under this: {tried}"
 
 
 def _small_motions(fault: Diverged) -> SmallMotions | None:

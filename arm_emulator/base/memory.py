@@ -1,4 +1,4 @@
-"""Whether an error means that no memory is left: libraries say so in various ways."""
+"""Whether an error means that no memory is left: libraries report it in various ways."""
 
 from __future__ import annotations
 

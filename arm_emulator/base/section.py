@@ -1,4 +1,4 @@
-"""A section of a YAML file, read key by key, with refusals that say where and which rule."""
+"""A section of a YAML file, read key by key, with refusals that name the place and the rule."""
 
 from __future__ import annotations
 

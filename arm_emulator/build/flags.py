@@ -1,7 +1,7 @@
 """Flags of the compiler that are the same for several units."""
 
 # A library calls its own functions, whatever others of these names a process has loaded for all to
-# see: an FMU beside a scene, say.
+# see: for example an FMU beside a scene.
 SHARED = ("-shared", "-fPIC", "-Wl,-Bsymbolic")
 
 # Control code and loops in C. No contraction of products and sums: the same bits whatever the

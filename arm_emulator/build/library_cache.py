@@ -144,7 +144,7 @@ def load(file: Path) -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(file))
     except OSError as error:  # for example a file system that is mounted with noexec
-        raise Damaged(f"the loader says {error}") from None
+        raise Damaged(f"the loader reports {error}") from None
 
 
 def check(file: Path) -> None:
@@ -186,7 +186,7 @@ def store(file: Path, body: bytes, scratch: Path) -> None:
         OSError: it could not be written.
     """
     beside = scratch / "sealed"
-    # No wider than this whatever the umask says: what its group can write is not loaded.
+    # No wider than this whatever the umask is: what its group can write is not loaded.
     opened = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
     with open(opened, "wb") as handle:
         handle.write(body + _seal(file.name, body))

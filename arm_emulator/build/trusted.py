@@ -67,7 +67,7 @@ def check_folder(folder: Path, make: int | None = None) -> Path:
         if not left:
             return Path(at)
         part = left.pop()
-        # `at` holds no links, so that what is above it is what its path says.
+        # `at` holds no links, so that what is above it is what its path names.
         at = os.path.dirname(at) if part == ".." else os.path.join(at, part)
 
 

@@ -39,8 +39,8 @@ class Unit:
         folders: where it includes files from.
         calls: what the library must have.
         where: what a refusal names.
-        about: what the user is told while it is compiled.
-        part: what a refusal says that a compiler must compile.
+        about: what the user reads while it is compiled.
+        part: what a refusal names as to be compiled.
         beside: a further source, compiled apart in the same command: what a compiler makes of
             `source` does not depend on it, to the last bit of what that computes.
         data: what stands in exported objects of copies for others, by their names; libraries in
@@ -203,7 +203,7 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
 
 
 def _built(file: Path, compiler: str, unit: Unit) -> bytes:
-    """Return the library that a compiler says it has made."""
+    """Return the library that a compiler reports to have made."""
     body = b""
     try:
         # It lies in a folder that is closed to others, whatever the umask has made of its mode.
@@ -215,7 +215,7 @@ def _built(file: Path, compiler: str, unit: Unit) -> bytes:
         reason = str(error)
     if reason:
         raise Refusal(unit.where, f"compiler {compiler}",
-                      "make a library, though it says nothing is wrong", reason)  # fmt: skip
+                      "make a library, though it reports no error", reason)  # fmt: skip
     return body
 
 
@@ -296,7 +296,7 @@ def _runs_here(target: str) -> bool:
 
 
 def declare(library: ctypes.CDLL, calls: Calls) -> ctypes.CDLL:
-    """Tell ctypes the signatures."""
+    """Give ctypes the signatures."""
     for name, (result, arguments) in calls.items():
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments

@@ -28,7 +28,7 @@ def main() -> None:
                 raise
             print(Refusal("arm_emulator", "memory", "suffice", repr(error)), file=sys.stderr)
             sys.exit(2)
-    sys.exit(exit_code(ctrl_c.told, CODE))
+    sys.exit(exit_code(ctrl_c.signal, CODE))
 
 
 def _parser() -> argparse.ArgumentParser:

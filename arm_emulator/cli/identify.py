@@ -205,7 +205,7 @@ def _doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]
         if count:
             doubts.append(f"{joint}: {count} rows stand out, and count little")
     for one in numbers:
-        if one.told and one.far > FAR:
+        if one.identified and one.far > FAR:
             doubts.append(
                 f"{one.name}: {one.value:.4g} {one.unit} is {one.far:.1f} of the deviations known "
                 f"before from {one.before:.4g}; is the record in the units and of the scale told?"

@@ -40,7 +40,7 @@ class Choice:
     held: dict[str, Held]
     """All other joints that could move."""
     guesses: tuple[str, ...]
-    """What was not told but chosen, in words."""
+    """What was not given but chosen, in words."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def choose_joints(
 ) -> Choice:
     """Choose the arm in a robot description.
 
-    Told nothing, the arm is the longest row of joints from the base; a gripper at its end, told by
-    a fork or by its name, is held. A joint that copies the motion of another one (mimic) is held.
+    Given nothing, the arm is the longest row of joints from the base; a gripper at its end, named
+    by a fork or by its name, is held. A joint that copies the motion of another one (mimic) is held.
 
     Args:
         robot: the URDF's root element.

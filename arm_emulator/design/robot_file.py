@@ -47,19 +47,19 @@ def _expanded(file: Path, arguments: Mapping[str, str]) -> str:
         raise Refusal(file.name, "file", "be a URDF", "a xacro source", valid)
     given = [f"{name}:={value}" for name, value in arguments.items()]
     command = [sys.executable, "-P", expand_xacro.__file__, str(file.resolve()), *given]
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
         try:
             done = subprocess.run(
-                command, stdin=subprocess.DEVNULL, stdout=out, stderr=said,
+                command, stdin=subprocess.DEVNULL, stdout=out, stderr=errors,
                 timeout=PATIENCE, check=False,
             )  # fmt: skip
             code = done.returncode
         except subprocess.TimeoutExpired:
             code = -signal.SIGKILL
-        for stream in (out, said):
+        for stream in (out, errors):
             stream.seek(0)
         text = out.read(MOST_BYTES + 1)
-        reason = " ".join(said.read(2000).decode(errors="replace").split())
+        reason = " ".join(errors.read(2000).decode(errors="replace").split())
     if code < 0:
         reason = f"more than {expand_xacro.SECONDS} s, or more than it may write"
     elif code == 0 and len(text) <= MOST_BYTES:

@@ -45,7 +45,7 @@ COUNTS_PER_TURN = 8192  # 13 bit at the motor
 
 @dataclass(frozen=True)
 class Demand:
-    """What the links ask of a joint, and what the robot description says of it.
+    """What the links ask of a joint, and what the robot description states of it.
 
     Units are those of a revolute joint; for a prismatic one read kg, N and m/s.
     """
@@ -76,7 +76,7 @@ class Sized:
 def size(demands: list[Demand]) -> tuple[float, list[Sized]]:
     """Return the supply voltage [V] and a drive for every joint.
 
-    In short: peak torque and speed as the description says, or what holds and moves the links;
+    In short: peak torque and speed of the description, or what holds and moves the links;
     ratio and back EMF by the motor's rated speed, winding by what the supply leaves at peak torque,
     rotor by a servo motor's acceleration, stiffness as strain wave gears of that torque have.
     """

@@ -20,11 +20,11 @@ from arm_emulator.machine.chain import Array
 Mask = NDArray[np.bool_]
 
 ORDER = 4
-FOR_SIGN = 4.0  # times the low-pass: of the speed whose sign tells the direction of friction
+FOR_SIGN = 4.0  # times the low-pass: of the speed whose sign is the direction of friction
 EDGE = 2.0  # periods of the low-pass, at either end, in which the filter is not yet settled
 REACH = 0.1  # periods of the low-pass
 MOST_ROWS = 5000  # of which a fit is made, however long a record is
-ROWS_PER_PERIOD = 2.5  # of the low-pass: more tell nothing new
+ROWS_PER_PERIOD = 2.5  # of the low-pass: more add nothing
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
         frequency: of the low-pass [Hz].
         slowest: speed from which a joint moves [rad/s or m/s]; None: a share of its top speed, and
             not right at reversals.
-        every: of so many samples one is kept; None: as few as the low-pass leaves to tell.
+        every: of so many samples one is kept; None: as few as keep what the low-pass leaves.
         causal: low-passed one way only; which samples move is asked of the record both ways.
 
     Raises:

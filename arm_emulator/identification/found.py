@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.identification import inertia
-from arm_emulator.identification.torque_fit import NOT_TOLD, TorqueFit
+from arm_emulator.identification.torque_fit import IDENTIFIED, TorqueFit
 from arm_emulator.machine.chain import Array, Body, ChainJoint
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied_body import NAMES, of_child
@@ -25,18 +25,18 @@ class Found:
     before: float
     value: float
     deviation: float  # standard deviation; NaN: unknown
-    told: bool  # whether the record tells of it by itself, or it is much as it was taken to be
+    identified: bool  # by the record itself; else it is much as it was taken to be
     width: float = np.inf  # standard deviation of what was known of it before
     left: str = ""  # why it was left as it was
 
     @property
     def remark(self) -> str:
-        """What there is to say of it, if anything."""
+        """A remark on it, if any."""
         if self.left:
             return self.left
         if self.deviation == 0.0:
             return "held"
-        return "" if self.told else "not identifiable"
+        return "" if self.identified else "not identifiable"
 
     @property
     def far(self) -> float:
@@ -46,8 +46,8 @@ class Found:
     @property
     def line(self) -> str:
         """The number, its confidence, and what it was."""
-        told = self.remark or f"+- {self.deviation:.2g}"
-        return f"{self.name}: {self.value:.6g} {self.unit}, {told}, before {self.before:.6g}"
+        remark = self.remark or f"+- {self.deviation:.2g}"
+        return f"{self.name}: {self.value:.6g} {self.unit}, {remark}, before {self.before:.6g}"
 
 
 def bodies_of(scene: Scene, fit: TorqueFit) -> list[Body]:
@@ -70,8 +70,10 @@ def numbers_found(scene: Scene, fit: TorqueFit) -> list[Found]:
     for u, one in enumerate(units, len(fit.unknowns) - len(units)):
         if fit.fitted[u]:
             value, deviation = float(fit.values[u]), float(fit.deviations[u])
-            told = deviation < NOT_TOLD * one.width
-            found.append(Found(one.name, one.unit, one.value, value, deviation, told, one.width))
+            identified = deviation < IDENTIFIED * one.width
+            found.append(
+                Found(one.name, one.unit, one.value, value, deviation, identified, one.width)
+            )
         elif u in fit.left:
             left = fit.left[u]
             found.append(Found(one.name, one.unit, one.value, one.value, np.nan, False, left=left))
@@ -89,10 +91,10 @@ def _link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
     old, new = (turn @ inertia.exponential(row) for row in (start, fit.values[here]))
     for k, name in enumerate(NAMES):
         unit = UNITS[name.split("_")[0]]
-        told = bool(after[k] < NOT_TOLD * before[k])
+        identified = bool(after[k] < IDENTIFIED * before[k])
         yield Found(
-            f"links.{joint.link}.{name}", unit, float(old[k]), float(new[k]), float(after[k]), told,
-            float(before[k]),
+            f"links.{joint.link}.{name}", unit, float(old[k]), float(new[k]), float(after[k]),
+            identified, float(before[k]),
         )  # fmt: skip
 
 

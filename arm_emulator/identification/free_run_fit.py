@@ -2,7 +2,7 @@
 
 Gauss-Newton (with Levenberg's damping) on how far free runs, driven by the measured torques, leave
 the record. Differences are those of a `Fleet`, an arm for each unknown and start, so that what is
-fitted is what is run. What the scene says counts as in the first stage.
+fitted is what is run. What the scene states counts as in the first stage.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
 
 
 def fit_free_runs(
-    fit: TorqueFit, scene: Scene, run: MeasuredRun, told: Callable[[str], None] = print
+    fit: TorqueFit, scene: Scene, run: MeasuredRun, report: Callable[[str], None] = print
 ) -> TorqueFit:
     """Return a fit whose free runs end nearer to the record.
 
@@ -59,7 +59,7 @@ def fit_free_runs(
         fit: of the first stage, where the search begins.
         scene: the machine as it was known.
         run: the record.
-        told: is told how far runs end, turn by turn.
+        report: gets how far runs end, turn by turn.
     """
     sought = numbers_of(fit, scene, fit.values)
     scene = torque_driven(scene, run.period, sought)
@@ -76,7 +76,7 @@ def fit_free_runs(
     # Runs that overlap err together: an error counts as of so many samples.
     lasting = max(1.0, SECONDS / EVERY) * len(LOOKS)
     noise = np.sqrt(np.mean(errors**2, axis=0) * lasting)
-    told(f"free runs of {SECONDS:g} s end {_shown(errors, spread)} off")
+    report(f"free runs of {SECONDS:g} s end {_shown(errors, spread)} off")
 
     def cost(errors: Array, values: Array) -> float:
         """With the noise of the turn."""
@@ -98,7 +98,7 @@ def fit_free_runs(
             values, errors, J, damping = tried, new_errors, new_J, 0.1 * damping
             noise = np.sqrt(np.mean(errors**2, axis=0) * lasting)
             now = cost(errors, values)
-            told(f"free runs of {SECONDS:g} s end {_shown(errors, spread)} off")
+            report(f"free runs of {SECONDS:g} s end {_shown(errors, spread)} off")
             if done:
                 break
         else:

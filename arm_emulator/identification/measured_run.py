@@ -33,7 +33,7 @@ class MeasuredRun:
     tau: Array  # N m, at the motor's shaft
     q_link: Array | None = None  # rad or m, by encoders at the links; NaN where there is none
     q_ref: Array | None = None  # rad or m, commanded
-    v_motor: Array | None = None  # rad/s or m/s, as the drives tell them
+    v_motor: Array | None = None  # rad/s or m/s, as the drives measure them
 
     @property
     def period(self) -> float:
@@ -55,7 +55,7 @@ def check_samples(run: MeasuredRun) -> None:
     """Refuse a record with gaps, missing numbers, or sensors that have stopped.
 
     Raises:
-        Refusal: says which signal of which joint, and when.
+        Refusal: names the signal, the joint and the time.
     """
     t = run.t
     if len(t) < SHORTEST:

@@ -28,7 +28,7 @@ def without_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
     Raises:
         Refusal: too many of them.
     """
-    changed, told = dict[str, Any](), list[str]()
+    changed, found = dict[str, Any](), list[str]()
     for name, shown in SIGNALS.items():
         rows = getattr(run, name).copy()
         for j, joint in enumerate(run.joints):
@@ -46,12 +46,12 @@ def without_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
                 raise Refusal(run.where, f"{shown} of {joint}", rule, got)
             if count:
                 first = run.t[int(np.argmax(out))]
-                told.append(
+                found.append(
                     f"{shown} of {joint}: {count} outliers, the first at t = {first:.4g} s; "
                     "their neighbours stand in their place"
                 )
         changed[name] = rows
-    return dataclasses.replace(run, **changed), told
+    return dataclasses.replace(run, **changed), found
 
 
 def _outliers(signal: Array, least: float) -> Array:

@@ -1,4 +1,4 @@
-"""Whether a record can be of this machine: that it moves, at the speeds told, without slips.
+"""Whether a record can be of this machine: that it moves, at the speeds given, without slips.
 
 Each slip that people make is tried (slips.py). If the record fits the machine much better once one
 is undone, it was made; what fits nearly as well as that is named beside it.
@@ -60,7 +60,11 @@ def check_clock(run: MeasuredRun) -> None:
         Refusal: names what it could be.
     """
     if not FASTEST_SAMPLES < run.period <= SLOWEST_SAMPLES:
-        slow = "ms, us, or numbers of samples told as s?" if run.period > SLOWEST_SAMPLES else ""
+        slow = (
+            "ms, us, or numbers of samples in the place of s?"
+            if run.period > SLOWEST_SAMPLES
+            else ""
+        )
         rule = f"be in s, with samples every {FASTEST_SAMPLES:g} to {SLOWEST_SAMPLES:g} s"
         raise Refusal(run.where, "t", rule, f"samples every {run.period:g} s: {slow}".rstrip(": "))
 
@@ -69,11 +73,11 @@ def check_movement(run: MeasuredRun, data: Filtered) -> None:
     """Refuse a record in which a joint hardly moves, or only one way at one speed.
 
     Raises:
-        Refusal: says which joint, and how much it moves.
+        Refusal: names the joint, and how much it moves.
     """
     for j, joint in enumerate(run.joints):
         if not np.ptp(run.tau[:, j]) > LEAST_TORQUE:
-            rule = "change while the joint moves; a joint that nothing drives tells nothing"
+            rule = "change while the joint moves; a joint that nothing drives shows nothing"
             raise Refusal(run.where, f"torque of {joint}", rule, f"{run.tau[0, j]:g} throughout")
         way = float(np.ptp(run.q_motor[:, j]))
         rule = "move, so that its friction and inertia show"
@@ -83,12 +87,10 @@ def check_movement(run: MeasuredRun, data: Filtered) -> None:
         if len(v) < 10:
             raise Refusal(run.where, joint, rule, f"{len(v)} samples in motion after filtering")
         if v.min() > 0.0 or v.max() < 0.0:
-            rule = "move both ways, so that friction and weight can be told apart"
+            rule = "move both ways, so that friction and weight can be separated"
             raise Refusal(run.where, joint, rule, "one direction")
         if np.quantile(np.abs(v), 0.95) < 1.3 * np.quantile(np.abs(v), 0.05):
-            rule = (
-                "move at different speeds, so that Coulomb and viscous friction can be told apart"
-            )
+            rule = "move at different speeds, so that Coulomb and viscous friction can be separated"
             raise Refusal(run.where, joint, rule, f"{np.abs(v).mean():.3g} rad/s or m/s throughout")
 
 
@@ -96,7 +98,7 @@ def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
     """Refuse speeds that are not those of the angles, where a record has both.
 
     Raises:
-        Refusal: says which joint, and what they look like.
+        Refusal: names the joint, and what they look like.
     """
     if run.v_motor is None:
         return
@@ -104,19 +106,19 @@ def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
     rule = "be the rate of q_mot"
     factors = np.ones(len(run.joints))
     for j, joint in enumerate(run.joints):
-        told, found = run.v_motor[:, j], own[:, j]
-        size = float(told @ told) ** 0.5 * float(found @ found) ** 0.5
-        alike = float(told @ found) / size if size > 0.0 else 0.0
+        given, found = run.v_motor[:, j], own[:, j]
+        size = float(given @ given) ** 0.5 * float(found @ found) ** 0.5
+        alike = float(given @ found) / size if size > 0.0 else 0.0
         if alike < -SPEEDS_AGREE:
             raise Refusal(run.where, f"v_mot of {joint}", rule, "its opposite sign")
         if alike < SPEEDS_AGREE:
-            others = np.corrcoef(np.column_stack([told, own]).T)[0, 1:]
+            others = np.corrcoef(np.column_stack([given, own]).T)[0, 1:]
             best = int(np.argmax(np.abs(others)))
             what = f"a correlation of {alike:.2f}"
             if abs(others[best]) > SPEEDS_AGREE:
                 what = f"that of {run.joints[best]}"
             raise Refusal(run.where, f"v_mot of {joint}", rule, what)
-        factors[j] = float(told @ found) / float(told @ told)
+        factors[j] = float(given @ found) / float(given @ given)
     wrong = ~((factors > 1.0 / 1.5) & (factors < 1.5))
     if not wrong.any():
         return
@@ -136,7 +138,7 @@ def check_slips(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
     """Refuse a record that is of this machine once a slip is undone; return doubts, in words.
 
     Raises:
-        Refusal: says which slip, or which ones cannot be told apart.
+        Refusal: names the slip, or those that cannot be distinguished.
     """
     slips = Slips(scene, data)
     tried = sorted(slips.tried(), key=lambda slip: slip.cost)[:NEAREST]
@@ -168,7 +170,7 @@ def check_fit(where: str, joints: tuple[str, ...], explained: Array) -> None:
     """Refuse a fit that explains too little.
 
     Raises:
-        Refusal: says of which joint.
+        Refusal: names the joint.
     """
     for joint, share in zip(joints, explained, strict=True):
         if not share >= POOR:

@@ -35,7 +35,7 @@ def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") 
         path: of the file.
         scene: the machine.
         angles: unit of revolute joints' angles in the file, rad or deg.
-        side: where ``q_mot`` and ``v_mot`` are told: at the motor's shaft, or as seen at the link.
+        side: where ``q_mot`` and ``v_mot`` are given: at the motor's shaft, or as seen at the link.
 
     Raises:
         Refusal: it cannot be read, something is missing, or samples are not sound.

@@ -28,12 +28,12 @@ from arm_emulator.machine.scene import Scene
 
 Order = NDArray[np.signedinteger[Any]]
 
-ROWS = 120  # of the record: enough to tell a slip
+ROWS = 120  # of the record: enough to detect a slip
 SHARE = 0.3  # of a body's numbers, to which they are taken to be good
 LOADED = 20.0  # times as far those of the last link may be off, if its load is another one
 NOISE = 0.02, 0.1  # of a joint's torque: what may stay unexplained, at least and at most
 ROUNDS = 2  # in which widths follow the numbers
-LARGE = 4.0  # times a number: its width, beyond which its own size tells nothing
+LARGE = 4.0  # times a number: its width, beyond which its own size shows nothing
 FREE = 10.0  # times the widths: of a fit that shows how much stays unexplained
 DRIVES = 0.02  # of a joint's torque: friction below minus this is none
 # What a slip costs by itself: one that is or is not, one of any size, one that hardly happens.
@@ -43,7 +43,7 @@ TIMES = np.array([0.1, 0.2, 0.33, 0.5, 0.67, 1.5, 2.0, 3.0, 5.0, 10.0])
 LATEST = 0.12  # s
 TURN = np.pi / 12.0  # rad, between zeros of angles that are tried
 DEG = np.pi / 180.0
-# Torques told in other units, as many times too large.
+# Torques in other units, as many times too large.
 UNITS = {
     1e3: "in N mm", 1e-3: "in kN m", 1.0 / 9.80665: "in kgf m", 0.737562: "in lbf ft",
     8.85075: "in lbf in",
@@ -220,9 +220,9 @@ class Slips:
 
     def _units(self) -> Iterator[Slip]:
         view = self.as_is
-        yield self._plain("angles", "deg, told as rad", self._turned(DEG))
-        yield self._plain("angles", "rad, told as deg", self._turned(1.0 / DEG))
-        yield self._plain("angles", "turns, told as rad", self._turned(2.0 * np.pi))
+        yield self._plain("angles", "deg, given as rad", self._turned(DEG))
+        yield self._plain("angles", "rad, given as deg", self._turned(1.0 / DEG))
+        yield self._plain("angles", "turns, given as rad", self._turned(2.0 * np.pi))
         for factor, got in UNITS.items():
             scale = np.full(self.N, factor)
             yield self._plain("torques", f"torques {got}", replace(view, scale=scale), factor)
@@ -233,7 +233,7 @@ class Slips:
         constants = [getattr(joint.motor, "torque_constant", None) for joint in self.scene.joints]
         if None not in constants:
             amps = 1.0 / np.array(constants, np.float64)
-            got = "currents in A, told as torques"
+            got = "currents in A, given as torques"
             yield self._plain("torques", got, replace(view, scale=amps), 1e3)
 
     def _scales(self) -> Iterator[Slip]:
@@ -260,7 +260,7 @@ class Slips:
             got = f"angles{of} {_times(size)}"
             yield self._searched(f"scale of the angles{of}", got, angle(size))
             if j >= 0:
-                for factor, got in ((DEG, "deg, told as rad"), (1.0 / DEG, "rad, told as deg")):
+                for factor, got in ((DEG, "deg, given as rad"), (1.0 / DEG, "rad, given as deg")):
                     turned = self._turned(np.where(here, factor, 1.0))
                     yield self._plain(f"angles{of}", got, turned)
 

@@ -76,7 +76,7 @@ class Structure:
 class _Normal:
     """Normal equations that grow, rows of each joint weighted by what it leaves unexplained.
 
-    Unknowns are told in their widths.
+    Unknowns are in units of their widths.
     """
 
     rows: list[Array]  # per joint: (n, U + effects)

@@ -1,8 +1,8 @@
 """The unknowns that explain measured torques best, beside what is known of them before.
 
-Least squares, each joint weighted by its own unexplained torque; what the scene says counts as a
-measurement with a standard deviation of its own. So a number of which the motion tells nothing
-keeps the scene's value, and its confidence says so. Rows that stand out count little. What is left
+Least squares, each joint weighted by its own unexplained torque; what the scene states counts as a
+measurement with a standard deviation of its own. So a number on which the motion does not depend
+keeps the scene's value, and its confidence shows it. Rows that stand out count little. What is left
 is searched for effects that the model lacks, and the confidence is that beside these.
 """
 
@@ -22,7 +22,7 @@ from arm_emulator.machine.chain import Array
 TURNS = 5  # in which fit, weights and loads are found in turn
 BEGIN = 0.3  # of each torque, at first taken to be noise
 INSIDE = 0.03  # of their widths, by which the search begins away from bounds
-NOT_TOLD = 0.7  # of the width before: what stays as uncertain is not identifiable
+IDENTIFIED = 0.7  # of the width before: what stays as uncertain is not identifiable
 STANDS_OUT = 3.0  # times what is left usually: from here on rows count less
 FAR_OUT = 6.0  # times: rows that are counted
 AT_BOUND = 0.02  # of its width, within which a number has reached its bound
@@ -36,7 +36,7 @@ class TorqueFit:
     fitted: Mask  # which of them were looked for (U,)
     values: Array  # (U,)
     covariance: Array  # (U, U); 0 where not looked for
-    directions: int  # of the unknowns' space that the motion tells of, by SVD
+    directions: int  # of the unknowns' space that the motion depends on, by SVD
     explained: Array  # (N,) %, see `explained`
     effects: tuple[Effect, ...] = ()  # that the model lacks
     far_out: Array = field(default_factory=lambda: np.zeros(0))  # rows that stand out (N,)
@@ -168,7 +168,7 @@ def _driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]
 
 
 def _directions(per_width: Array) -> int:
-    """Return in how many directions of the unknowns the record tells more than was known."""
+    """Return in how many directions of the unknowns the record adds to what was known."""
     return int((np.linalg.eigvalsh(per_width.T @ per_width) > 1.0).sum())
 
 

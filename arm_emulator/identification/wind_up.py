@@ -18,10 +18,10 @@ from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
-BELOW = 10.0  # Hz: what rigid links tell of the load
+BELOW = 10.0  # Hz: what rigid links show of the load
 ORDERS = np.arange(20.0, 2000.0, 0.5)  # waves per turn among which the ripple is looked for
 SLOW = 1.0  # Hz: errors slower than this are no ripple
-TOLD = 5.0  # times its deviation: a compliance that is less sure is not identifiable
+SURE = 5.0  # times its deviation: a compliance that is less sure is not identifiable
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
         error = give - A @ np.linalg.lstsq(A, give, rcond=None)[0]
         lasting = max(1.0, 1.0 / (frequency * period))
         of_compliance = np.sqrt(lasting * error @ error / K / max(K * load[:, j].var(), 1e-300))
-        if compliance > TOLD * of_compliance:
+        if compliance > SURE * of_compliance:
             stiffness[j] = 1.0 / compliance
             deviation[j] = of_compliance / compliance**2
     return WindUp(

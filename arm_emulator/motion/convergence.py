@@ -18,8 +18,8 @@ def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: i
     """Return the error of the tool after each instruction of eq. (6), in parts of its way.
 
     Let S_m be the part of a step of its target that the servo has gone m motion periods later,
-    s_m = S_m - S_(m-1), and E_k the error at instruction k, E_0 = 1. Near the target eq. (6) tells
-    the servo ``1 - (1 - w) E_k`` of the way. With all that it was told it is then, after k,
+    s_m = S_m - S_(m-1), and E_k the error at instruction k, E_0 = 1. Near the target eq. (6) gives
+    the servo ``1 - (1 - w) E_k`` of the way. With all that it was given it is then, after k,
 
         E_k = 1 - sum_(m = 1..k) s_m (1 - (1 - w) E_(k-m))
 
@@ -46,11 +46,11 @@ def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: i
     _STEPS.check("expected_errors", steps)
     parts = np.zeros(max(instructions, len(steps)))
     parts[: len(steps)] = np.diff(steps, prepend=0.0)
-    told = np.zeros(instructions)
+    given = np.zeros(instructions)
     errors = np.ones(instructions + 1)
     for k in range(instructions):
-        told[k] = 1.0 - (1.0 - weight) * errors[k]
-        errors[k + 1] = 1.0 - parts[: k + 1] @ told[k::-1]
+        given[k] = 1.0 - (1.0 - weight) * errors[k]
+        errors[k + 1] = 1.0 - parts[: k + 1] @ given[k::-1]
     return errors[1:]
 
 

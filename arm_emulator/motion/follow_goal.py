@@ -23,12 +23,12 @@ _NANOSECONDS = 1e9
 def tolerances_of(goal: Any, names: Sequence[str], default: Tolerances) -> Tolerances:
     """Return what a goal allows.
 
-    Accelerations are not measured, so what a goal says about them is left aside.
+    Accelerations are not measured, so what a goal asks of them is left aside.
 
     Args:
         goal: control_msgs/action/FollowJointTrajectory.Goal.
         names: of the arm's joints.
-        default: for what it does not say.
+        default: for what it does not give.
 
     Raises:
         Refusal: an unknown joint, or a tolerance that is none.

@@ -140,7 +140,7 @@ class Instructor:
             names: of the joints that it moves.
             points: of it.
             stamp_ns: logical time at which it starts [ns]; 0: at once.
-            tolerances: makes its own of those that the parameters say.
+            tolerances: makes its own of those of the parameters.
 
         Raises:
             Refusal: see `JointTrajectory`, no arm, or more wait for their time than are taken.
@@ -174,7 +174,7 @@ class Instructor:
             controller: of the arm; None: not known yet.
             poses: of the tool.
             stamp_ns: logical time at which the way to the first one begins [ns]; 0: at once.
-            times_ns: when the tool shall be in each [ns]; None: as the parameters say.
+            times_ns: when the tool shall be in each [ns]; None: as the parameters state.
 
         Raises:
             Refusal: see `ToolPath`, no arm, or more wait for their time than are taken.
@@ -183,7 +183,7 @@ class Instructor:
         def order() -> Order:
             kinematics, config = _known(controller, "tool_path"), self._config
             turning = kinematics.turns_tool
-            # Without a say about the orientation it must not take time either.
+            # Where the orientation is free it must not take time either.
             level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
             path = ToolPath(
                 level, tool_limits(config), stamp_ns, times_ns, config.path_arcs, config.path_blend

@@ -55,7 +55,7 @@ def whole_model(urdf_xml: str, tool: str = "", masses: bool = False) -> Any:
 
 @dataclass(frozen=True)
 class RateLimits:
-    """How fast a joint may move; infinite where the description does not say."""
+    """How fast a joint may move; infinite where the description has none."""
 
     velocity: float
     """[rad/s or m/s]"""

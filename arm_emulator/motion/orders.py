@@ -1,4 +1,4 @@
-"""What an arm was told to do, while it does it: hold its tool, follow its joints, or a path."""
+"""What an arm is commanded, while it does it: hold its tool, follow its joints, or a path."""
 
 from __future__ import annotations
 
@@ -213,14 +213,14 @@ class _Arrival:
         distance = float(np.linalg.norm(error[:POSITION_ROWS]))
         angle = float(np.linalg.norm(error[POSITION_ROWS:])) if len(error) > POSITION_ROWS else 0.0
         size = max(distance / config.reached_within, angle / config.reached_within_angle)
-        told = angle if len(error) > POSITION_ROWS else math.nan
+        shown = angle if len(error) > POSITION_ROWS else math.nan
         if size <= 1.0:
-            return Progress(State.REACHED, "", distance, told)
+            return Progress(State.REACHED, "", distance, shown)
         if size < _SMALLER * self._best:
             self._best, self._best_at = size, now_ns
         at_rest = instruction.v is None or float(np.abs(instruction.v).max()) <= _AT_REST
         if law.searching:
             self._best_at = now_ns
         if at_rest and (now_ns - self._best_at) * _SECONDS >= PATIENCE:
-            return Progress(State.UNREACHABLE, "; ".join(law.notices), distance, told)
-        return Progress(State.MOVING, "", distance, told)
+            return Progress(State.UNREACHABLE, "; ".join(law.notices), distance, shown)
+        return Progress(State.MOVING, "", distance, shown)

@@ -191,7 +191,7 @@ class QpController:
         )
 
     def _find_reference(self, q: FloatArray) -> list[str]:
-        """Begin anew where the arm is if that is far from the reference; say so."""
+        """Begin anew where the arm is if that is far from the reference; report it."""
         notices = []
         if not self._began:
             self._begin(q)

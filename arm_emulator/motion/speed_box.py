@@ -15,7 +15,7 @@ class SpeedBox:
 
     A joint that moves towards its position limit must still be able to brake before it. So the
     speed towards a limit at distance d is at most `stopping_speed`, and a joint that has kept to
-    that finds a speed that keeps to it in every later period, whatever it was told: the box is
+    that finds a speed that keeps to it in every later period, whatever it was given: the box is
     never empty (Del Prete 2018, Joint position and velocity bounds in discrete-time
     acceleration/torque control of robot manipulators).
 

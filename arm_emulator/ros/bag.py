@@ -326,12 +326,12 @@ def repair(path: Path) -> bool:
 
 
 def _count_in(metadata: Path) -> object:
-    """Return the number of messages that metadata tell, None if they tell none."""
+    """Return the number of messages in metadata, None if they have none."""
     try:
-        told = read_yaml(metadata).get("rosbag2_bagfile_information")
+        body = read_yaml(metadata).get("rosbag2_bagfile_information")
     except Refusal:
         return None
-    return told.get("message_count") if isinstance(told, dict) else None
+    return body.get("message_count") if isinstance(body, dict) else None
 
 
 def _files(path: Path) -> list[Path]:

@@ -56,10 +56,10 @@ class CtrlC:
         code: the exit code where it comes in the midst of an import, see `end_at_once`.
 
     Attributes:
-        told: number of the signal that came first, 0 before any.
+        signal: number of the one that came first, 0 before any.
     """
 
-    told: ClassVar[int] = 0
+    signal: ClassVar[int] = 0
 
     def __init__(self, code: int | None = 0) -> None:
         self._code = code
@@ -84,10 +84,10 @@ class CtrlC:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> bool:
-        return bool(CtrlC.told) and not isinstance(error, SystemExit)
+        return bool(CtrlC.signal) and not isinstance(error, SystemExit)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        CtrlC.told = CtrlC.told or number
+        CtrlC.signal = CtrlC.signal or number
         if not self._breaks_off:
             return
         if _importing(frame):

@@ -232,7 +232,7 @@ class Diagnostics:
     Attributes:
         values: more to publish, by name.
         doubles: what to publish, and to warn of, while another node does the same.
-        say: what publishes; a node that records itself puts its own in place.
+        send: publishes; a node that records itself puts its own in place.
     """
 
     def __init__(self, node: Node, hardware_id: str) -> None:
@@ -242,7 +242,7 @@ class Diagnostics:
         self._hardware_id = f"{namespace}/{hardware_id}" if namespace else hardware_id
         self._clock = node.get_clock()
         self.publisher = node.create_publisher(DiagnosticArray, "diagnostics", DIAGNOSTICS_QOS)
-        self.say: Callable[[DiagnosticArray], None] = self.publisher.publish
+        self.send: Callable[[DiagnosticArray], None] = self.publisher.publish
         self._refused: Counter[str] = Counter()
         self._newest_refusal = ""
         self._level, self._message = DiagnosticStatus.OK, "starting"
@@ -305,7 +305,7 @@ class Diagnostics:
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._clock.now().to_msg()
-        self.say(array)
+        self.send(array)
 
     def _say(self, level: bytes, message: str) -> None:
         changed = level != self._level or _words(message) != _words(self._message)
@@ -340,7 +340,7 @@ def run_node(create: Callable[[], Closable]) -> None:
     try:
         with ctrl_c, until_shut_down():
             _init()
-            while not ctrl_c.told:
+            while not ctrl_c.signal:
                 node = create()
                 ctrl_c.leave_to_rclpy()
                 try:

@@ -37,7 +37,7 @@ class _Chain:
 class Numbered:
     """Counts what is lost on one topic, by the numbers that publishers give to their messages.
 
-    A number does not say which publisher it comes from, so each message continues a chain of
+    A number does not name the publisher it comes from, so each message continues a chain of
     numbers. There are as many chains as publishers, and one more for each gap. How many publishers
     there are may be known a moment after their first messages.
 

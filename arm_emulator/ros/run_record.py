@@ -67,7 +67,7 @@ class RunRecord:
         if self.dropped:
             words.append(f"{self.dropped} messages were dropped, the disk is too slow")
         if self.missing:
-            words.append(f"{self.missing} ticks came too fast to be told")
+            words.append(f"{self.missing} ticks came too fast to be recorded")
         return "; ".join(words)
 
     def put(self, topic: str, data: bytes) -> None:
@@ -101,7 +101,7 @@ class RunRecord:
         print(f"{self._folder}: {messages} messages{states}", flush=True)
         if self.trouble:
             where = f"record {self._folder}"
-            raise Refusal(where, "the bag", "hold all that was said", self.trouble)
+            raise Refusal(where, "the bag", "hold all that was published", self.trouble)
 
     def _finish(self) -> None:
         self._stop.set()

@@ -71,20 +71,20 @@ def check_joints(scene: Scene, servo: ServoConfig) -> None:
         raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
     of_servo = {joint.name: joint for joint in servo.joints}
     for joint in scene.joints:
-        told = of_servo[joint.name]
+        taken = of_servo[joint.name]
         if joint.motor is not None and not isinstance(joint.motor, DcMotor):
             where = f"joints.{joint.name}.motor.kind"
             raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
-        told.check_command(scene.where, joint.command)
+        taken.check_command(scene.where, joint.command)
         bits = 0 if joint.encoder is None else joint.encoder.bits or 0
-        if told.encoder_bits != bits:
+        if taken.encoder_bits != bits:
             rule = f"be that of the scene's encoder, {bits}"
             where = f"servo.joints.{joint.name}.encoder_bits"
-            raise Refusal(scene.where, where, rule, told.encoder_bits)
-        if told.gear_ratio * joint.gear.ratio < 0.0:
+            raise Refusal(scene.where, where, rule, taken.encoder_bits)
+        if taken.gear_ratio * joint.gear.ratio < 0.0:
             rule = f"have the sign of the scene's gear.ratio, {joint.gear.ratio:g}"
             where = f"servo.joints.{joint.name}.gear_ratio"
-            raise Refusal(scene.where, where, rule, told.gear_ratio)
+            raise Refusal(scene.where, where, rule, taken.gear_ratio)
 
 
 def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:

@@ -32,7 +32,7 @@ MOVES = np.radians(1.0)  # rad/s: at rest stiction leaves torques undetermined
 IN_MOTION = np.radians(5.0)  # rad/s: of the fastest axis, where free runs begin
 EVERY = 0.1  # s, from one free run to the next
 LONG = (0.6, 2.0)  # s, free runs
-JUDGED = (1, 2)  # axes whose wind-up is judged: axis 1 carries too little to tell
+JUDGED = (1, 2)  # axes whose wind-up is judged: axis 1 carries too little to be judged
 
 # What the identified machine must reach on any run. The shares of null models are what makes a
 # figure mean something: gears ten times too stiff leave 0.91 of a wind-up, our own 0.30 to 0.68.

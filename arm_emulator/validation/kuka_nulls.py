@@ -1,4 +1,4 @@
-"""Null models of the KUKA KR300: what a comparison with measured runs must tell from our machine.
+"""Null models of the KUKA KR300: what a comparison must distinguish from our machine.
 
 None of them knows the arm. Those with numbers have them from run A, as the machine has.
 """

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 TIMELINE = "t"
 SECOND = 1_000_000_000  # ns
 POLL = 0.1  # s
-# The viewer says when data are loaded, but draws meshes and curves some pictures later, and its
+# The viewer reports when data are loaded, but draws meshes and curves some pictures later, and its
 # words of welcome cover a part of the window for 1 to 3 s.
 SETTLE = 4.0  # s, and
 SETTLE_PICTURES = 8  # on a busy machine
