@@ -23,7 +23,7 @@ def said(nodes: InProcess, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     def hear(message: DiagnosticArray) -> None:
         said.extend(one.message for one in message.status)
 
-    monkeypatch.setattr(nodes.nodes["servo"]._diagnostics, "say", hear)
+    monkeypatch.setattr(nodes.nodes["servo"]._diagnostics, "send", hear)
     return said
 
 

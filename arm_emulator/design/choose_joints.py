@@ -104,7 +104,7 @@ def choose_joints(
     """Choose the arm in a robot description.
 
     Given nothing, the arm is the longest row of joints from the base; a gripper at its end, named
-    by a fork or by its name, is held. A joint that copies the motion of another one (mimic) is held.
+    by a fork or by its name, is held. A joint that copies another one (mimic) is held.
 
     Args:
         robot: the URDF's root element.

@@ -1,8 +1,8 @@
 """An ending that does not wait for the middleware for ever.
 
 Fast DDS 2.14 can lock itself up when it removes its participant just as another one announces that
-it leaves, as when Ctrl-C ends several nodes at once: two of its threads wait for each other. Python's
-lock is held meanwhile, so no Python code can step in; a timer of the C library can.
+it leaves, as when Ctrl-C ends several nodes at once: two of its threads wait for each other.
+Python's lock is held meanwhile, so no Python code can step in; a timer of the C library can.
 """
 
 from __future__ import annotations
