@@ -8,8 +8,9 @@ held against it:
 - joints that move do so as the equations demand, and joints that rest do so because friction can
   hold them (without weights all rest). Gears are not wound up then: M dv/dt + nle + friction = 0,
   where the mean of dv/dt over a us is what the machine has done, M and nle are Pinocchio's, and
-  friction is that of a law's own numbers against the motion, at rest at most what holds. Of Coulomb's
-  friction at several joints there is one solution only: who stands still must have a reason.
+  friction is that of a law's own numbers against the motion, at rest at most what holds. Of
+  Coulomb's friction at several joints there is one solution only: who stands still must have a
+  reason.
 """
 
 from __future__ import annotations
