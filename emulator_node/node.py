@@ -38,7 +38,8 @@ from arm_emulator.analysis.stability import explain
 from arm_emulator.base.parameters import parameter
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.measured import MORE_SENSORS, told_by
+from arm_emulator.machine.measured_fields import MeasuredFields
+from arm_emulator.machine.outputs import reported_by_parts
 from arm_emulator.machine.plant import Diverged
 from arm_emulator.machine.real_time import RealTimeSession
 from arm_emulator.machine.scene import example_robot_data, load_scene
@@ -146,6 +147,7 @@ class EmulatorNode(Node):
         # Between the executor, which serves topics and services, and the thread that publishes
         # the ticks of a real-time session.
         self._lock = threading.RLock()
+        self._shown = [one for one in reported_by_parts(scene) if not one.per_unit]
         robots = example_robot_data()
         self._stream = RerunStream(
             scene.urdf,
@@ -155,11 +157,12 @@ class EmulatorNode(Node):
             package_dirs=[robots.parents[1]] if robots else [],
             file=self._config.rerun_file or None,
             port=self._config.rerun_port or None,
+            further={one.name: one.unit for one in self._shown},
         )
         self._report_ticks = max(1, round(self._config.report_period / scene.servo_period))
 
         names = list(scene.joint_names)
-        self._more_sensors = told_by(scene)
+        self._fields = MeasuredFields(scene, MotorState.get_fields_and_field_types())
         self._motor_state = FixedLayout(self._empty_motor_state())
         self._truth = JointState(name=names)
         self._motor_states = self.create_publisher(MotorState, "motor_states", STATE_PUB_QOS)
@@ -412,6 +415,7 @@ class EmulatorNode(Node):
             state.current,
             session.voltage,
             (state.encoder_counts + 0.5) * session.plant.link_angle_per_count,
+            [getattr(session.measured, one.name) for one in self._shown],
         )
 
     def _say_truth(self) -> None:
@@ -425,17 +429,13 @@ class EmulatorNode(Node):
     def _empty_motor_state(self) -> MotorState:
         """Return a motor state with all its names and lengths."""
         scene, measured = self._session.scene, self._session.measured
-        zeros = bytes(8 * len(scene.joints))
         message = MotorState(
             joint_names=list(scene.joint_names),
             machine=STARTED,
             imu_names=[one.name for one in scene.imus],
-            encoder_counts=array("q", zeros),
-            current=array("d", zeros),
-            voltage=array("d", zeros),
+            voltage=array("d", bytes(8 * len(scene.joints))),
         )
-        for name in self._more_sensors:
-            setattr(message, name, array(MORE_SENSORS[name], getattr(measured, name).tobytes()))
+        self._fields.begin(message, measured)
         return message
 
     def _say_motor_state(self) -> None:
@@ -443,12 +443,8 @@ class EmulatorNode(Node):
         set_stamp(message.header.stamp, session.logical_ns)
         message.tick = session.tick
         message.powered = session.powered
-        measured = session.measured
-        message.encoder_counts[:] = measured.encoder_counts
-        message.current[:] = measured.current
         message.voltage[:] = session.voltage
-        for name in self._more_sensors:
-            getattr(message, name)[:] = getattr(measured, name).ravel()
+        self._fields.fill(message, session.measured)
         self._recorders.published += 1
         if self._record is not None:
             self._record.count(session.tick)

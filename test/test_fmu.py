@@ -86,7 +86,7 @@ def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
         "truth.current": state.current,
         "truth.energy": plant.energy,
         "truth.winding_temperature.'hip\\'s \\\"<1>\\\"'": plant.winding_temperatures[0],
-        "faults": measured.joints["faults"],
+        "faults": measured.faults,
     }
     outputs = {n for n, v in one.fmu.variables.items() if v.attrib["causality"] == "output"}
     assert outputs == set(told), "every output is compared"

@@ -313,7 +313,7 @@ def test_silent_master_loses_the_drives(scene: Scene) -> None:
     assert first - written >= 21 and not converter.session.powered
     for _ in range(20):
         master.read(1000, 3)
-    assert converter.session.measured.voltage.tolist() == [0.0] * 3
+    assert converter.session.measured.applied.tolist() == [0.0] * 3
     master.write(2000, 1, 3000, 0, 0)
     assert converter.status & registers.WATCHDOG, "power alone does not bring them back"
     assert not converter.session.powered
@@ -321,7 +321,7 @@ def test_silent_master_loses_the_drives(scene: Scene) -> None:
     assert converter.status == registers.POWERED | registers.RUNNING
     for _ in range(2):  # 11 ms, within the watchdog's time
         master.read(1000, 3)
-    assert converter.session.measured.voltage[0] == pytest.approx(3000 * 48 / 32768, abs=1e-12)
+    assert converter.session.measured.applied[0] == pytest.approx(3000 * 48 / 32768, abs=1e-12)
     master.write(3000, 0)
     for _ in range(50):
         master.read(1000, 3)

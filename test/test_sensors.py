@@ -20,7 +20,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.tuned import run
 from arm_emulator.machine.core_calls import Measurement
 from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.measured import MORE_SENSORS, Measured
+from arm_emulator.machine.measured import Measured
+from arm_emulator.machine.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.plant import Diverged, Plant, PlantState
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.machine.scene import Scene, load_scene
@@ -29,7 +30,8 @@ from arm_emulator.runs.gains import check_joints
 from arm_emulator.servo.servo_config import load_servo_config
 
 TURN = 2.0 * math.pi
-FIELDS = ("encoder_counts", "current", "voltage", *MORE_SENSORS)
+FIELDS = tuple(KNOWN)
+OF_SENSORS = [name for name, one in KNOWN.items() if one not in ALWAYS]
 DRAWS = 4000  # ticks of a statistic
 SIGMAS = 5.0  # that a statistic of so many draws may be off; by chance 1 in 2 million is
 
@@ -482,7 +484,7 @@ def test_steps_in_any_pieces_give_the_same_bits(scene: Scene) -> None:
                 other.run([voltage], some)
             left -= some
         mine, its = one.measured, other.measured
-        for field in set(FIELDS) - {"voltage"}:  # which only an exchange tells
+        for field in set(FIELDS) - {"applied"}:  # which only an exchange tells
             assert getattr(mine, field).tobytes() == getattr(its, field).tobytes(), field
 
 
@@ -624,7 +626,7 @@ def test_without_sensors_there_are_none_in_the_core(scene: Scene, tmp_path: Path
     np.testing.assert_allclose(truth(told, "q"), truth(untold, "q"), rtol=0, atol=1e-11)
     measured = plant.measured
     np.testing.assert_array_equal(measured.current, plant.state.current)
-    for field in MORE_SENSORS:
+    for field in OF_SENSORS:
         assert not getattr(measured, field).any(), f"{field} of no sensor"
 
 

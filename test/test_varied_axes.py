@@ -17,7 +17,8 @@ from draws import FULL, some
 from machines import Oracle, write_scene
 
 from arm_emulator.machine.chain import Body, ChainJoint, Frame, frame_of
-from arm_emulator.machine.measured import MORE_SENSORS, Measured
+from arm_emulator.machine.measured import Measured
+from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant import Diverged, Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.varied_body import AXES, NAMES, TENSOR, expressions, numbers_of, of_child
@@ -215,7 +216,7 @@ def test_every_kind_of_varied_number_is_as_if_built_in(seed: int, tmp_path: Path
     # Rounding, which stick-slip and hard stops let grow in 0.2 s.
     assert (np.abs(got - expected) / (1.0 + size)).max() < 1e-8, "states"
     for one, other in zip(told, measured, strict=True):
-        for field in ("encoder_counts", "current", *MORE_SENSORS):
+        for field in KNOWN:
             mine, its = (np.asarray(getattr(m, field), dtype=float) for m in (one, other))
             # A motion that is off by 1e-8 may be at the edge of a count.
             atol = 1.0 if getattr(one, field).dtype == np.int64 else 1e-6

@@ -27,7 +27,7 @@ from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.checked import Tally
-from arm_emulator.machine.measured import MORE_SENSORS, told_by
+from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.plant import SET, Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
@@ -46,8 +46,6 @@ TYPES: dict[str, tuple[Any, str]] = {
     "robot_description": (String, "std_msgs/msg/String"),
     "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
 }
-OF_STATE = ("stamp", "tick", "encoder_counts", "current", "voltage")
-PER_UNIT = ("specific_force", "angular_rate")  # of motor states: three values per IMU
 COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator/events")
 KINDS = {
     MachineEvent.KIND_SET_STATE: "set_state",
@@ -131,9 +129,7 @@ class _Checker:
         self._machine = 0  # whose states the run has
         self._commanded = JointOrder("motor_commands", session.scene.joint_names)
         self._inside = False  # a run that began at tick 0
-        told = told_by(session.scene)
-        self._per_joint = [name for name in told if name not in PER_UNIT]
-        self._absent = [name for name in MORE_SENSORS if name not in told]
+        self._measured = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
         self._told = Plant(session.scene)  # machines as events tell them
         self._event = (0, 0)  # emulator and number of the newest one
         self._waiting: list[MachineEvent] = []  # at tick 0 of a run whose first state is to come
@@ -142,9 +138,11 @@ class _Checker:
     @property
     def fields(self) -> dict[str, str]:
         """What of each message is compared."""
-        imus = PER_UNIT if self._session.scene.imus else ()
+        fields = self._measured
+        own = (one.name for one in fields.own)
+        names = "stamp", "tick", *fields.in_all, "voltage", *own, *fields.listed
         return {
-            "motor_states": ", ".join((*OF_STATE, *self._per_joint, *imus)),
+            "motor_states": ", ".join(names),
             "motor_commands": "voltage",
             "emulator/joint_states": "position, velocity, effort",
             "emulator/events": "tick, stamp, state",
@@ -286,9 +284,11 @@ class _Checker:
         now = session.measured
         if first:  # one that diverges then, and is told again, has other ones
             self._compare("voltage", order, np.array(state.voltage), session.voltage)
-        for name in ("encoder_counts", "current", *self._per_joint):
+        per_joint = (one.name for one in self._measured.own if not one.per_unit)
+        for name in (*self._measured.in_all, *per_joint):
             self._compare(name, order, np.array(getattr(state, name)), getattr(now, name))
-        for name in (*self._absent, "imu_names"):
+        self._compare_readings(state, order)
+        for name in (*self._measured.absent, "imu_names"):
             if len(getattr(state, name)) and (name != "imu_names" or not session.scene.imus):
                 raise Difference(
                     f"run {self.tally.runs}, tick {session.tick}, {name}: "
@@ -306,12 +306,25 @@ class _Checker:
                 "and no reset is recorded"
             )
 
+    def _compare_readings(self, state: MotorState, order: list[int]) -> None:
+        known, given = self._measured.listed, tuple(state.reading_names)
+        if given != known:
+            rule, got = "be those of the scene", ", ".join(given) or "none"
+            raise Refusal(self._where, "reading_names", rule, got, ", ".join(known) or "none")
+        rows, N = np.array(state.readings), len(order)
+        if len(rows) != N * len(known):
+            rule = f"have {N * len(known)} values"
+            raise Refusal(self._where, "readings", rule, f"{len(rows)} values")
+        for name, row in zip(known, rows.reshape(len(known), N), strict=True):
+            computed = getattr(self._session.measured, name).astype(np.float64)
+            self._compare(name, order, row, computed)
+
     def _compare_imus(self, state: MotorState) -> None:
         known = [one.name for one in self._session.scene.imus]
         if list(state.imu_names) != known:
             got = ", ".join(state.imu_names) or "none"
             raise Refusal(self._where, "imu_names", "be those of the scene", got, ", ".join(known))
-        for name in PER_UNIT:
+        for name in (one.name for one in self._measured.own if one.per_unit):
             computed = getattr(self._session.measured, name).ravel()
             recorded = np.array(getattr(state, name))
             if len(recorded) != len(computed):

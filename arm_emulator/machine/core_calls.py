@@ -18,6 +18,7 @@ _int32, _uint32, _uint64 = ctypes.c_int32, ctypes.c_uint32, ctypes.c_uint64
 ARM_CALLS: Calls = {
     "arm_describe": (_int, [_pointer]),
     "arm_describe_joint": (_int, [_int32, _pointer]),
+    "arm_describe_reading": (_int, [_int32, _int32, _pointer]),
     "arm_new": (_pointer, [_pointer]),
     "arm_delete": (None, [_pointer]),
     "arm_reset": (_int, [_pointer] * 3),
@@ -124,6 +125,7 @@ class Measurement(_Sized):
         ("answered", _count),
         *((name, _pointer) for name in ("joint", "sensors", "imu")),
         ("current_d", _pointer),
+        ("readings", _pointer),
     )
 
 
@@ -185,7 +187,7 @@ class Snapshot(_Sized):
         ("reserved", _uint32),
         *((name, _count) for name in ("tick", "answered", "lateness", "spent")),
         ("truth", Truth),
-        *((name, _pointer) for name in ("joint", "sensors", "imu")),
+        *((name, _pointer) for name in ("joint", "sensors", "imu", "current_d", "readings")),
     )
 
 
@@ -200,6 +202,8 @@ class RealTimeOptions(_Sized):
         ("period", _count),
         ("core", _int32),
         ("imus", _int32),
+        ("readings", _int32),
+        ("reserved", _int32),
     )
 
 

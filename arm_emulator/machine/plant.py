@@ -172,12 +172,12 @@ class Plant:
         self._commands = np.zeros(N, JOINT_COMMAND)
         self._commands["mode"] = [MODES[joint.command] for joint in scene.joints]
         self._commands["enable"] = 1
-        self._commands_d, self._current_d = np.zeros(N), np.zeros(N)
+        self._commands_d = np.zeros(N)
         places = {"joint": _address(self._commands), "value_d": _address(self._commands_d)}
         self.command = Command(tick=-1, **places)
         self._place = MeasuredPlace(scene)
         self._measured = self._place.joints
-        self.measurement = Measurement(**self._place.addresses, current_d=_address(self._current_d))
+        self.measurement = Measurement(**self._place.addresses)
         self._structs = tuple(map(ctypes.byref, (self.command, self.measurement)))
         self.link_angle_per_count = link_angle_per_count(scene)
         at_most = largest_position(scene)
@@ -325,8 +325,7 @@ class Plant:
     @property
     def current_d(self) -> Array:
         """Currents along the rotors' flux (N,) [A], 0 of motors that have one current only."""
-        self.core.arm_measure(self.machine, self._structs[1])
-        return self._current_d.copy()
+        return self.measured.current_d
 
     @property
     def powered(self) -> bool:

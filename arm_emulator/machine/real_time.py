@@ -26,6 +26,7 @@ from arm_emulator.machine.core_calls import (
     Truth,
 )
 from arm_emulator.machine.measured import Measured, MeasuredPlace
+from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.plant import LARGEST_STEPS, ROWS, Plant, PlantState
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import Session
@@ -94,6 +95,7 @@ class RealTimeLoop:
             period=period_ns,
             core=core,
             imus=len(plant.scene.imus),
+            readings=len(readings_of(plant.scene)),
         )
         self._loop = self._calls.arm_real_time_new(ctypes.byref(options))
         self._bell = self._calls.arm_real_time_descriptor(self._loop)
@@ -289,7 +291,7 @@ class RealTimeSession(Session):
         if reached is None:
             return False
         self.tick, self._energy, self._measured = reached.tick, reached.energy, reached.measured
-        self.voltage = reached.measured.voltage
+        self.voltage = reached.measured.applied
         self._spent_ns += reached.spent
         t = reached.tick * self.scene.servo_period
         current, theta_m, omega_m, q, v, gear_torque = reached.rows

@@ -9,8 +9,9 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import fields, number, text, vector
+from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import suite
+from arm_emulator.machine.parts.sensors import measured_kinds, suite
 from arm_emulator.machine.scene import Joint, Scene
 from arm_emulator.machine.varied import Varied
 from arm_emulator.machine.varied_body import AXES, TENSOR, expressions
@@ -49,7 +50,8 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
     headers = sorted({f"parts/{part.header}" for joint in scene.joints for part in joint.parts})
     sensors = ""
     if scene.sensed:
-        headers.append("mechanics/sensors.hpp")
+        kinds = measured_kinds(joint.sensors for joint in scene.joints)
+        headers += sorted({"mechanics/sensors.hpp", *(kind.quantity_header for kind in kinds)})
         of_joints = {joint.name: joint.sensors for joint in scene.joints}
         sensors = suite(scene.seed, of_joints, scene.imus, places)
     includes = "".join(f'#include "{header}"\n' for header in headers)
@@ -87,9 +89,24 @@ struct Scene {{
   }}
   static constexpr arm::Device device[N] = {{
 {devices}}};
-{sensors}}};
+{_readings(scene)}{sensors}}};
 
 #include "{boundary}"
+"""
+
+
+def _readings(scene: Scene) -> str:
+    rows = readings_of(scene)
+    if not rows:
+        return "  static constexpr int readings = 0;\n"
+    lines = ",\n".join(
+        f"      {{{text(one.name)}, {text(one.unit)}, {text(one.unit_at('prismatic'))}}}"
+        for one in rows
+    )
+    return f"""\
+  static constexpr int readings = {len(rows)};
+  static constexpr arm::Reading reading[readings] = {{
+{lines}}};
 """
 
 

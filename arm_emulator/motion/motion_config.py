@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from arm_emulator.base.parameters import load_parameters, parameter
-
-NODE = "motion_controller"
 
 
 @dataclass(frozen=True)
@@ -144,8 +142,6 @@ class MotionConfig:
     may_end_moving: bool = parameter(
         False, "whether the last point of a joint trajectory may have a speed", settable=True
     )
-    where: str = field(default=NODE, compare=False)
-    """What to call it in refusals: its file, or the node."""
 
     def method_for(self, joints: int) -> str:
         """Return the method, paper or qp, for an arm of so many joints."""
@@ -164,4 +160,4 @@ def load_motion_config(path: Path) -> MotionConfig:
     Raises:
         Refusal: a value that is not taken.
     """
-    return replace(load_parameters(path, NODE, MotionConfig), where=path.name)
+    return load_parameters(path, "motion_controller", MotionConfig)

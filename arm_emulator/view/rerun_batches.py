@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,6 +45,7 @@ class RerunBatches:
         tool: the link whose path is drawn; None draws none.
         arm_rate: poses of the arm per second on the time line [Hz].
         signal_every: of so many samples one goes into the signals.
+        further: names of quantities behind `QUANTITIES`, with their units.
 
     Attributes:
         waiting: samples whose signals are still to be sent.
@@ -59,6 +61,7 @@ class RerunBatches:
         tool: str | None,
         arm_rate: int,
         signal_every: int,
+        further: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         known = [joint.name for joint in tree.joints() if joint.joint_type != "fixed"]
         for name in joint_names:
@@ -66,6 +69,8 @@ class RerunBatches:
                 raise Refusal("URDF", "joint", "be a moving joint of it", name, ", ".join(known))
         self._tree = tree
         self._names = joint_names
+        self._further = further
+        self._quantities = (*QUANTITIES, *further)
         self._tool = None if tool is None else ToolPosition(tree, joint_names, tool)
         self._arm_rate = arm_rate
         self._signal_every = signal_every
@@ -89,7 +94,7 @@ class RerunBatches:
         import rerun as rr
 
         nowhere = rr.RecordingStream("arm_emulator_warm_up")
-        rows = np.zeros((2, len(QUANTITIES), len(self._names)))
+        rows = np.zeros((2, len(self._quantities), len(self._names)))
         times = np.array([0, SECOND], np.int64)
         for steps in (
             self.send_targets(nowhere, [(0, (0.0, 0.0, 0.0))]),
@@ -107,7 +112,7 @@ class RerunBatches:
         names = [self._tree.root_link().name, *(j.child_link for j in self._tree.joints())]
         links = [ToolPosition(self._tree, self._names, name)(q)[0] for name in names]
         tool = None if self._tool is None else self._tool(q)[0]
-        return blueprint(self._tree.name, names[0], np.array(links), tool)
+        return blueprint(self._tree.name, names[0], np.array(links), tool, self._further)
 
     def send_static(self, recording: rr.RecordingStream) -> None:
         """Send what does not change: geometry, names and colours of the curves."""
@@ -129,7 +134,7 @@ class RerunBatches:
         recording.log(TOOL_TARGET, root, point, static=True)
         curves = [
             (_path("signals", quantity, name), name, colour, quantity == "voltage")
-            for quantity in QUANTITIES
+            for quantity in self._quantities
             for name, colour in zip(self._names, itertools.cycle(COLOURS), strict=False)
         ]
         if self._tool is not None:
@@ -207,7 +212,7 @@ class RerunBatches:
             return
         line = _line(np.concatenate([times for times, _ in waiting]))
         rows = np.concatenate([rows for _, rows in waiting])
-        for index, quantity in enumerate(QUANTITIES):
+        for index, quantity in enumerate(self._quantities):
             if len(rows) == 0 or np.isnan(rows[:, index]).all():
                 continue
             for column, name in enumerate(self._names):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,7 +39,11 @@ EYE = np.array([0.72, -0.58, 0.38])
 
 
 def blueprint(
-    robot: str, root: str, links: NDArray[np.float64], tool: NDArray[np.float64] | None
+    robot: str,
+    root: str,
+    links: NDArray[np.float64],
+    tool: NDArray[np.float64] | None,
+    further: Mapping[str, str],
 ) -> rrb.Blueprint:
     """Lay out the arm at the left and its signals over time at the right.
 
@@ -48,6 +53,7 @@ def blueprint(
         links: origins of all links at the start (L, 3) [m]; the eye is set so that they are seen.
         tool: origin of the tool at the start (3,) [m]; then its path, its target and the deviation
             between them are shown too.
+        further: quantities beside the usual ones, with their units.
     """
     import rerun as rr
     import rerun.blueprint as rrb
@@ -107,6 +113,10 @@ def blueprint(
                     plot("Joint angle [rad]", "signals/q"),
                     plot("Measured by encoders [rad]", "signals/q_measured"),
                     plot("Joint speed [rad/s]", "signals/v"),
+                    *(
+                        plot(f"{name} [{unit}]" if unit else name, f"signals/{name}")
+                        for name, unit in further.items()
+                    ),
                 ),
                 plot("Motor current [A]", "signals/current", legend=False),
                 plot("Motor voltage [V]", "signals/voltage", legend=False),

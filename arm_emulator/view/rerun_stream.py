@@ -16,8 +16,9 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,9 +51,9 @@ class RerunStream:
     Logical time stands on the time line `t` in whole nanoseconds. When it steps back (a reset), the
     line goes on at its next whole second.
 
-    Entities: `signals/<quantity>/<joint>` for each of `QUANTITIES`, `signals/tool_deviation/<axis>`
-    (target minus tool [m]), `transforms` (of all joints), `tool/path`, `tool/target`, and the
-    geometry of the URDF under the robot's name.
+    Entities: `signals/<quantity>/<joint>` for each of `QUANTITIES` and those that are further,
+    `signals/tool_deviation/<axis>` (target minus tool [m]), `transforms` (of all joints),
+    `tool/path`, `tool/target`, and the geometry of the URDF under the robot's name.
 
     Attributes:
         url: where a viewer may connect, None without `port`.
@@ -72,6 +73,7 @@ class RerunStream:
         arm_rate: poses of the arm per second of logical time [Hz].
         signal_every: of so many samples one goes into the signals.
         server_memory: how much the server keeps for viewers that come late.
+        further: quantities that are offered beside the usual ones, with their units.
 
     Raises:
         Refusal: rerun-sdk is missing, the port is taken, the file cannot be written, a number is
@@ -92,13 +94,15 @@ class RerunStream:
         arm_rate: int = 60,
         signal_every: int = 1,
         server_memory: str = "512MiB",
+        further: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.url: str | None = None
         self.trouble: str | None = None
         self._lost = 0
         self._finished = False
         self._open = file is not None or port is not None
-        self._queue = SampleQueue(capacity if self._open else 0, len(QUANTITIES), len(joint_names))
+        width = len(QUANTITIES) + len(further)
+        self._queue = SampleQueue(capacity if self._open else 0, width, len(joint_names))
         self._not_measured = np.full(len(joint_names), np.nan)
         self._targets: deque[tuple[int, tuple[float, ...]]] = deque(maxlen=1000)
         if not self._open:
@@ -113,7 +117,9 @@ class RerunStream:
         import rerun as rr
 
         tree = _read_urdf(urdf_xml, package_dirs)
-        self._batches = RerunBatches(tree, tuple(joint_names), tool, arm_rate, signal_every)
+        self._batches = RerunBatches(
+            tree, tuple(joint_names), tool, arm_rate, signal_every, further
+        )
         self._batches.warm_up()
         recording = rr.RecordingStream("arm_emulator")
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
@@ -158,6 +164,7 @@ class RerunStream:
         current: Array,
         voltage: Array,
         q_measured: Array | None = None,
+        further: Sequence[Array] = (),
     ) -> None:
         """Show the state at a logical time. Never blocks and never raises; call it from one thread.
 
@@ -171,10 +178,11 @@ class RerunStream:
             current: motor currents (N,) [A].
             voltage: motor voltages (N,) [V].
             q_measured: joint angles measured through encoders (N,) [rad or m]; None: not measured.
+            further: the further quantities, (N,) each.
         """
         if self._open:
             measured = self._not_measured if q_measured is None else q_measured
-            self._queue.put(time_ns, (q, v, gear_torque, current, voltage, measured))
+            self._queue.put(time_ns, (q, v, gear_torque, current, voltage, measured, *further))
 
     def offer_target(self, time_ns: int, p_WT: Sequence[float]) -> None:
         """Show where the tool shall be, p_WT (3,) [m] in the root frame, from a logical time on.

@@ -26,7 +26,7 @@
 extern "C" {
 #endif
 
-#define ARM_VERSION 3
+#define ARM_VERSION 4
 
 typedef struct arm_machine arm_machine; /* one machine of the library's scene */
 
@@ -55,7 +55,7 @@ typedef struct arm_description {
   uint64_t fingerprint;  /* of scene, core and compiler flags: equal bits need equal ones */
   double supply_voltage; /* V */
   int32_t imus;          /* inertial measurement units; since version 2 */
-  int32_t reserved;
+  int32_t readings;      /* rows of arm_measurement.readings; since version 4 */
   /* Since version 3: what the scene has of arm_options, in a library by `compile --into`; else 0.
    * A machine may be made with others. */
   double servo_period;      /* s */
@@ -97,9 +97,18 @@ enum arm_sensor {
   ARM_HAS_TORQUE = 8
 };
 
-/* Fill `out`. For `arm_describe_joint`: ARM_REFUSED if there is no such joint. */
+/* What a row of arm_measurement.readings is at a joint. */
+typedef struct arm_reading {
+  uint32_t size;
+  int32_t present; /* 1: the joint has such a sensor; else the reading is 0 */
+  const char* name;
+  const char* unit;
+} arm_reading;
+
+/* Fill `out`. ARM_REFUSED if there is no such joint or reading. */
 int arm_describe(arm_description* out);
 int arm_describe_joint(int32_t joint, arm_joint_description* out);
+int arm_describe_reading(int32_t reading, int32_t joint, arm_reading* out); /* since version 4 */
 
 /* ---------------------------------------------------------------------------------- a machine */
 
@@ -179,6 +188,8 @@ typedef struct arm_measurement {
   arm_joint_sensors* sensors; /* an entry per joint */
   arm_imu_measurement* imu;   /* an entry per unit */
   double* current_d;          /* A, along the rotor's flux, an entry per joint; null: not told */
+  /* Since version 4. */
+  double* readings; /* of further sensors: arm_description.readings rows, an entry per joint each */
 } arm_measurement;
 
 /* Go through one servo period; `out` is as of its end, or of the last sound state. */

@@ -34,6 +34,30 @@ struct CommandModes {
 };
 inline constexpr CommandModes kModes;
 
+// Whether joint j has a sensor of a field, of the readings that of a row.
+template <class S>
+bool senses([[maybe_unused]] int j, [[maybe_unused]] Field field, [[maybe_unused]] int row = 0) {
+  bool found = false;
+  if constexpr (Sensors<S>::present)
+    std::apply(
+        [&]<class... Rows>(const Rows&... rows) {
+          ((found |= Rows::Quantity::field == field && row-- == 0 && rows.at[j].present), ...);
+        },
+        Sensors<S>::structure.analog);
+  return found;
+}
+
+template <class S>
+int describe_reading(int reading, int joint, arm_reading* out) {
+  if constexpr (S::readings > 0) {
+    const Reading& one = S::reading[reading];
+    const bool slides = kLinks<S>.at[joint].kind != JointKind::revolute;
+    out->present = senses<S>(joint, Field::reading, reading);
+    out->name = one.name, out->unit = slides ? one.unit_of_slides : one.unit;
+  }
+  return ARM_OK;
+}
+
 }  // namespace arm
 
 struct arm_machine {
@@ -186,28 +210,49 @@ struct arm_machine {
     out->powered = powered != 0;
     out->tick = tick();
     out->answered = answered;
-    const bool more = out->size >= sizeof *out;
+    const bool more = has(out, offsetof(arm_measurement, readings));
     if (more && out->current_d) machine.second_currents(out->current_d);
-    measure_by(sensors, out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr);
+    const Places places = {out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr,
+                           has(out, sizeof *out) ? out->readings : nullptr};
+    measure_by(sensors, places);
   }
-  // What sensors tell in place of what is there.
+  static bool has(const arm_measurement* out, std::size_t size) { return out->size >= size; }
+
+  // Where readings go; all but the first may be null.
+  struct Places {
+    arm_joint_measurement* joint;
+    arm_joint_sensors* sensors;
+    arm_imu_measurement* units;
+    double* readings;
+  };
+  // What sensors measure in place of what is there.
   template <class TheSensors>
-  static void measure_by(const TheSensors& sensors, [[maybe_unused]] arm_joint_measurement* joint,
-                         arm_joint_sensors* more, [[maybe_unused]] arm_imu_measurement* units) {
-    for (int j = 0; more && j < N; ++j) more[j] = {};
+  static void measure_by(const TheSensors& sensors, const Places& to) {
+    for (int j = 0; to.sensors && j < N; ++j) to.sensors[j] = {};
     if constexpr (TheSensors::present) {
       for (int j = 0; j < N; ++j) {
         const arm::EncoderReading &motor = sensors.encoder(j), &link = sensors.link_encoder(j);
-        joint[j].encoder = motor.counts;
-        joint[j].current = sensors.current(j);
-        if (more)
-          more[j] = {motor.index, motor.pulses, link.counts,
-                     link.index,  link.pulses,  sensors.torque(j)};
+        to.joint[j].encoder = motor.counts;
+        if (to.sensors)
+          to.sensors[j] = {motor.index, motor.pulses, link.counts, link.index, link.pulses, 0.0};
       }
-      for (int m = 0; units && m < sensors.M; ++m)
+      double* readings = to.readings;
+      sensors.for_each_analog([&](auto quantity, auto&& reading) {
+        constexpr arm::Field field = decltype(quantity)::field;
+        for (int j = 0; j < N; ++j) {
+          if constexpr (field == arm::Field::current) {
+            to.joint[j].current = reading(j);
+          } else if constexpr (field == arm::Field::torque) {
+            if (to.sensors) to.sensors[j].torque = reading(j);
+          } else if (readings) {
+            *readings++ = reading(j);
+          }
+        }
+      });
+      for (int m = 0; to.units && m < sensors.M; ++m)
         for (int k = 0; k < 3; ++k) {
-          units[m].specific_force[k] = sensors.imu(m).specific_force[k];
-          units[m].angular_rate[k] = sensors.imu(m).angular_rate[k];
+          to.units[m].specific_force[k] = sensors.imu(m).specific_force[k];
+          to.units[m].angular_rate[k] = sensors.imu(m).angular_rate[k];
         }
     }
   }
@@ -224,7 +269,7 @@ struct arm_machine {
         joint.sensors |= ARM_HAS_LINK_ENCODER;
       }
       if (link.index != arm::Index::none) joint.sensors |= ARM_HAS_LINK_INDEX;
-      if (TheSensors::structure.torque[j].present) joint.sensors |= ARM_HAS_TORQUE;
+      if (arm::senses<Scene>(j, arm::Field::torque)) joint.sensors |= ARM_HAS_TORQUE;
     }
   }
 
@@ -276,6 +321,7 @@ int arm_describe(arm_description* out) {
   all.fingerprint = ARM_FINGERPRINT;
   all.supply_voltage = Scene::supply_voltage;
   all.imus = arm_machine::Sensors::M;
+  all.readings = Scene::readings;
   if (arm_scene_periods.steps_per_period > 0) {
     all.servo_period = arm_scene_periods.servo_period;
     all.step = arm_scene_periods.step;
@@ -302,6 +348,13 @@ int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
   });
   arm_machine::describe<arm_machine::Sensors>(joint, all);
   return fill(out, all);
+}
+
+int arm_describe_reading(std::int32_t reading, std::int32_t joint, arm_reading* out) {
+  if (!out || out->size < sizeof *out || reading < 0 || reading >= Scene::readings || joint < 0 ||
+      joint >= arm_machine::N)
+    return ARM_REFUSED;
+  return arm::describe_reading<Scene>(reading, joint, out);
 }
 
 namespace {

@@ -76,10 +76,11 @@ constexpr double* arm_truth::* kRows[] = {&arm_truth::current,     &arm_truth::m
 // Snapshots that one thread writes and another takes.
 class Ring {
  public:
-  Ring(int joints, int imus)
+  Ring(int joints, int imus, int readings)
       : N(static_cast<std::size_t>(joints)),
         M(static_cast<std::size_t>(imus)),
-        numbers(kSnapshots * (1 + std::size(kRows) * N)),
+        R(static_cast<std::size_t>(readings)),
+        numbers(kSnapshots * (1 + (std::size(kRows) + 1 + R) * N)),
         measured(kSnapshots * N),
         sensors(kSnapshots * N),
         units(kSnapshots * M),
@@ -90,6 +91,8 @@ class Ring {
       snapshot.truth.size = sizeof snapshot.truth;
       snapshot.truth.energy = next++;
       for (const auto row : kRows) snapshot.truth.*row = next, next += N;
+      snapshot.current_d = next, next += N;
+      snapshot.readings = next, next += R * N;
       snapshot.joint = measured.data() + k * N;
       snapshot.sensors = sensors.data() + k * N;
       snapshot.imu = units.data() + k * M;
@@ -117,6 +120,8 @@ class Ring {
     if (out.joint) std::copy_n(from.joint, N, out.joint);
     if (out.sensors) std::copy_n(from.sensors, N, out.sensors);
     if (out.imu) std::copy_n(from.imu, M, out.imu);
+    if (out.current_d) std::copy_n(from.current_d, N, out.current_d);
+    if (out.readings) std::copy_n(from.readings, R * N, out.readings);
     taken.store(t + 1, std::memory_order_release);
     return true;
   }
@@ -124,7 +129,7 @@ class Ring {
  private:
   static constexpr std::size_t kSnapshots = 16384;  // 16 s at 1 kHz: a busy machine may let us wait
 
-  const std::size_t N, M;  // joints, inertial measurement units
+  const std::size_t N, M, R;  // joints, inertial measurement units, readings
   std::vector<double> numbers;
   std::vector<arm_joint_measurement> measured;
   std::vector<arm_joint_sensors> sensors;
@@ -189,7 +194,7 @@ struct arm_real_time {
       : arm(options),
         bell(eventfd(0, EFD_NONBLOCK)),
         cell(options.joints),
-        ring(options.joints, options.imus) {}
+        ring(options.joints, options.imus, options.readings) {}
 
   ~arm_real_time() {
     stop();
@@ -229,6 +234,9 @@ struct arm_real_time {
     measurement.size = sizeof measurement, measurement.answered = -1;
     measurement.joint = measured.data(), measurement.sensors = sensors.data();
     measurement.imu = units.data();
+    std::vector<double> current_d(joints);
+    std::vector<double> readings(joints * static_cast<std::size_t>(arm.readings));
+    measurement.current_d = current_d.data(), measurement.readings = readings.data();
     while (!stopping.load(std::memory_order_relaxed)) {
       due += arm.period;
       sleep_until(due);
@@ -270,6 +278,8 @@ struct arm_real_time {
     std::copy_n(measured.joint, arm.joints, out->joint);
     std::copy_n(measured.sensors, arm.joints, out->sensors);
     std::copy_n(measured.imu, arm.imus, out->imu);
+    std::copy_n(measured.current_d, arm.joints, out->current_d);
+    std::copy_n(measured.readings, arm.readings * arm.joints, out->readings);
     ring.publish();
     const std::uint64_t one = 1;
     [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
@@ -309,7 +319,7 @@ arm_real_time* arm_real_time_new(const arm_real_time_options* options) {
   const bool sound = options && options->size >= sizeof *options && options->joints > 0 &&
                      options->machine && options->exchange && options->get_truth &&
                      options->join_schedule && options->period > 0 && options->core >= -1 &&
-                     options->imus >= 0;
+                     options->imus >= 0 && options->readings >= 0;
   return sound ? new arm_real_time(*options) : nullptr;
 }
 void arm_real_time_delete(arm_real_time* loop) { delete loop; }

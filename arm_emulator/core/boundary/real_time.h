@@ -19,9 +19,11 @@ typedef struct arm_real_time_options {
   int (*exchange)(arm_machine*, const arm_command*, arm_measurement*);
   int (*get_truth)(const arm_machine*, arm_truth*);
   int (*join_schedule)(arm_machine*);
-  int64_t period; /* ns */
-  int32_t core;   /* processor core of the thread; -1: any */
-  int32_t imus;   /* inertial measurement units, arm_description.imus */
+  int64_t period;   /* ns */
+  int32_t core;     /* processor core of the thread; -1: any */
+  int32_t imus;     /* inertial measurement units, arm_description.imus */
+  int32_t readings; /* rows of them, arm_description.readings */
+  int32_t reserved;
 } arm_real_time_options;
 
 /* What a period leaves behind: the machine at the tick that ends it. Every pointer may be null, in
@@ -37,6 +39,8 @@ typedef struct arm_snapshot {
   arm_joint_measurement* joint; /* an entry per joint */
   arm_joint_sensors* sensors;   /* an entry per joint */
   arm_imu_measurement* imu;     /* an entry per unit */
+  double* current_d;            /* an entry per joint */
+  double* readings;             /* a row of entries per joint for each */
 } arm_snapshot;
 
 /* Since `arm_real_time_clear_figures`; times in ns. */

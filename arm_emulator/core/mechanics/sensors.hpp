@@ -2,18 +2,34 @@
 // machine there, and hold what they saw until the next one.
 #pragma once
 
+#include <tuple>
+#include <utility>
+
 #include "mechanics/imu.hpp"
+#include "mechanics/quantities.hpp"
 #include "parts/encoder.hpp"
 
 namespace arm {
 
+// Sensors of one quantity, one per joint. Sensors of a field that is always measured read it
+// unspoiled where a joint has none.
+template <class Measured, int N>
+struct AnalogRow {
+  using Quantity = Measured;
+  static constexpr bool always = Quantity::field == Field::current;
+  int first = 0, stride = 0;  // who draws the noise of joint j: first + stride j
+  AnalogSensor at[N];
+
+  constexpr bool reads(int j) const { return always || at[j].present; }
+};
+
 // What a scene has. The motor's encoder is always there.
-template <int joints, int imus>
+template <int joints, int imus, class... Quantities>
 struct SensorSuite {
-  static constexpr int N = joints, M = imus;
+  static constexpr int N = joints, M = imus, K = sizeof...(Quantities);
   double seed = 0.0;
   Encoder encoder[N], link_encoder[N];
-  AnalogSensor current[N], torque[N];
+  std::tuple<AnalogRow<Quantities, N>...> analog;
   Imu imu[M + 1];
 
   constexpr int longest_delay() const {
@@ -21,31 +37,26 @@ struct SensorSuite {
     const auto least = [&](int delay) { longest = longest < delay ? delay : longest; };
     for (int j = 0; j < N; ++j) {
       least(encoder[j].delay), least(link_encoder[j].delay);
-      least(current[j].delay), least(torque[j].delay);
+      std::apply([&](const auto&... row) { (least(row.at[j].delay), ...); }, analog);
     }
     for (int m = 0; m < M; ++m) least(imu[m].delay);
     return longest;
   }
-  constexpr bool tells_torque() const {
-    for (int j = 0; j < N; ++j)
-      if (torque[j].present) return true;
-    return false;
-  }
 };
 
-// All that was seen at one look.
-template <int N, int M>
+// All that was seen at one look; K: kinds of analog sensors.
+template <int N, int M, int K>
 struct SensorReadings {
   EncoderReading encoder[N], link_encoder[N];
-  double current[N] = {}, torque[N] = {};
+  double analog[K][N] = {};
   ImuReading imu[M + 1];
 
   template <class Number>
   void for_each_number(Number&& number) {
-    for (int j = 0; j < N; ++j) {
+    for (int j = 0; j < N; ++j)
       encoder[j].for_each_number(number), link_encoder[j].for_each_number(number);
-      number(current[j]), number(torque[j]);
-    }
+    for (auto& row : analog)
+      for (double& reading : row) number(reading);
     for (int m = 0; m < M; ++m) imu[m].for_each_number(number);
   }
 };
@@ -71,8 +82,8 @@ class Sensors<S> {
  public:
   static constexpr bool present = true;
   static constexpr auto structure = S::sensors(SomeValues<S>().p);
-  static constexpr int N = structure.N, M = structure.M;
-  using Readings = SensorReadings<N, M>;
+  static constexpr int N = structure.N, M = structure.M, K = structure.K;
+  using Readings = SensorReadings<N, M, K>;
 
   // Begin at the machine's state at a tick: with nothing lost if `anew`, and as if everything had
   // been so for long.
@@ -99,8 +110,15 @@ class Sensors<S> {
   const EncoderReading& link_encoder(int j) const {
     return line[place(structure.link_encoder[j].delay)].link_encoder[j];
   }
-  double current(int j) const { return line[place(structure.current[j].delay)].current[j]; }
-  double torque(int j) const { return line[place(structure.torque[j].delay)].torque[j]; }
+  // body(quantity, its readings by joint) for every kind of analog sensor.
+  template <class Body>
+  void for_each_analog(Body&& body) const {
+    for_each_kind([&]<int k>(std::integral_constant<int, k>) {
+      constexpr const auto& row = std::get<k>(structure.analog);
+      body(typename std::tuple_element_t<k, Rows>::Quantity{},
+           [&](int j) { return line[place(row.at[j].delay)].analog[k][j]; });
+    });
+  }
   const ImuReading& imu(int m) const { return line[place(structure.imu[m].delay)].imu[m]; }
 
   // number(x) for all that they remember, in a fixed order.
@@ -115,8 +133,16 @@ class Sensors<S> {
   }
 
  private:
+  using Rows = decltype(structure.analog);
+  template <class Body>
+  static void for_each_kind(Body&& body) {
+    [&]<int... k>(std::integer_sequence<int, k...>) {
+      (body(std::integral_constant<int, k>{}), ...);
+    }(std::make_integer_sequence<int, K>{});
+  }
+
   static constexpr int kLength = structure.longest_delay() + 1;
-  static constexpr int kChannels = 4;  // of a joint; further ones are those of the units
+  static constexpr int kChannels = 4;  // of a joint, two of them its encoders
 
   // Where the readings of so many ticks ago are.
   int place(int ago) const {
@@ -130,9 +156,9 @@ class Sensors<S> {
     for (int k = 0; k < S::parameters; ++k) values[k] = machine.parameter(k);
     const auto suite = S::sensors(values);
     const auto noises = [&](int who) { return Noise::of(suite.seed, who); };
-    double current[N], angle[N], speed[N], torque[N] = {};
+    double current[N], angle[N], speed[N];
     machine.report(current, angle, speed);
-    if constexpr (structure.tells_torque()) machine.gear_torques(torque);
+    const Glance<Machine> glance = {machine, current, angle, speed};
     const auto& x = machine.state();
     newest = tick;
     Readings& now = line[place(0)];
@@ -144,10 +170,17 @@ class Sensors<S> {
         turn(link_disc[j], suite.link_encoder[j], x.q[j], noises(who + 1));
         now.link_encoder[j] = link_disc[j].now;
       }
-      now.current[j] = suite.current[j].read(current[j], noises(who + 2), tick);
-      if (structure.torque[j].present)
-        now.torque[j] = suite.torque[j].read(torque[j], noises(who + 3), tick);
     }
+    for_each_kind([&]<int k>(std::integral_constant<int, k>) {
+      constexpr const auto& row = std::get<k>(structure.analog);
+      double truth[N];
+      std::tuple_element_t<k, Rows>::Quantity::of(glance, truth);
+      for (int j = 0; j < N; ++j)
+        if (row.reads(j))
+          now.analog[k][j] = std::get<k>(suite.analog)
+                                 .at[j]
+                                 .read(truth[j], noises(row.first + row.stride * j), tick);
+    });
     if constexpr (M > 0) {
       double a[N];
       machine.accelerations(a);

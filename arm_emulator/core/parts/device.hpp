@@ -1,4 +1,4 @@
-// What is fixed to a joint's drive beside motor and gear.
+// What is fixed to a joint's drive beside motor and gear, and what sensors are called.
 #pragma once
 
 namespace arm {
@@ -6,6 +6,11 @@ namespace arm {
 struct Device {
   const char* name;
   double counts_per_rad;  // encoder counts at the motor
+};
+
+// A row of arm_measurement.readings.
+struct Reading {
+  const char *name, *unit, *unit_of_slides;
 };
 
 }  // namespace arm

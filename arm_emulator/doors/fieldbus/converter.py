@@ -10,7 +10,7 @@ import ctypes
 import math
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.doors.fieldbus.modbus_rtu import Code, ModbusException
 from arm_emulator.machine.core_calls import JointDescription
+from arm_emulator.machine.outputs import outputs_of, units_of
+from arm_emulator.machine.parts.output import AXES, Output
 from arm_emulator.machine.scene import Joint, Scene
 from arm_emulator.machine.session import Needless, Session
 
@@ -63,6 +65,45 @@ def full_scale(scene: Scene, joint: Joint) -> float:
     return limit
 
 
+# What is measured of every machine: words per joint, name, kind, unit.
+_ALWAYS = (
+    (2, "encoder at the motor, modulo 2^32", "int32", "counts"),
+    (2, "motor current", "int32", "uA"),
+    (1, "command of the period that has passed", "int16", "full scale / 32768"),
+    (1, "joint status", "bits", ""),
+    (2, "encoder at the link, modulo 2^32", "int32", "counts"),
+    (2, "encoder at the motor at its newest index pulse", "int32", "counts"),
+    (1, "index pulses, modulo 2^16", "uint16", "1"),
+)
+# The outputs that these have, and the joint status.
+_TOLD = (
+    "encoder_counts", "current", "applied", "faults", "brake_closed",
+    "link_encoder_counts", "index_counts", "index_pulses",
+)  # fmt: skip
+
+
+def further(scene: Scene) -> tuple[Output, ...]:
+    """Return what the scene's parts report beside what every machine has."""
+    return tuple(one for one in outputs_of(scene) if one.name not in _TOLD)
+
+
+def measured_blocks(scene: Scene) -> list[Block]:
+    """Return the registers of what is measured, in their order, without addresses."""
+    N = len(scene.joints)
+    rows = [Block(0, per * N, per, name, kind, unit) for per, name, kind, unit in _ALWAYS]
+    for output in further(scene):
+        counts = output.kind == "count"
+        kind, unit = ("int32", "counts") if counts else ("float32", output.unit)
+        if output.per_unit:
+            for unit_of_scene in scene.imus:
+                name = f"{unit_of_scene.name}: {output.about}, x, y, z"
+                rows.append(Block(0, 2 * AXES, 0, name, kind, unit))
+        else:
+            units = " or ".join(dict.fromkeys(units_of(scene, output))) or unit
+            rows.append(Block(0, 2 * N, 2, output.about, kind, units))
+    return rows
+
+
 def blocks(scene: Scene) -> tuple[Block, ...]:
     """Return the table of registers of a scene, by address."""
     N = len(scene.joints)
@@ -74,17 +115,9 @@ def blocks(scene: Scene) -> tuple[Block, ...]:
         Block(MEASURED + 1, 2, 0, "tick, modulo 2^32", "uint32", "servo periods"),
     ]
     at = MEASURED + 3
-    for per, name, kind, unit in (
-        (2, "encoder at the motor, modulo 2^32", "int32", "counts"),
-        (2, "motor current", "int32", "uA"),
-        (1, "command of the period that has passed", "int16", "full scale / 32768"),
-        (1, "joint status", "bits", ""),
-        (2, "encoder at the link, modulo 2^32", "int32", "counts"),
-        (2, "encoder at the motor at its newest index pulse", "int32", "counts"),
-        (1, "index pulses, modulo 2^16", "uint16", "1"),
-    ):
-        rows.append(Block(at, per * N, per, name, kind, unit))
-        at += per * N
+    for one in measured_blocks(scene):
+        rows.append(replace(one, address=at))
+        at += one.count
     rows += [
         Block(COMMANDED, 1, 0, "control", "bits", "", True),
         Block(COMMANDED + 1, N, 1, "command", "int16", "full scale / 32768", True),
@@ -135,9 +168,14 @@ class Converter:
             rule = f"be at most {LARGEST_PERIOD / 1e9:g} s"
             raise Refusal(scene.where, "servo_period", rule, scene.servo_period)
         N = len(scene.joints)
-        largest = min((SETTINGS - COMMANDED) - 1, (COMMANDED - MEASURED - 3) // 11)
+        largest = SETTINGS - COMMANDED - 1
         if N > largest:
             raise Refusal(scene.where, "joints", f"be at most {largest}", N)
+        measured = 3 + sum(one.count for one in measured_blocks(scene))
+        if measured > COMMANDED - MEASURED:
+            rule = f"fill at most {COMMANDED - MEASURED} registers with what is measured"
+            raise Refusal(scene.where, "joints and their sensors", rule, measured)
+        self._further = further(scene)
         self.session = session
         self._full_scale = np.array([full_scale(scene, joint) for joint in scene.joints])
         self._per_word = self._full_scale / FULL_SCALE
@@ -148,7 +186,7 @@ class Converter:
         }
         self._sizes = {
             MACHINE: 4,
-            MEASURED: 3 + 11 * N,
+            MEASURED: measured,
             COMMANDED: 1 + N,
             SETTINGS: 1,
             JOINTS: PER_JOINT * N,
@@ -223,15 +261,21 @@ class Converter:
             microampere = np.clip(np.rint(measured.current * 1e6), -(2**31), 2**31 - 1)
             words += _pairs(microampere.astype(np.int64))
         if count > 3 + 4 * N:
-            applied = np.rint(measured.voltage / self._per_word)
+            applied = np.rint(measured.applied / self._per_word)
             applied = np.clip(applied, -FULL_SCALE, FULL_SCALE - 1).astype(np.int64)
             words += (applied & 0xFFFF).tolist()
-            faults, brake = measured.joints["faults"], measured.joints["brake"]
+            faults, brake = measured.faults, measured.brake_closed
             words += (faults & 3 | JOINT_BRAKED * brake).tolist()
         if count > 3 + 6 * N:
             words += _pairs(measured.link_encoder_counts)
             words += _pairs(measured.index_counts)
             words += (measured.index_pulses & 0xFFFF).tolist()
+        if count > 3 + 11 * N:
+            for output in self._further:
+                values = getattr(measured, output.name).ravel()
+                if output.kind != "count":
+                    values = values.astype(">f4").view(">u4").astype(np.int64)
+                words += _pairs(values)
         return words
 
     def write(self, address: int, words: Sequence[int]) -> None:

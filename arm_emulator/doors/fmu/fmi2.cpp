@@ -133,24 +133,17 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real time, fmi2Real step, fmi
 fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference references[], size_t count,
                        fmi2Real values[]) {
   return get(component, "fmi2GetReal", references, count, Type::float64, Type::int64, values,
-             [](Instance& one, const fmu::Variable& variable) {
-               return variable.type == Type::int64
-                          ? static_cast<double>(one.counts(variable.quantity)[variable.first])
-                          : one.numbers(variable.quantity)[variable.first];
-             });
+             [](Instance& one, const fmu::Variable& of) { return one.value<double>(of, 0); });
 }
 fmi2Status fmi2GetInteger(fmi2Component component, const fmi2ValueReference references[],
                           size_t count, fmi2Integer values[]) {
-  return get(
-      component, "fmi2GetInteger", references, count, Type::int32, Type::int32, values,
-      [](Instance& one, const fmu::Variable& variable) { return one.faults()[variable.first]; });
+  return get(component, "fmi2GetInteger", references, count, Type::int32, Type::int32, values,
+             [](Instance& one, const fmu::Variable& of) { return one.value<std::int32_t>(of, 0); });
 }
 fmi2Status fmi2GetBoolean(fmi2Component component, const fmi2ValueReference references[],
                           size_t count, fmi2Boolean values[]) {
   return get(component, "fmi2GetBoolean", references, count, Type::boolean, Type::boolean, values,
-             [](Instance& one, const fmu::Variable& variable) {
-               return one.flags(variable.quantity)[variable.first];
-             });
+             [](Instance& one, const fmu::Variable& of) { return one.value<bool>(of, 0); });
 }
 fmi2Status fmi2SetReal(fmi2Component component, const fmi2ValueReference references[], size_t count,
                        const fmi2Real values[]) {

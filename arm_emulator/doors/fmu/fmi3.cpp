@@ -31,7 +31,7 @@ fmi3Status get(fmi3Instance instance, const char* name, const fmi3ValueReference
     one.look(references, count);
     for (std::size_t r = 0; r < count; ++r) {
       const fmu::Variable& variable = fmu::kVariables[references[r]];
-      for (int k = 0; k < variable.count; ++k) each(one, variable.quantity, variable.first + k);
+      for (int k = 0; k < variable.count; ++k) each(one, variable, k);
     }
     return fmu::kOk;
   });
@@ -176,22 +176,22 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 time, fmi3Float64 step,
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference references[],
                           size_t count, fmi3Float64 values[], size_t size) {
   return get(instance, "fmi3GetFloat64", references, count, Type::float64, values, size,
-             [&](Instance& one, auto quantity, int at) { *values++ = one.numbers(quantity)[at]; });
+             [&](Instance& one, auto& of, int k) { *values++ = one.value<double>(of, k); });
 }
 fmi3Status fmi3GetInt64(fmi3Instance instance, const fmi3ValueReference references[], size_t count,
                         fmi3Int64 values[], size_t size) {
   return get(instance, "fmi3GetInt64", references, count, Type::int64, values, size,
-             [&](Instance& one, auto quantity, int at) { *values++ = one.counts(quantity)[at]; });
+             [&](Instance& one, auto& of, int k) { *values++ = one.value<std::int64_t>(of, k); });
 }
 fmi3Status fmi3GetInt32(fmi3Instance instance, const fmi3ValueReference references[], size_t count,
                         fmi3Int32 values[], size_t size) {
   return get(instance, "fmi3GetInt32", references, count, Type::int32, values, size,
-             [&](Instance& one, auto, int at) { *values++ = one.faults()[at]; });
+             [&](Instance& one, auto& of, int k) { *values++ = one.value<std::int32_t>(of, k); });
 }
 fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference references[],
                           size_t count, fmi3Boolean values[], size_t size) {
   return get(instance, "fmi3GetBoolean", references, count, Type::boolean, values, size,
-             [&](Instance& one, auto quantity, int at) { *values++ = one.flags(quantity)[at]; });
+             [&](Instance& one, auto& of, int k) { *values++ = one.value<bool>(of, k); });
 }
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference references[],
                           size_t count, const fmi3Float64 values[], size_t size) {

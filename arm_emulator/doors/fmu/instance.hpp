@@ -14,10 +14,10 @@
 #include <cstdio>
 #include <cstring>
 #include <new>
+#include <type_traits>
+#include <utility>
 
-#pragma GCC visibility push(default)
-#include "arm.h"
-#pragma GCC visibility pop
+#include "data.hpp"
 #include "numerics/finite.hpp"
 #include "variable.hpp"
 
@@ -32,7 +32,6 @@ constexpr std::uint32_t kBeforeStart = kInstantiated | kInitialization;
 constexpr std::uint32_t kSettable = kBeforeStart | kStep;
 constexpr std::uint32_t kAnyMode = kSettable | kTerminated;
 
-constexpr int N = kJoints;
 constexpr int kVariableCount = sizeof kVariables / sizeof *kVariables;
 constexpr double kLargestTicks = 1e15;   // of one step
 constexpr double kDue = 1e-6 * kPeriod;  // s, by which sums of steps may miss a tick by rounding
@@ -58,31 +57,6 @@ struct Watch {
   void* environment;
   bool may_return_early;
 };
-
-// What the machine is given at a tick.
-struct Inputs {
-  double command[N], command_d[N];
-  double external[3][3 * N];  // forces, moments, points
-  unsigned char enable[N], close_brake[N], power, world_axes;
-};
-
-// All that decides how an instance goes on, but for its machine.
-struct Values {
-  std::uint64_t mode;
-  std::int64_t ticks;      // servo periods that have passed
-  double since_tick;       // s
-  double clock;            // s, the communication point as the importer computes it
-  std::uint64_t underway;  // a servo period has begun, with the inputs `held`
-  std::uint64_t retuned;   // parameters have changed since it began
-  double start, stop;      // s
-  std::uint64_t has_stop;
-  std::uint64_t moved;  // the start has changed since the machine was put there
-  Inputs now, held;
-  double start_q[N], start_v[N];
-  double parameter[kParameters + 1];
-};
-
-static_assert(sizeof(Values) % 8 == 0);
 
 class Instance {
  public:
@@ -303,11 +277,8 @@ class Instance {
                       references[r], rule, value[-1]);
     for (std::size_t r = 0; r < count; ++r) {
       const Variable& one = kVariables[references[r]];
-      double* to = numbers(one.quantity) + one.first;
-      for (int k = 0; k < one.count; ++k) {
-        to[k] = *values++;
-      }
-      if (one.quantity == Quantity::parameter) {
+      for (int k = 0; k < one.count; ++k) std::memcpy(place(one, k), values++, sizeof *values);
+      if (one.role == Role::tunable) {
         values_.retuned = true;
         if (!values_.underway) take_parameters();
       }
@@ -320,7 +291,7 @@ class Instance {
   }
   void set_flag(unsigned reference, int k, bool on) {
     const Variable& one = kVariables[reference];
-    flags(one.quantity)[one.first + k] = on;
+    *place(one, k) = on;
     if (values_.mode & kBeforeStart) values_.moved = true;
   }
 
@@ -328,99 +299,26 @@ class Instance {
   void look(const unsigned* references, std::size_t count) {
     put_at_start();
     bool truth = false;
-    for (std::size_t k = 0; k < count; ++k)
-      truth |= kVariables[references[k]].quantity >= Quantity::truth_q;
+    for (std::size_t k = 0; k < count; ++k) truth |= kVariables[references[k]].truth;
     if (!told_) measure();
     if (truth && !truth_told_) measure_truth();
+    data_.shown.time = time();
   }
-  // Rows of a quantity; null if it is of another type.
-  double* numbers(Quantity quantity) {
-    switch (quantity) {
-      case Quantity::time:
-        return &(now_ = time());
-      case Quantity::command:
-        return values_.now.command;
-      case Quantity::command_d:
-        return values_.now.command_d;
-      case Quantity::external_force:
-        return values_.now.external[0];
-      case Quantity::external_moment:
-        return values_.now.external[1];
-      case Quantity::external_point:
-        return values_.now.external[2];
-      case Quantity::start_q:
-        return values_.start_q;
-      case Quantity::start_v:
-        return values_.start_v;
-      case Quantity::parameter:
-        return values_.parameter;
-      case Quantity::current:
-        return current_;
-      case Quantity::current_d:
-        return current_d_;
-      case Quantity::applied:
-        return applied_;
-      case Quantity::torque:
-        return torque_;
-      case Quantity::specific_force:
-        return specific_force_;
-      case Quantity::angular_rate:
-        return angular_rate_;
-      case Quantity::truth_q:
-        return q_;
-      case Quantity::truth_v:
-        return v_;
-      case Quantity::truth_gear_torque:
-        return gear_torque_;
-      case Quantity::truth_motor_angle:
-        return motor_angle_;
-      case Quantity::truth_motor_speed:
-        return motor_speed_;
-      case Quantity::truth_current:
-        return true_current_;
-      case Quantity::truth_energy:
-        return &energy_;
-      case Quantity::truth_winding_temperature:
-        return temperature_;
+  // Value `k` of a variable.
+  template <class To>
+  To value(const Variable& one, int k) const {
+    const unsigned char* at = place(one, k);
+    switch (one.place.wire) {
+      case Wire::float64:
+        return as<To, double>(at);
+      case Wire::int64:
+        return as<To, std::int64_t>(at);
+      case Wire::int32:
+        return as<To, std::int32_t>(at);
+      case Wire::uint32:
+        return as<To, std::uint32_t>(at);
       default:
-        return nullptr;
-    }
-  }
-  std::int64_t* counts(Quantity quantity) {
-    switch (quantity) {
-      case Quantity::encoder_counts:
-        return encoder_;
-      case Quantity::index_counts:
-        return index_;
-      case Quantity::index_pulses:
-        return index_pulses_;
-      case Quantity::link_encoder_counts:
-        return link_encoder_;
-      case Quantity::link_index_counts:
-        return link_index_;
-      case Quantity::link_index_pulses:
-        return link_index_pulses_;
-      default:
-        return nullptr;
-    }
-  }
-  std::int32_t* faults() { return faults_; }
-  unsigned char* flags(Quantity quantity) {
-    switch (quantity) {
-      case Quantity::enable:
-        return values_.now.enable;
-      case Quantity::close_brake:
-        return values_.now.close_brake;
-      case Quantity::power:
-        return &values_.now.power;
-      case Quantity::external_world_axes:
-        return &values_.now.world_axes;
-      case Quantity::powered:
-        return &powered_;
-      case Quantity::brake_closed:
-        return brake_closed_;
-      default:
-        return nullptr;
+        return as<To, unsigned char>(at);
     }
   }
 
@@ -500,6 +398,21 @@ class Instance {
 
  private:
   static constexpr std::uint64_t kMagic = 0x32554d464d5241;  // "ARMFMU2"
+
+  const unsigned char* place(const Variable& one, int k) const {
+    return reinterpret_cast<const unsigned char*>(&data_) + one.place.offset +
+           static_cast<std::size_t>(k) * one.place.stride;
+  }
+  unsigned char* place(const Variable& one, int k) {
+    return const_cast<unsigned char*>(std::as_const(*this).place(one, k));
+  }
+  template <class To, class From>
+  static To as(const unsigned char* at) {
+    From value;
+    std::memcpy(&value, at, sizeof value);
+    if constexpr (std::is_same_v<To, bool>) return value != From{};
+    return static_cast<To>(value);
+  }
 
   // As just instantiated: everything at its start value.
   void become_new() {
@@ -588,22 +501,20 @@ class Instance {
   const char* why_not(const Variable& one, int k, double value) const {
     const int at = one.first + k;
     if (!arm::is_finite(value)) return "be finite";
-    switch (one.quantity) {
-      case Quantity::command:
+    switch (one.rule) {
+      case Rule::command:
         return joints_[at].modes || value == 0.0 ? nullptr : "be 0, the joint has no motor";
-      case Quantity::command_d:
+      case Rule::second_command:
         return joints_[at].modes & ARM_VOLTAGE_DQ || value == 0.0
                    ? nullptr
                    : "be 0, the joint's motor has no such voltage";
-      case Quantity::external_force:
-      case Quantity::external_moment:
-      case Quantity::external_point:
+      case Rule::wrench:
         return __builtin_fabs(value) <= ARM_LARGEST_WRENCH ? nullptr : "be at most 1e9";
-      case Quantity::start_q:
+      case Rule::start_q:
         return __builtin_fabs(value) <= kLargestQ[at] ? nullptr : "be near enough to be counted";
-      case Quantity::start_v:
+      case Rule::start_v:
         return __builtin_fabs(value) <= kLargestV ? nullptr : "be at most 1e6";
-      case Quantity::parameter:
+      case Rule::parameter:
         return value >= parameters_[at].least && value <= parameters_[at].most
                    ? nullptr
                    : "be within its bounds";
@@ -617,11 +528,11 @@ class Instance {
       for (int j = 0; j < N; ++j) {
         arm_wrench wrench = {};
         wrench.size = sizeof wrench;
-        wrench.axes = in.world_axes ? ARM_WORLD_AXES : ARM_LINK_AXES;
+        wrench.axes = in.external_world_axes ? ARM_WORLD_AXES : ARM_LINK_AXES;
         for (int k = 0; k < 3; ++k) {
-          wrench.force[k] = in.external[0][3 * j + k];
-          wrench.moment[k] = in.external[1][3 * j + k];
-          wrench.point[k] = in.external[2][3 * j + k];
+          wrench.force[k] = in.external_force[3 * j + k];
+          wrench.moment[k] = in.external_moment[3 * j + k];
+          wrench.point[k] = in.external_point[3 * j + k];
         }
         if (arm_set_external_wrench(machine_, j, &wrench) != ARM_OK) return ARM_REFUSED;
       }
@@ -630,41 +541,22 @@ class Instance {
 
   void measure() {
     arm_measure(machine_, &measurement_);
-    powered_ = measurement_.powered != 0;
-    for (int j = 0; j < N; ++j) {
-      const arm_joint_measurement& joint = joint_[j];
-      encoder_[j] = joint.encoder;
-      current_[j] = joint.current;
-      applied_[j] = joint.voltage;
-      faults_[j] = static_cast<std::int32_t>(joint.faults);
-      brake_closed_[j] = joint.brake != 0;
-      const arm_joint_sensors& more = sensors_[j];
-      index_[j] = more.index;
-      index_pulses_[j] = more.index_pulses;
-      link_encoder_[j] = more.link_encoder;
-      link_index_[j] = more.link_index;
-      link_index_pulses_[j] = more.link_index_pulses;
-      torque_[j] = more.torque;
-    }
-    for (int m = 0; m < kImus; ++m)
-      for (int k = 0; k < 3; ++k) {
-        specific_force_[3 * m + k] = imu_[m].specific_force[k];
-        angular_rate_[3 * m + k] = imu_[m].angular_rate[k];
-      }
+    data_.shown.powered = measurement_.powered;
     told_ = true;
   }
   void measure_truth() {
+    Truth& to = data_.truth;
     arm_truth truth = {};
     truth.size = sizeof truth;
-    truth.energy = &energy_;
-    truth.current = true_current_;
-    truth.motor_angle = motor_angle_;
-    truth.motor_speed = motor_speed_;
-    truth.q = q_;
-    truth.v = v_;
-    truth.gear_torque = gear_torque_;
+    truth.energy = &to.energy;
+    truth.current = to.current;
+    truth.motor_angle = to.motor_angle;
+    truth.motor_speed = to.motor_speed;
+    truth.q = to.q;
+    truth.v = to.v;
+    truth.gear_torque = to.gear_torque;
     arm_get_truth(machine_, &truth);
-    arm_get_winding_temperatures(machine_, temperature_);
+    arm_get_winding_temperatures(machine_, to.winding_temperature);
     truth_told_ = true;
   }
 
@@ -725,25 +617,21 @@ class Instance {
   std::uint64_t fingerprint_ = 0;
   arm_parameter parameters_[kParameters + 1] = {};
   arm_joint_description joints_[N] = {};
-  Values values_;
+  Data data_ = {};
+  Values& values_ = data_.values;
   Kept* kept_ = nullptr;
 
   // What was asked of the machine last.
   bool told_ = false, truth_told_ = false;
-  arm_joint_measurement joint_[N] = {};
-  arm_joint_sensors sensors_[N] = {};
-  arm_imu_measurement imu_[kImus + 1] = {};
-  double current_d_[N] = {};
-  arm_measurement measurement_ = {sizeof measurement_, 0, 0, -1, joint_, sensors_, imu_,
-                                  current_d_};
-  double now_ = 0.0, current_[N] = {}, applied_[N] = {}, torque_[N] = {};
-  double specific_force_[3 * kImus + 1] = {}, angular_rate_[3 * kImus + 1] = {};
-  double q_[N] = {}, v_[N] = {}, gear_torque_[N] = {}, motor_angle_[N] = {}, motor_speed_[N] = {};
-  double true_current_[N] = {}, energy_ = 0.0, temperature_[N] = {};
-  std::int64_t encoder_[N] = {}, index_[N] = {}, index_pulses_[N] = {}, link_encoder_[N] = {};
-  std::int64_t link_index_[N] = {}, link_index_pulses_[N] = {};
-  std::int32_t faults_[N] = {};
-  unsigned char brake_closed_[N] = {}, powered_ = 0;
+  arm_measurement measurement_ = {sizeof measurement_,
+                                  0,
+                                  0,
+                                  -1,
+                                  data_.shown.joint,
+                                  data_.shown.sensors,
+                                  data_.shown.imu,
+                                  data_.shown.current_d,
+                                  data_.shown.readings};
 };
 
 }  // namespace fmu

@@ -18,6 +18,7 @@ from arm_emulator.doors.fmu.variables import Variable
 from arm_emulator.machine.compiler import machine_unit
 from arm_emulator.machine.core_calls import MODES
 from arm_emulator.machine.cxx_literals import number
+from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.plant import largest_position
 from arm_emulator.machine.scene import Scene
 
@@ -52,11 +53,7 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
 
 def _table(scene: Scene, variables: Sequence[Variable]) -> str:
     """Return the constants of instance.hpp; the namespace is left open."""
-    rows = ",\n".join(
-        f"    {{Type::{one.type.lower()}, Role::{one.role}, Quantity::{one.quantity}, "
-        f"{one.first}, {one.count}}}"
-        for one in variables
-    )
+    rows = ",\n".join(map(_row, variables))
     modes = ", ".join(str(MODES[joint.command]) for joint in scene.joints)
     parameters = _numbers([*(one.value for one in scene.varied), 0.0])
     return f"""\
@@ -64,7 +61,7 @@ def _table(scene: Scene, variables: Sequence[Variable]) -> str:
 
 namespace fmu {{
 inline constexpr int kJoints = {len(scene.joints)}, kParameters = {len(scene.varied)};
-inline constexpr int kImus = {len(scene.imus)};
+inline constexpr int kImus = {len(scene.imus)}, kReadings = {len(readings_of(scene))};
 inline constexpr bool kExternalWrench = {"true" if scene.external_wrench else "false"};
 inline constexpr double kPeriod = {number(scene.servo_period)};  // s, of the servo
 inline constexpr double kIntegrationStep = {number(scene.integrator.dt)};  // s
@@ -74,9 +71,25 @@ inline constexpr double kStartQ[] = {{{_numbers(scene.start)}}};
 inline constexpr double kLargestQ[] = {{{_numbers(largest_position(scene))}}};
 inline constexpr double kLargestV = {_numbers(VELOCITY.largest)};
 inline constexpr double kParameterStart[] = {{{parameters}}};
+}}
+
+#include "data.hpp"
+
+namespace fmu {{
 inline constexpr Variable kVariables[] = {{
 {rows}}};
 """
+
+
+def _row(one: Variable) -> str:
+    array, brackets, field = one.symbol.partition("[]")
+    value = f"{array}[{one.first}]{field}" if brackets else array
+    element = f"{array}[0]" if brackets else array
+    truth = "true" if one.symbol.startswith("truth.") else "false"
+    return (
+        f"    {{Type::{one.type.lower()}, Role::{one.role}, Rule::{one.rule}, {truth}, "
+        f"FMU_PLACE({value}, {element}), {one.first}, {one.count}}}"
+    )
 
 
 def _numbers(values: ArrayLike) -> str:

@@ -2,6 +2,9 @@
 // writes it (variables.py), from the same list as modelDescription.xml.
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
+
 namespace fmu {
 
 enum class Type { float64, int64, int32, boolean };
@@ -14,56 +17,36 @@ enum class Role {
   output
 };
 
-// Where the values are. Rows have an entry per joint unless something else is said.
-enum class Quantity {
-  time,
-  // Inputs.
-  command,
-  command_d,
-  enable,
-  close_brake,
-  power,
-  external_force,  // three per joint, and so are moments and points
-  external_moment,
-  external_point,
-  external_world_axes,
-  // Parameters.
-  start_q,
-  start_v,
-  parameter,  // one per varied number of the scene
-  // What is measured.
-  encoder_counts,
-  current,
-  current_d,
-  applied,
-  faults,
-  powered,
-  brake_closed,
-  index_counts,
-  index_pulses,
-  link_encoder_counts,
-  link_index_counts,
-  link_index_pulses,
-  torque,
-  specific_force,  // three per inertial measurement unit, and so are angular rates
-  angular_rate,
-  // The truth.
-  truth_q,
-  truth_v,
-  truth_gear_torque,
-  truth_motor_angle,
-  truth_motor_speed,
-  truth_current,
-  truth_energy,
-  truth_winding_temperature,
+// What a value must satisfy to be taken; `at` counts from Variable::first.
+enum class Rule { finite, command, second_command, wrench, start_q, start_v, parameter };
+
+// What stands in memory.
+enum class Wire { float64, int64, int32, uint32, byte };
+template <class Value>
+constexpr Wire kWire = Wire::float64;
+template <>
+inline constexpr Wire kWire<std::int64_t> = Wire::int64;
+template <>
+inline constexpr Wire kWire<std::int32_t> = Wire::int32;
+template <>
+inline constexpr Wire kWire<std::uint32_t> = Wire::uint32;
+template <>
+inline constexpr Wire kWire<unsigned char> = Wire::byte;
+
+// A place of `struct Data` (data.hpp).
+struct Place {
+  Wire wire;
+  std::size_t offset;  // of the first value
+  std::size_t stride;  // from one value to the next
 };
 
-// `count` values of a quantity, from `first` on.
 struct Variable {
   Type type;
   Role role;
-  Quantity quantity;
-  int first, count;
+  Rule rule;
+  bool truth;  // which only the emulator knows
+  Place place;
+  int first, count;  // of its joints or parameters; how many values it has
 };
 
 }  // namespace fmu

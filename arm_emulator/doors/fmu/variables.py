@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from arm_emulator.doors.fmu.names import Parts
-from arm_emulator.machine.measured import told_by
+from arm_emulator.machine.outputs import outputs_of, readings_of, units_of
+from arm_emulator.machine.parts.output import AXES, READINGS, Output
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import Varied
 
-AXES = 3  # of forces, and of inertial measurement units
+# Of outputs, by their kind.
+_TYPES = {"number": "Float64", "count": "Int64", "bits": "Int32", "flag": "Boolean"}
 # The masses of links, arm_emulator/machine/varied_body.py, by the beginning of their names.
 _LINK_UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
 
@@ -22,12 +24,13 @@ class Variable:
 
     Attributes:
         name: parts of its name.
-        quantity: where its values are, of `enum class Quantity` in variable.hpp.
+        symbol: where its values are in `struct Data` of data.hpp; [] where they are an array's.
         type: Float64, Int64, Int32 or Boolean.
         role: independent, fixed, tunable, input or output.
         description: what it is.
         units: of its values; one per joint if it is `per_joint`, else one or none.
-        first: its first value in the quantity's row.
+        first: its first value in the array.
+        rule: what values must satisfy that are set, of `enum class Rule` in variable.hpp.
         shape: of its array; () of a single number.
         start: values that it begins with, in a row; None of outputs.
         bounds: least and largest value.
@@ -36,12 +39,13 @@ class Variable:
     """
 
     name: Parts
-    quantity: str
+    symbol: str
     type: str
     role: str
     description: str
     units: tuple[str, ...] = ()
     first: int = 0
+    rule: str = "finite"
     shape: tuple[int, ...] = ()
     start: tuple[float, ...] | None = None
     bounds: tuple[float, float] | None = None
@@ -56,7 +60,7 @@ class Variable:
     @property
     def decides_on_start(self) -> bool:
         """Whether outputs at the start depend on it; other inputs decide on what comes after."""
-        return self.role in ("fixed", "tunable") or self.quantity == "power"
+        return self.role in ("fixed", "tunable") or self.symbol == "values.now.power"
 
     @property
     def unit(self) -> str | None:
@@ -66,7 +70,7 @@ class Variable:
 
 def variables(scene: Scene) -> tuple[Variable, ...]:
     """Return the variables of a scene's machine, in the order of their value references."""
-    time = Variable(("time",), "time", "Float64", "independent", "simulation time", ("s",))
+    time = Variable(("time",), "shown.time", "Float64", "independent", "simulation time", ("s",))
     return (time, *_inputs(scene), *_parameters(scene), *_measured(scene), *_truth(scene))
 
 
@@ -117,32 +121,34 @@ def _elements(array: Variable) -> list[Variable]:
 def _inputs(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
     zero = (0.0,) * N
-    commands = _commands(scene)
+    commands = tuple(joint.command.removesuffix(" dq") for joint in scene.joints)
     what = "command to each motor, held over the step"
-    found = [_row(scene, "command", "Float64", "input", what, commands, zero)]
+    found = [_input(scene, "command", "Float64", what, commands, zero, "command")]
     if _turned(scene):
         what = "second command, the voltage along each rotor's flux"
-        found.append(_row(scene, "command_d", "Float64", "input", what, ("V",) * N, zero))
+        units = ("V",) * N
+        found.append(_input(scene, "command_d", "Float64", what, units, zero, "second_command"))
     what = "whether each drive is enabled"
-    found.append(_row(scene, "enable", "Boolean", "input", what, (), (1.0,) * N))
+    found.append(_input(scene, "enable", "Boolean", what, (), (1.0,) * N))
     if any(joint.brake for joint in scene.joints):
         what = "whether each brake closes though its drive is enabled"
-        found.append(_row(scene, "close_brake", "Boolean", "input", what, (), zero))
+        found.append(_input(scene, "close_brake", "Boolean", what, (), zero))
     what = "power of all drives"
-    found.append(Variable(("power",), "power", "Boolean", "input", what, start=(1.0,)))
+    found.append(Variable(("power",), "values.now.power", "Boolean", "input", what, start=(1.0,)))
     if scene.external_wrench:
         for name, unit, what in (
             ("force", "N", "external force on the link that each joint moves"),
             ("moment", "N m", "external moment on the link that each joint moves"),
             ("point", "m", "where the external force acts, in the frame of each link"),
         ):
-            quantity, name_ = f"external_{name}", ("external", name)
-            row = _row(scene, quantity, "Float64", "input", what, (unit,) * N, zero * AXES, name_)
-            found.append(replace(row, shape=(N, AXES)))
+            row = _input(
+                scene, f"external_{name}", "Float64", what, (unit,) * N, zero * AXES, "wrench"
+            )
+            found.append(replace(row, name=("external", name), shape=(N, AXES)))
         what = "whether external forces and moments are in axes of the world, not of the links"
         name_ = ("external", "world_axes")
-        quantity = "external_world_axes"
-        found.append(Variable(name_, quantity, "Boolean", "input", what, start=(0.0,)))
+        symbol = "values.now.external_world_axes"
+        found.append(Variable(name_, symbol, "Boolean", "input", what, start=(0.0,)))
     return found
 
 
@@ -150,22 +156,25 @@ def _parameters(scene: Scene) -> list[Variable]:
     q = tuple(joint.start for joint in scene.joints)
     v = (0.0,) * len(q)
     found = [
-        _row(scene, "start_q", "Float64", "fixed", "position of each joint at the start",
-             _of_links(scene, "rad", "m"), q, ("start", "q")),
-        _row(scene, "start_v", "Float64", "fixed", "speed of each joint at the start",
-             _of_links(scene, "rad/s", "m/s"), v, ("start", "v")),
+        _row(scene, ("start", name), f"values.start_{name}[]", "Float64", "fixed",
+             f"{what} of each joint at the start", units, start, f"start_{name}")
+        for name, what, units, start in (
+            ("q", "position", _of_links(scene, "rad", "m"), q),
+            ("v", "speed", _of_links(scene, "rad/s", "m/s"), v),
+        )
     ]  # fmt: skip
     units = _units_of_varied(scene)
     for k, one in enumerate(scene.varied):
         found.append(
             Variable(
                 _parts(one, scene),
-                "parameter",
+                "values.parameter[]",
                 "Float64",
                 "tunable",
                 f"{one.name} of the scene",
                 tuple(filter(None, (units.get(one.name),))),
                 first=k,
+                rule="parameter",
                 start=(one.value,),
                 bounds=(one.least, one.most),
             )
@@ -174,46 +183,41 @@ def _parameters(scene: Scene) -> list[Variable]:
 
 
 def _measured(scene: Scene) -> list[Variable]:
-    N = len(scene.joints)
-    more, ampere = set(told_by(scene)), ("A",) * N
-    effort = _of_links(scene, "N m", "N")
-    rows: list[tuple[str, str, str, tuple[str, ...]]] = [
-        ("encoder_counts", "Int64", "counts of the encoder at each motor", ()),
-        ("current", "Float64", "current of each motor, by its sensor", ampere),
-    ]
-    if _turned(scene):
-        rows.append(("current_d", "Float64", "current along each rotor's flux", ampere))
-    what = "what each motor got in the servo period that has passed"
-    rows.append(("applied", "Float64", what, _commands(scene)))
-    rows.append(("faults", "Int32", "of each drive: 1 diverged, 2 winding too hot, 3 both", ()))
-    for name, type_, what, units in (
-        ("brake_closed", "Boolean", "whether each brake is closed", ()),
-        ("index_counts", "Int64", "counts at each motor at its newest index pulse", ()),
-        ("index_pulses", "Int64", "index pulses at each motor", ()),
-        ("link_encoder_counts", "Int64", "counts of the encoder at each link", ()),
-        ("link_index_counts", "Int64", "counts at each link at its newest index pulse", ()),
-        ("link_index_pulses", "Int64", "index pulses at each link", ()),
-        ("torque", "Float64", "torque of each gear on its link, by its sensor", effort),
-    ):
-        if name in more:
-            rows.append((name, type_, what, units))
-    found = [
-        _row(scene, name, type_, "output", what, units, None) for name, type_, what, units in rows
-    ]
+    outputs = outputs_of(scene)
+    found = [_output(scene, one) for one in outputs if not one.per_unit]
     what = "whether the drives have power"
-    found.append(Variable(("powered",), "powered", "Boolean", "output", what))
+    found.append(Variable(("powered",), "shown.powered", "Boolean", "output", what))
     for m, imu in enumerate(scene.imus):
-        for name, unit in (("specific_force", "m/s2"), ("angular_rate", "rad/s")):
-            what = f"{name.replace('_', ' ')} by {imu.name}, in its frame"
-            one = Variable((name, imu.name), name, "Float64", "output", what, (unit,))
-            found.append(replace(one, first=AXES * m, shape=(AXES,)))
+        for output in outputs:
+            if output.per_unit:
+                what = f"{output.name.replace('_', ' ')} by {imu.name}, in its frame"
+                name, symbol = (output.name, imu.name), _in_unit(output, m)
+                one = Variable(name, symbol, "Float64", "output", what, (output.unit,))
+                found.append(replace(one, shape=(AXES,)))
     return found
+
+
+def _output(scene: Scene, output: Output) -> Variable:
+    array, _, field = output.symbol.partition(".")
+    symbol = f"shown.{array}[]" + (f".{field}" if field else "")
+    units = units_of(scene, output)
+    one = _row(
+        scene, (output.name,), symbol, _TYPES[output.kind], "output", output.about, units, None
+    )
+    if array != READINGS:
+        return one
+    return replace(one, first=len(scene.joints) * readings_of(scene).index(output))
+
+
+def _in_unit(output: Output, unit: int) -> str:
+    array, _, field = output.symbol.partition(".")
+    return f"shown.{array}[{unit}].{field}[]"
 
 
 def _truth(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
     found = [
-        _row(scene, f"truth_{name}", "Float64", "output", what, units, None, ("truth", name))
+        _row(scene, ("truth", name), f"truth.{name}[]", "Float64", "output", what, units, None)
         for name, what, units in (
             ("q", "true position of each joint", _of_links(scene, "rad", "m")),
             ("v", "true speed of each joint", _of_links(scene, "rad/s", "m/s")),
@@ -225,37 +229,53 @@ def _truth(scene: Scene) -> list[Variable]:
     ]
     name = ("truth", "energy")
     what = "kinetic, potential, elastic and magnetic energy"
-    found.append(Variable(name, "truth_energy", "Float64", "output", what, ("J",)))
+    found.append(Variable(name, "truth.energy", "Float64", "output", what, ("J",)))
     for j, joint in enumerate(scene.joints):
         if joint.winding is not None:
-            name, quantity = ("truth", "winding_temperature"), "truth_winding_temperature"
+            name, symbol = ("truth", "winding_temperature"), "truth.winding_temperature[]"
             what = f"true temperature of the winding of {joint.name}"
-            one = Variable((*name, joint.name), quantity, "Float64", "output", what, ("degC",))
+            one = Variable((*name, joint.name), symbol, "Float64", "output", what, ("degC",))
             found.append(replace(one, first=j))
     return found
 
 
+def _input(
+    scene: Scene,
+    name: str,
+    type_: str,
+    what: str,
+    units: tuple[str, ...],
+    start: tuple[float, ...],
+    rule: str = "finite",
+) -> Variable:
+    """Return a value per joint that the machine is given."""
+    symbol = f"values.now.{name}[]"
+    return _row(scene, (name,), symbol, type_, "input", what, units, start, rule)
+
+
 def _row(
     scene: Scene,
-    quantity: str,
+    name: Parts,
+    symbol: str,
     type_: str,
     role: str,
     what: str,
     units: tuple[str, ...],
     start: tuple[float, ...] | None,
-    name: Parts = (),
+    rule: str = "finite",
 ) -> Variable:
     """Return a variable with a value per joint."""
     each = scene.joint_names
     if len(set(units)) > 1:
         each = tuple(f"{joint} [{unit}]" for joint, unit in zip(each, units, strict=True))
     return Variable(
-        name or (quantity,),
-        quantity,
+        name,
+        symbol,
         type_,
         role,
         f"{what}, base to tool: {', '.join(each)}",
         units,
+        rule=rule,
         shape=(len(scene.joints),),
         start=start,
         per_joint=True,
@@ -265,10 +285,6 @@ def _row(
 def _of_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:
     kinds = [joint.kind for joint in scene.chain.joints]
     return tuple(prismatic if kind == "prismatic" else revolute for kind in kinds)
-
-
-def _commands(scene: Scene) -> tuple[str, ...]:
-    return tuple(joint.command.removesuffix(" dq") for joint in scene.joints)
 
 
 def _turned(scene: Scene) -> bool:

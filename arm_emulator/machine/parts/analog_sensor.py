@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Self
@@ -11,6 +12,8 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.encoder import read_delay
 from arm_emulator.machine.parts.part import Number, Part
 
+JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
+MOST_JOINTS = 4096  # that draws keep apart
 LARGEST_ERROR = 1e6  # that a sensor adds, in the unit of its quantity
 
 
@@ -41,7 +44,23 @@ class Converter(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class AnalogSensor(Converter):
-    """A sensor of one quantity, with an offset and a delay."""
+    """A sensor of one quantity of a joint, with an offset and a delay.
+
+    A class in this package that inherits it is a section of joints; it needs to be entered nowhere.
+    """
+
+    quantity: ClassVar[str]  # what is measured, in C++
+    quantity_header: ClassVar[str] = "mechanics/quantities.hpp"  # that has it
+    of_motor: ClassVar[bool] = True  # whether it belongs to a joint with a motor
+    channel: ClassVar[int | None] = None  # its place among the draws of a joint, if it has one
+
+    @classmethod
+    def draws(cls) -> tuple[int, int]:
+        """Return who draws its noise: at joint 0, and how much more at each further one."""
+        if cls.channel is not None:
+            return cls.channel, JOINT_CHANNELS
+        # By its name, so that other sensors in a scene or a later version change nothing.
+        return MOST_JOINTS * (1 + zlib.crc32(cls.section.encode()) % 2**18), 1
 
     offset: Annotated[
         float | None, Number("offset", "", at_least=-LARGEST_ERROR, at_most=LARGEST_ERROR)

@@ -10,6 +10,7 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction
+from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Number, Part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -23,6 +24,7 @@ class Brake(Part):
     shaft = "rotor"
     header = "brake.hpp"
     cxx = "Brake"
+    outputs = (Output("brake_closed", "whether each brake is closed", "joint.brake", kind="flag"),)
 
     torque: Annotated[float, Number("torque", "N m", above=0.0)]
     close_delay: Annotated[

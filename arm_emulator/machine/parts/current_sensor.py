@@ -14,6 +14,8 @@ class CurrentSensor(AnalogSensor):
 
     section = "current_sensor"
     unit = "A"
+    quantity = "MotorCurrent"
+    channel = 2
 
     def rests(self, at: AtRest) -> Share | str:
         """What it is wrong by for good is taken up by the servo's integral."""

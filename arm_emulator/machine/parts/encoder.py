@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Self
 
 from arm_emulator.base.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
+from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Number, Part
 from arm_emulator.machine.parts.resting import Around, AtRest, Share, waves_at
 
@@ -32,6 +33,11 @@ class Encoder(Part):
     section = "encoder"
     header = "encoder.hpp"
     cxx = "Encoder"
+    outputs: ClassVar[tuple[Output, ...]] = (
+        Output("index_counts", "counts at each motor at its newest index pulse", "sensors.index",
+               kind="count"),
+        Output("index_pulses", "index pulses at each motor", "sensors.index_pulses", kind="count"),
+    )  # fmt: skip
 
     kind: str = KINDS[0]
     counts_per_turn: int
@@ -101,6 +107,11 @@ class Encoder(Part):
         )
 
     @property
+    def reports(self) -> tuple[Output, ...]:
+        """Its index; that there are counts goes without an encoder, too."""
+        return () if self.index == INDICES[0] else self.outputs
+
+    @property
     def plain(self) -> bool:
         """Whether it tells the counts of the shaft as it stands, and nothing else."""
         return self == type(self)(counts_per_turn=self.counts_per_turn, turn=self.turn)
@@ -158,6 +169,19 @@ class LinkEncoder(Encoder):
     """Encoder at the link."""
 
     section: ClassVar[str] = "link_encoder"
+    outputs = (
+        Output("link_encoder_counts", "counts of the encoder at each link", "sensors.link_encoder",
+               kind="count"),
+        Output("link_index_counts", "counts at each link at its newest index pulse",
+               "sensors.link_index", kind="count"),
+        Output("link_index_pulses", "index pulses at each link", "sensors.link_index_pulses",
+               kind="count"),
+    )  # fmt: skip
+
+    @property
+    def reports(self) -> tuple[Output, ...]:
+        """Counts, and its index."""
+        return self.outputs[:1] if self.index == INDICES[0] else self.outputs
 
     def rests(self, at: AtRest) -> Share | str:
         """Our servo does not look at it."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Chain, Frame, frame_of
 from arm_emulator.machine.parts.analog_sensor import LARGEST_ERROR, Converter
 from arm_emulator.machine.parts.encoder import read_delay
+from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Number
 from arm_emulator.machine.varied import Varied
 
@@ -63,6 +64,9 @@ class Gyroscope(Axes):
 class Imu:
     """Specific force and angular rate in a frame fixed to a link.
 
+    Attributes:
+        outputs: of each unit.
+
     Args:
         name: of the unit.
         joint: index of the joint that carries it.
@@ -70,6 +74,13 @@ class Imu:
         delay: servo periods by which its readings come late.
         accelerometer, gyroscope: what is wrong with them; None: nothing.
     """
+
+    outputs: ClassVar[tuple[Output, ...]] = (
+        Output("specific_force", "specific force, in the frame of the unit", "imu.specific_force",
+               "m/s2", per_unit=True),
+        Output("angular_rate", "angular rate, in the frame of the unit", "imu.angular_rate",
+               "rad/s", per_unit=True),
+    )  # fmt: skip
 
     name: str
     joint: int

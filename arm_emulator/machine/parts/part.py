@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Self, get_type_hints
 from arm_emulator.base.section import LARGEST, SMALLEST, Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.varied import Varied
@@ -76,6 +77,12 @@ class Part:
     header: ClassVar[str]  # that has the C++ part
     cxx: ClassVar[str]  # and its name
     shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
+    outputs: ClassVar[tuple[Output, ...]] = ()  # what parts of this class may report
+
+    @property
+    def reports(self) -> tuple[Output, ...]:
+        """What this part reports, of `outputs`."""
+        return self.outputs
 
     @property
     def sticks(self) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Number
 
 
@@ -18,6 +19,7 @@ class Pmsm(Motor):
     header = "pmsm.hpp"
     cxx = "Pmsm"
     command = "V dq"
+    outputs = (Output("current_d", "current along each rotor's flux", "current_d", "A"),)
 
     resistance: Annotated[float, Number("R", "ohm", above=0.0)]
     inductance_d: Annotated[float, Number("Ld", "H", above=0.0)]

@@ -2,36 +2,43 @@
 
 from __future__ import annotations
 
+import importlib
 import math
-from collections.abc import Mapping, Sequence
+import pkgutil
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from arm_emulator.base.section import Section
-from arm_emulator.machine import cxx_literals
+from arm_emulator.machine import cxx_literals, parts
+from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder, LinkEncoder
 from arm_emulator.machine.parts.imu import Accelerometer, Gyroscope, Imu
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.torque_sensor import TorqueSensor
+
+
+def _analog() -> tuple[type[AnalogSensor], ...]:
+    """Return the kinds of analog sensors, which are those in the files beside this one."""
+    for module in pkgutil.iter_modules(parts.__path__):
+        importlib.import_module(f"{parts.__name__}.{module.name}")
+    kinds = AnalogSensor.__subclasses__()
+    first = math.inf  # behind those that have a place of their own
+    return tuple(sorted(kinds, key=lambda one: (one.channel or first, one.section)))
+
+
+ANALOG = _analog()
 
 # All kinds of numbers that sensors have.
-SENSORS: tuple[type[Part], ...] = (
-    Encoder,
-    CurrentSensor,
-    TorqueSensor,
-    Accelerometer,
-    Gyroscope,
-)
+SENSORS: tuple[type[Part], ...] = (Encoder, *ANALOG, Accelerometer, Gyroscope)
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointSensors:
-    """What a joint has; None: nothing, and of the motor's encoder the finest there is."""
+    """What a joint has; without an encoder, counts are those of the finest there is."""
 
     encoder: Encoder | None = None
     link_encoder: LinkEncoder | None = None
-    current: CurrentSensor | None = None
-    torque: TorqueSensor | None = None
+    analog: tuple[AnalogSensor, ...] = ()
 
     @classmethod
     def read(cls, joint: Section, kind: str) -> JointSensors:
@@ -45,25 +52,30 @@ class JointSensors:
             Refusal: a value breaks its rule, or a sensor of a motor that is not there.
         """
         if not joint.has("motor"):
-            for key in ("encoder", "current_sensor", "torque_sensor"):
+            for key in ("encoder", *(one.section for one in ANALOG if one.of_motor)):
                 if joint.has(key):
                     rule = "belong to a joint with a motor"
                     raise joint.refusal(key, rule, "no motor section")
         motor, link = joint.section("encoder"), joint.section("link_encoder")
-        current, torque = joint.section("current_sensor"), joint.section("torque_sensor")
+        given = ((one, joint.section(one.section)) for one in ANALOG)
         turn = 1.0 if kind == "prismatic" else 2.0 * math.pi
         return cls(
             encoder=None if motor is None else Encoder.read(motor),
             link_encoder=None if link is None else LinkEncoder.read(link, turn),
-            current=None if current is None else CurrentSensor.read(current),
-            torque=None if torque is None else TorqueSensor.read(torque),
+            analog=tuple(one.read(section) for one, section in given if section is not None),
         )
 
     @property
     def parts(self) -> dict[str, Part]:
-        """Those that are there, by their names in C++."""
-        found = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return {name: one for name, one in found.items() if one is not None}
+        """Those that are there, by their sections."""
+        encoders = {"encoder": self.encoder, "link_encoder": self.link_encoder}
+        there: dict[str, Part] = {name: one for name, one in encoders.items() if one is not None}
+        return there | {one.section: one for one in self.analog}
+
+    @property
+    def current(self) -> CurrentSensor | None:
+        """Of its motor's current, which servos use."""
+        return next((one for one in self.analog if isinstance(one, CurrentSensor)), None)
 
     @property
     def plain(self) -> bool:
@@ -71,6 +83,12 @@ class JointSensors:
         return not self.parts or (
             self.encoder is not None and self.parts.keys() == {"encoder"} and self.encoder.plain
         )
+
+
+def measured_kinds(joints: Iterable[JointSensors]) -> tuple[type[AnalogSensor], ...]:
+    """Return the kinds of analog sensors of some joints; a current is always measured."""
+    there = {type(sensor) for sensors in joints for sensor in sensors.analog}
+    return tuple(kind for kind in ANALOG if kind in there or kind is CurrentSensor)
 
 
 def suite(
@@ -87,14 +105,22 @@ def suite(
         imus: inertial measurement units.
         places: where the values of varied numbers stand, by their name.
     """
+    kinds = measured_kinds(joints.values())
+    quantities = "".join(f", arm::{kind.quantity}" for kind in kinds)
     lines = [
-        f"arm::SensorSuite<N, {len(imus)}> all;",
+        f"arm::SensorSuite<N, {len(imus)}{quantities}> all;",
         f"all.seed = {places.get('seed') or cxx_literals.number(seed)};",
     ]
+    for k, kind in enumerate(kinds):
+        first, stride = kind.draws()
+        row = f"std::get<{k}>(all.analog)"
+        lines.append(f"{row}.first = {first}, {row}.stride = {stride};")
+    rows = {kind.section: f"std::get<{k}>(all.analog).at" for k, kind in enumerate(kinds)}
+    members = {"encoder": "all.encoder", "link_encoder": "all.link_encoder", **rows}
     for j, (name, sensors) in enumerate(joints.items()):
         finest = Encoder(counts_per_turn=IDEAL_COUNTS_PER_TURN)
-        for member, part in {"encoder": finest, **sensors.parts}.items():
-            lines.append(f"all.{member}[{j}] = {part.initialiser(name, places)};")
+        for section, part in {"encoder": finest, **sensors.parts}.items():
+            lines.append(f"{members[section]}[{j}] = {part.initialiser(name, places)};")
     lines += [f"all.imu[{m}] = {imu.initialiser(places)};" for m, imu in enumerate(imus)]
     body = "\n".join(f"    {line}" for line in [*lines, "return all;"])
     return f"""\

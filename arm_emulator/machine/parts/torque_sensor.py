@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.resting import AtRest, Share
 
 
@@ -14,6 +15,12 @@ class TorqueSensor(AnalogSensor):
 
     section = "torque_sensor"
     unit = "N m"
+    quantity = "GearTorque"
+    channel = 3
+    outputs = (
+        Output("torque", "torque of each gear on its link, by its sensor", "sensors.torque",
+               "N m", "N"),
+    )  # fmt: skip
 
     def rests(self, at: AtRest) -> Share | str:
         """Our servo does not look at it."""

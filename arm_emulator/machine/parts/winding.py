@@ -9,6 +9,7 @@ import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.output import FAULTS, Output
 from arm_emulator.machine.parts.part import Number, Part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -25,6 +26,7 @@ class Winding(Part):
     shaft = "rotor"
     header = "winding.hpp"
     cxx = "Winding"
+    outputs = (FAULTS,)
 
     heat_capacity: Annotated[float, Number("C", "J/K", above=0.0)]
     thermal_resistance: Annotated[float, Number("Rth", "K/W", above=0.0)]
@@ -49,6 +51,11 @@ class Winding(Part):
         if self.limit is not None and self.limit <= self.ambient:
             rule = f"be above the ambient, {self.ambient:g} degC"
             raise section.refusal("limit", rule, self.limit)
+
+    @property
+    def reports(self) -> tuple[Output, ...]:
+        """A fault where its temperature is limited."""
+        return () if self.limit is None else self.outputs
 
     def around_type(self, motor: str) -> str:
         """Return the C++ type of a motor with it."""

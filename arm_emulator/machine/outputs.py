@@ -1,0 +1,95 @@
+"""What a machine reports, from what its parts declare."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.core_calls import IMU_MEASUREMENT, JOINT_MEASUREMENT, JOINT_SENSORS
+from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
+from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.known import MOTORS
+from arm_emulator.machine.parts.output import COMMAND, FAULTS, READINGS, Output
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.scene import Scene
+
+# Of every drive, whatever its parts.
+_COUNTS = Output(
+    "encoder_counts", "counts of the encoder at each motor", "joint.encoder", kind="count"
+)
+_CURRENT = Output("current", "current of each motor, by its sensor", "joint.current", "A")
+_APPLIED = Output(
+    "applied", "what each motor got in the servo period that has passed", "joint.voltage", COMMAND
+)
+ALWAYS = (_COUNTS, _CURRENT, _APPLIED, FAULTS)
+
+
+def _declared(owners: Iterable[type[Part] | type[Imu]]) -> list[Output]:
+    found: dict[Output, None] = {}
+    for owner in owners:
+        found |= dict.fromkeys(owner.outputs)
+    return list(found)
+
+
+# All that parts may report, by name, in the order in which it is listed anywhere.
+KNOWN: dict[str, Output] = {
+    one.name: one
+    for one in (
+        *(_COUNTS, _CURRENT),
+        *_declared(MOTORS),
+        *(_APPLIED, FAULTS),
+        *_declared((Brake, Encoder, LinkEncoder, *ANALOG, Imu)),
+    )
+}
+
+# Where arm.h has outputs.
+SYMBOLS = {
+    *(f"joint.{name}" for name, *_ in JOINT_MEASUREMENT),
+    *(f"sensors.{name}" for name, *_ in JOINT_SENSORS),
+    *(f"imu.{name}" for name, *_ in IMU_MEASUREMENT),
+    "current_d",
+    READINGS,
+}
+
+
+def outputs_of(scene: Scene) -> tuple[Output, ...]:
+    """Return what the parts of a scene report.
+
+    Raises:
+        Refusal: an output that is declared without a place in arm.h.
+    """
+    there = {*ALWAYS, *_reported(scene)}
+    for one in there:
+        if KNOWN.get(one.name) != one or one.symbol not in SYMBOLS:
+            rule = "be declared by its class, with a place in arm.h as its symbol"
+            got, valid = repr(one.symbol), ", ".join(sorted(SYMBOLS))
+            raise Refusal(scene.where, f"output {one.name}", rule, got, valid)
+    return tuple(one for one in KNOWN.values() if one in there)
+
+
+def _reported(scene: Scene) -> set[Output]:
+    parts = (part for one in scene.joints for part in (*one.parts, *one.sensors.parts.values()))
+    of_units = Imu.outputs if scene.imus else ()
+    return {*of_units, *(output for part in parts for output in part.reports)}
+
+
+def reported_by_parts(scene: Scene) -> tuple[Output, ...]:
+    """Return what is reported because a part of a scene declares it."""
+    there = _reported(scene)
+    return tuple(one for one in outputs_of(scene) if one in there)
+
+
+def readings_of(scene: Scene) -> tuple[Output, ...]:
+    """Return what stands in ``arm_measurement.readings``, a row each."""
+    return tuple(one for one in outputs_of(scene) if one.symbol == READINGS)
+
+
+def units_of(scene: Scene, output: Output) -> tuple[str, ...]:
+    """Return the unit of an output at each joint; none where its values have none."""
+    if output.unit == COMMAND:
+        return tuple(joint.command.removesuffix(" dq") for joint in scene.joints)
+    if not output.unit:
+        return ()
+    return tuple(output.unit_at(joint.kind) for joint in scene.chain.joints)

@@ -1,0 +1,211 @@
+"""What parts report, declared once: everything that shows it has it, and all of it."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import GRAVITY, LINK, write_scene
+from rclpy.serialization import deserialize_message
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.fieldbus.converter import Converter, blocks
+from arm_emulator.doors.fieldbus.modbus_rtu import ModbusException
+from arm_emulator.doors.fmu.variables import variables
+from arm_emulator.machine import outputs
+from arm_emulator.machine.measured_fields import MeasuredFields
+from arm_emulator.machine.outputs import KNOWN, SYMBOLS, outputs_of, readings_of, reported_by_parts
+from arm_emulator.machine.parts.output import READINGS, Output
+from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.parts.torque_sensor import TorqueSensor
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.real_time import RealTimeSession
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.scene_unit import scene_unit
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator_msgs.msg import MotorState
+
+PMSM = {
+    "kind": "pmsm", "resistance": 0.4, "inductance_d": 2e-3, "inductance_q": 3e-3, "flux": 0.05,
+    "pole_pairs": 4, "rotor_inertia": 2e-4,
+    "winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0},
+}  # fmt: skip
+
+
+def everything(folder: Path, **more: Any) -> Scene:
+    """A machine that has every output: a turn, a slide."""
+    text = '<robot name="all"><link name="base"/>'
+    for name, kind, parent in (("turn", "continuous", "base"), ("slide", "prismatic", "turn_link")):
+        text += LINK.format(
+            name=name, kind=kind, parent=parent, xyz="0.1 0.2 0.3", rpy="0.3 -0.5 1.2",
+            axis="0 0 1", com="0.05 0.1 0.02", com_rpy="0 0 0", mass=1.5,
+            ixx=0.03, iyy=0.04, izz=0.05, ixy=0.0, ixz=0.0, iyz=0.01,
+        )  # fmt: skip
+    analog = {kind.section: {"noise": 0.01, "offset": 0.5} for kind in ANALOG}
+    joint = {
+        "motor": PMSM,
+        "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 5.0},
+        "brake": {"torque": 1.0},
+        "encoder": {"counts_per_turn": 1000, "index": "latch"},
+        "link_encoder": {"counts_per_turn": 4096, "index": "latch"},
+        **analog,
+    }
+    imus = {"hand": {"link": "slide_link"}}
+    joints = {"turn": joint, "slide": joint}
+    file = write_scene(
+        folder, text + "</robot>", joints, imus=imus, seed=3, gravity=GRAVITY, **more
+    )
+    return load_scene(file)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return everything(tmp_path_factory.mktemp("everything"))
+
+
+@pytest.fixture(scope="module")
+def plant(scene: Scene) -> Plant:
+    """One that has moved, so that outputs are no zeros."""
+    plant = Plant(scene)
+    for tick in range(40):
+        plant.exchange(np.array([30.0, -30.0]) * (1 if tick < 20 else -1), voltage_d=[2.0, -3.0])
+    return plant
+
+
+def test_this_machine_has_every_output_that_a_part_declares(scene: Scene) -> None:
+    assert {one.name for one in outputs_of(scene)} == set(KNOWN)
+
+
+def test_symbols_are_those_of_the_header() -> None:
+    header = (BOUNDARY / "arm.h").read_text()
+    for symbol in SYMBOLS:
+        field = symbol.partition(".")[2] or symbol
+        assert f" {field};" in header or f"*{field};" in header or f" {field}[" in header, symbol
+
+
+def test_an_output_without_a_place_in_c_is_refused(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of any class; and so is one that an instance reports and its class does not declare."""
+    lost = Output("lost", "what nobody has", "sensors.lost", "N m")
+    monkeypatch.setattr(TorqueSensor, "outputs", (lost,))
+    with pytest.raises(Refusal, match=r"output lost must be declared .* got 'sensors.lost'"):
+        scene_unit(scene)
+    monkeypatch.setitem(outputs.KNOWN, "lost", lost)
+    with pytest.raises(Refusal, match=r"output lost must be declared .* place in arm\.h"):
+        scene_unit(scene)
+
+
+def test_draws_of_sensors_are_their_own() -> None:
+    """No two draw the same noise, at any joints."""
+    draws = [range(first, first + stride * 100, stride) for first, stride in
+             (kind.draws() for kind in ANALOG)]  # fmt: skip
+    everyone = [who for draw in draws for who in draw]
+    encoders = {4 * j + k for j in range(100) for k in (0, 1)}
+    assert len(set(everyone) | encoders) == len(everyone) + len(encoders)
+    assert max(everyone) < 2**31, "an int"
+
+
+def test_measured_has_all_of_it(scene: Scene, plant: Plant) -> None:
+    measured = plant.measured
+    N = len(scene.joints)
+    for name, one in KNOWN.items():
+        values = getattr(measured, name)
+        assert values.shape == ((len(scene.imus), 3) if one.per_unit else (N,)), name
+        assert np.isfinite(values).all(), name
+        assert name in dir(measured)
+    assert measured.applied.tolist() == plant.voltage.tolist()
+    with pytest.raises(AttributeError, match="colour is none of what is measured: encoder_counts"):
+        _ = measured.colour
+
+
+class _Reading(ctypes.Structure):
+    _fields_ = (
+        ("size", ctypes.c_uint32),
+        ("present", ctypes.c_int32),
+        ("name", ctypes.c_char_p),
+        ("unit", ctypes.c_char_p),
+    )
+
+
+def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
+    rows = readings_of(scene)
+    for row in range(len(rows) + 1):
+        for joint in range(3):
+            one = _Reading(size=ctypes.sizeof(_Reading))
+            result = plant.core.arm_describe_reading(row, joint, ctypes.byref(one))
+            assert result == (row == len(rows) or joint == 2), "refused"
+            if result == 0:
+                expected = rows[row].unit_at(scene.chain.joints[joint].kind)
+                assert (one.name.decode(), one.unit.decode()) == (rows[row].name, expected)
+                assert one.present == 1
+
+
+def test_units_of_other_tools_have_all_of_it(scene: Scene) -> None:
+    shown = {one.name[0] for one in variables(scene) if one.role == "output"}
+    assert set(KNOWN) | {"powered", "truth"} == shown
+
+
+def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> None:
+    types = MotorState.get_fields_and_field_types()
+    fields, measured = MeasuredFields(scene, types), plant.measured
+    own = [one.name for one in fields.own]
+    assert {*fields.in_all, *own, *fields.listed} >= {one.name for one in reported_by_parts(scene)}
+    assert not fields.absent
+    empty = MotorState()
+    fields.begin(empty, Plant(scene).measured)
+    layout = FixedLayout(empty)
+    fields.fill(layout.message, measured)
+    message = deserialize_message(layout.data(), MotorState)
+    for name in (*fields.in_all, *own):
+        np.testing.assert_array_equal(getattr(message, name), getattr(measured, name).ravel())
+    rows = np.array(message.readings).reshape(len(message.reading_names), -1)
+    for name, row in zip(message.reading_names, rows, strict=True):
+        np.testing.assert_array_equal(row, getattr(measured, name), name)
+
+
+def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) -> None:
+    session = Session(scene, "realtime", "first_answer")
+    converter = Converter(session, 0)
+    for _ in range(20):
+        session.advance_under(np.array([30.0, -20.0]))
+    N, measured = len(scene.joints), session.measured
+    rows = [one for one in blocks(scene) if 1003 + 11 * N <= one.address < 2000]
+    names = [name for name in KNOWN if name in ("current_d", "link_index_counts",
+             "link_index_pulses", "torque", "specific_force", "angular_rate")
+             or KNOWN[name].symbol == READINGS]  # fmt: skip
+    assert len(rows) == len(names), [one.name for one in rows]
+    for name, block in zip(names, rows, strict=True):
+        words = np.array(converter.read(block.address, block.count), ">u2")
+        kind = {"float32": ">f4", "int32": ">i4"}[block.kind]
+        expected = getattr(measured, name).ravel()
+        np.testing.assert_allclose(words.view(kind), expected, rtol=1e-7, atol=0, err_msg=name)
+    end = max(one.address + one.count for one in rows)
+    with pytest.raises(ModbusException):
+        converter.read(end, 1)
+
+
+def test_real_time_hands_over_the_same(scene: Scene) -> None:
+    session = RealTimeSession(scene, "paused")
+    assert session.step() == ""
+    fresh = Plant(scene)
+    fresh.exchange(np.zeros(2))
+    for name in KNOWN:
+        mine, its = getattr(session.measured, name), getattr(fresh.measured, name)
+        assert mine.tobytes() == its.tobytes(), name
+    session.paused = False
+    while not session.wait(1.0) or not session.take():
+        pass
+    session.paused = True
+    ticks = session.tick
+    for _ in range(ticks - 1):
+        fresh.exchange(np.zeros(2))
+    for name in KNOWN:
+        mine, its = getattr(session.measured, name), getattr(fresh.measured, name)
+        assert mine.tobytes() == its.tobytes(), f"{name} by the loop at tick {ticks}"
+    session.close()
