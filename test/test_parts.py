@@ -15,15 +15,13 @@ from documents import DOCS, page_of
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import LARGEST, SMALLEST, Section
-from arm_emulator.machine.parts.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Number, Part
-from arm_emulator.machine.parts.sensors import SENSORS
-from arm_emulator.machine.parts.torque_sensor import TorqueSensor
+from arm_emulator.machine.parts.sensors import ANALOG, SENSORS
 from arm_emulator.machine.parts.torque_table import TorqueTable
 
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
-OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), CurrentSensor, TorqueSensor)
+OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), *ANALOG)
 parts = pytest.mark.parametrize("part", OF_NUMBERS, ids=lambda part: part.__name__)
 
 
