@@ -1,0 +1,27 @@
+"""Tachometers at links."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from arm_emulator.machine.parts.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.output import READINGS, Output
+from arm_emulator.machine.parts.resting import AtRest, Share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tachometer(AnalogSensor):
+    """Of the speed of a joint's link."""
+
+    section = "tachometer"
+    unit = "rad/s"
+    quantity = "LinkSpeed"
+    quantity_header = "mechanics/link_speed.hpp"
+    of_motor = False
+    outputs = (
+        Output("link_speed", "speed of each link, by its tachometer", READINGS, "rad/s", "m/s"),
+    )
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo does not look at it."""
+        return Share()
