@@ -1,4 +1,4 @@
-"""What `advise` says, held against brute force and against motions that it has not seen.
+"""What `advise` answers, held against brute force and against motions that it has not seen.
 
     python -m bench.advice --count 20
 
@@ -6,7 +6,7 @@ Each scene is a random chain of one or two links: with dry friction, with play, 
 synchronous motors, with motors that are commanded torques or currents, in turns. For each error
 that is asked for, claims of the setting that is advised:
 
-- on its own motions and on five others its true error is at most what was said;
+- on its own motions and on five others its true error is at most the one published;
 - it costs at most 1.3 times as much as the cheapest setting that keeps the error on all of these,
   of all schemes, events and steps.
 
@@ -113,9 +113,9 @@ class Verdict:
     wanted: float  # rad or m
     setting: str = ""
     dt: float = 0.0  # s
-    said: float = 0.0  # rad or m, on its own motions
+    stated: float = 0.0  # rad or m, on its own motions
     own: float = 0.0  # true
-    said_of_others: float = 0.0
+    stated_of_others: float = 0.0
     others: float = 0.0  # true
     cost: float = 0.0  # of the cheapest of all settings; at least what was tried of them
     cheapest: str = ""
@@ -124,9 +124,9 @@ class Verdict:
 
     @property
     def true(self) -> bool:
-        """Whether errors are what was said."""
+        """Whether errors are at most those stated."""
         return bool(self.none) or (
-            self.own <= self.said <= self.wanted and self.others <= self.said_of_others
+            self.own <= self.stated <= self.wanted and self.others <= self.stated_of_others
         )
 
     @property
@@ -144,7 +144,7 @@ def judge_scene(
         own = Judge(scene, judged_motions(scene, seconds))
         others = Judge(scene, other_motions(scene, seed, seconds))
         found = {wanted: advise(own, wanted) for wanted in sorted(errors, reverse=True)}
-        # All that was said is held against truths that are known five times as well.
+        # All that was stated is held against truths that are known five times as well.
         fine = 0.2 * min((one for one, advice in found.items() if not advice.why_none), default=1.0)
         why = own.know_truths(fine) or others.know_truths(fine)
         return [
@@ -194,7 +194,7 @@ def _verdict(
 def table(verdicts: list[Verdict]) -> Table:
     """Return what came out, a row per scene and error."""
     out = Table(box=None, pad_edge=False)
-    for name in ("scene", "wanted", "setting", "dt [s]", "said", "true", "others: said", "true",
+    for name in ("scene", "wanted", "setting", "dt [s]", "stated", "true", "others: stated", "true",
                  "cost", "cheapest", "tried"):  # fmt: skip
         out.add_column(name)
     for one in verdicts:
@@ -202,7 +202,7 @@ def table(verdicts: list[Verdict]) -> Table:
         if one.none:
             out.add_row(*first, one.none)
             continue
-        errors = (one.said, one.own, one.said_of_others, one.others)
+        errors = (one.stated, one.own, one.stated_of_others, one.others)
         out.add_row(*first, one.setting, f"{one.dt:.3g}", *(f"{x:.1e}" for x in errors),
                     f"{one.cost:.2f}", one.cheapest, str(one.tried))  # fmt: skip
     return out
@@ -224,11 +224,11 @@ def main() -> int:
             verdicts += judge_scene(seed, arguments.seconds)
             arguments.out.write_text(json.dumps([asdict(one) for one in verdicts], indent=1))
     console.print(table(verdicts))
-    told = [one for one in verdicts if not one.none]
-    untrue, dear = [one for one in told if not one.true], [one for one in told if not one.cheap]
+    given = [one for one in verdicts if not one.none]
+    untrue, dear = [one for one in given if not one.true], [one for one in given if not one.cheap]
     console.print(
-        f"{len(told)} of {len(verdicts)} advised: {len(untrue)} beyond what was said, "
-        f"{len(dear)} dearer than {DEARER} times the cheapest; {sum(one.tried for one in told)} "
+        f"{len(given)} of {len(verdicts)} advised: {len(untrue)} beyond what was stated, "
+        f"{len(dear)} dearer than {DEARER} times the cheapest; {sum(one.tried for one in given)} "
         f"settings tried; -> {arguments.out}"
     )
     return 1 if untrue or dear else 0

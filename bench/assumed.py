@@ -127,9 +127,9 @@ class Laws:
         drives.measure(now, counts[to_servo], current[to_servo], voltage[to_servo])
         if instruct:
             q, v = (x[self._to_motion] for x in (drives.servo.q_measured, drives.servo.v_measured))
-            told = self.instructor.instruct(self.controller, now, q, v)
-            v_back, tau = (None if x is None else x[back] for x in (told.v, told.tau))
-            drives.aim(Target(told.q[back], v_back, tau))
+            given = self.instructor.instruct(self.controller, now, q, v)
+            v_back, tau = (None if x is None else x[back] for x in (given.v, given.tau))
+            drives.aim(Target(given.q[back], v_back, tau))
         answer: Array = drives.voltage(powered=True)[self._to_scene]
         return answer
 

@@ -72,7 +72,7 @@ def _in_own_process(what: str, scene: str, seconds: float) -> dict[str, Any]:
 
 
 def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
-    """Run the three nodes and return what the emulator's status says at the end."""
+    """Run the three nodes and return the emulator's status at the end."""
     import rclpy
 
     from arm_emulator.ros.bringup import Bringup

@@ -68,7 +68,7 @@ class DemoMotion:
         return np.array([self._controller.kinematics.forward(row)[1] for row in q])
 
     def _servo_config(self, scene: Scene) -> ServoConfig:
-        """Return the servo's parameters, in the scene's order, told of the encoders it has."""
+        """Return the servo's parameters, in the scene's order, with the encoders it has."""
         known = {joint.name: joint for joint in self._config.joints}
         joints = tuple(
             dataclasses.replace(

@@ -1,7 +1,7 @@
 """Records with effects that the scene lacks, and spoiled ones: what identification makes of them.
 
-Of a record with an effect: whether the numbers lie within two of the deviations told, and whether
-the effect is named. Of a spoiled one: whether it is refused or warned of, with the right cause.
+Of a record with an effect: whether the numbers lie within two of the published deviations, and
+whether the effect is named. Of a spoiled one: whether it is refused or warned of, with the right cause.
 """
 
 from __future__ import annotations
@@ -193,13 +193,13 @@ def _names(scene: Scene) -> set[str]:
     return {one.name for one in could_vary(scene.joints, scene.chain, ())}
 
 
-# Spoiled records: what is done to them, and which words must be in what is said.
+# Spoiled records: what is done to them, and which words must be in the answer.
 
 Spoiled = tuple[MeasuredRun, tuple[str, ...]]
 
 
 def spoils(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> dict[str, Spoiled]:
-    """Return a record spoiled in each way, and what must be said: one of the words."""
+    """Return a record spoiled in each way, and what must be reported: one of the words."""
     N, K = len(run.joints), len(run.t)
     every = np.arange(N)
     j = int(rng.integers(N))
@@ -264,8 +264,8 @@ def spoils(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> dict[str
     }  # fmt: skip
 
 
-def said_of(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
-    """Return what identification says of a record, in words, and whether it refuses it."""
+def answer_to(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
+    """Return what identification reports of a record, in words, and whether it refuses it."""
     try:
         check_samples(run)
         run, motion, doubts = looked_over(scene, run, LOW_PASS)
@@ -304,10 +304,10 @@ def run(quick: bool) -> dict[str, Any]:
             scene, record = clean_record(machine, SEED)
             of = spoils(record, scene, np.random.default_rng([SEED, len(machine), 5]))
             for kind, (bad, words) in of.items():
-                says, refused = said_of(scene, bad)
-                right = any(word in says for word in words)
+                answer, refused = answer_to(scene, bad)
+                right = any(word in answer for word in words)
                 spoiled.append({"machine": machine, "kind": kind, "refused": refused,
-                                "right": right, "says": says})  # fmt: skip
+                                "right": right, "answer": answer})  # fmt: skip
                 done(f"{machine}, {kind}")
     return {"effects": rows, "spoiled": spoiled}
 
@@ -327,14 +327,14 @@ def report(figures: dict[str, Any]) -> str:
         sign = "yes" if one["named"] else "; ".join(one["names"]) or "no"
         text += f"| {one['machine']} | {one['effect']} | {100 * one['inside']:.0f} | {sign} |\n"
     right = sum(one["right"] for one in spoiled)
-    silent = sum(not one["says"] for one in spoiled)
+    silent = sum(not one["answer"] for one in spoiled)
     text += (
         f"\nOf {len(spoiled)} spoiled records the right cause is named in {right}; of {silent} "
-        "nothing is said.\n"
+        "nothing is reported.\n"
     )
     for one in spoiled:
         if not one["right"]:
-            text += f"\n- {one['machine']}, {one['kind']}: {one['says'] or 'nothing'}"
+            text += f"\n- {one['machine']}, {one['kind']}: {one['answer'] or 'nothing'}"
     return text + "\n"
 
 

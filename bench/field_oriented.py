@@ -5,7 +5,7 @@
 The arm of config/ur5.yaml with synchronous motors in the place of its direct-current ones. Every
 50 us each joint's controller takes the motor's angle and both currents and gives ud and uq: loops
 of position and speed, currents of the largest torque per ampere, less flux where the voltage does
-not suffice, and loops of both currents, decoupled. Told are how well the arm follows, how far the
+not suffice, and loops of both currents, decoupled. Published: how well the arm follows, how far the
 motion is from one with steps of a sixteenth, and what a step costs.
 """
 

@@ -3,7 +3,7 @@
     python -m bench.fmu [SCENE ...]
 
 Each servo period commands are set and encoder counts are got, as an importer does it. Nothing
-moves: the commands are 0. Told are medians of interleaved repetitions, of the same binary.
+moves: the commands are 0. Published are medians of interleaved repetitions, of the same binary.
 """
 
 from __future__ import annotations

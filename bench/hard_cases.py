@@ -2,7 +2,7 @@
 
 A scheme holds a case, or the plant detects that it does not: anything else is a failure. One truth
 (free links in a spin) asks more than a scheme of first order or a very coarse step can give; there
-"drifts" says so.
+"drifts" marks it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Outcome:
 
     scheme: str
     dt: float  # s
-    measured: float | None  # None: the plant diverged, and said so
+    measured: float | None  # None: the plant diverged, and reported it
     bound: float
     note: str = ""
     may_drift: bool = False  # whether to miss the bound is no failure
@@ -569,7 +569,7 @@ def report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     lines = [
         "Each case has a truth that must come out within a bound (in brackets). `detected`: the "
-        "plant found that the scheme does not hold, stopped at the last sound state, and said "
+        "plant found that the scheme does not hold, stopped at the last sound state, and reported "
         "which joint, when, and what would hold; it never goes on with numbers that mean nothing. "
         "`drifts`: a free motion that nothing damps, over so many turns that the scheme's error "
         "grows beyond the bound; where it makes energy of more than half of what there was, the "

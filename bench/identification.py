@@ -1,4 +1,4 @@
-"""How well identification knows how well it knows: truth within the told confidence."""
+"""How well identification knows how well it knows: truth within the published confidence."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def truth() -> Scene:
 
 
 def off(scene: Scene, seed: int) -> np.ndarray:
-    """Return by how many of the told deviations each number found is off.
+    """Return by how many of the published deviations each number found is off.
 
     What is known before is off by as much as it is trusted to be, drawn anew for each seed.
     """
@@ -87,7 +87,7 @@ def report(figures: dict[str, Any]) -> str:
         f"Of {figures['numbers']} numbers of {figures['seeds']} records of 10 s that the emulator "
         f"made of `{SCENE}` (rotors, links, friction, weight; noise of {100 * TORQUE_NOISE:g} % of "
         f"each torque), {100 * figures['within']:.1f} % lie within two of the standard deviations "
-        f"told ({100 * EXPECTED:.1f} % of a normal distribution do); in the worst record "
+        f"published ({100 * EXPECTED:.1f} % of a normal distribution do); in the worst record "
         f"{100 * figures['worst_seed']:.0f} %.\n"
     )
 

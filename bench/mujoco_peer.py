@@ -27,7 +27,7 @@ from arm_emulator.machine.scene import Joint, Scene
 Array = NDArray[np.float64]
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "discrete", "RK4")
-# Else MuJoCo writes a file into the working directory; `MujocoArm.diverged` tells the same.
+# Else MuJoCo writes a file into the working directory; `MujocoArm.diverged` reports the same.
 mujoco.set_mju_user_warning(lambda message: None)
 
 # The parts that are written as MJCF here.

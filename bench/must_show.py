@@ -88,7 +88,7 @@ def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
         for target, wanted in targets.items():
             at = case["at_error"][target]
             what = f"{machine}: time at {target} rad, MuJoCo's best / ours"
-            aim = "say" if wanted is None else f"aim for {wanted:g}"
+            aim = "report" if wanted is None else f"aim for {wanted:g}"
             if machine == "three_axis":
                 aim = f"at least {wanted:g}"
             if not case["agreement"]["agree"]:
@@ -132,7 +132,7 @@ def _energy(figures: dict[str, Any]) -> Iterator[Row]:
         drift = row["drift"]
         reached.append(f"{scheme} {'diverged' if drift is None else f'{drift:+.1e} J'}")
     what = "energy drift of the free chain per minute, at 0.1 ms"
-    yield what, "say", ", ".join(reached), None
+    yield what, "report", ", ".join(reached), None
 
 
 def _threads(figures: dict[str, Any]) -> Iterator[Row]:

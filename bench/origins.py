@@ -1,6 +1,6 @@
 """Where the figures of a scene come from: published, or assumed within a range.
 
-In a scene file the comment beside a figure says so: ``[1]``, a source that the head of the file
+In a scene file the comment beside a figure states it: ``[1]``, a source that the head of the file
 names, or ``assumed 0.09 to 0.14``.
 """
 
@@ -16,7 +16,7 @@ import yaml
 
 from arm_emulator.base.refusal import Refusal
 
-SECTIONS = ("motor", "gear", "friction")  # of a joint, that must say where they are from
+SECTIONS = ("motor", "gear", "friction")  # of a joint, that must name where they are from
 _NUMBER = r"([\d.e+-]+(?:/\d+)?)"
 _ASSUMED = re.compile(rf"\bassumed {_NUMBER} to {_NUMBER}")
 _SOURCE = re.compile(r"\[(\d+)\]")

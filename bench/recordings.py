@@ -52,7 +52,7 @@ class Outcome:
     missing: int
     codes: tuple[int, ...]  # of recorder and network
     check: str  # its last line
-    said: str  # the closing line of what recorded
+    closing: str  # the last line of what recorded
 
     @property
     def good(self) -> bool:
@@ -134,7 +134,9 @@ def one_recording(way: str, seconds: float, folder: Path) -> Outcome:
             codes.append(end(recorder))
         codes.append(end(up))
     log = record_log if way == "record" else up_log
-    said = next((s for s in reversed(log.read_text().splitlines()) if " messages" in s), "nothing")
+    closing = next(
+        (s for s in reversed(log.read_text().splitlines()) if " messages" in s), "nothing"
+    )
     ticks = [
         int(deserialize_message(m.data, MotorState).tick)
         for m in Bag(bag).messages(["/motor_states"])
@@ -144,7 +146,7 @@ def one_recording(way: str, seconds: float, folder: Path) -> Outcome:
     missing = len(set(range(max(last, round(seconds * 1000)) + 1)) - set(ticks))
     checked = subprocess.run(command("check", bag), capture_output=True, text=True, check=False)
     words = (checked.stdout + checked.stderr).strip().splitlines() or ["nothing"]
-    return Outcome(way, time.monotonic() - started, last, missing, tuple(codes), words[-1], said)
+    return Outcome(way, time.monotonic() - started, last, missing, tuple(codes), words[-1], closing)
 
 
 def main() -> None:
@@ -175,7 +177,7 @@ def main() -> None:
                 markup=False,
             )
             if not one.good:
-                console.print(f"    {one.said}; logs in {folder}", style="red", markup=False)
+                console.print(f"    {one.closing}; logs in {folder}", style="red", markup=False)
             elif not arguments.keep:
                 shutil.rmtree(folder)
     for way in WAYS:

@@ -46,10 +46,10 @@ BY_NAME = (
 )
 
 NOT_PROVEN = """\
-These are times of one processor, in one run, of arms of a few joints. They say nothing about
+These are times of one processor, in one run, of arms of a few joints. They state nothing about
 contacts, closed kinematic loops or many bodies, which MuJoCo and Pinocchio are made for and the
 emulator leaves out: part of what they do in a step is looking after what is not there. They do not
-say how the times are on another processor; ratios carry over better than nanoseconds. Spread is
+state how the times are on another processor; ratios carry over better than nanoseconds. Spread is
 that within this run; from run to run a virtual machine differs by more. MuJoCo and Pinocchio are
 used as published, their wheels compiled for any x86-64 processor (but for Pinocchio in C++), where
 the emulator compiles each scene for the processor at hand: that is part of its idea, and part of
@@ -58,7 +58,7 @@ that are reached and encoders are not in the work-precision curves."""
 
 
 def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
-    """Measure, write figures, pictures and report into `out`, and say how it went.
+    """Measure, write figures, pictures and report into `out`, and print how it went.
 
     Args:
         quick: fewer cases and repetitions, for trying things out.

@@ -17,7 +17,7 @@ from bench.clocks import FACTOR_ERROR, OLD_SHARE, measure, punctual
 
 
 def main() -> None:
-    """Run the three nodes, then say how punctual they were; exit code 1 if they were not."""
+    """Run the three nodes, then print how punctual they were; exit code 1 if they were not."""
     parser = argparse.ArgumentParser(prog="bench.soak", description=__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--scene", default="three_axis")

@@ -35,7 +35,7 @@ ACCURATE = 1e-3  # rad, largest error within the second
 BOUND = 10.0  # rad from the truth
 FINE = 1e-6  # s, step of the truth
 
-# What a cell says, the best first.
+# What a cell shows, the best first.
 ACCURATE_CELL, BOUNDED_CELL, DETECTED_CELL, LOST_CELL = range(4)
 MEANING = ("accurate", "bounded", "diverged, detected", "diverged, not detected")
 
@@ -242,8 +242,8 @@ def report(figures: dict[str, Any]) -> str:
         "50 us to 10 ms. The error is the largest over joints and servo periods within the second. "
         f"Accurate: at most {ACCURATE:g} rad. Bounded: within {BOUND:g} rad of a motion that spans "
         "less than 3 rad. Diverged: a plant that stopped at its last finite state "
-        "and said so, or a MuJoCo that warned of a bad state and reset itself. Not detected: gone, "
-        "and no word of it.",
+        "and reported it, or a MuJoCo that warned of a bad state and reset itself. Not detected: "
+        "gone, and no word of it.",
         "",
         f"The truth is rosenbrock at 1 us; at 2 us it is the same to {truth:.0e} rad everywhere.",
         "",

@@ -1,4 +1,4 @@
-"""Real machines, computed again: what `python -m arm_emulator validate` says, in a report."""
+"""Real machines, computed again: what `python -m arm_emulator validate` prints, in a report."""
 
 from __future__ import annotations
 

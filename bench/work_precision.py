@@ -361,7 +361,7 @@ def report(figures: dict[str, Any]) -> str:
         "Pinocchio's dynamics, rtol 1e-11, arm_emulator/analysis/reference.py) after 1 s: the "
         f"largest over the joints, root mean square over {INPUTS} motions (sines of 12 V with "
         "seeded frequencies and phases, from rest). Each voltage is held for one servo period of "
-        "1 ms where not said otherwise, so no step is longer than that.",
+        "1 ms where not stated otherwise, so no step is longer than that.",
         "",
         "Timed is the whole second: ours `Plant.run` (one call, the voltages of all periods applied"
         " in C, positions after each stored), and, dotted, `Plant.advance` called from Python in "
@@ -429,7 +429,7 @@ def _milliseconds(seconds: float) -> str:
 
 
 def _limits(figures: dict[str, Any]) -> list[str]:
-    """Say where the comparison is not in our favour, and why it is as it is."""
+    """State where the comparison is not in our favour, and why it is as it is."""
     lines = [
         "What bounds these figures. With inductance all of MuJoCo's integrators are of first order,"
         " RK4 too: the current is advanced by an exponential formula outside the integrator's "

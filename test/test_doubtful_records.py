@@ -16,9 +16,9 @@ from bench.doubtful_records import (
     EFFECTS,
     MACHINES,
     RECORDS,
+    answer_to,
     changed,
     clean_record,
-    said_of,
     spoils,
     with_effect,
 )
@@ -41,14 +41,14 @@ def record(seed: int) -> tuple[Scene, MeasuredRun]:
 def test_a_spoiled_record_is_refused_or_doubted_with_the_cause(kind: str, seed: int) -> None:
     scene, run = record(seed)
     bad, words = spoils(run, scene, np.random.default_rng([seed, 10, 5]))[kind]
-    says, _ = said_of(scene, bad)
-    assert any(word in says for word in words), f"not {words[0]!r}: {says}"
+    answer, _ = answer_to(scene, bad)
+    assert any(word in answer for word in words), f"not {words[0]!r}: {answer}"
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
 def test_of_a_sound_record_nothing_is_said(seed: int) -> None:
     scene, run = record(seed)
-    assert said_of(scene, run) == ("", False)
+    assert answer_to(scene, run) == ("", False)
 
 
 CASES = [("three_axis", 0, effect) for effect in EFFECTS] + [

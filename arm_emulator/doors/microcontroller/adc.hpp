@@ -1,4 +1,4 @@
-// An analog-to-digital converter that is triggered when a servo period begins, and tells its end.
+// An analog-to-digital converter that is triggered when a servo period begins, and signals its end.
 #pragma once
 
 #include <cmath>
@@ -12,15 +12,16 @@ namespace mcu {
 
 class Adc {
  public:
-  Adc(const mcu_adc& told, Registers& registers) : told_(told), registers_(registers) {
-    if (!told.status) return;
-    registers.on_write(told.status, [this](uint32_t value, uint32_t stored) {
-      const uint32_t flag = 1u << told_.flag;
-      const bool keeps = told_.clear_by_one ? !(value & flag) : value & flag;
+  Adc(const mcu_adc& description, Registers& registers)
+      : description_(description), registers_(registers) {
+    if (!description.status) return;
+    registers.on_write(description.status, [this](uint32_t value, uint32_t stored) {
+      const uint32_t flag = 1u << description_.flag;
+      const bool keeps = description_.clear_by_one ? !(value & flag) : value & flag;
       return (value & ~flag) | (keeps ? stored & flag : 0);
     });
-    if (told.control)
-      registers.on_write(told.control, [](uint32_t value, uint32_t) { return value; });
+    if (description.control)
+      registers.on_write(description.control, [](uint32_t value, uint32_t) { return value; });
   }
 
   void add(const mcu_channel& channel) { channels_.push_back(channel); }
@@ -33,13 +34,14 @@ class Adc {
       else
         registers_.put(one.at, static_cast<float>(current));
     }
-    if (told_.status) registers_.word(told_.status) |= 1u << told_.flag;
+    if (description_.status) registers_.word(description_.status) |= 1u << description_.flag;
   }
 
-  int interrupt() const { return told_.interrupt; }
+  int interrupt() const { return description_.interrupt; }
   bool asks() const {
-    return told_.status && (registers_.word(told_.status) >> told_.flag & 1) &&
-           (!told_.control || (registers_.word(told_.control) >> told_.enable & 1));
+    return description_.status && (registers_.word(description_.status) >> description_.flag & 1) &&
+           (!description_.control ||
+            (registers_.word(description_.control) >> description_.enable & 1));
   }
 
  private:
@@ -49,7 +51,7 @@ class Adc {
     return value > 0 ? static_cast<uint32_t>(value < most ? value : most) : 0;
   }
 
-  mcu_adc told_;
+  mcu_adc description_;
   Registers& registers_;
   std::vector<mcu_channel> channels_;
 };

@@ -250,7 +250,7 @@ class Cpu {
     if (!memory_.read(at, frame.data(), size)) return fail("stack outside of memory", at);
     const uint32_t xpsr = frame[7];
     if (thread != !(xpsr & 0x1ff) || !(xpsr & 1u << 24))
-      return fail("an exception return to another mode than its stack tells", frame[6]);
+      return fail("an exception return to another mode than its stack holds", frame[6]);
     set(pointer, (at + size) | (xpsr & 0x200 ? 4u : 0u));
     const uint32_t control = get(UC_ARM_REG_CONTROL);
     set(UC_ARM_REG_CONTROL, control & ~5u);  // privileged until all is set
@@ -316,11 +316,11 @@ class Cpu {
   Stop start(size_t count) {
     stop_near_ = false;
     stop_ = Stop::FAULT;
-    told_ = false;
+    description_ = false;
     fault = {};
     const uint32_t from = pc;
     const uc_err error = uc_emu_start(uc_, from | 1, 0, 0, count);
-    if (!told_) {
+    if (!description_) {
       pc = get(UC_ARM_REG_PC) & ~1u;
       if (error != UC_ERR_OK) {
         stop_ = Stop::FAULT;
@@ -341,9 +341,9 @@ class Cpu {
     return code[0] == 0xbf30 || (code[0] == 0xf3af && code[1] == 0x8003);
   }
 
-  void tell(Stop stop) {
+  void report(Stop stop) {
     stop_ = stop;
-    told_ = true;
+    description_ = true;
     uc_emu_stop(uc_);
   }
 
@@ -362,7 +362,7 @@ class Cpu {
     at_ = NOWHERE;
   }
 
-  // Have Unicorn tell each instruction of a block that has asked for the time.
+  // Have Unicorn report each instruction of a block that has asked for the time.
   void watch_closely() {
     const auto [at, size] = std::exchange(asks_, {});
     if (!size || exact_.size() >= MOST_EXACT || !exact_.insert(at).second) return;
@@ -426,7 +426,7 @@ class Cpu {
         // It has stepped out of its block, or goes on within it.
         if (inside() && at < inside_until_ && at == pc) return false;
         pc = at;
-        tell(Stop::STEPPED);
+        report(Stop::STEPPED);
         return false;
       }
       begun_ = true;
@@ -438,7 +438,7 @@ class Cpu {
     if (stop_near_ || now >= deadline_ || instructions >= awake_until ||
         (masked_wait && !still_masked())) {
       pc = at;
-      tell(Stop::BETWEEN);
+      report(Stop::BETWEEN);
       return false;
     }
     return true;
@@ -463,13 +463,13 @@ class Cpu {
   static void interrupted(uc_engine*, uint32_t number, void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);
     cpu.pc = cpu.get(UC_ARM_REG_PC);
-    if (number == 2) return cpu.tell(Stop::CALL);
+    if (number == 2) return cpu.report(Stop::CALL);
     if (number == 8) {
       cpu.pc |= 1;
-      return cpu.tell(Stop::RETURN);
+      return cpu.report(Stop::RETURN);
     }
     cpu.fail(kind_of(number), reason_of(number));
-    cpu.tell(Stop::FAULT);
+    cpu.report(Stop::FAULT);
   }
 
   static Fault::Kind kind_of(uint32_t number) {
@@ -519,12 +519,12 @@ class Cpu {
     uint16_t before = 0;
     cpu.memory_.read(cpu.pc - 2, &before, 2);
     if (before == 0xbf20) {  // WFE
-      cpu.tell(Stop::EVENT);
+      cpu.report(Stop::EVENT);
       return true;
     }
     if (before == 0xbf10) return true;  // YIELD
     cpu.fail(Fault::Kind::UNDEFINED, "an undefined instruction");
-    cpu.tell(Stop::FAULT);
+    cpu.report(Stop::FAULT);
     return true;
   }
 
@@ -584,7 +584,7 @@ class Cpu {
   std::vector<std::unique_ptr<Window>> windows_;
   std::array<Block, 1 << 14> blocks_;
   static constexpr size_t MOST_EXACT = 1000;  // each takes time of those that are watched
-  std::unordered_set<uint32_t> exact_;        // blocks of which each instruction is told
+  std::unordered_set<uint32_t> exact_;        // blocks of which each instruction is reported
   const Block* block_ = nullptr;              // that runs
   std::pair<uint32_t, uint32_t> asks_;  // at, size: has asked for the time, is not in `exact_`
   static constexpr uint32_t NOWHERE = ~0u;
@@ -592,7 +592,7 @@ class Cpu {
   Time until_ = 0, deadline_ = 0;
   Masks waited_{};
   Stop stop_ = Stop::FAULT;
-  bool told_ = false, stepping_ = false, begun_ = false, stop_near_ = false;
+  bool description_ = false, stepping_ = false, begun_ = false, stop_near_ = false;
   uint32_t inside_until_ = 0;  // end of the block within which it stands; 0: it stands between
 };
 

@@ -47,7 +47,7 @@ class GdbServer {
     ::close(client_);
   }
 
-  // Before every instruction that may be the next to run: halt here if that is wanted, until told
+  // Before every instruction that may be the next to run: halt here if that is wanted, until asked
   // to go on. Returns false if all shall end.
   bool attend(bool at_stop) {
     if (client_ < 0) return !killed_;
@@ -68,7 +68,7 @@ class GdbServer {
     moved_ = true;
     stepped_ = stepping_;
   }
-  // It cannot go on: say so, and show why until told to end.
+  // It cannot go on: report it, and show why until asked to end.
   void ended() {
     if (client_ < 0) return;
     halt(11);

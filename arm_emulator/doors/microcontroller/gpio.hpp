@@ -27,28 +27,33 @@ inline void add_port(const mcu_port& port, Registers& registers) {
 
 class Pin {
  public:
-  Pin(const mcu_pin& told, Registers& registers) : told_(told), registers_(registers) {}
+  Pin(const mcu_pin& description, Registers& registers)
+      : description_(description), registers_(registers) {}
 
-  int kind() const { return told_.kind; }
-  bool is_of(int joint) const { return told_.joint < 0 || told_.joint == joint; }
-  bool is_output() const { return told_.kind == MCU_ENABLE || told_.kind == MCU_BRAKE; }
+  int kind() const { return description_.kind; }
+  bool is_of(int joint) const { return description_.joint < 0 || description_.joint == joint; }
+  bool is_output() const {
+    return description_.kind == MCU_ENABLE || description_.kind == MCU_BRAKE;
+  }
 
-  bool on() { return (registers_.word(told_.at) >> told_.bit & 1) != (told_.low != 0); }
+  bool on() {
+    return (registers_.word(description_.at) >> description_.bit & 1) != (description_.low != 0);
+  }
 
   void measure(const arm_measurement& measured, int joints) {
     bool on = measured.powered;
-    if (told_.kind == MCU_FAULT) {
+    if (description_.kind == MCU_FAULT) {
       on = false;
       for (int j = 0; j < joints; ++j)
         if (is_of(j) && measured.joint[j].faults) on = true;
     }
-    uint32_t& word = registers_.word(told_.at);
-    const uint32_t bit = 1u << told_.bit;
-    word = on != (told_.low != 0) ? word | bit : word & ~bit;
+    uint32_t& word = registers_.word(description_.at);
+    const uint32_t bit = 1u << description_.bit;
+    word = on != (description_.low != 0) ? word | bit : word & ~bit;
   }
 
  private:
-  mcu_pin told_;
+  mcu_pin description_;
   Registers& registers_;
 };
 

@@ -8,36 +8,39 @@ namespace mcu {
 
 class Pwm {
  public:
-  Pwm(const mcu_pwm& told, Registers& registers) : told_(told), registers_(registers) {}
+  Pwm(const mcu_pwm& description, Registers& registers)
+      : description_(description), registers_(registers) {}
 
-  int joint() const { return told_.joint; }
+  int joint() const { return description_.joint; }
 
   double voltage() {
-    switch (told_.kind) {
+    switch (description_.kind) {
       case MCU_BIPOLAR:
-        return runs() ? told_.full_scale * (2 * duty(told_.compare) - 1) : 0;
+        return runs() ? description_.full_scale * (2 * duty(description_.compare) - 1) : 0;
       case MCU_UNIPOLAR: {
-        const bool negative = registers_.word(told_.direction) >> told_.direction_bit & 1;
-        const double size = told_.full_scale * duty(told_.compare);
+        const bool negative =
+            registers_.word(description_.direction) >> description_.direction_bit & 1;
+        const double size = description_.full_scale * duty(description_.compare);
         return negative ? -size : size;
       }
       case MCU_PAIR:
-        return told_.full_scale * (duty(told_.compare) - duty(told_.minus));
+        return description_.full_scale * (duty(description_.compare) - duty(description_.minus));
       default:
-        return registers_.number(told_.compare);
+        return registers_.number(description_.compare);
     }
   }
 
  private:
-  bool runs() { return registers_.word(told_.reload) != 0; }
+  bool runs() { return registers_.word(description_.reload) != 0; }
   double duty(uint32_t compare) {
     if (!runs()) return 0;
-    const double top = registers_.word(told_.reload) + static_cast<double>(told_.counts_more);
+    const double top =
+        registers_.word(description_.reload) + static_cast<double>(description_.counts_more);
     const double share = registers_.word(compare) / top;
     return share < 1 ? share : 1;
   }
 
-  mcu_pwm told_;
+  mcu_pwm description_;
   Registers& registers_;
 };
 

@@ -1,5 +1,5 @@
 /* A microcontroller in the loop with a machine: unmodified firmware behind
- * arm_emulator/core/boundary/arm.h. What a board file says, as plain structs;
+ * arm_emulator/core/boundary/arm.h. The contents of a board file, as plain structs;
  * arm_emulator/doors/microcontroller/board.py reads it. An address of 0 is none. C99. */
 #ifndef MICROCONTROLLER_RUNNER_H
 #define MICROCONTROLLER_RUNNER_H
@@ -133,7 +133,7 @@ typedef struct mcu_figures {
 
 typedef struct mcu_runner mcu_runner;
 
-/* Return a microcontroller before its reset, or null: `why` (120 characters) tells the reason. */
+/* Return a microcontroller before its reset, or null: `why` (120 characters) gets the reason. */
 mcu_runner* mcu_new(const mcu_board* board, char* why);
 void mcu_delete(mcu_runner* runner);
 /* Put bytes into memory; 0: they lie outside of flash and RAM. */
@@ -142,7 +142,7 @@ int mcu_load(mcu_runner* runner, uint32_t at, const void* bytes, int64_t size);
 void mcu_debug(mcu_runner* runner, int socket);
 /* firmware_loop's step; `with` is the runner. */
 void mcu_step(void* with, const firmware_input* in, firmware_output* out);
-/* Where it is told that the run has ended: 0, or 1 after a fault or the debugger's kill. */
+/* Where the end of the run is reported: 0, or 1 after a fault or the debugger's kill. */
 const int32_t* mcu_stopped(const mcu_runner* runner);
 /* What has ended the run, or the first fault that went to a handler. */
 void mcu_get_fault(const mcu_runner* runner, mcu_fault* out);

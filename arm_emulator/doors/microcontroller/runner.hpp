@@ -228,8 +228,9 @@ class Runner : public Bus, public Debugged {
         if (mailbox_->interrupt() >= 0) nvic_.pend(Nvic::EXTERNAL + mailbox_->interrupt());
       }
       for (Uart& uart : uarts_)
-        if (uart.has_targets() && in.q_target != told_) uart.tell(in.q_target, board_.joints);
-      told_ = in.q_target;
+        if (uart.has_targets() && in.q_target != description_)
+          uart.send_targets(in.q_target, board_.joints);
+      description_ = in.q_target;
     }
     for (Uart& uart : uarts_) uart.listen();
   }
@@ -274,7 +275,7 @@ class Runner : public Bus, public Debugged {
     figures.cycles = static_cast<uint64_t>(cpu_.now / CYCLE);
   }
 
-  // Let a debugger have its say; false: it has ended the run.
+  // Let a debugger act; false: it has ended the run.
   bool attend(bool at_stop) {
     if (debugger_ && !debugger_->attend(at_stop)) stopped = 1;
     return !stopped;
@@ -365,7 +366,7 @@ class Runner : public Bus, public Debugged {
     wire();
     measure(*in_, false);
     asleep_ = event_ = false;
-    told_ = nullptr;
+    description_ = nullptr;
     ++figures.resets;
     reset();
     return !stopped;
@@ -462,7 +463,7 @@ class Runner : public Bus, public Debugged {
   Cpu::Fault first_fault_;
   uint32_t first_fault_pc_ = 0;
   bool locked_up_ = false;
-  const double* told_ = nullptr;
+  const double* description_ = nullptr;
   uint64_t awake_from_ = 0;  // instructions
   Time boot_ = 0, deadline_ = 0;
   bool begun_ = false, asleep_ = false, event_ = false, near_ = false;

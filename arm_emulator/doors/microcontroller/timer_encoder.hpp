@@ -10,22 +10,24 @@ namespace mcu {
 
 class TimerEncoder {
  public:
-  TimerEncoder(const mcu_encoder& told, Registers& registers)
-      : told_(told), mask_(told.bits == 32 ? ~0u : (1u << told.bits) - 1), registers_(registers) {
+  TimerEncoder(const mcu_encoder& description, Registers& registers)
+      : description_(description),
+        mask_(description.bits == 32 ? ~0u : (1u << description.bits) - 1),
+        registers_(registers) {
     // Firmware sets where counting begins.
-    registers.on_write(told.at, [this](uint32_t value, uint32_t) {
+    registers.on_write(description.at, [this](uint32_t value, uint32_t) {
       offset_ = (value - counts_) & mask_;
       return value & mask_;
     });
   }
 
   void measure(const arm_measurement& measured) {
-    counts_ = static_cast<uint32_t>(measured.joint[told_.joint].encoder);
-    registers_.word(told_.at) = (counts_ + offset_) & mask_;
+    counts_ = static_cast<uint32_t>(measured.joint[description_.joint].encoder);
+    registers_.word(description_.at) = (counts_ + offset_) & mask_;
   }
 
  private:
-  mcu_encoder told_;
+  mcu_encoder description_;
   uint32_t mask_;
   Registers& registers_;
   uint32_t counts_ = 0, offset_ = 0;

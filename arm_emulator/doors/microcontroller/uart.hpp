@@ -17,27 +17,27 @@ class Uart {
  public:
   static constexpr uint32_t RECEIVED = 1 << 5, SENT = 1 << 6, EMPTY = 1 << 7, OVERRUN = 1 << 3;
 
-  Uart(const mcu_uart& told, double clock, const Time& now, Registers& registers)
-      : told_(told),
-        byte_(static_cast<Time>(10 / told.baud * clock * CYCLE)),
+  Uart(const mcu_uart& description, double clock, const Time& now, Registers& registers)
+      : description_(description),
+        byte_(static_cast<Time>(10 / description.baud * clock * CYCLE)),
         now_(now),
         registers_(registers) {
-    registers.word(told.status) = EMPTY | SENT;
-    registers.on_write(told.status, [](uint32_t, uint32_t stored) { return stored; });
-    registers.on_write(told.control, [](uint32_t value, uint32_t) { return value; });
-    registers.on_read(told.data, [this](uint32_t stored, bool look) {
-      if (!look) registers_.word(told_.status) &= ~(RECEIVED | OVERRUN);
+    registers.word(description.status) = EMPTY | SENT;
+    registers.on_write(description.status, [](uint32_t, uint32_t stored) { return stored; });
+    registers.on_write(description.control, [](uint32_t value, uint32_t) { return value; });
+    registers.on_read(description.data, [this](uint32_t stored, bool look) {
+      if (!look) registers_.word(description_.status) &= ~(RECEIVED | OVERRUN);
       return stored;
     });
-    registers.on_write(told.data, [this](uint32_t value, uint32_t stored) {
+    registers.on_write(description.data, [this](uint32_t value, uint32_t stored) {
       send(static_cast<uint8_t>(value));
       return stored;
     });
   }
 
-  int interrupt() const { return told_.interrupt; }
+  int interrupt() const { return description_.interrupt; }
   bool asks() const {
-    return registers_.word(told_.status) & registers_.word(told_.control) &
+    return registers_.word(description_.status) & registers_.word(description_.control) &
            (RECEIVED | SENT | EMPTY);
   }
 
@@ -47,10 +47,10 @@ class Uart {
   }
 
   void advance(Time now) {
-    uint32_t& status = registers_.word(told_.status);
+    uint32_t& status = registers_.word(description_.status);
     while (!arrives_.empty() && now >= next_in_) {
       if (status & RECEIVED) status |= OVERRUN;
-      registers_.word(told_.data) = arrives_.front();
+      registers_.word(description_.data) = arrives_.front();
       arrives_.pop_front();
       status |= RECEIVED;
       next_in_ += byte_;
@@ -63,15 +63,15 @@ class Uart {
 
   // Take what somebody has typed.
   void listen() {
-    if (told_.in < 0 || arrives_.size() >= MOST) return;
+    if (description_.in < 0 || arrives_.size() >= MOST) return;
     uint8_t bytes[256];
-    const ssize_t heard = ::read(told_.in, bytes, sizeof bytes);
+    const ssize_t heard = ::read(description_.in, bytes, sizeof bytes);
     for (ssize_t k = 0; k < heard; ++k) receive(bytes[k]);
   }
 
   // Joint targets: 0xa5, 0x5a, a float per joint, low byte of the sum of their bytes.
-  bool has_targets() const { return told_.targets; }
-  void tell(const double* q, int joints) {
+  bool has_targets() const { return description_.targets; }
+  void send_targets(const double* q, int joints) {
     receive(0xa5);
     receive(0x5a);
     uint8_t sum = 0;
@@ -97,12 +97,12 @@ class Uart {
 
   void send(uint8_t byte) {
     // What nobody takes is lost, and the firmware does not notice: as on a wire.
-    if (told_.out >= 0) static_cast<void>(::write(told_.out, &byte, 1) < 0);
-    registers_.word(told_.status) &= ~(EMPTY | SENT);
+    if (description_.out >= 0) static_cast<void>(::write(description_.out, &byte, 1) < 0);
+    registers_.word(description_.status) &= ~(EMPTY | SENT);
     sent_ = now_ + byte_;
   }
 
-  mcu_uart told_;
+  mcu_uart description_;
   Time byte_;
   const Time& now_;
   Registers& registers_;
