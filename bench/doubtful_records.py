@@ -1,7 +1,8 @@
 """Records with effects that the scene lacks, and spoiled ones: what identification makes of them.
 
 Of a record with an effect: whether the numbers lie within two of the published deviations, and
-whether the effect is named. Of a spoiled one: whether it is refused or warned of, with the right cause.
+whether the effect is named. Of a spoiled one: whether it is refused or warned of, with the right
+cause.
 """
 
 from __future__ import annotations
