@@ -32,7 +32,7 @@ typedef struct arm_machine arm_machine; /* one machine of the library's scene */
 
 enum arm_result {
   ARM_OK = 0,
-  ARM_REFUSED = 1, /* nothing has changed; `arm_why` tells the reason */
+  ARM_REFUSED = 1, /* nothing has changed; `arm_why` gives the reason */
   ARM_DIVERGED = 2 /* the machine stays at its last sound state until it is reset or restored */
 };
 
@@ -143,7 +143,7 @@ typedef struct arm_joint_command {
 typedef struct arm_command {
   uint32_t size;
   uint32_t reserved;
-  int64_t tick; /* that it answers, told again in the measurement; -1: none */
+  int64_t tick; /* that it answers, repeated in the measurement; -1: none */
   const arm_joint_command* joint;
   const double* value_d; /* V, an entry per joint, see ARM_VOLTAGE_DQ; null: 0; since version 2 */
 } arm_command;
@@ -155,14 +155,14 @@ enum arm_fault {
 };
 
 typedef struct arm_joint_measurement {
-  int64_t encoder; /* counts at the motor, as its encoder tells them */
-  double current;  /* A, as its sensor tells it */
+  int64_t encoder; /* counts at the motor, as its encoder measures them */
+  double current;  /* A, as its sensor measures it */
   double voltage;  /* V (N m, A), the command in the period that has passed */
   uint32_t faults; /* bits of enum arm_fault */
   uint32_t brake;  /* 1: it is closed */
 } arm_joint_measurement;
 
-/* What further sensors of a joint tell; 0 of those that it does not have. */
+/* What further sensors of a joint measure; 0 of those that it does not have. */
 typedef struct arm_joint_sensors {
   int64_t index;        /* counts of the encoder at the motor when its newest index pulse came */
   int64_t index_pulses; /* that have come */
@@ -187,7 +187,7 @@ typedef struct arm_measurement {
   /* Since version 2; each may be null. */
   arm_joint_sensors* sensors; /* an entry per joint */
   arm_imu_measurement* imu;   /* an entry per unit */
-  double* current_d;          /* A, along the rotor's flux, an entry per joint; null: not told */
+  double* current_d;          /* A, along the rotor's flux, an entry per joint; null: not written */
   /* Since version 4. */
   double* readings; /* of further sensors: arm_description.readings rows, an entry per joint each */
 } arm_measurement;
@@ -278,7 +278,7 @@ typedef struct arm_truth {
 } arm_truth;
 
 int arm_get_truth(const arm_machine* machine, arm_truth* out);
-/* Temperatures of the windings, an entry per joint [degC]; NaN where the scene tells of none. */
+/* Temperatures of the windings, an entry per joint [degC]; NaN where the scene has none. */
 void arm_get_winding_temperatures(const arm_machine* machine, double* out);
 /* Set currents, motors and links; a null array stays as it is. Time, energy, torque and fault of
  * the struct are not read. A motor behind a rigid gear turns with its link, and a joint without a

@@ -41,7 +41,7 @@ typedef struct arm_fleet_truth {
   int32_t* fault;      /* of each arm: joint that diverged; -1: none */
   double* time;        /* s, of each arm */
   double* energy;      /* J, of each arm */
-  int64_t* encoder;    /* counts at the motors, as their encoders tell them */
+  int64_t* encoder;    /* counts at the motors, as their encoders measure them */
   double* current;     /* A */
   double* motor_angle; /* rad */
   double* motor_speed; /* rad/s */

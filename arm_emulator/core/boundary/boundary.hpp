@@ -9,7 +9,7 @@
 #include "machine/machine.hpp"
 #include "mechanics/sensors.hpp"
 
-// What a scene's library was built of; the compiler's command line tells (compiler.py).
+// What a scene's library was built of; set by the compiler's command line (compiler.py).
 #ifndef ARM_FINGERPRINT
 #define ARM_FINGERPRINT 0
 #endif
@@ -300,7 +300,7 @@ int fill(Struct* out, const Struct& all) {
 
 #pragma GCC visibility push(default)
 
-// What the scene says of time. No code depends on it, and scenes that differ in it alone share a
+// What the scene states of time. No code depends on it, and scenes that differ in it alone share a
 // library: the numbers are written into a copy that is made for others (compiler.py).
 extern "C" {
 struct arm_periods {
@@ -522,7 +522,7 @@ namespace {
 constexpr std::int64_t kWord = 8;
 
 // Where the words of a saved machine go, or come from. They end with a sum, so that bytes that were
-// spoiled on their way are told from a machine.
+// spoiled on their way are distinguished from a machine.
 struct Words {
   unsigned char* at;
   std::uint64_t sum = 0xcbf29ce484222325;

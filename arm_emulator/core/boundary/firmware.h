@@ -18,7 +18,7 @@ extern "C" {
 
 #define FIRMWARE_VERSION 1
 
-/* What the machine is, told once. */
+/* What the machine is, given once. */
 typedef struct firmware_machine {
   uint32_t size;
   int32_t joints;

@@ -19,7 +19,7 @@ typedef struct firmware_loop {
   void* with;
   int64_t period; /* ns */
   /* Rows of joint targets, an entry per joint each, and the tick from which on each one holds, in
-   * ascending order. They are told as new in every period. */
+   * ascending order. They are given as new in every period. */
   const int64_t* row_tick;
   const double* rows;
   int64_t row_count;
@@ -33,7 +33,7 @@ typedef struct firmware_loop {
 } firmware_loop;
 
 /* Go through so many periods, or fewer where a step ends the run, the machine diverges or a command
- * is refused; what arm_exchange said last is returned. */
+ * is refused; what arm_exchange returned last is returned. */
 int firmware_loop_run(firmware_loop* loop, int64_t ticks);
 
 /* The step of a library, `with` being what its arm_firmware() returned. */

@@ -260,13 +260,13 @@ struct arm_real_time {
       const bool sound = result == ARM_OK;
       const std::int64_t spent = now() - began;
       if (sound) tick.store(k + 1);
-      tell(sound ? k + 1 : k, command.tick, lateness, spent, measurement);
+      publish(sound ? k + 1 : k, command.tick, lateness, spent, measurement);
       if (!sound) return;
     }
   }
 
-  void tell(std::int64_t at, std::int64_t answered, std::int64_t lateness, std::int64_t spent,
-            const arm_measurement& measured) {
+  void publish(std::int64_t at, std::int64_t answered, std::int64_t lateness, std::int64_t spent,
+               const arm_measurement& measured) {
     arm_snapshot* const out = ring.free();
     if (!out) {
       unread.fetch_add(1);
@@ -285,7 +285,7 @@ struct arm_real_time {
     [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
   }
 
-  // As far as the system permits; the figures tell.
+  // As far as the system permits; the figures show it.
   void become_real_time() {
     sched_param priority = {};
     priority.sched_priority = 50;

@@ -61,7 +61,7 @@ class Machine {
       number(steps_taken);
     }
   };
-  // And where it goes back to when the energy says that it has been none.
+  // And where it goes back to when the energy shows that it was not physical.
   struct Whole {
     Instant now, checked;
     std::int64_t fault;
@@ -225,7 +225,7 @@ class Machine {
     return joint;
   }
 
-  // Give the motors the second numbers of their commands, and tell their second currents.
+  // Give the motors the second numbers of their commands, and report their second currents.
   static constexpr bool has_second =
       any_drive<S>([](const auto& drive) { return drive.has_second; });
   void put_second(const double* value) {

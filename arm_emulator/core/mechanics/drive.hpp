@@ -280,7 +280,7 @@ struct Drive {
       return clamp(x.u, motor.largest_command(x.z, supply));
   }
 
-  // Put the second number of a command into x, and tell the second current.
+  // Put the second number of a command into x, and report the second current.
   static constexpr bool has_second = arm::has_second(Motor::takes);
   constexpr void put_second(Input<double>& x, double value, double supply) const {
     if constexpr (has_second) motor.put_second(x.z, value, supply);
@@ -301,7 +301,7 @@ struct Drive {
     return false;
   }
 
-  // Whether all parts say at once that x, as the start and as the end of a step, calls for their
+  // Whether all parts agree that x, as the start and as the end of a step, calls for their
   // usual modes. No means that they must be asked for their modes.
   constexpr bool is_usual([[maybe_unused]] const Input<double>& x) const {
     bool usual = true;
@@ -372,7 +372,7 @@ struct Drive {
     }
     return least;
   }
-  // Put x where its modes say, against rounding.
+  // Put x where its modes hold it, against rounding.
   constexpr void settle(Input<double>& x, const Modes& now) const {
     if constexpr (driven && Motor::modes > 0) motor.settle(x.z, now.at[0]);
     if constexpr (elastic && Rotor::modes > 0) rotor.settle(x.z[wm], now.at[of_rotor]);

@@ -76,8 +76,8 @@ class Modes {
     return least;
   }
 
-  // Put x where its modes say: joints that have come to rest are at rest, a current is not beyond
-  // its limit, and without inductance it is what the voltage makes it.
+  // Put x where its modes hold it: joints that have come to rest are at rest, a current is not
+  // beyond its limit, and without inductance it is what the voltage makes it.
   void settle(State<S>& x, const double* u) const {
     n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (friction.locked[j] || x.v[j] * friction.direction[j] < 0.0) x.v[j] = 0.0;

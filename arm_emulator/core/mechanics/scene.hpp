@@ -1,4 +1,4 @@
-// What a scene tells the core. The loader writes one `struct Scene` of these constants per scene,
+// What a scene gives the core. The loader writes one `struct Scene` of these constants per scene,
 // and the core is compiled over it: what is zero or absent here costs nothing at run time.
 #pragma once
 

@@ -7,7 +7,7 @@ namespace arm {
 
 struct Harmonic {
   double k;          // waves per turn
-  double amplitude;  // of what the part says
+  double amplitude;  // of the quantity of the part
   double phase;      // rad
 
   // Its sine and cosine at an angle, times the amplitude. What is worked out while a scene is

@@ -3,7 +3,7 @@
 // While it is closed, its torque is added to what the rotor's friction has while it slides, and to
 // what holds it at rest (rotor_friction.hpp). So a rotor that is caught by it comes to rest within
 // a finite time and then stays where it is exactly; what moves behind it is the wind-up of the
-// gear. When it closes and opens is told in brakes.hpp.
+// gear. When it closes and opens stands in brakes.hpp.
 #pragma once
 
 #include <type_traits>

@@ -20,14 +20,14 @@
 
 namespace arm {
 
-// As the scene says it: a bandwidth, or gains.
+// As the scene states it: a bandwidth, or gains.
 struct CurrentControl {
   double bandwidth = 0.0;    // Hz; 0: gains are given
   double P = 0.0, I = 0.0;   // V/A, V/(A s)
   double feedforward = 1.0;  // share of the induced voltage
 };
 
-// R, L and Kb may be varied and heated; the drive was set up for what the data sheet says.
+// R, L and Kb may be varied and heated; the drive was set up for the data sheet.
 struct DataSheet {
   double R, L, Kb;  // ohm, H, V s/rad
   double supply;    // V

@@ -1,11 +1,11 @@
-// An encoder: a disc on a shaft, whose counts a reading head tells.
+// An encoder: a disc on a shaft, whose counts a reading head gives.
 //
 //   alpha = theta + offset + eccentricity sin(t + eccentricity_phase)
 //         + ripple sin(ripple_order t + ripple_phase) + noise n,   t the angle theta as 2 pi a turn
 //   c = floor(alpha counts_per_turn / turn)
 //
 // An incremental one counts edges up and down, so that an edge that is missed stays missed; an
-// index pulse once a turn tells what the counter should be. An absolute one reads the word c mod
+// index pulse once a turn gives what the counter should be. An absolute one reads the word c mod
 // 2^bits.
 #pragma once
 
@@ -21,7 +21,7 @@ enum class Index { none, latch, correct };
 
 struct EncoderReading {
   std::int64_t counts = 0;
-  std::int64_t index = 0;   // what the counter said when the newest index pulse came
+  std::int64_t index = 0;   // what the counter was when the newest index pulse came
   std::int64_t pulses = 0;  // that came
 
   template <class Number>

@@ -1,13 +1,13 @@
 // What a part of a drive does that is not smooth: a current at its limit, a stuck rotor, a tooth
 // that touches. In each of its modes the part is smooth.
 //
-// A mode says which of two equations holds, and gives one number that enters there: the limit, the
-// torque of sliding, where a contact begins. Such a part tells
+// A mode states which of two equations holds, and gives one number that enters there: the limit,
+// the torque of sliding, where a contact begins. Such a part states
 //
 //   mode_at(...)         the mode that a state calls for,
 //   wanted(...)          the one that the end of a step calls for: the same where it holds,
 //   margin(...)          how far a state is from where the mode ceases to hold, negative beyond,
-//   settle(...)          and puts a state where its mode says, against rounding.
+//   settle(...)          and puts a state where its mode holds it, against rounding.
 //   is_usual(...)        Where it has one that is quicker than these: whether a state, as the start
 //                        and as the end of a step, surely calls for the usual mode, number 0.
 #pragma once

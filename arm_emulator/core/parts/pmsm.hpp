@@ -49,7 +49,7 @@ struct PmsmOf {
     return 1.5 * p * psi * z[1];
   }
 
-  // Of the currents, iq stands where other motors have their one; id is told beside it.
+  // Of the currents, iq stands where other motors have their one; id is reported beside it.
   template <class X>
   ARM_INLINE constexpr X current(const X* z) const {
     return z[1];

@@ -27,7 +27,7 @@ struct RotorFriction {
     return RotorFriction<std::remove_cvref_t<decltype(law.linear())>>{law.linear()};
   }
 
-  // Torque against the motion, viscous and dry, while it slides as `offset` says.
+  // Torque against the motion, viscous and dry, while it slides by `offset`.
   template <class X>
   ARM_INLINE constexpr X against(X wm, [[maybe_unused]] X T, X offset) const {
     if constexpr (varies) {

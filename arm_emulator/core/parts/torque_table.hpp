@@ -1,4 +1,4 @@
-// A torque on the link that goes with its angle as a table says: a counterbalance as it was
+// A torque on the link that goes with its angle as a table gives it: a counterbalance as it was
 // measured, the drag of hoses. Between two points of the table it is a cubic,
 //
 //   T = T0 + T1 s + T2 s^2 + T3 s^3      s = q - q0

@@ -82,7 +82,7 @@ struct HeatedMotor : Motor {
     return Motor::given_at_most(z, u, magnets(z) * wm) / resistance(z);
   }
 
-  // What asks for one machine is told by the motor as it is at this temperature.
+  // What asks for one machine gets the motor as it is at this temperature.
   constexpr double given(const double* z, double u, double wm, bool held) const {
     return now(z).given(z, u, wm, held);
   }

@@ -1,4 +1,4 @@
-// A drive's part of a step as a table of numbers, worked out from what the drive says of itself.
+// A drive's part of a step as a table of numbers, worked out from what the drive states of itself.
 //
 // f = F (z, q, v, u, offset) + n and g = G (z, q, v) + n_g: asking the drive's linear parts for f
 // and g at one unit of each input gives the columns of F and G. The rest n, of parts that are not
@@ -400,7 +400,7 @@ class DriveTables {
     return end;
   }
 
-  // Have x where the modes in use say, against rounding.
+  // Have x where the modes in use hold it, against rounding.
   void settle(State<S, X>& x, const X (&u)[row]) const {
     for (int lane = 0; lane < width; ++lane) {
       n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {

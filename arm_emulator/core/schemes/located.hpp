@@ -33,7 +33,7 @@ class Located {
   Memory memory() const { return whole.memory(); }
   void restore(const Memory& memory) { whole.restore(memory); }
 
-  // Have the smooth parts of steps told to a meter, or to nobody.
+  // Pass the smooth parts of steps to a meter, or to nobody.
   void watch(EnergyMeter<S>* by) { meter = by; }
 
   template <class Exchange>
