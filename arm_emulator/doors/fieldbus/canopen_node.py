@@ -1,7 +1,7 @@
 """One drive as a CANopen node: frames in, frames out (CiA 301). No bus, and no clock of its own.
 
-The drive's dictionary and state machine are those of core/drives.h; here is what makes a node of
-it: NMT, SDO server, PDOs, SYNC, EMCY, heartbeat.
+The drive's dictionary, state machine and SDO server are those of core/drives.h; here is what makes
+a node of it: NMT, PDOs, SYNC, EMCY, heartbeat.
 """
 
 from __future__ import annotations
@@ -11,16 +11,14 @@ import struct
 from dataclasses import dataclass, field
 
 from arm_emulator.doors.fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
-from arm_emulator.doors.fieldbus.sdo_server import SdoServer
 
 LARGEST_NODE = 127
 PDOS = 4  # of each way
 MS = 1_000_000  # ns
 
-OUT_OF_RANGE, NOT_NOW = 0x06090030, 0x08000022
 # Error codes of messages about the bus itself.
 LOST, TOO_SHORT, NOT_TAKEN, STOPPED_BY_MASTER = 0x8130, 0x8210, 0x8200, 0x8100
-INVALID, NO_REMOTE, EXTENDED = 1 << 31, 1 << 30, 1 << 29  # bits of a COB-ID
+INVALID, NO_REMOTE = 1 << 31, 1 << 30  # bits of a COB-ID
 ASYNCHRONOUS = (254, 255)  # transmission types
 ON_REQUEST = (252, 253)
 
@@ -69,7 +67,6 @@ class Node:
 
     Attributes:
         number: its node-ID.
-        state: of NMT.
 
     Args:
         drives: all drives of the machine.
@@ -79,14 +76,8 @@ class Node:
 
     def __init__(self, drives: Drives, drive: int, number: int) -> None:
         self.number = number
-        self.state = State.BOOT
         self._drives, self._drive = drives, drive
-        self._lengths = {
-            (one.index, one.sub): one.bits // 8
-            for one in dictionary()
-            if one.buses & CANOPEN and one.bits
-        }
-        self._sdo = SdoServer(self)
+        self.state = State.BOOT
         self._toggle = 0  # of node guarding
         self._beat_at: int | None = None  # when the last heartbeat was sent
         self._heard_at: int | None = None  # when that of the watched node came
@@ -98,30 +89,28 @@ class Node:
         self._set_defaults()
         # What a reset of the communication goes back to.
         self._defaults = {
-            (one.index, one.sub): drives.upload(drive, one.index, one.sub)
+            (one.index, one.sub): drives.read(drive, one.index, one.sub)
             for one in dictionary()
             if one.buses & CANOPEN and 0x1005 <= one.index < 0x2000 and one.access == "rw"
             if one.index not in (0x1010, 0x1011)
         }
         self._configure()
 
+    @property
+    def state(self) -> State:
+        """Of NMT; PDOs that are in use in operational keep their mapping."""
+        return self._state
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self._state = state
+        self._drives.lock_mapping(state is State.OPERATIONAL, self._drive)
+
     # ------------------------------------------------------------------------- the dictionary
 
     def upload(self, index: int, sub: int) -> bytes:
         """Return the bytes of an entry; raise `Aborted`."""
         return self._drives.upload(self._drive, index, sub)
-
-    def download(self, index: int, sub: int, value: bytes) -> None:
-        """Write an entry; raise `Aborted`, and nothing has changed then."""
-        if 0x1005 <= index < 0x2000:
-            self._check(index, sub, value)
-        self._drives.download(self._drive, index, sub, value)
-        if 0x1005 <= index < 0x2000:
-            self._configure()
-
-    def length(self, index: int, sub: int) -> int:
-        """Return how many bytes a number has; 4 if there is no such entry."""
-        return self._lengths.get((index, sub), 4)
 
     def _number(self, index: int, sub: int) -> int:
         return int.from_bytes(self._drives.upload(self._drive, index, sub), "little")
@@ -143,32 +132,9 @@ class Node:
         for (index, sub), base in own.items():
             self._drives.set(self._drive, index, base + self.number, sub)
 
-    def _check(self, index: int, sub: int, value: bytes) -> None:
-        """Raise if a rule of CiA 301 about communication forbids it that the drive cannot know."""
-        if len(value) != self._lengths.get((index, sub)):
-            return  # the dictionary refuses that
-        new = int.from_bytes(value, "little")
-        if index in (0x1005, 0x1014) or (_is_communication(index) and sub == 1):
-            if new & (EXTENDED | 0x1FFFF800) or (index == 0x1005 and new >> 29):
-                raise Aborted(index, sub, OUT_OF_RANGE)
-            if not new & INVALID and _is_restricted(new & 0x7FF):
-                raise Aborted(index, sub, OUT_OF_RANGE)
-            now = self._number(index, sub)
-            moved = (new ^ now) & ~(INVALID | NO_REMOTE)
-            if _is_communication(index) and moved and not (new | now) & INVALID:
-                raise Aborted(index, sub, NOT_NOW)  # not while it is in use
-        elif _is_communication(index) and sub == 2:
-            if 240 < new < (252 if index >= 0x1800 else 254):
-                raise Aborted(index, sub, OUT_OF_RANGE)
-        elif _is_mapping(index):
-            used = not self._number(index - 0x200, 1) & INVALID
-            if used and self.state is State.OPERATIONAL:
-                raise Aborted(index, sub, NOT_NOW)
-        elif index == 0x1016 and sub and new & 0xFFFF and new >> 16 > LARGEST_NODE:
-            raise Aborted(index, sub, OUT_OF_RANGE)
-
     def _configure(self) -> None:
-        """Take over what the dictionary says of the communication."""
+        """Take the settings of the communication from the dictionary."""
+        self._configured = self._drives.communication(self._drive)
         self._sync_id = self._number(0x1005, 0) & 0x7FF
         emergency = self._number(0x1014, 0)
         self._emergency_id = None if emergency & INVALID else emergency & 0x7FF
@@ -208,7 +174,7 @@ class Node:
         self.state = State.PRE_OPERATIONAL
         self._toggle = 0
         self._beat_at = self._heard_at = None
-        self._sdo.reset()
+        self._drives.begin_sdo(self._drive)
         return [Frame(0x700 + self.number, bytes((State.BOOT,)))]
 
     def receive(self, frame: Frame, now: int) -> list[Frame]:
@@ -226,7 +192,7 @@ class Node:
         if id_ == 0x600 + self.number:
             if self.state is State.STOPPED or self.state is State.BOOT:
                 return []
-            return [Frame(0x580 + self.number, reply) for reply in self._sdo.answer(frame.data)]
+            return self._serve(frame.data)
         if id_ == 0x700 + self._watched[0] and self._watched[1]:
             self._heard_at = now
         if self.state is State.OPERATIONAL:
@@ -285,6 +251,15 @@ class Node:
 
     # --------------------------------------------------------------------------------- details
 
+    def _serve(self, request: bytes) -> list[Frame]:
+        """SDO."""
+        if len(request) != 8:
+            return []
+        replies = self._drives.sdo(self._drive, request)
+        if self._drives.communication(self._drive) != self._configured:
+            self._configure()
+        return [Frame(0x580 + self.number, reply) for reply in replies]
+
     def _command(self, data: bytes, now: int) -> list[Frame]:
         """NMT."""
         if len(data) != 2 or data[1] not in (0, self.number):
@@ -319,18 +294,11 @@ class Node:
         if self.state is State.OPERATIONAL:
             self._drives.lost(self._drive, STOPPED_BY_MASTER)
         self.state = State.STOPPED
-        self._sdo.reset()
+        self._drives.begin_sdo(self._drive)
 
     def _restore_communication(self) -> None:
-        counts = []
         for (index, sub), value in self._defaults.items():
-            if _is_mapping(index) and sub == 0:
-                self._drives.set(self._drive, index, 0)
-                counts.append((index, value))
-            else:
-                self._drives.download(self._drive, index, sub, value)
-        for index, value in counts:
-            self._drives.download(self._drive, index, 0, value)
+            self._drives.set(self._drive, index, value, sub)
 
     def _requested(self, id_: int) -> list[Frame]:
         """Remote frames: node guarding, and PDOs."""
@@ -410,7 +378,7 @@ class Node:
                     self.state = State.PRE_OPERATIONAL
                 case 2:
                     self.state = State.STOPPED
-                    self._sdo.reset()
+                    self._drives.begin_sdo(self._drive)
         return told
 
     def _emergency(self, code: int) -> list[Frame]:
@@ -418,26 +386,3 @@ class Node:
             return []
         register = self._number(0x1001, 0)
         return [Frame(self._emergency_id, struct.pack("<HB5x", code, register))]
-
-
-def _is_communication(index: int) -> bool:
-    return 0x1400 <= index < 0x1600 or 0x1800 <= index < 0x1A00
-
-
-def _is_mapping(index: int) -> bool:
-    return 0x1600 <= index < 0x1800 or 0x1A00 <= index < 0x1C00
-
-
-# Identifiers that CiA 301 keeps: no object may be given one of these.
-_RESTRICTED = (
-    (0x000, 0x07F),
-    (0x101, 0x180),
-    (0x581, 0x5FF),
-    (0x601, 0x67F),
-    (0x6E0, 0x6FF),
-    (0x701, 0x7FF),
-)
-
-
-def _is_restricted(id_: int) -> bool:
-    return any(low <= id_ <= high for low, high in _RESTRICTED)

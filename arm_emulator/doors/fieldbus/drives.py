@@ -55,6 +55,10 @@ DRIVES_CALLS: Calls = {
         [_pointer, _int32, _uint16, _uint8, _pointer, _uint32, _pointer],
     ),
     "drives_write": (_uint32, [_pointer, _int32, _uint16, _uint8, _pointer, _uint32]),
+    "drives_write_number": (_uint32, [_pointer, _int32, _uint16, _uint8, _int64]),
+    "drives_sdo": (_int32, [_pointer, _int32, ctypes.c_char_p, _pointer]),
+    "drives_sdo_begin": (None, [_pointer, _int32]),
+    "drives_communication": (_uint32, [_pointer, _int32]),
     "drives_list": (_int, [_int32, _pointer]),
     "drives_list_mode": (_int, [_int32, _pointer]),
     "drives_set": (_int, [_pointer, _int32, _uint16, _uint8, _int64]),
@@ -153,6 +157,8 @@ class _ModeStruct(ctypes.Structure):
 
     _fields_ = (("number", _int32), ("loops", _uint32), ("name", ctypes.c_char_p))
 
+
+_SDO_REPLIES = 127  # DRIVES_SDO_REPLIES
 
 ACCESS = ("const", "ro", "wo", "rw")
 TYPES = {
@@ -303,6 +309,7 @@ class Drives:
         )
         self.pointer = self.calls.drives_new(ctypes.byref(self._machine))
         self._room = ctypes.create_string_buffer(256)
+        self._replies = ctypes.create_string_buffer(8 * _SDO_REPLIES)
         self._size = _uint32()
         self._entries = {(one.index, one.sub): one for one in _walk(self.calls)}
 
@@ -380,19 +387,29 @@ class Drives:
         Raises:
             Aborted: see `download`; or a number that so many bytes do not hold.
         """
-        one = self._entries.get((index, sub))
-        try:
-            raw = (
-                value.to_bytes(one.bits // 8, "little", signed=one.type in _SIGNED) if one else b""
-            )
-        except OverflowError:
-            raise Aborted(index, sub, 0x06090030) from None
-        self.download(drive, index, sub, raw)
+        value = max(-(2**63), min(value, 2**63 - 1))  # beyond what any entry holds
+        code = self.calls.drives_write_number(self.pointer, drive, index, sub, value)
+        if code:
+            raise Aborted(index, sub, code)
 
     def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Set an entry that belongs to the bus, whatever its access and range."""
         known = self.calls.drives_set(self.pointer, drive, index, sub, value)
         assert known, "the dictionary has it"
+
+    def sdo(self, drive: int, request: bytes) -> list[bytes]:
+        """Return the replies of a drive's SDO server on CANopen to a request of 8 bytes."""
+        count = self.calls.drives_sdo(self.pointer, drive, request, self._replies)
+        raw = self._replies.raw[: 8 * count]
+        return [raw[k : k + 8] for k in range(0, len(raw), 8)]
+
+    def begin_sdo(self, drive: int) -> None:
+        """Forget a transfer of that server that is under way."""
+        self.calls.drives_sdo_begin(self.pointer, drive)
+
+    def communication(self, drive: int) -> int:
+        """Return how often an object of a drive's communication, 0x1005 to 0x1FFF, was written."""
+        return int(self.calls.drives_communication(self.pointer, drive))
 
     def periods_per_target(self, drive: int) -> int:
         """Return how many servo periods there are in a drive's interpolation time."""

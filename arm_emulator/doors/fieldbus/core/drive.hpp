@@ -44,9 +44,13 @@ class Drive {
   std::uint32_t write(std::uint16_t index, std::uint8_t sub, std::span<const std::byte> in) {
     int slot = -1;
     std::int64_t value = 0;
-    const std::uint32_t abort = axis_.values.check(index, sub, in, slot, value);
-    return abort ? abort : take(slot, value);
+    std::uint32_t abort = axis_.values.check(index, sub, in, slot, value);
+    if (!abort) abort = take(slot, value);
+    if (!abort && index >= 0x1005 && index < 0x2000) ++communication_;
+    return abort;
   }
+  // Times that an object of the communication was written.
+  std::uint32_t communication() const { return communication_; }
   // Set an entry that belongs to the bus, whatever its access; false: the dictionary has no such
   // entry.
   bool set(std::uint16_t index, std::uint8_t sub, std::int64_t value) {
@@ -372,6 +376,7 @@ class Drive {
   const double supply_;  // V
   const int number_;
 
+  std::uint32_t communication_ = 0;
   StateMachine machine_;
   Modes mode_;
   Stopping stopping_;

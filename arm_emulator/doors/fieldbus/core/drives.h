@@ -2,7 +2,8 @@
  *
  * The library of the drives is one for all scenes; it gets the functions of the scene's library. A
  * bus reads and writes entries of the drives' object dictionaries between two servo periods, then
- * calls `drives_period`. No call but `drives_new` allocates memory; one thread at a time. C99.
+ * calls `drives_period`. No call but `drives_new` and `drives_sdo` allocates memory; one thread at
+ * a time. C99.
  */
 #ifndef DRIVES_H
 #define DRIVES_H
@@ -75,6 +76,9 @@ uint32_t drives_read(const drives* all, int32_t drive, uint16_t index, uint8_t s
                      uint32_t room, uint32_t* size);
 uint32_t drives_write(drives* all, int32_t drive, uint16_t index, uint8_t sub, const void* in,
                       uint32_t size);
+/* Write a number in as many bytes as the entry has; 0x06090030: they do not hold it. */
+uint32_t drives_write_number(drives* all, int32_t drive, uint16_t index, uint8_t sub,
+                             int64_t value);
 
 /* An entry of the dictionary, the same for all drives. Texts live for ever. */
 typedef struct drives_entry {
@@ -124,12 +128,22 @@ int32_t drives_periods_per_target(const drives* all, int32_t drive);
  * as 0x6007 says, with this error code (0x603F), 0x8100 in general; a drive that is only ready is
  * back in Switch on disabled. */
 void drives_lost(drives* all, int32_t drive, uint16_t error);
-/* Forbid or allow that the mapping of process data is changed (-1: of all drives): EtherCAT locks
- * it beyond pre-operational. */
+/* Forbid or allow that the mapping of process data is changed (-1: of all drives), of CANopen only
+ * where a PDO uses it. Buses forbid it beyond pre-operational. */
 void drives_lock_mapping(drives* all, int32_t drive, int locked);
 /* Reset a drive (-1: all) as NMT or a new start does: values as they were made, Switch on
  * disabled. The motor goes on turning. */
 void drives_restart(drives* all, int32_t drive);
+
+/* ----------------------------------------------------------- service data objects on CANopen */
+
+/* Answer a request of 8 bytes. Returns how many replies of 8 bytes there are. */
+enum { DRIVES_SDO_REPLIES = 127 }; /* at most */
+int32_t drives_sdo(drives* all, int32_t drive, const uint8_t* request, uint8_t* replies);
+/* Forget a transfer that is under way. */
+void drives_sdo_begin(drives* all, int32_t drive);
+/* Times that an object of a drive's communication, 0x1005 to 0x1FFF, was written. */
+uint32_t drives_communication(const drives* all, int32_t drive);
 
 #ifdef __cplusplus
 }

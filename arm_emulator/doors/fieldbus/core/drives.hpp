@@ -4,6 +4,7 @@
 #include <deque>
 #include <vector>
 
+#include "canopen_sdo.hpp"
 #include "drive.hpp"
 
 struct drives {
@@ -13,6 +14,7 @@ struct drives {
         measured(static_cast<std::size_t>(of.joints)),
         sensors(static_cast<std::size_t>(of.joints)) {
     for (int j = 0; j < of.joints; ++j) one.emplace_back(of.joint[j], machine, j);
+    for (fieldbus::Drive& drive : one) sdo.emplace_back(drive);
     measurement.size = sizeof measurement;
     measurement.joint = measured.data();
     measurement.sensors = sensors.data();
@@ -55,6 +57,7 @@ struct drives {
 
   drives_machine machine;
   std::deque<fieldbus::Drive> one;
+  std::deque<fieldbus::CanopenSdo> sdo;
   std::vector<arm_joint_command> command;
   std::vector<arm_joint_measurement> measured;
   std::vector<arm_joint_sensors> sensors;
@@ -109,6 +112,31 @@ std::uint32_t drives_write(drives* all, std::int32_t drive, std::uint16_t index,
                            const void* in, std::uint32_t size) {
   if (!has(all, drive) || (!in && size)) return fieldbus::abort_code::general;
   return all->at(drive).write(index, sub, {static_cast<const std::byte*>(in), size});
+}
+std::uint32_t drives_write_number(drives* all, std::int32_t drive, std::uint16_t index,
+                                  std::uint8_t sub, std::int64_t value) {
+  if (!has(all, drive)) return fieldbus::abort_code::general;
+  const int slot = all->at(drive).values().find(index, sub);
+  const std::size_t size = slot < 0 ? 0 : fieldbus::Values::entry(slot).bits / 8U;
+  const auto* const bytes = reinterpret_cast<const std::byte*>(&value);
+  if (size && fieldbus::Values::number(fieldbus::Values::entry(slot), bytes) != value)
+    return fieldbus::abort_code::out_of_range;
+  return all->at(drive).write(index, sub, {bytes, size});
+}
+
+std::int32_t drives_sdo(drives* all, std::int32_t drive, const std::uint8_t* request,
+                        std::uint8_t* replies) {
+  if (!has(all, drive) || !request || !replies) return 0;
+  std::vector<fieldbus::Bytes> out;
+  all->sdo[static_cast<std::size_t>(drive)].server.answer({request, 8}, 8, out);
+  for (const fieldbus::Bytes& one : out) replies = std::copy_n(one.begin(), 8, replies);
+  return static_cast<std::int32_t>(out.size());
+}
+void drives_sdo_begin(drives* all, std::int32_t drive) {
+  if (has(all, drive)) all->sdo[static_cast<std::size_t>(drive)].server.begin();
+}
+std::uint32_t drives_communication(const drives* all, std::int32_t drive) {
+  return has(all, drive) ? all->at(drive).communication() : 0;
 }
 
 int drives_list(std::int32_t slot, drives_entry* out) {

@@ -5,6 +5,7 @@
 #include <bit>
 #include <cstring>
 
+#include "canopen_rules.hpp"
 #include "object_dictionary.hpp"
 
 namespace fieldbus {
@@ -47,7 +48,7 @@ class Values {
   std::int64_t get() const {
     return value_[kSlot<index, sub>];
   }
-  // No check: for what the drive itself tells.
+  // No check: for what the drive itself publishes.
   template <std::uint16_t index, std::uint8_t sub = 0>
   void set(std::int64_t value) {
     value_[kSlot<index, sub>] = value;
@@ -66,7 +67,8 @@ class Values {
     to[length] = 0;
   }
 
-  // Whether the mapping of process data may be changed now.
+  // Whether the mapping of process data is in use: on EtherCAT all of it, on CANopen that of PDOs
+  // whose COB-ID is valid.
   bool mapping_locked = false;
 
   std::uint32_t read(std::uint16_t index, std::uint8_t sub, std::span<std::byte> out,
@@ -104,6 +106,10 @@ class Values {
   // Whether a writable entry may have a value of its type now.
   std::uint32_t check_value(int slot, std::int64_t value) const {
     const Entry& one = entry(slot);
+    if (bus_ == Bus::canopen) {
+      const std::uint32_t abort = check_communication(one, value, value_[slot]);
+      if (abort) return abort;
+    }
     if (value > one.most) return abort_code::too_high;
     if (value < one.least) return abort_code::too_low;
     if (one.index >= 0x1600 && one.index < 0x1600 + dictionary::kMappings)
@@ -177,8 +183,14 @@ class Values {
     return abort_code::none;
   }
   int longest_pdo() const { return bus_ == Bus::canopen ? 8 : kLongestPdo; }
+  std::uint32_t check_communication(const Entry& one, std::int64_t value, std::int64_t now) const {
+    if (!canopen::is_mapping(one.index)) return canopen::check(one, value, now);
+    const int pdo = slot_of(static_cast<std::uint16_t>(one.index - 0x200), 1);
+    const bool used = mapping_locked && !(value_[pdo] & canopen::kInvalid);
+    return used ? abort_code::state : abort_code::none;
+  }
   std::uint32_t check_mapping(const Entry& one, std::int64_t value, Pdo way) const {
-    if (mapping_locked) return abort_code::state;
+    if (mapping_locked && bus_ == Bus::ethercat) return abort_code::state;
     const int first = slot_of(one.index, 0);
     if (one.sub) {
       if (value_[first])
