@@ -34,8 +34,7 @@ def request(draw: random.Random, toggle: int, announced: int) -> bytes:
     index, sub = (one.index, one.sub) if draw.random() < 0.9 else (draw.randrange(1 << 16), 1)
     value = draw.choice((0, 1, one.least, one.most, one.standard)) & 0xFFFFFFFF
     size = one.bits // 8 if draw.random() < 0.8 else draw.choice((1, 2, 3, 4))
-    if announced and draw.random() < 0.8:
-        size = min(announced, 7)
+    part = min(announced, 7) if announced and draw.random() < 0.8 else size
     match 3 if announced and draw.random() < 0.8 else draw.randrange(5):
         case 0:
             return struct.pack("<BHB4x", 0x40, index, sub)
@@ -46,7 +45,7 @@ def request(draw: random.Random, toggle: int, announced: int) -> bytes:
         case 3:
             last, other = draw.random() < 0.7, 0x10 * (draw.random() < 0.1)
             data = value.to_bytes(7, "little")
-            return bytes(((toggle ^ other) | (7 - size) << 1 | last,)) + data
+            return bytes(((toggle ^ other) | (7 - part) << 1 | last,)) + data
         case _:
             return bytes((draw.choice((0x60, 0x70, 0x80, 0xE0)),)) + draw.randbytes(7)
 
