@@ -31,7 +31,9 @@ ABORT = 0x80
 def request(draw: random.Random, toggle: int, announced: int) -> bytes:
     """Return 8 bytes that mean the same on both buses; a segment where bytes are announced."""
     one = draw.choice(BOTH)
-    index, sub = (one.index, one.sub) if draw.random() < 0.9 else (draw.randrange(1 << 16), 1)
+    index, sub = (
+        (one.index, one.sub) if draw.random() < 0.9 else (draw.randrange(0x7000, 0x10000), 1)
+    )
     value = draw.choice((0, 1, one.least, one.most, one.standard)) & 0xFFFFFFFF
     size = one.bits // 8 if draw.random() < 0.8 else draw.choice((1, 2, 3, 4))
     part = min(announced, 7) if announced and draw.random() < 0.8 else size
