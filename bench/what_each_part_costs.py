@@ -89,7 +89,7 @@ def _variants(name: str) -> dict[str, dict[str, Any]]:
 
 
 def _has_loops(scene: Scene) -> bool:
-    return any(joint.current_loop is not None for joint in scene.joints)
+    return any(joint.current_bandwidth > 0.0 for joint in scene.joints)
 
 
 def _timed(name: str) -> dict[str, dict[str, Any]]:

@@ -160,7 +160,7 @@ class ReferenceMachine:
                     motor is None
                     or motor.current_limit is None
                     or motor.inductance == 0.0
-                    or joint.current_loop is not None,
+                    or joint.find(CurrentLoop) is not None,
                 ),
             ):
                 if not absent:
@@ -182,7 +182,7 @@ class ReferenceMachine:
             ]
         ).T
         limits = np.array([(m and m.current_limit) or np.inf for m in motors])
-        loops = [joint.current_loop for joint in scene.joints]
+        loops = [joint.find(CurrentLoop) for joint in scene.joints]
         self.looped = np.array([loop is not None for loop in loops])
         self.supply = scene.supply_voltage
         # With a current loop the limit is one of the command.

@@ -9,6 +9,7 @@ from dataclasses import fields
 
 from arm_emulator.design.choose_joints import Choice
 from arm_emulator.design.sizing import Demand, Sized
+from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
@@ -74,7 +75,8 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
     ratio = "m of the slide per rad of the motor" if slide else "link turns per turn of the motor"
     joint = drive.joint
     assert isinstance(joint.motor, DcMotor) and joint.encoder is not None
-    assert joint.current_loop is not None
+    loop = joint.find(CurrentLoop)
+    assert loop is not None
     motor, gear = joint.motor, joint.gear
     least, most = demand.inertia
     return [
@@ -91,7 +93,7 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
         f"      inductance: {motor.inductance!r}  # H",
         f"      rotor_inertia: {motor.rotor_inertia!r}  # kg m2",
         f"      current_limit: {motor.current_limit!r}  # A",
-        f"      current_loop: {{bandwidth: {joint.current_loop.bandwidth!r}}}  # Hz",
+        f"      current_loop: {{bandwidth: {loop.bandwidth!r}}}  # Hz",
         "    gear:",
         f"      ratio: {gear.ratio!r}  # {ratio}",
         f"      stiffness: {gear.stiffness!r}  # {torque}/{angle}",

@@ -163,7 +163,7 @@ def _drive(
         ),
         sensors=JointSensors(encoder=Encoder(counts_per_turn=COUNTS_PER_TURN)),
         friction=LinkFriction(viscous=rounded(FRICTION_PART * torque / speed)),
-        current_loop=CurrentLoop(bandwidth=CURRENT_BANDWIDTH),
+        decorators=(CurrentLoop(bandwidth=CURRENT_BANDWIDTH),),
     )
     return Sized(joint, torque, speed, acceleration, notes)
 

@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array, Body, Chain, check_inertia, lock_joints, read_chain
 from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.current_loop import CurrentLoop
+from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
 from arm_emulator.machine.parts.end_stops import put_limits
 from arm_emulator.machine.parts.friction import Friction, LinkFriction
@@ -34,6 +34,7 @@ from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.known import (
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
+    read_decorators,
     read_extras,
     read_friction,
     read_gear,
@@ -43,8 +44,6 @@ from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import JointSensors
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
-from arm_emulator.machine.parts.torque_ripple import TorqueRipple
-from arm_emulator.machine.parts.winding import Winding
 from arm_emulator.machine.varied import Varied, choose_varied
 from arm_emulator.machine.varied_body import varied_body
 
@@ -54,6 +53,9 @@ DEEPEST_EXCHANGE = 4
 EVENTS = ("step", "located")
 LOCATING_SCHEMES = ("rosenbrock", "extrapolated")  # whose order 2 is worth to locate events
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
+
+
+Kind = TypeVar("Kind", bound=Part)
 
 
 @dataclass(frozen=True)
@@ -76,9 +78,7 @@ class Joint:
     sensors: JointSensors
     friction: Friction
     rotor_friction: Friction | None = None
-    current_loop: CurrentLoop | None = None
-    winding: Winding | None = None
-    ripple: TorqueRipple | None = None
+    decorators: tuple[Decorator, ...] = ()  # around its motor, innermost first
     brake: Brake | None = None
     extras: tuple[Part, ...] = ()  # that stand in sections of their own
 
@@ -88,11 +88,12 @@ class Joint:
         motor = () if self.motor is None else (self.motor,)
         rotor = () if self.rotor_friction is None else (self.rotor_friction,)
         brake = () if self.brake is None else (self.brake,)
-        loop = () if self.current_loop is None else (self.current_loop,)
-        winding = () if self.winding is None else (self.winding,)
-        ripple = () if self.ripple is None else (self.ripple,)
-        of_motor = (*motor, *loop, *winding, *ripple)
+        of_motor = (*motor, *self.decorators)
         return (*of_motor, self.gear, self.friction, *rotor, *brake, *self.extras)
+
+    def find(self, kind: type[Kind]) -> Kind | None:
+        """Return its part of a kind, None if it has none."""
+        return next((part for part in self.parts if isinstance(part, kind)), None)
 
     def torque_driven(self) -> Joint:
         """Return the joint with a motor that gives what torque it is commanded, all else kept.
@@ -102,28 +103,28 @@ class Joint:
         if self.motor is None or self.command == TorqueMotor.command:
             return self
         motor = TorqueMotor(rotor_inertia=vars(self.motor)["rotor_inertia"])
-        return replace(self, motor=motor, current_loop=None, winding=None)
+        kept = tuple(one for one in self.decorators if not one.electrical)
+        return replace(self, motor=motor, decorators=kept)
 
     @property
     def command(self) -> str:
         """Unit of what its motor is commanded: V, N m or A."""
-        if self.current_loop is not None:
-            return "A"
-        return self.motor.command if self.motor else "V"
+        of_motor = self.motor.command if self.motor else "V"
+        return next((one.command for one in self.decorators[::-1] if one.command), of_motor)
 
     @property
     def current_bandwidth(self) -> float:
         """How fast its current follows the command of its drive's loop [Hz]; 0: it has no loop."""
-        if self.current_loop is None or self.motor is None or self.motor.circuit is None:
+        if self.motor is None:
             return 0.0
-        return self.current_loop.bandwidth_around(self.motor.circuit)
+        return max((one.bandwidth_around(self.motor) for one in self.decorators), default=0.0)
 
     @property
     def torque_per_command(self) -> float:
         """Torque of the link at rest for a unit of command, of its sign; 0 without a motor."""
         if self.motor is None:
             return 0.0
-        return self.motor.torque_per_command * self._volts_per_command / self.gear.ratio
+        return self.motor.torque_per_command * self._of_motor_per_command / self.gear.ratio
 
     def largest_command(self, supply_voltage: float) -> float | None:
         """Return what its drive can be commanded in either direction; None: anything.
@@ -132,13 +133,14 @@ class Joint:
             supply_voltage: of the scene [V].
         """
         largest = 0.0 if self.motor is None else self.motor.largest_command(supply_voltage)
-        return None if largest is None else largest / self._volts_per_command
+        return None if largest is None else largest / self._of_motor_per_command
 
     @property
-    def _volts_per_command(self) -> float:
-        """What its motor gets at rest for a unit of command; 1 but behind a current loop."""
-        circuit = self.motor.circuit if self.motor and self.current_loop else None
-        return circuit.resistance if circuit else 1.0
+    def _of_motor_per_command(self) -> float:
+        """What its motor itself is commanded at rest for a unit of the joint's command."""
+        if self.motor is None:
+            return 1.0
+        return math.prod(one.inner_per_command(self.motor) for one in self.decorators)
 
     @property
     def encoder(self) -> Encoder | None:
@@ -422,9 +424,6 @@ def _joints(
 def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
     motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
     of_rotor = None if motor is None else motor.section("friction")
-    loop = None if motor is None else motor.section("current_loop")
-    winding = None if motor is None else motor.section("winding")
-    ripple = None if motor is None else motor.section("ripple")
     brake, stops = one.section("brake"), one.section("end_stops")
     for key, part in (("gear", gear), ("brake", brake)):
         if motor is None and part is not None:
@@ -439,28 +438,14 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         sensors=JointSensors.read(one, kind),
         friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
-        current_loop=None if loop is None else CurrentLoop.read(loop),
-        winding=None if winding is None else Winding.read(winding),
-        ripple=None if ripple is None else TorqueRipple.read(ripple),
+        decorators=() if motor is None else read_decorators(motor),
         brake=None if brake is None else Brake.read(brake),
         extras=read_extras(one),
     )
     one.finish()
     if joint.motor is not None:
-        if joint.ripple is not None and joint.motor.follows_speed_at_once:
-            rule = "come with an inductance: the current would follow each wave at once"
-            raise one.refusal("motor.ripple", rule, "none")
-        if joint.current_loop is not None and joint.motor.circuit is None:
-            rule = "belong to a dc motor that has an inductance"
-            at_once = " without one" if joint.motor.follows_speed_at_once else ""
-            raise one.refusal("motor.current_loop", rule, joint.motor.kind + at_once)
-        if joint.winding is not None:
-            if not joint.motor.has_winding:
-                rule = "belong to a motor that has a resistance"
-                raise one.refusal("motor.winding", rule, joint.motor.kind, "dc, pmsm")
-            if joint.motor.follows_speed_at_once:
-                rule = "come with an inductance: the current would follow the temperature at once"
-                raise one.refusal("motor.winding", rule, "none")
+        for decorator in joint.decorators:
+            decorator.check_motor(joint.motor, one)
         _check_reflected(joint.motor, joint.gear.ratio, one)
     return joint
 

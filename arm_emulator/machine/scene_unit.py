@@ -10,6 +10,7 @@ import numpy as np
 from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import fields, number, text, vector
 from arm_emulator.machine.outputs import readings_of
+from arm_emulator.machine.parts.decorator import CxxMotor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import measured_kinds, suite
 from arm_emulator.machine.scene import Joint, Scene
@@ -182,21 +183,13 @@ def _drive(
     kind, values = (rotor.cxx_type, part(rotor)) if rotor else ("arm::FreeRotor", "{}")
     if joint.brake and closed:
         kind, values = joint.brake.rotor(rotor, joint.name, places, closed)
-    motor = "arm::NoMotor"
-    own = f"{motor}{{}}"
+    motor = CxxMotor("arm::NoMotor", "arm::NoMotor{}")
     if joint.motor is not None:
-        motor, own = joint.motor.cxx_type, part(joint.motor)
-        loop, circuit = joint.current_loop, joint.motor.circuit
-        if loop is not None and circuit is not None:
-            own = loop.around(motor, own, part(loop), circuit, supply_voltage)
-            motor = loop.around_type(motor)
-        if joint.winding is not None:
-            own = joint.winding.around(motor, own, part(joint.winding))
-            motor = joint.winding.around_type(motor)
-        if joint.ripple is not None:
-            motor, own = joint.ripple.around_type(motor), joint.ripple.around(motor, own)
+        motor = CxxMotor(joint.motor.cxx_type, part(joint.motor))
+        for one in joint.decorators:
+            motor = one.around(joint.motor, motor, part(one), supply_voltage)
     kinds = [
-        motor,
+        motor.type,
         joint.gear.cxx_type,
         joint.friction.cxx_type,
         kind,
@@ -205,7 +198,7 @@ def _drive(
     extras = ", ".join(map(part, joint.extras))
     return f"""\
       arm::Drive<{", ".join(kinds)}>{{
-          .motor = {own},
+          .motor = {motor.value},
           .gear = {part(joint.gear)},
           .friction = {part(joint.friction)},
           .rotor = {values},

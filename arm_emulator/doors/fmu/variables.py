@@ -227,14 +227,14 @@ def _truth(scene: Scene) -> list[Variable]:
             ("current", "true current of each motor", ("A",) * N),
         )
     ]
-    name = ("truth", "energy")
+    of_energy = ("truth", "energy")
     what = "kinetic, potential, elastic and magnetic energy"
-    found.append(Variable(name, "truth.energy", "Float64", "output", what, ("J",)))
+    found.append(Variable(of_energy, "truth.energy", "Float64", "output", what, ("J",)))
     for j, joint in enumerate(scene.joints):
-        if joint.winding is not None:
-            name, symbol = ("truth", "winding_temperature"), "truth.winding_temperature[]"
-            what = f"true temperature of the winding of {joint.name}"
-            one = Variable((*name, joint.name), symbol, "Float64", "output", what, ("degC",))
+        for output in (truth for part in joint.parts for truth in part.truths):
+            name, symbol = ("truth", output.name, joint.name), f"truth.{output.symbol}[]"
+            what = f"{output.about} of {joint.name}"
+            one = Variable(name, symbol, "Float64", "output", what, (output.unit,))
             found.append(replace(one, first=j))
     return found
 

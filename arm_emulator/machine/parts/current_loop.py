@@ -11,21 +11,23 @@ import numpy as np
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.motor import Circuit
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
+from arm_emulator.machine.parts.motor import Circuit, Motor
+from arm_emulator.machine.parts.part import Number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @dataclass(frozen=True, kw_only=True)
-class CurrentLoop(Part):
+class CurrentLoop(Decorator):
     """A PI controller within the drive: the motor's command is a current.
 
     Its gains follow from the bandwidth and the data sheet, or are given.
     """
 
     section = "motor.current_loop"
-    shaft = "rotor"
+    layer = 1
+    command = "A"
     header = "current_loop.hpp"
     cxx = "CurrentControl"
 
@@ -51,29 +53,24 @@ class CurrentLoop(Part):
                 rule = f"be given where {key} is not"
                 raise section.refusal("bandwidth", rule, "nothing")
 
-    def bandwidth_around(self, circuit: Circuit) -> float:
-        """Return how fast the current follows the command [Hz]."""
+    def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
+        if motor.circuit is None:
+            rule = "belong to a dc motor that has an inductance"
+            at_once = " without one" if motor.follows_speed_at_once else ""
+            raise joint.refusal(self.section, rule, motor.kind + at_once)
+
+    def inner_per_command(self, motor: Motor) -> float:  # noqa: D102
+        return _circuit(motor).resistance
+
+    def bandwidth_around(self, motor: Motor) -> float:  # noqa: D102
         if self.bandwidth is not None:
             return self.bandwidth
         assert self.proportional_gain is not None, "see check"
-        return self.proportional_gain / (2.0 * math.pi * circuit.inductance)
+        return self.proportional_gain / (2.0 * math.pi * _circuit(motor).inductance)
 
-    def around_type(self, motor: str) -> str:
-        """Return the C++ type of a motor with it."""
-        return f"arm::CurrentLoop<{motor}>"
-
-    def around(
-        self, motor_type: str, motor: str, control: str, circuit: Circuit, supply_voltage: float
-    ) -> str:
-        """Return a motor with it in C++.
-
-        Args:
-            motor_type: the motor's type there.
-            motor: the motor there.
-            control: its own numbers there.
-            circuit: the winding for which the drive was set up.
-            supply_voltage: of the drive [V].
-        """
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:
+        """Return a motor with it in C++, set up for the motor's winding."""
+        circuit = _circuit(motor)
         numbers = (
             circuit.resistance,
             circuit.inductance,
@@ -81,4 +78,10 @@ class CurrentLoop(Part):
             supply_voltage,
         )
         known = ", ".join(map(cxx_literals.number, numbers))
-        return f"{self.around_type(motor_type)}{{{motor}, {control}, {{{known}}}}}"
+        kind = f"arm::CurrentLoop<{inner.type}>"
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {own}, {{{known}}}}}")
+
+
+def _circuit(motor: Motor) -> Circuit:
+    assert motor.circuit is not None, "see check_motor"
+    return motor.circuit

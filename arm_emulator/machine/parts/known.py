@@ -1,4 +1,7 @@
-"""The parts that a scene may have. A new part is entered here, and nowhere else."""
+"""The parts that a scene may have.
+
+A new one is entered here and nowhere else; decorators and sensors are found by their files.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,12 @@ from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.cogging import Cogging
 from arm_emulator.machine.parts.counterbalance import Counterbalance
-from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.current_motor import CurrentMotor
 from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.parts.found import kinds_of
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, RotorFriction
 from arm_emulator.machine.parts.gear import Gear, RigidGear
 from arm_emulator.machine.parts.kinematic_error_gear import KinematicErrorGear
@@ -23,9 +27,7 @@ from arm_emulator.machine.parts.pmsm import Pmsm
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.parts.stribeck import LinkStribeck, RotorStribeck
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
-from arm_emulator.machine.parts.torque_ripple import TorqueRipple
 from arm_emulator.machine.parts.torque_table import TorqueTable
-from arm_emulator.machine.parts.winding import Winding
 
 # The first is meant where a scene gives no `motor.kind`.
 MOTORS: tuple[type[Motor], ...] = (
@@ -58,11 +60,12 @@ EXTRAS: tuple[type[Part], ...] = (
     TorqueTable,
 )
 
+# What is around a motor, innermost first.
+DECORATORS = tuple(sorted(kinds_of(Decorator), key=lambda one: one.layer))
+
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
-    CurrentLoop,
-    Winding,
-    TorqueRipple,
+    *DECORATORS,
     *GEARS,
     *LINK_FRICTIONS,
     *ROTOR_FRICTIONS,
@@ -75,6 +78,12 @@ def read_motor(section: Section) -> Motor:
     """Return the motor that a section describes."""
     kinds = {motor.kind: motor for motor in MOTORS}
     return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
+
+
+def read_decorators(motor: Section) -> tuple[Decorator, ...]:
+    """Return what is around the motor that a section describes, innermost first."""
+    given = ((kind, motor.section(kind.section.partition(".")[2])) for kind in DECORATORS)
+    return tuple(kind.read(section) for kind, section in given if section is not None)
 
 
 def read_gear(section: Section) -> Gear:

@@ -78,6 +78,7 @@ class Part:
     cxx: ClassVar[str]  # and its name
     shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
     outputs: ClassVar[tuple[Output, ...]] = ()  # what parts of this class may report
+    truths: ClassVar[tuple[Output, ...]] = ()  # and what only the emulator knows, by arm_truth
 
     @property
     def reports(self) -> tuple[Output, ...]:

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import pkgutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from arm_emulator.base.section import Section
-from arm_emulator.machine import cxx_literals, parts
+from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder, LinkEncoder
+from arm_emulator.machine.parts.found import kinds_of
 from arm_emulator.machine.parts.imu import Accelerometer, Gyroscope, Imu
 from arm_emulator.machine.parts.part import Part
 
 
 def _analog() -> tuple[type[AnalogSensor], ...]:
     """Return the kinds of analog sensors, which are those in the files beside this one."""
-    for module in pkgutil.iter_modules(parts.__path__):
-        importlib.import_module(f"{parts.__name__}.{module.name}")
-    kinds = AnalogSensor.__subclasses__()
-    first = math.inf  # behind those that have a place of their own
-    return tuple(sorted(kinds, key=lambda one: (one.channel or first, one.section)))
+    last = math.inf  # behind those that have a channel of their own
+    return tuple(sorted(kinds_of(AnalogSensor), key=lambda one: one.channel or last))
 
 
 ANALOG = _analog()

@@ -7,18 +7,20 @@ from typing import Any
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
+from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueRipple(Part):
+class TorqueRipple(Decorator):
     """What a motor makes of its current goes with the angle of its rotor."""
 
     section = "motor.ripple"
-    shaft = "rotor"
+    layer = 3
+    electrical = False
     header = "torque_ripple.hpp"
     cxx = "RippledMotor"
 
@@ -43,12 +45,13 @@ class TorqueRipple(Part):
         if most > 0.9:
             raise section.refusal("waves", "have amplitudes that sum up to at most 0.9", most)
 
-    def around_type(self, motor: str) -> str:
-        """Return the C++ type of a motor with it."""
-        return f"arm::{self.cxx}<{motor}, {len(self.waves)}>" if self.waves else motor
+    def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
+        if motor.follows_speed_at_once:
+            rule = "come with an inductance: the current would follow each wave at once"
+            raise joint.refusal(self.section, rule, "none")
 
-    def around(self, motor_type: str, motor: str) -> str:
-        """Return a motor with it in C++."""
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:  # noqa: D102
         if not self.waves:
-            return motor
-        return f"{self.around_type(motor_type)}{{{motor}, {cxx_waves(self.waves)}}}"
+            return inner
+        kind = f"arm::{self.cxx}<{inner.type}, {len(self.waves)}>"
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {cxx_waves(self.waves)}}}")

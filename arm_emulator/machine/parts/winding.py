@@ -9,24 +9,30 @@ import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
+from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.output import FAULTS, Output
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
 @dataclass(frozen=True, kw_only=True)
-class Winding(Part):
+class Winding(Decorator):
     """The copper loss heats the winding, and resistance and constants follow its temperature.
 
     Their ranges keep the resistance positive at any temperature from the ambient up.
     """
 
     section = "motor.winding"
-    shaft = "rotor"
+    layer = 2
     header = "winding.hpp"
     cxx = "Winding"
     outputs = (FAULTS,)
+    truths = (
+        Output("winding_temperature", "true temperature of the winding", "winding_temperature",
+               "degC"),
+    )  # fmt: skip
 
     heat_capacity: Annotated[float, Number("C", "J/K", above=0.0)]
     thermal_resistance: Annotated[float, Number("Rth", "K/W", above=0.0)]
@@ -57,10 +63,14 @@ class Winding(Part):
         """A fault where its temperature is limited."""
         return () if self.limit is None else self.outputs
 
-    def around_type(self, motor: str) -> str:
-        """Return the C++ type of a motor with it."""
-        return f"arm::HeatedMotor<{motor}>"
+    def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
+        if not motor.has_winding:
+            rule = "belong to a motor that has a resistance"
+            raise joint.refusal(self.section, rule, motor.kind, "dc, pmsm")
+        if motor.follows_speed_at_once:
+            rule = "come with an inductance: the current would follow the temperature at once"
+            raise joint.refusal(self.section, rule, "none")
 
-    def around(self, motor_type: str, motor: str, winding: str) -> str:
-        """Return a motor with it in C++, `winding` its own numbers there."""
-        return f"{self.around_type(motor_type)}{{{motor}, {winding}}}"
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:  # noqa: D102
+        kind = f"arm::HeatedMotor<{inner.type}>"
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {own}}}")

@@ -1,0 +1,53 @@
+"""Parts around a motor: each makes of a motor and itself a motor again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+from arm_emulator.base.section import Section
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.part import Part
+
+
+class CxxMotor(NamedTuple):
+    """A motor in C++, with what is around it."""
+
+    type: str
+    value: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decorator(Part):
+    """A part around a motor.
+
+    A class in this package that inherits it is a section of motors; it needs to be entered nowhere.
+    A joint's decorators are folded over its motor, those of lower layers first.
+    """
+
+    shaft = "rotor"
+    layer: ClassVar[int]
+    command: ClassVar[str] = ""  # unit of what the motor is commanded with it, if that is another
+    electrical: ClassVar[bool] = True  # whether it stands between the command and the torque
+
+    def check_motor(self, motor: Motor, joint: Section) -> None:
+        """Refuse a motor that it does not go with."""
+
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:
+        """Return a motor with it in C++.
+
+        Args:
+            motor: the bare motor.
+            inner: the motor with the decorators of lower layers.
+            own: this part in C++.
+            supply_voltage: of the drive [V].
+        """
+        raise NotImplementedError
+
+    def inner_per_command(self, motor: Motor) -> float:
+        """Return what the motor within is commanded at rest for a unit of command."""
+        return 1.0
+
+    def bandwidth_around(self, motor: Motor) -> float:
+        """Return how fast the current follows the command [Hz]; 0: it closes no loop."""
+        return 0.0
