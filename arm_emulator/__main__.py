@@ -6,11 +6,10 @@ import sys
 
 def main() -> None:
     """Run one command, see `arm_emulator.cli.command_line`."""
-    # Ctrl-C is taken care of before what takes long to import.
-    from arm_emulator.cli.exit_code import CODE
-    from arm_emulator.ros.ctrl_c import end_at_once
+    # Ctrl-C is kept back until it is known how this command ends: `end_at_once` lets it in.
+    from arm_emulator.ros.ctrl_c import keep_back
 
-    end_at_once(CODE)
+    keep_back()
     # Before NumPy is loaded: matrices here are small, and threads that share them wait for each
     # other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,4 +1,4 @@
-"""Recordings in lock-step beside busy processes: is every tick in every bag, and `check` equal?
+"""Recordings in lock-step beside busy processes: is every tick in every bag, and `check-bag` equal?
 
 python -m bench.recordings [--count 20] [--seconds 20] [--busy 4]
 
@@ -144,7 +144,7 @@ def one_recording(way: str, seconds: float, folder: Path) -> Outcome:
     last = max(ticks, default=-1)
     # Not only what lies between: the run must begin at tick 0 and come to its end.
     missing = len(set(range(max(last, round(seconds * 1000)) + 1)) - set(ticks))
-    checked = subprocess.run(command("check", bag), capture_output=True, text=True, check=False)
+    checked = subprocess.run(command("check-bag", bag), capture_output=True, text=True, check=False)
     words = (checked.stdout + checked.stderr).strip().splitlines() or ["nothing"]
     return Outcome(way, time.monotonic() - started, last, missing, tuple(codes), words[-1], closing)
 

@@ -664,7 +664,7 @@ KINDS: dict[str, Kind] = {
     "firmware": Kind(
         _firmware, lambda f: ["firmware", f.parent / "board.yaml", f, "--seconds", 0.005], _elf_odd
     ),
-    "bag": Kind(_bag, lambda f: ["check", f.parent, "--scene", "three_axis"], _bag_odd),
+    "bag": Kind(_bag, lambda f: ["check-bag", f.parent, "--scene", "three_axis"], _bag_odd),
     "repaired": Kind(_bag, lambda f: ["repair", f.parent], _bag_odd),
     "identified": Kind(
         lambda r, f: _bag(r, f, 210),

@@ -27,8 +27,8 @@ from arm_emulator.base.config_files import BESIDE, check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.advise import advise_scene, demo_commands
 from arm_emulator.cli.command_line import main
-from arm_emulator.cli.commands import read_commands
 from arm_emulator.cli.new import write_new
+from arm_emulator.cli.recorded_commands import read_commands
 from arm_emulator.cli.tune import tune
 from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.identification.fitted_scene import write_fitted

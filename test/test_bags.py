@@ -31,7 +31,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check import check
+from arm_emulator.cli.check_bag import check
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.record import request
 from arm_emulator.cli.replay import offer
@@ -228,7 +228,7 @@ def test_one_bit_of_a_state_is_found(
     tick: int,
 ) -> None:
     copy = rewrite(recording[0], tmp_path / "copy", flip(topic, kind, tick, quantity))
-    code, said = run("check", copy)
+    code, said = run("check-bag", copy)
     assert code == 1
     place = rf"the first difference: run \d+, tick {tick}, joint elbow, {quantity}: recorded "
     assert re.search(place, said)
@@ -239,7 +239,7 @@ def test_one_bit_of_a_state_is_found(
 def test_one_bit_of_a_command_is_found(recording: tuple[Path, str], tmp_path: Path) -> None:
     # Not its lowest bit, which the rounding of the motor's current may swallow.
     change = flip("/motor_commands", MotorCommand, 80, "voltage", bit=30)
-    code, said = run("check", rewrite(recording[0], tmp_path / "copy", change))
+    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == 1
     assert re.search(
         r"the first difference: run \d+, tick 80, joint elbow, voltage: commanded \S+, applied ",
@@ -255,7 +255,7 @@ def test_one_bit_of_a_voltage_is_found(recording: tuple[Path, str], tmp_path: Pa
         tmp_path / "copy",
         lambda one: change(one) if one.topic != "/motor_commands" else None,
     )
-    code, said = run("check", copy)
+    code, said = run("check-bag", copy)
     assert code == 1
     # The links pass it on within the period: the first joint that differs may be another one.
     assert re.search(r"the first difference: run \d+, tick 80, joint \w+, current: recorded ", said)
@@ -269,7 +269,7 @@ def test_lost_commands_are_not_needed(recording: tuple[Path, str], tmp_path: Pat
         lost = one.topic == "/motor_commands" and rng.random() < 0.3
         return None if lost else one.data
 
-    code, said = run("check", rewrite(recording[0], tmp_path / "copy", change))
+    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == 0, said
     assert "equal to the last bit" in said
 
@@ -294,7 +294,7 @@ def test_a_lost_state_is_told_and_the_others_are_compared(
         )
         return None if lost else one.data
 
-    code, said = run("check", rewrite(recording[0], tmp_path / "copy", change))
+    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == 0, said
     assert "1 states are missing" in said
 
@@ -306,7 +306,7 @@ def test_a_recording_that_began_late_is_refused(
         early = one.topic in TYPES and deserialize_message(one.data, TYPES[one.topic]).tick < 10
         return None if early else one.data
 
-    code, said = run("check", rewrite(recording[0], tmp_path / "copy", change))
+    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == 2
     assert "must hold a run from tick 0 on" in said
 
@@ -318,7 +318,7 @@ def test_another_scene_differs_or_is_refused(recording: tuple[Path, str], tmp_pa
     assert "resistance: 1.0" in text
     other = tmp_path / "three_axis.yaml"
     other.write_text(text.replace("resistance: 1.0", "resistance: 1.01"))
-    code, said = run("check", recording[0], "--scene", other)
+    code, said = run("check-bag", recording[0], "--scene", other)
     assert code == 1
     assert "the first difference: run " in said
 
@@ -428,12 +428,12 @@ def test_a_killed_recorder_leaves_what_it_had_flushed(tmp_path: Path) -> None:
 
 def test_resets_power_and_a_free_run_are_followed(tmp_path: Path) -> None:
     powers = [True] * 7 + [False] * 5 + [True] * 6
-    code, said = run("check", synthetic(tmp_path / "bag", powers))
+    code, said = run("check-bag", synthetic(tmp_path / "bag", powers))
     assert code == 0, said
     assert "2 runs, 74 motor states" in said
     assert "26 commands" in said  # 13 ticks with power in each of the 2 runs
     assert "36 commands answer no state" in said
-    code, said = run("check", synthetic(tmp_path / "free", powers, first=4))
+    code, said = run("check-bag", synthetic(tmp_path / "free", powers, first=4))
     assert code == 0, said
     assert "8 ticks at 0 V before the first command" in said
 
@@ -479,7 +479,7 @@ def test_nothing_of_a_state_is_passed_over_in_silence(
 ) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 15, runs=1)
     copy = rewrite(bag, tmp_path / "copy", changed_state(7, edit), tells_changes)
-    code, said = run("check", copy, "--scene", "three_axis")
+    code, said = run("check-bag", copy, "--scene", "three_axis")
     assert code == exit_code and words in said, said
 
 
@@ -487,11 +487,11 @@ def test_what_is_not_compared_is_published_and_strict_takes_it_for_a_failure(
     tmp_path: Path,
 ) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 15)
-    code, said = run("check", bag)
+    code, said = run("check-bag", bag)
     assert code == 0 and "equal to the last bit, as far as it was compared" in said, said
     for what in ("the true state of the machine", "whether this was lock-step, as assumed"):
         assert f"not compared: {what}" in said, said
-    code, strict = run("check", bag, "--strict")
+    code, strict = run("check-bag", bag, "--strict")
     assert code == 1 and strict == said, "the same words, another exit code"
 
     def later(one: BagMessage) -> bytes | None:
@@ -500,7 +500,7 @@ def test_what_is_not_compared_is_published_and_strict_takes_it_for_a_failure(
         early = one.received < 10**18 + 30_000
         return None if early and deserialize_message(one.data, kind).tick < 5 else one.data
 
-    code, said = run("check", rewrite(bag, tmp_path / "later", later))
+    code, said = run("check-bag", rewrite(bag, tmp_path / "later", later))
     assert code == 0 and "motor states of a run that began before the recording" in said, said
 
 
@@ -510,12 +510,12 @@ def test_a_check_that_compares_nothing_is_refused(tmp_path: Path) -> None:
     def at_rest(one: BagMessage) -> bytes | None:
         return one.data if deserialize_message(one.data, TYPES[one.topic]).tick == 0 else None
 
-    code, said = run("check", rewrite(bag, tmp_path / "rest", at_rest))
+    code, said = run("check-bag", rewrite(bag, tmp_path / "rest", at_rest))
     assert code == 2 and "must hold a servo period of a run, got 2 states of tick 0" in said, said
 
 
 def test_a_true_state_of_no_tick_is_counted(recording: tuple[Path, str], tmp_path: Path) -> None:
-    code, said = run("check", recording[0], "--strict")
+    code, said = run("check-bag", recording[0], "--strict")
     assert "true joint states of no tick" not in said, said
 
     def other(one: BagMessage) -> bytes:
@@ -525,7 +525,7 @@ def test_a_true_state_of_no_tick_is_counted(recording: tuple[Path, str], tmp_pat
         message.header.stamp.nanosec += 1
         return serialize_message(message)
 
-    code, said = run("check", rewrite(recording[0], tmp_path / "copy", other), "--strict")
+    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", other), "--strict")
     assert code == 1, said
     assert "true joint states of no tick that the bag has" in said, said
 
@@ -587,7 +587,7 @@ def test_bad_bags_are_refused(make: Callable[[Path], Path], words: str, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("check", "nothing"), "nothing: the bag must exist"),
+        (("check-bag", "nothing"), "nothing: the bag must exist"),
         (("replay", "nothing"), "nothing: the bag must exist"),
         (("replay", "nothing", "--rate", "0"), "replay: rate must be > 0 and finite, got 0.0"),
         (("record", "."), "record: folder . must be new"),

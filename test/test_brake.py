@@ -17,7 +17,7 @@ from machines import CONFIG, MOVED, gantry_urdf, one_link_urdf, write_scene
 from test_by_hand import CLOCKS, go_on, session_of
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check import check
+from arm_emulator.cli.check_bag import check
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 
@@ -209,7 +209,7 @@ def test_a_run_with_brakes_is_repeated_to_the_last_bit(
         def between() -> None:
             seen.update(one.newest("motor_states").brake_closed)
             if draw.random() < 0.02:
-                one.nodes["emulator"]._say_status()  # by which `check` knows the clock
+                one.nodes["emulator"]._say_status()  # by which `check-bag` knows the clock
                 assert one.call("emulator/power", draw.random() < 0.5).success
 
         go_on(one, 200, between)

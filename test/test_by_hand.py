@@ -24,7 +24,7 @@ from test_bags import rewrite
 from test_recording import begun, end, network_of, recorder
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check import check
+from arm_emulator.cli.check_bag import check
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.machine.scene import load_scene
@@ -159,7 +159,7 @@ def recorded(clock: str, seed: int, bag: Path, varied: Path) -> set[str]:
 
         def between() -> None:
             if draw.random() < 0.02:
-                one.nodes["emulator"]._say_status()  # by which `check` knows the clock
+                one.nodes["emulator"]._say_status()  # by which `check-bag` knows the clock
                 hand.changes()
 
         go_on(one, 400, between)

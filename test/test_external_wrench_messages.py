@@ -1,4 +1,4 @@
-"""Wrenches that come as messages: they act from a tick on, and `check` repeats them."""
+"""Wrenches that come as messages: they act from a tick on, and `check-bag` repeats them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from in_process import InProcess, in_process
 from machines import CONFIG
 from test_by_hand import CLOCKS, events_of, go_on, session_of
 
-from arm_emulator.cli.check import check
+from arm_emulator.cli.check_bag import check
 from arm_emulator_msgs.msg import MachineEvent
 
 TOPICS = {"external_wrench": "link", "external_wrench_in_world": "world"}
@@ -61,7 +61,7 @@ def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
         def between() -> None:
             nonlocal said
             if draw.random() < 0.02:
-                one.nodes["emulator"]._say_status()  # by which `check` knows the clock
+                one.nodes["emulator"]._say_status()  # by which `check-bag` knows the clock
                 one.say(*sound(draw))
                 said += 1
 

@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from in_process import in_process
 from nav_msgs.msg import Path as ToolPath
 
-from arm_emulator.cli.check import check
+from arm_emulator.cli.check_bag import check
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.ros.bag import Bag
 from arm_emulator.ros.message_types import definition_of

@@ -19,7 +19,7 @@ from network import PATIENCE, User, network, user
 from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check import check
+from arm_emulator.cli.check_bag import check
 from arm_emulator.ros import run_record
 from arm_emulator.ros.bag import Bag, BagWriter, Topic, repair
 from arm_emulator.ros.bringup import Bringup
@@ -70,7 +70,7 @@ def ticks_in(bag: Path) -> list[int]:
 
 
 def assert_every_tick(bag: Path, at_least: int) -> None:
-    """Each tick from 0 on is there, and `check` finds the run equal."""
+    """Each tick from 0 on is there, and `check-bag` finds the run equal."""
     ticks = ticks_in(bag)
     missing = set(range(max(ticks))) - set(ticks)
     assert not missing, f"{len(missing)} of {max(ticks)} ticks are missing, first {min(missing)}"
@@ -181,7 +181,9 @@ def test_a_late_recorder_says_so_or_resets_on_request(tmp_path: Path) -> None:
         with recorder(tmp_path / "late") as late:
             await_words(late, "/motor_states: the first state has arrived, tick ")
             said = await_words(late, "the machine is at tick")
-            assert re.search(r"at tick \d+ already, and `check` needs a run from tick 0 on", said)
+            assert re.search(
+                r"at tick \d+ already, and `check-bag` needs a run from tick 0 on", said
+            ), said
             assert "--from-start" in said
             with recorder(tmp_path / "reset", "--from-start") as again:
                 one.wait("the reset", lambda: 0 <= one.tick < 100)

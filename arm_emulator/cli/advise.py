@@ -19,7 +19,7 @@ from arm_emulator.analysis.true_motion import Method
 from arm_emulator.base.config_files import check_own, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
-from arm_emulator.cli.commands import read_commands
+from arm_emulator.cli.recorded_commands import read_commands
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.machine.plant import Diverged

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.check import read_topics
+from arm_emulator.cli.check_bag import read_topics
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.read_run import run_of
 from arm_emulator.machine.plant import link_angle_per_count

@@ -1,4 +1,4 @@
-"""What `arm_emulator check` has compared, and what it has not."""
+"""What `arm_emulator check-bag` has compared, and what it has not."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ def write_fmu(
     scene_name: str,
     out: Path,
     varied: list[str] | None,
-    target: str,
+    target: str | None,
     version: str,
     windows: bool = False,
 ) -> int:

@@ -7,7 +7,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,7 @@ from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
 from arm_emulator.runs.target_table import TargetTable
 
 
-def run(scene_name: str, seconds: float, displacement: list[float] | None) -> int:
+def run(scene_name: str, seconds: float, displacement: Sequence[float] | None) -> int:
     """Run for some logical time with the tool displaced, and print the outcome.
 
     Args:

@@ -17,6 +17,11 @@ from typing import ClassVar
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+def keep_back() -> None:
+    """Let signals wait until `end_at_once`: a moment in which too little is imported for both."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
+
+
 def end_at_once(code: int | None) -> None:
     """From now on, until a `CtrlC` is made, end this process at once on a signal.
 

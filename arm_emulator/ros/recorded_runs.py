@@ -183,7 +183,7 @@ class RecordedRuns:
                 else f"call {self._emulator}/reset, or record with --from-start"
             )  # fmt: skip
             print(
-                f"{self.topic}: the machine is at tick {tick} already, and `check` needs a run "
+                f"{self.topic}: the machine is at tick {tick} already, and `check-bag` needs a run "
                 f"from tick 0 on: {what}",
                 flush=True,
             )

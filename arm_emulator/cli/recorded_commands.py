@@ -40,7 +40,8 @@ def _from_table(path: Path, scene: Scene) -> Array:
 
 def _from_bag(path: Path, scene: Scene) -> Array:
     """Return what motor states report as applied in the servo period before each of them."""
-    from arm_emulator.cli.check import read_topics  # that need ROS, which not everybody here has
+    # They need ROS, which not everybody here has.
+    from arm_emulator.cli.check_bag import read_topics
     from arm_emulator.ros.bag import Bag
 
     rows, tick, gap = list[list[float]](), -1, ""  # of the newest run

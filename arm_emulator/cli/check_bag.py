@@ -1,4 +1,4 @@
-"""`arm_emulator check`: drive the machine again with a bag's voltages and compare all bits.
+"""`arm_emulator check-bag`: drive the machine again with a bag's voltages and compare all bits.
 
 A run depends on nothing but the voltages of each servo period, and every motor state tells those
 of the period before it. So the machine, driven by these voltages, must come to the recorded states;
@@ -488,7 +488,7 @@ def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
                 if (folder / f"{name}.yaml").is_file():
                     return str(name)
                 got = f"none, and {name} does not come along"
-                raise Refusal("check", "--scene", "name the scene's file", got)
+                raise Refusal("check-bag", "--scene", "name the scene's file", got)
     _, state = next(_read(bag, topics, ("motor_states",)))
     fitting = [
         file.stem
@@ -498,7 +498,9 @@ def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
     if len(fitting) != 1:
         joints = ", ".join(state.joint_names)
         valid = ", ".join(fitting) or None
-        raise Refusal("check", "--scene", f"name the scene with the joints {joints}", "none", valid)
+        raise Refusal(
+            "check-bag", "--scene", f"name the scene with the joints {joints}", "none", valid
+        )
     return fitting[0]
 
 

@@ -1,0 +1,17 @@
+"""List the compiled scenes that are kept."""
+
+from __future__ import annotations
+
+from arm_emulator.cli.command import command
+
+
+@command()
+def cache(*, clear: bool = False) -> int:
+    """List the compiled scenes that are kept, or remove them.
+
+    Args:
+        clear: remove them.
+    """
+    from arm_emulator.cli.cache import clear_cache, list_cache
+
+    return clear_cache() if clear else list_cache()

@@ -1,0 +1,31 @@
+"""Check scene files, and that servo and motion control fit them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import SceneName
+
+
+@command()
+def check_scenes(
+    scene: SceneName,
+    /,
+    *more: Annotated[str, Parameter(metavar="SCENE", help="further ones")],
+    modes: bool = False,
+) -> int:
+    """Check scene files, and the servo and motion parameters that lie beside them.
+
+    Args:
+        modes: show the eigenvalues of every loop that the scene's drives can be put into.
+    """
+    from arm_emulator.cli.check_scene import check_scene, modes_of
+
+    for name in (scene, *more):
+        print(check_scene(name))
+        if modes:
+            print(modes_of(name))
+    return 0

@@ -1,0 +1,55 @@
+"""The paper's data converter on a serial port, in Modbus RTU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import SceneName
+
+
+@command(until_stopped=True)
+def modbus(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    clock: Literal["lockstep", "line", "realtime"] = "lockstep",
+    baud: int = 115_200,
+    station: int = 1,
+    error_rate: Annotated[float, Parameter(metavar="SHARE")] = 0.0,
+    seed: int = 0,
+    watchdog: Annotated[int, Parameter(metavar="MS")] = 100,
+    link: Annotated[Path | None, Parameter(metavar="PATH")] = None,
+    registers: bool = False,
+) -> int:
+    """Serve masters of Modbus RTU until Ctrl-C.
+
+    Args:
+        clock: a servo period per write of commands, logical time by what the line takes, or the
+            wall clock.
+        baud: of the line.
+        station: address on the line.
+        error_rate: of bytes that are lost or damaged on the line.
+        seed: of these errors.
+        watchdog: after which a silent master's drives are off; 0: never.
+        link: link to the port, to be made.
+        registers: print the table of registers, and end.
+    """
+    from arm_emulator.cli.modbus import modbus as serve
+    from arm_emulator.cli.modbus import print_registers
+
+    if registers:
+        return print_registers(scene)
+    return serve(
+        scene,
+        clock=clock,
+        baud=baud,
+        station=station,
+        error_rate=error_rate,
+        seed=seed,
+        watchdog=watchdog,
+        link=link,
+    )

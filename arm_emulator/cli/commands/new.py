@@ -1,0 +1,42 @@
+"""Make a scene, with servo and motion control, of a robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command import command
+
+
+@command()
+def new(
+    robot: Path,
+    /,
+    *arguments: Annotated[str, Parameter(metavar="NAME:=VALUE")],
+    tool: Annotated[str | None, Parameter(metavar="LINK")] = None,
+    joints: Annotated[list[str] | None, Parameter(metavar="JOINT ...")] = None,
+    out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    force: bool = False,
+) -> int:
+    """Make a scene of a robot description.
+
+    Args:
+        robot: URDF or xacro source.
+        arguments: arguments of the xacro source.
+        tool: where the arm ends (default: chosen).
+        joints: that move, the rest is held (default: chosen).
+        out: of the scene's files (default: the robot's name, here).
+        force: write over files that are there.
+    """
+    from arm_emulator.cli.new import new as make
+
+    given = dict[str, str]()
+    for one in arguments:
+        name, sign, value = one.partition(":=")
+        if not sign or not name:
+            raise Refusal("new", "argument", "be NAME:=VALUE", one)
+        given[name] = value
+    return make(robot, out, tool, joints, given, force=force)

@@ -1,0 +1,25 @@
+"""Record the network into a rosbag2 bag."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import Topics
+
+
+@command(until_stopped=True)
+def record(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> int:
+    """Record the network into a rosbag2 bag until Ctrl-C.
+
+    Args:
+        out: folder of the new bag.
+        from_start: reset a machine that runs already: `check-bag` needs a run from tick 0 on.
+    """
+    from arm_emulator.ros.recorder_presence import RecorderPresence
+
+    # Before anything that takes time: an emulator that is started together with this command waits.
+    with RecorderPresence(topics) as presence:
+        from arm_emulator.cli.record import record as write
+
+        return write(out, topics, from_start, presence)

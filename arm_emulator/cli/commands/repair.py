@@ -1,0 +1,27 @@
+"""Make a whole bag of a killed recorder's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command import command
+
+
+@command()
+def repair(bag: Path, /) -> int:
+    """Make a whole bag of one whose recorder was killed.
+
+    Args:
+        bag: folder of the bag.
+    """
+    from arm_emulator.ros.bag import Bag
+    from arm_emulator.ros.bag import repair as mend
+
+    try:
+        mended = mend(bag)
+    except OSError as error:
+        raise Refusal("repair", str(bag), "be writable", error.strerror) from None
+    count = sum(topic.count for topic in Bag(bag).topics.values())
+    print(f"{bag}: {count} messages, {'mended' if mended else 'was whole already'}")
+    return 0

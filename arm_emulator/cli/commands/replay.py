@@ -1,0 +1,22 @@
+"""Publish what a bag holds, at the recorded times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import Topics
+
+
+@command(until_stopped=True)
+def replay(bag: Path, /, *, topics: Topics = None, rate: float = 1.0, wait: bool = False) -> int:
+    """Publish what a bag holds, at the recorded times.
+
+    Args:
+        bag: folder of the bag.
+        rate: recorded seconds per second.
+        wait: begin when every topic has a listener.
+    """
+    from arm_emulator.cli.replay import replay as publish
+
+    return publish(bag, topics, rate, wait)

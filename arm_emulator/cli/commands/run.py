@@ -1,0 +1,43 @@
+"""The same without a network, as fast as it goes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import SceneName, Seconds, TargetFile
+
+
+@command()
+def run(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    seconds: Seconds = None,
+    displacement: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
+    targets: TargetFile = None,
+    servo: Annotated[Path | None, Parameter(metavar="LIBRARY")] = None,
+) -> int:
+    """Run machine, servo and motion controller in one process, in lock-step.
+
+    Args:
+        displacement: where to bring the tool, from where it starts (m, in the world; default:
+            nowhere).
+        targets: joint targets in place of the motion controller: CSV with t and the joints' names.
+        servo: control code in C in place of our servo; with --targets.
+    """
+    if targets is not None:
+        if displacement is not None:
+            raise Refusal("run", "--displacement", "stand without --targets", "both")
+        from arm_emulator.cli.run import run_table
+
+        return run_table(scene, seconds, targets, servo)
+    if servo is not None:
+        raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
+    from arm_emulator.cli.run import run as work
+
+    return work(scene, 10.0 if seconds is None else seconds, displacement)

@@ -1,0 +1,32 @@
+"""Compute a servo's gains; margins, steps, encoders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.cli.command import command
+from arm_emulator.cli.options import SceneName
+
+
+@command()
+def tune(
+    scene: SceneName = "three_axis",
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    payload: Annotated[float | None, Parameter(metavar="KG")] = None,
+    write: bool = False,
+) -> int:
+    """Compute gains for a scene, and show what they and the present ones do.
+
+    Args:
+        out: where to draw a picture.
+        payload: mass at the tool, in place of the scene's.
+        write: put the gains into the servo's file.
+    """
+    from arm_emulator.cli.tune import tune as compute
+
+    return compute(scene, out, payload, write=write)

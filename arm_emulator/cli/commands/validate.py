@@ -1,0 +1,29 @@
+"""Compare a real machine with what others found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from arm_emulator.cli.command import command
+
+
+@command()
+def validate(
+    machine: str,
+    /,
+    *runs: Path,
+    out: Annotated[Path, Parameter(metavar="FOLDER")] = Path("out"),
+) -> int:
+    """Compare a real machine, computed again, with measurements or with others' solutions.
+
+    Args:
+        machine: manutec_r3 or kuka_kr300.
+        runs: of kuka_kr300: further records (default: those shipped).
+        out: of the pictures.
+    """
+    from arm_emulator.cli.validate import validate as compare
+
+    return compare(machine, runs, out)

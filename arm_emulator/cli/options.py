@@ -1,0 +1,24 @@
+"""Arguments that several commands have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+SceneName = Annotated[str, Parameter(metavar="SCENE", help="scene file or name")]
+Clock = Annotated[
+    Literal["lockstep", "realtime"],
+    Parameter(help="logical time, the same bits every time, or the wall clock"),
+]
+Topics = Annotated[list[str] | None, Parameter(metavar="TOPIC ...", help="these only")]
+Json = Annotated[bool, Parameter(help="print one JSON object, for programs")]
+Seconds = Annotated[
+    float | None,
+    Parameter(metavar="S", help="logical time (default: 10, or as long as the table lasts)"),
+]
+TargetFile = Annotated[
+    Path | None,
+    Parameter(metavar="TABLE", help="joint targets: CSV with t and the joints' names"),
+]

@@ -1,0 +1,199 @@
+"""The command line as a whole: help, misspelled words, completion, what is imported before."""
+
+from __future__ import annotations
+
+import io
+import random
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import pytest
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli import arguments, command_line
+from arm_emulator.cli.command import Command, command_names, load_command
+from arm_emulator.ros.ctrl_c import CtrlC
+
+ROOT = Path(__file__).resolve().parents[1]
+HEAVY = ("numpy", "scipy", "rclpy", "pinocchio", "matplotlib", "rosbags", "yaml", "rich")
+
+
+def run(*words: str) -> tuple[int, str, str]:
+    """Run a command in this process; return its exit code and what it prints."""
+    out, errors, before = io.StringIO(), io.StringIO(), sys.argv
+    sys.argv = ["arm_emulator", *words]
+    try:
+        with redirect_stdout(out), redirect_stderr(errors), pytest.raises(SystemExit) as ended:
+            command_line.main()
+    finally:
+        sys.argv = before
+    return ended.value.code, out.getvalue(), errors.getvalue()
+
+
+def options_of(page: str) -> list[str]:
+    """Names of the options on a help page."""
+    words = (line.split()[0] for line in page.splitlines() if line.startswith("  --"))
+    return list(words)
+
+
+def commands() -> list[Command]:
+    found = [load_command(name) for name in command_names()]
+    return [one for one in found if one is not None]
+
+
+def test_help_lists_every_command_and_imports_none() -> None:
+    words = [(), ("--help",), ("-h",)]
+    pages = {run(*line) for line in words}
+    assert len(pages) == 1, "a bare call is a call for help"
+    code, page, errors = pages.pop()
+    assert code == 0 and not errors
+    assert [
+        line.split()[0] for line in page.splitlines() if line.startswith("  ") and line[2] != " "
+    ] == command_names()
+
+
+@pytest.mark.parametrize("words", [(), ("run",), ("up",), ("check-bag",), ("tune",)])
+def test_help_is_there_before_anything_heavy(words: tuple[str, ...]) -> None:
+    """The start-up time of help and of small commands, as a busy machine cannot spoil it."""
+    heavy = (*HEAVY, "cyclopts") if not words else HEAVY[:-1]
+    program = (
+        f"import sys; sys.argv[1:] = {[*words, '--help']}\n"
+        "from arm_emulator.__main__ import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code\n"
+        f"print('LOADED', *[name for name in {heavy} if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "LOADED", done.stdout
+
+
+@pytest.mark.parametrize("one", commands(), ids=lambda one: one.name)
+def test_every_argument_is_explained_and_every_command_has_a_page(one: Command) -> None:
+    page = run(one.name, "--help")[1]
+    rows = [line for line in page.splitlines() if line.startswith("  ")]
+    for head, text in zip(rows, [*rows[1:], ""], strict=True):
+        if head.lstrip() == head[2:]:  # an argument, not the explanation below a long one
+            assert head[24:].strip() or text.startswith(" " * 24), f"{one.name}: {head}"
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    assert any(f"arm_emulator {one.name}" in file.read_text() for file in pages), one.name
+
+
+def test_misspelled_words_are_refused_in_a_line_that_names_the_right_one() -> None:
+    draw = random.Random(1)
+    for one in commands():
+        names = options_of(arguments.page_of(one))
+        for name in names:
+            letters = list(name)
+            at = draw.randrange(3, len(name)) if len(name) > 4 else 2
+            letters.insert(at, draw.choice("qxz"))
+            wrong = "".join(letters)
+            code, out, errors = run(one.name, wrong)
+            assert code == 2 and not out, (one.name, wrong)
+            assert errors.startswith(f"arm_emulator {one.name}: ") and errors.count("\n") == 1
+            required = "requires an argument" in errors  # which is missed first
+            assert required or (wrong in errors and "Did you mean --" in errors), errors
+        name = f"{one.name}q"
+        code, out, errors = run(name)
+        assert code == 2 and not out and errors.count("\n") == 1, errors
+        assert f"unknown command {name}; did you mean" in errors and one.name in errors
+
+
+BAD = {
+    ("run", "--seconds", "x"): "--seconds",
+    ("run", "--displacement", "0", "1"): "--displacement",
+    ("run", "three_axis", "ur5"): "unexpected argument ur5",
+    ("up", "--clock", "sundial"): "lockstep",
+    ("fmu", "three_axis"): "--out",
+    ("check-scene",): "SCENE",
+    ("record", "bag", "--topics"): "--topics",
+    ("cache", "--clear=maybe"): "maybe",
+    ("canopen", "--bitrate", "1e3x"): "--bitrate",
+    ("tune", "three_axis", "--out"): "--out",
+    ("run", "--seconds", "1\n2"): "--seconds",
+}
+
+
+@pytest.mark.parametrize("words", BAD, ids=" ".join)
+def test_bad_values_are_refused_in_a_line(words: tuple[str, ...]) -> None:
+    code, out, errors = run(*words)
+    assert code == 2 and not out and errors.count("\n") == 1, errors
+    assert errors.startswith(f"arm_emulator {words[0]}: ") and BAD[words] in errors, errors
+
+
+def test_a_refusal_and_a_missing_package_are_a_line_and_exit_code_2(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reasons = {
+        Refusal("here", "x", "be 1", 2): "here: x must be 1, got 2\n",
+        ModuleNotFoundError(name="rclpy.node"): "up: ROS 2, with its Python module rclpy, must be",
+        ModuleNotFoundError(name="std_msgs"): "up: ROS 2, with its Python module std_msgs, must be",
+        ModuleNotFoundError(name="can"): "up: Python module can must be installed, got none; valid",
+        MemoryError(): "arm_emulator: memory must suffice",
+    }
+    for reason, words in reasons.items():
+
+        def fail(*_: object, reason: Exception = reason) -> int:
+            raise reason
+
+        monkeypatch.setattr(arguments, "run_with", fail)
+        code, out, errors = run("up")
+        assert code == 2 and not out and errors.count("\n") == 1, errors
+        assert errors.startswith(words), errors
+    mistake = ModuleNotFoundError(name="arm_emulator.mistake")  # no package to install: our mistake
+    monkeypatch.setattr(arguments, "run_with", lambda *_: (_ for _ in ()).throw(mistake))
+    monkeypatch.setattr(sys, "argv", ["arm_emulator", "up"])
+    with pytest.raises(ModuleNotFoundError):
+        command_line.main()
+
+
+def test_the_version_is_that_of_the_packages() -> None:
+    code, said, _ = run("--version")
+    version = said.split()[-1]
+    assert code == 0 and said.startswith("arm_emulator ")
+    for file in ("package.xml", "msg/package.xml"):
+        assert f"<version>{version}</version>" in (ROOT / file).read_text(), file
+
+
+SHELLS = {"bash": ["bash", "-n"], "zsh": ["zsh", "-n"], "fish": ["fish", "--no-execute"]}
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_completion_knows_every_command_and_option(shell: str, tmp_path: Path) -> None:
+    code, script, errors = run("completion", shell)
+    assert code == 0 and not errors
+    for one in commands():
+        assert one.name in script, one.name
+        for option in options_of(arguments.page_of(one)):
+            assert option.lstrip("-") in script, (one.name, option)
+    file = tmp_path / "completion"
+    file.write_text(script)
+    try:
+        subprocess.run([*SHELLS[shell], str(file)], check=True, capture_output=True)
+    except FileNotFoundError:
+        pytest.skip(f"{shell} is not installed")
+
+
+def test_bash_completes_a_command_and_an_option(tmp_path: Path) -> None:
+    file = tmp_path / "completion"
+    file.write_text(run("completion", "bash")[1])
+    complete = (
+        f"source {file}; function_of=$(complete -p arm_emulator | sed 's/.*-F \\([^ ]*\\).*/\\1/');"
+        "COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); $function_of; echo ${COMPREPLY[@]}"
+    )
+    for words, expected in ((["che"], "check-bag check-scene"), (["tune", "--pay"], "--payload")):
+        line = " ".join(f"'{word}'" for word in ["arm_emulator", *words])
+        done = subprocess.run(
+            ["bash", "-c", f"COMP_WORDS=({line}); {complete}"],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert done.stdout.split() == expected.split(), done
+
+
+@pytest.fixture(autouse=True)
+def no_signal() -> None:
+    """Of another test."""
+    CtrlC.signal = 0
