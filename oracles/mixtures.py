@@ -29,7 +29,10 @@ import yaml
 
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.known import EXTRAS, GEARS, MOTORS
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant import Diverged, Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from oracles.random_chain import moving_joints, random_chain_urdf
@@ -177,6 +180,33 @@ def _torque_table(rng: Rng) -> Numbers:
     return {"angles": angles.tolist(), "torques": torques.tolist(), "periodic": periodic}
 
 
+def _law(size: float, viscous: float, **more: float) -> Callable[[Rng], Numbers]:
+    """Return what draws friction of one law; dry friction about a size [N m]."""
+
+    def draw(rng: Rng) -> Numbers:
+        dry = size * _log(rng, 0.3, 3.0)
+        return {"coulomb": dry, "breakaway": 1.3 * dry, "viscous": viscous, **more}
+
+    return draw
+
+
+def _ripple(rng: Rng) -> Numbers:
+    return {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
+
+
+def _winding(rng: Rng) -> Numbers:
+    return {
+        "heat_capacity": _log(rng, 0.2, 5.0), "thermal_resistance": _log(rng, 0.1, 2.0),
+        "magnet_coefficient": float(rng.choice([0.0, -0.001])),
+    }  # fmt: skip
+
+
+def _brake(rng: Rng) -> Numbers:
+    # Whole numbers of the coarsest step, so that all steps brake at the same instant.
+    close, release = (PERIOD / STEPS[0] * int(n) for n in rng.integers(0, 30, 2))
+    return {"torque": _log(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
+
+
 # By the name of the Python class. A part that is not here stops the run.
 DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "DcMotor": _dc,
@@ -194,6 +224,16 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "LinkLuGre": _lugre,
     "RotorLuGre": _rotor_lugre,
     "TorqueTable": _torque_table,
+    "CurrentLoop": _current_loop,
+    "Winding": _winding,
+    "TorqueRipple": _ripple,
+    "Brake": _brake,
+    "LinkFriction": _law(0.6, 0.1),
+    "LinkStribeck": _law(0.6, 0.1, stribeck=0.2),
+    "LinkLoadFriction": _law(0.6, 0.1, load=0.2),
+    "RotorFriction": _law(0.01, 1e-5),
+    "RotorStribeck": _law(0.01, 1e-5, stribeck=6.0),
+    "RotorLoadFriction": _law(0.01, 1e-5, load=0.2),
 }
 
 
@@ -229,18 +269,11 @@ def add_surroundings(rng: Rng, scene: Numbers) -> None:
         # Both ask for a current that is a state.
         inductive = motor["kind"] != "dc" or "inductance" in motor
         if inductive and rng.random() < 0.3:
-            motor["ripple"] = {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
+            motor["ripple"] = _ripple(rng)
         if inductive and motor["kind"] in ("dc", "pmsm") and rng.random() < 0.3:
-            motor["winding"] = {
-                "heat_capacity": _log(rng, 0.2, 5.0), "thermal_resistance": _log(rng, 0.1, 2.0),
-                "magnet_coefficient": float(rng.choice([0.0, -0.001])),
-            }  # fmt: skip
+            motor["winding"] = _winding(rng)
         if rng.random() < 0.2:
-            # Whole numbers of the coarsest step, so that all steps brake at the same instant.
-            close, release = (PERIOD / STEPS[0] * int(n) for n in rng.integers(0, 30, 2))
-            joint["brake"] = {
-                "torque": _log(rng, 0.02, 0.5), "close_delay": close, "release_delay": release
-            }  # fmt: skip
+            joint["brake"] = _brake(rng)
     scene["external_wrench"] = bool(rng.random() < 0.3)
 
 
@@ -248,6 +281,34 @@ def write_mixture(folder: Path, seed: int) -> Path:
     """Write the scene of a mixture and return its path."""
     rng = np.random.default_rng([seed, 4242])
     urdf = random_chain_urdf(rng, 2)
+    joints = {name: drawn_joint(rng) for name in moving_joints(urdf)}
+    scene: Numbers = {"joints": joints}
+    add_surroundings(np.random.default_rng([seed, 4243]), scene)
+    return write_scene(folder, urdf, joints, external_wrench=scene["external_wrench"])
+
+
+def write_alone(folder: Path, part: type[Part], seed: int) -> Path:
+    """Write the scene of one link, its drive without friction and limits but for one part."""
+    rng = np.random.default_rng([seed, 4244, *part.__name__.encode()])
+    urdf = random_chain_urdf(rng, 1)
+    motor: Numbers = {
+        "resistance": 1.0, "inductance": 2e-3, "torque_constant": 0.05, "back_emf_constant": 0.05,
+        "rotor_inertia": 1e-4,
+    }  # fmt: skip
+    joint: Numbers = {"motor": motor, "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 2.0}}
+    drawn = DRAWS[part.__name__](rng)
+    if issubclass(part, Motor):
+        joint["motor"] = {"kind": part.kind, "rotor_inertia": 1e-4, **drawn}
+    elif issubclass(part, Gear):
+        joint["gear"] = drawn
+    else:
+        *above, key = part.section.split(".")
+        (joint[above[0]] if above else joint)[key] = drawn
+    return write_scene(folder, urdf, dict.fromkeys(moving_joints(urdf), joint))
+
+
+def write_scene(folder: Path, urdf: str, joints: Numbers, **more: Any) -> Path:
+    """Write a scene whose events are located, and return its path."""
     (folder / "mixture.urdf").write_text(urdf)
     scene = {
         "name": "mixture",
@@ -255,12 +316,12 @@ def write_mixture(folder: Path, seed: int) -> Path:
         "tool": "base",
         "gravity": [0.0, 0.0, -9.81],
         "supply_voltage": 24.0,
-        "joints": {name: drawn_joint(rng) for name in moving_joints(urdf)},
+        "joints": joints,
         "integrator": {"scheme": "rosenbrock", "dt": PERIOD / STEPS[0], "events": "located"},
         "servo_period": PERIOD,
         "energy_flow": True,
+        **more,
     }
-    add_surroundings(np.random.default_rng([seed, 4243]), scene)
     file = folder / "mixture.yaml"
     file.write_text(yaml.safe_dump(scene, sort_keys=False))
     return file

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from balance import balance_of
 from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
@@ -114,17 +113,6 @@ def test_every_scheme_keeps_its_order(
     x = plant.state
     end = np.array([x.theta_m[0], x.omega_m[0], x.q[0], x.v[0]])
     assert end == pytest.approx(expected[-1], rel=0.02, abs=1e-3), "motor and link at the end"
-
-
-def test_the_balance_of_energy_closes_with_order_two(
-    drawn_machine: tuple[Path, dict[str, Any]],
-) -> None:
-    voltages, left = np.random.default_rng(52).uniform(-15.0, 15.0, (10, 1)), []
-    for steps in (80, 160, 320, 640):
-        found = balance_of(with_steps(drawn_machine[0], steps), voltages, steps)
-        left.append(found.left / found.exchanged)
-    # By chance a coefficient may be small.
-    assert left[-1] < max(left[0] / 4.0**3 * 1.6, 1e-12) and left[-1] < 1e-4, left
 
 
 def test_a_slow_link_is_off_by_the_error(drawn_machine: tuple[Path, dict[str, Any]]) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from balance import balance_of
 from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
@@ -141,18 +140,6 @@ def test_it_slides_at_the_speed_that_the_torque_is_that_of(tmp_path: Path) -> No
         plant.reset(v=[w])
         plant.advance([torque / KT], 200_000)
         assert plant.state.v[0] == pytest.approx(w, rel=1e-3), "steady speed"
-
-
-@sides
-def test_the_balance_of_energy_closes_with_order_two(tmp_path: Path, side: str) -> None:
-    rng = np.random.default_rng([64, side == "link"])
-    lugre = drawn(rng, side)
-    voltages, left = pushes(rng, lugre), []
-    for steps in (160, 320, 640, 1280):
-        found = balance_of(with_steps(tmp_path, lugre, side, steps), voltages, steps)
-        left.append(found.left / found.exchanged)
-    # By chance a coefficient may be small.
-    assert left[-1] < max(left[0] / 4.0**3 * 2.5, 1e-12) and left[-1] < 1e-3, left
 
 
 def test_bristles_too_short_for_a_step_are_followed_or_diverge(tmp_path: Path) -> None:

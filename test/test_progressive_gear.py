@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from balance import balance_of
 from draws import some
 from machines import LINK_INERTIA, moving_joints, one_link_urdf, random_chain_urdf, write_scene
 from scipy.special import ellipj, ellipk
@@ -168,21 +167,6 @@ def test_an_undamped_gear_swings_as_duffing_says(tmp_path: Path, scheme: str) ->
     # These schemes may keep energy better than the phase.
     assert (orders_of(gained)[1:] > ORDERS[scheme] - slack).all(), gained
     assert gained[-1] < (1e-4 if ORDERS[scheme] == 2 else 0.3) * stored, gained
-
-
-@pytest.mark.parametrize("seed", some(range(3), 1))
-def test_energy_balances_with_the_order(tmp_path: Path, seed: int) -> None:
-    """Given less dissipated is what the machine has more, but for a part that falls as h^2."""
-    file = drawn_arm(tmp_path, seed)
-    scheme = ("rosenbrock", "extrapolated")[seed % 2]
-    voltages = np.random.default_rng(10 + seed).uniform(-20.0, 20.0, (4, 3))
-    left = []
-    for steps in (40, 80, 160, 320):
-        found = balance_of(Plant(with_steps(file, scheme, steps)), voltages, steps)
-        left.append(found.left / found.exchanged)
-    # The order is at least 2; by chance a coefficient may be small.
-    assert left[-1] < max(left[0] / 4.0**3 * 1.6, 1e-12), left
-    assert left[-1] < 1e-5, left
 
 
 def test_the_gear_is_wound_up_by_its_torque(tmp_path: Path) -> None:

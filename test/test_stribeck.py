@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from balance import balance_of
 from draws import some
-from machines import DC, LINK_INERTIA, one_link_urdf, write_scene
+from machines import LINK_INERTIA, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from stick_slip import assert_order_two, drawn
 
@@ -61,24 +60,3 @@ def test_a_thrown_link_comes_to_rest_where_the_equation_says(tmp_path: Path, sch
     rest = plant.state.q[0]
     plant.advance([0.0], 10_000)
     assert plant.state.q[0] == rest and plant.state.v[0] == 0.0, "it stays there"
-
-
-def test_the_balance_of_energy_closes_with_order_two(tmp_path: Path) -> None:
-    """Of a link and of its rotor that both stick and slip under a motor, events located."""
-    rng = np.random.default_rng(33)
-    friction, _ = drawn(rng)
-    motor = {**DC, "friction": {"coulomb": 0.005, "breakaway": 0.008, "stribeck": 2.0}}
-    joint = {"motor": motor, "gear": {"ratio": 0.02, "stiffness": 2e3, "damping": 2.0},
-             "friction": friction}  # fmt: skip
-    file = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, servo_period=2e-2,
-                       gravity=[0.0, 0.0, -9.81], energy_flow=True)  # fmt: skip
-    voltages = rng.uniform(-15.0, 15.0, (15, 1))
-    left = []
-    for steps in (100, 1000, 10_000):
-        integrator = {"scheme": "rosenbrock", "dt": 2e-2 / steps, "events": "located"}
-        plant = Plant(load_scene(file, {"integrator": integrator}))
-        found = balance_of(plant, voltages, steps)
-        left.append(found.left / found.exchanged)
-    assert left[2] < 3.0 * left[0] / 100.0**2 + 1e-12, (
-        f"what is left, of what was exchanged: {left}"
-    )
