@@ -18,6 +18,7 @@ help:
 	@echo 'make fuzz               random scenes, files, messages, machines and frames, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
 	@echo 'make pages              measure the tables and draw the pictures of docs/ and README.md anew'
+	@echo 'make docs               build the site of the pages into out/site/'
 	@echo 'make lint               check style, types and what imports what'
 	@echo 'make format             put the sources into shape'
 	@echo 'make clean              remove what was built; make distclean: also .venv/ and out/'
@@ -120,6 +121,12 @@ export QUIET_START
 	@$(call quietly,bench,$(INSTALL) $<)
 	@touch $@
 
+# Beside the requirements of the others, so that only `make docs` wants them.
+.venv/.docs: requirements-docs.txt .venv/.requirements
+	@echo 'setup: MkDocs ...'
+	@$(call quietly,docs,$(PIP) $<)
+	@touch $@
+
 COLCON := colcon --log-base /dev/null build --base-paths . msg
 
 install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
@@ -179,6 +186,11 @@ bench: setup .venv/.robots .venv/.bench
 pages: setup .venv/.robots .venv/.bench
 	@$(RUN) && python -m bench.pages $(ARGS)
 
+# Warnings are errors (mkdocs.yml, `strict`); a quiet run would not count them.
+docs: setup .venv/.docs
+	@$(call quietly,site,$(RUN) && NO_MKDOCS_2_WARNING=1 mkdocs build)
+	@echo 'docs: out/site/index.html'
+
 CORE := $(shell find arm_emulator test bench -path test/peers/ethercrab_master -prune -o \
   -name '*.[ch]' -print -o -name '*.[ch]pp' -print 2>/dev/null)
 
@@ -197,4 +209,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench pages lint format clean distclean FORCE
+.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench pages docs lint format clean distclean FORCE

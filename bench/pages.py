@@ -31,7 +31,6 @@ PICTURES = ROOT / "docs" / "pictures"
 BEGIN = r"<!-- {}: measured by make pages -->\n"
 END = "<!-- end {} -->"
 ANY_BEGIN = re.compile(BEGIN.format(r"(\w+)"))
-SHOT_AT = 2.2  # s: when the tool of ur5 is under way in its demo
 
 
 def tables() -> dict[str, Path]:
@@ -72,11 +71,9 @@ def _fig4(scratch: Path) -> Path:
 
 
 def _arm(scratch: Path) -> Path:
-    from arm_emulator.view.screenshot import take_screenshot
+    from bench import moving_picture
 
-    _command("demo", "ur5", "--out", str(scratch))
-    take_screenshot(scratch / "demo.rrd", scratch / "arm.png", at=SHOT_AT, size=(1280, 720))
-    return scratch / "arm.png"
+    return moving_picture.draw(scratch)
 
 
 def _tune(scratch: Path) -> Path:
@@ -102,7 +99,7 @@ def _kuka(scratch: Path) -> Path:
 
 
 DRAWN: dict[str, Callable[[Path], Path]] = {
-    "arm.png": _arm,
+    "arm.gif": _arm,
     "convergence.png": _convergence,
     "fig4.png": _fig4,
     "kuka_kr300_run_B.png": _kuka,

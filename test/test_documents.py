@@ -19,6 +19,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
 from bench import pages
+from docs import hooks
 
 FOLDERS = "|".join(
     sorted(path.name for path in ROOT.iterdir() if path.is_dir() and path.name[0] not in "._")
@@ -48,9 +49,37 @@ def test_snippets_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
         assert np.linalg.norm(deviation) < 1e-4
 
 
-def test_readme_shows_the_servo_as_it_is() -> None:
+def test_the_tutorial_shows_the_servo_as_it_is() -> None:
     source = (ROOT / "examples" / "my_servo.py").read_text()
-    assert source[source.index("import math") :].rstrip() in (ROOT / "README.md").read_text()
+    assert source[source.index("import math") :].rstrip() in page_of("your_servo").read_text()
+
+
+def test_the_site_has_every_page_once() -> None:
+    """`make docs` refuses other pages; this one takes no packages."""
+
+    def pages_in(nav: Any) -> list[str]:
+        if isinstance(nav, str):
+            return [nav]
+        return [
+            page for one in nav for page in pages_in(one.values() if type(one) is dict else one)
+        ]
+
+    site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
+    made = set(hooks.TOP.values()) - {"index.md"}
+    listed = pages_in(site["nav"])
+    assert len(listed) == len(set(listed))
+    assert set(listed) == {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")} | made
+
+
+def test_what_pages_generate_follows_from_the_code() -> None:
+    texts = {path: path.read_text() for path in DOCS.rglob("*.md")}
+    asked = {path: text for path, text in texts.items() if "<!-- generated" in text}
+    assert {path.stem for path in asked} >= {"command_line", "messages", "c"}
+    for text in asked.values():
+        assert "<!-- generated" not in hooks.expand(text)
+    assert {"run", "up"} <= set(hooks.commands())
+    with pytest.raises(hooks.Missing, match=r"nowhere\.h"):
+        hooks.expand("<!-- generated: file nowhere.h -->")
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

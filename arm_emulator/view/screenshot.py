@@ -1,4 +1,4 @@
-"""A picture of a Rerun recording at one moment, taken without a screen."""
+"""Pictures of a Rerun recording, taken without a screen."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -23,6 +23,7 @@ POLL = 0.1  # s
 # words of welcome cover a part of the window for 1 to 3 s.
 SETTLE = 4.0  # s, and
 SETTLE_PICTURES = 8  # on a busy machine
+SETTLE_NEXT = 2  # pictures, where only the moment has changed
 
 T = TypeVar("T")
 
@@ -47,25 +48,46 @@ def take_screenshot(
     Raises:
         Refusal: no such recording, a moment outside of it, or the viewer cannot start.
     """
-    rrd, png = Path(rrd), Path(png)
+    (picture,) = take_screenshots(rrd, [at], size=size, patience=patience)
+    png = Path(png)
+    png.parent.mkdir(parents=True, exist_ok=True)
+    png.write_bytes(picture)
+
+
+def take_screenshots(
+    rrd: str | Path,
+    moments: Sequence[float | None],
+    *,
+    size: tuple[int, int] = (1600, 900),
+    patience: float = 180.0,
+) -> list[bytes]:
+    """Return a picture (PNG) of a recording at each moment, as `take_screenshot` takes one."""
+    rrd = Path(rrd)
     if not rrd.is_file():
         raise Refusal("screenshot", "recording", "be an .rrd file", rrd)
     deadline = time.monotonic() + patience
+    pictures = []
     with _viewer(rrd, size, deadline) as viewer:
         line = _poll(lambda: _timeline(viewer), deadline, f"{rrd} to show a time line {TIMELINE}")
         start, end = (line.start or 0) / SECOND, (line.end or 0) / SECOND
-        moment = end if at is None else at
-        if not start <= moment <= end:
-            rule = f"lie in the recording, {start:g} to {end:g} s"
-            raise Refusal("screenshot", "time", rule, f"{moment:g}")
-        viewer.set_time(TIMELINE, duration=moment, play_state="paused")
-        settled, pictures = time.monotonic() + SETTLE, 0
-        while time.monotonic() < settled or pictures < SETTLE_PICTURES:
-            viewer.take_screenshot()  # keeps it drawing
-            pictures += 1
-            time.sleep(5.0 * POLL)
-        png.parent.mkdir(parents=True, exist_ok=True)
-        png.write_bytes(viewer.take_screenshot())
+        for number, at in enumerate(moments):
+            moment = end if at is None else at
+            if not start <= moment <= end:
+                rule = f"lie in the recording, {start:g} to {end:g} s"
+                raise Refusal("screenshot", "time", rule, f"{moment:g}")
+            viewer.set_time(TIMELINE, duration=moment, play_state="paused")
+            _settle(viewer, *((SETTLE, SETTLE_PICTURES) if number == 0 else (0.0, SETTLE_NEXT)))
+            pictures.append(viewer.take_screenshot())
+    return pictures
+
+
+def _settle(viewer: ViewerClient, seconds: float, pictures: int) -> None:
+    """Keep the viewer drawing until it shows the moment as a whole."""
+    settled, taken = time.monotonic() + seconds, 0
+    while time.monotonic() < settled or taken < pictures:
+        viewer.take_screenshot()
+        taken += 1
+        time.sleep(5.0 * POLL)
 
 
 @contextlib.contextmanager

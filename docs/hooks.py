@@ -1,0 +1,176 @@
+"""What the site has beside the pages: text that follows from the code, and files that pages link.
+
+A page may hold a line
+
+    <!-- generated: KIND ARGUMENT -->
+
+in whose place `GENERATORS[KIND]` puts text. A link to a file of the repository outside of docs/
+leads to a page of the site that shows that file. mkdocs calls `on_...` (mkdocs.yml, `hooks`).
+"""
+
+from __future__ import annotations
+
+import os
+import posixpath
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+GENERATED = re.compile(r"^<!-- generated: (\w+)(?: (\S+))? -->$", re.M)
+LINK = re.compile(r"(?<=\]\()([^)\s#]+)(#[^)\s]*)?(?=\))")
+# Pages of the site for the pages at the top of the repository.
+TOP = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contribute/contributing.md",
+    "CHANGELOG.md": "contribute/changelog.md",
+}
+COMMAND = re.compile(r"^[\s│|]+([a-z][a-z-]+)\s{2,}\S")
+LANGUAGES = {".h": "c", ".hpp": "cpp", ".py": "python", ".yaml": "yaml", ".c": "c", ".msg": "text"}
+
+
+class Missing(Exception):
+    """A page names what is not there."""
+
+
+def command_lines(*words: str) -> str:
+    """Return the help of a command as a terminal without colours shows it.
+
+    Raises:
+        Missing: no such command.
+    """
+    plain = os.environ | {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
+    command = [sys.executable, "-m", "arm_emulator", *words, "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, env=plain, check=False)
+    if done.returncode:
+        raise Missing(f"{' '.join(command)}: {done.stderr}")
+    return done.stdout.rstrip()
+
+
+def commands() -> list[str]:
+    """Return the names of all commands, in the order of the help."""
+    found = (COMMAND.match(line) for line in command_lines().splitlines())
+    return [match[1] for match in found if match]
+
+
+def _help(_: str) -> str:
+    sections = [f"## {name}\n\n```text\n{command_lines(name)}\n```" for name in commands()]
+    if len(sections) < 2:
+        raise Missing("commands in the help of arm_emulator")
+    return "\n\n".join(sections)
+
+
+def _code(place: str) -> str:
+    file = ROOT / place
+    if not file.is_file():
+        raise Missing(place)
+    return f"```````{LANGUAGES.get(file.suffix, 'text')}\n{file.read_text().rstrip()}\n```````"
+
+
+def _interfaces(place: str) -> str:
+    files = sorted((ROOT / place).glob("*.msg")) or sorted((ROOT / place).glob("*.srv"))
+    if not files:
+        raise Missing(f"messages in {place}")
+    return "\n\n".join(
+        f"### {file.stem}\n\n```text\n{file.read_text().rstrip()}\n```" for file in files
+    )
+
+
+GENERATORS: dict[str, Callable[[str], str]] = {
+    "commands": _help,
+    "file": _code,
+    "interfaces": _interfaces,
+}
+
+
+def expand(text: str) -> str:
+    """Return a page's text with what is generated in it.
+
+    Raises:
+        Missing: a generator or what it shows is not there.
+    """
+
+    def text_of(place: re.Match[str]) -> str:
+        if place[1] not in GENERATORS:
+            raise Missing(f"generator {place[1]}; valid: {', '.join(GENERATORS)}")
+        return GENERATORS[place[1]](place[2] or "")
+
+    return GENERATED.sub(text_of, text)
+
+
+def shown_at(target: str) -> str:
+    """Return the page of the site for a file or folder of the repository."""
+    if target.startswith("docs/"):
+        return target.removeprefix("docs/")
+    return TOP.get(target) or f"source/{target}.md"
+
+
+def relink(text: str, at: str, page: str) -> tuple[str, set[str]]:
+    """Return a text whose links hold in the site, and what it links outside of docs/.
+
+    Args:
+        text: of a file of the repository.
+        at: that file.
+        page: its page in the site.
+    """
+    outside: set[str] = set()
+
+    def link(found: re.Match[str]) -> str:
+        if "://" in found[1] or found[1].startswith("mailto:"):
+            return found[0]
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(at), found[1]))
+        if not target.startswith("docs/") and target not in TOP:
+            outside.add(target)
+        shown = posixpath.relpath(shown_at(target), posixpath.dirname(page) or ".")
+        return f"{shown}{found[2] or ''}"
+
+    parts = re.split(r"(^```.*?^```[^\n]*$)", text, flags=re.M | re.S)
+    parts[::2] = [LINK.sub(link, part) for part in parts[::2]]
+    return "".join(parts), outside
+
+
+def source_page(target: str) -> str:
+    """Return the page that shows a file of the repository, or lists a folder.
+
+    Raises:
+        Missing: no such file or folder.
+    """
+    path = ROOT / target
+    if path.is_dir():
+        listed = subprocess.run(
+            ["git", "ls-files", target], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout.split()
+        return f"# {target}\n\n" + "\n".join(f"- `{file}`" for file in listed)
+    return f"# {target}\n\n{_code(target)}"
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages at the top of the repository, and those of linked files."""
+    from mkdocs.structure.files import File, InclusionLevel
+
+    linked: set[str] = set()
+    for file in files.documentation_pages():
+        at = f"docs/{file.src_uri}"
+        linked |= relink((ROOT / at).read_text(), at, file.src_uri)[1]
+    for top, page in TOP.items():
+        if page != "index.md":
+            text, outside = relink((ROOT / top).read_text(), top, page)
+            files.append(File.generated(config, page, content=text))
+            linked |= outside
+    for target in sorted(linked):
+        page = File.generated(config, shown_at(target), content=source_page(target))
+        page.inclusion = InclusionLevel.NOT_IN_NAV
+        files.append(page)
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Generate what a page asks for, and lead its links to pages of the site."""
+    place = page.file.src_uri
+    if place.startswith("source/") or (place in TOP.values() and place != "index.md"):
+        return markdown
+    return relink(expand(markdown), f"docs/{place}", place)[0]

@@ -1,0 +1,68 @@
+"""Words that the prose of this project does without: those of the glossary's last table.
+
+`make lint` runs this file. Add a room to `PROSE` when its prose is done.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+GLOSSARY = ROOT / "docs" / "contribute" / "glossary.md"
+PROSE = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
+ENDINGS = {".md", ".py", ".c", ".h", ".cpp", ".hpp", ".yaml", ".msg", ".srv"}
+
+
+def banned() -> dict[str, str]:
+    """Return what to write instead of each banned word or phrase."""
+    table = GLOSSARY.read_text(encoding="utf-8").split("## Banned\n")[1]
+    rows = re.findall(r"^\| (.+?) \| (.+?) \|$", table, re.M)[1:]
+    found = {word: instead for words, instead in rows for word in words.split(", ")}
+    if not found:
+        raise SystemExit(f"{GLOSSARY}: no banned words found")
+    return found
+
+
+def files(prose: tuple[str, ...] = PROSE) -> Iterator[Path]:
+    """Yield the files that are checked."""
+    for name in prose:
+        path = ROOT / name
+        if not path.exists():
+            raise SystemExit(f"banned_words: {name} does not exist")
+        for file in [path] if path.is_file() else sorted(path.rglob("*")):
+            if file.suffix in ENDINGS and file not in (GLOSSARY, Path(__file__).resolve()):
+                yield file
+
+
+def text_of(file: Path) -> str:
+    """Return what is checked of a file: of a change log what is not released."""
+    text = file.read_text(encoding="utf-8")
+    if file.name == "CHANGELOG.md":
+        begin = text.index("## [Unreleased]")
+        text = "\n" * text.count("\n", 0, begin) + text[begin : text.index("\n## ", begin + 1)]
+    return text
+
+
+def found_in(text: str, words: dict[str, str]) -> Iterator[tuple[int, str, str]]:
+    """Yield line, word and what to write instead, of each banned word in a text."""
+    phrases = "|".join(re.escape(word).replace(r"\ ", r"\s+") for word in words)
+    for match in re.finditer(rf"\b(?:{phrases})\b", text, re.I):
+        word = " ".join(match[0].lower().split())
+        yield text.count("\n", 0, match.start()) + 1, word, words[word]
+
+
+def main() -> int:
+    """Print a line per banned word; exit code 1 if there is one."""
+    words, count = banned(), 0
+    for file in files():
+        for line, word, instead in found_in(text_of(file), words):
+            print(f"{file.relative_to(ROOT)}:{line}: '{word}' is banned; write {instead}")
+            count += 1
+    return 1 if count else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
