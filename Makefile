@@ -196,6 +196,7 @@ CORE := $(shell find arm_emulator test bench -path test/peers/ethercrab_master -
 
 lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache
+	@.venv/bin/python test/banned_words.py
 	@$(if $(CORE),.venv/bin/clang-format --dry-run -Werror $(CORE))
 
 format: setup

@@ -51,14 +51,14 @@ def record(rrd: Path) -> tuple[float, float]:
     while one.instructor.reports.waiting[-1].state.name in ("ACCEPTED", "MOVING"):
         one.advance(EVERY)
         state = one.session.state
-        measured = one.session.measured
+        sensed = one.session.measured
         stream.offer(
             one.session.logical_ns,
             state.q,
             state.v,
             state.gear_torque,
-            measured.current,
-            measured.voltage,
+            sensed.current,
+            sensed.applied,
             one.drives.servo.q_measured,
         )
     end = one.session.logical_ns

@@ -1,0 +1,43 @@
+"""The check of words finds what it shall, in every file that it shall."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import banned_words
+import pytest
+
+WORDS = {"tell": "report", "says": "states", "what there is": "the thing's name"}
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("Sensors tell\nit.", [(1, "tell")]),
+        ("one\nHe Says so, what\nthere is", [(2, "says"), (2, "what there is")]),
+        ("retell, told_by, tell_all, essays", []),
+    ],
+)
+def test_whole_words_are_found_with_their_line(text: str, found: list[tuple[int, str]]) -> None:
+    assert [one[:2] for one in banned_words.found_in(text, WORDS)] == found
+
+
+def test_the_glossary_bans_and_each_page_is_checked() -> None:
+    assert {"told", "said", "is none"} <= set(banned_words.banned())
+    checked = {path.relative_to(banned_words.ROOT).as_posix() for path in banned_words.files()}
+    assert {"README.md", "docs/concepts/time.md", "docs/reference/parts/imu.md"} <= checked
+
+
+def test_a_banned_word_ends_with_a_line_and_exit_code_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "page.md").write_text("fine\nwe told you\n")
+    monkeypatch.setattr(banned_words, "ROOT", tmp_path)
+    monkeypatch.setattr(banned_words, "files", lambda: [tmp_path / "page.md"])
+    assert banned_words.main() == 1
+    assert capsys.readouterr().out.startswith("page.md:2: 'told' is banned; write report")
+
+
+def test_of_the_change_log_what_is_released_stays() -> None:
+    text = banned_words.text_of(banned_words.ROOT / "CHANGELOG.md")
+    assert text.count("\n## ") == 1 and "[Unreleased]" in text
