@@ -219,8 +219,8 @@ def report(figures: dict[str, Any]) -> str:
                 lines += ["", f"Its {part} cost {cost} ({', '.join(TIMED)})."]
     lines += [
         "",
-        "A time saved within the spread of some per cent does not count. An encoder's share is 0 in "
-        "open loop by its nature: it is read by the servo alone. What this table does not show: "
+        "A time saved within the spread of some per cent does not count. An encoder's share is 0 "
+        "in open loop by its nature: it is read by the servo alone. What this table does not show: "
         "a part that is left out may allow a longer step (section Stability map).",
     ]
     return "\n".join(lines)

@@ -148,6 +148,22 @@ def source_page(target: str) -> str:
     return f"# {target}\n\n{_code(target)}"
 
 
+def with_pages(nav: Any) -> Any:
+    """Return a navigation in which a pattern of pages is the list of those pages."""
+    if isinstance(nav, str):
+        found = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.glob(nav))
+        return found if "*" in nav else nav
+    if isinstance(nav, dict):
+        return {title: with_pages(below) for title, below in nav.items()}
+    return [with_pages(below) for below in nav]
+
+
+def on_config(config: Any) -> Any:
+    """List the pages that the navigation names by a pattern."""
+    config.nav = with_pages(config.nav)
+    return config
+
+
 def on_files(files: Any, config: Any) -> Any:
     """Add the pages at the top of the repository, and those of linked files."""
     from mkdocs.structure.files import File, InclusionLevel
