@@ -243,7 +243,7 @@ def report(figures: dict[str, Any]) -> str:
         f"Accurate: at most {ACCURATE:g} rad. Bounded: within {BOUND:g} rad of a motion that spans "
         "less than 3 rad. Diverged: a plant that stopped at its last finite state "
         "and reported it, or a MuJoCo that warned of a bad state and reset itself. Not detected: "
-        "gone, and no word of it.",
+        "unbounded, and not reported.",
         "",
         f"The truth is rosenbrock at 1 us; at 2 us it is the same to {truth:.0e} rad everywhere.",
         "",
