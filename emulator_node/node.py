@@ -38,10 +38,10 @@ from arm_emulator.analysis.stability import explain
 from arm_emulator.base.parameters import parameter
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.outputs import reported_by_parts
 from arm_emulator.machine.plant import Diverged
-from arm_emulator.machine.real_time import RealTimeSession
 from arm_emulator.machine.scene import example_robot_data, load_scene
 from arm_emulator.machine.session import CLOCKS, STARTS, EndOfTime, Needless, Phase, Session
 from arm_emulator.ros.doubles import STARTED, Doubles
@@ -140,7 +140,7 @@ class EmulatorNode(Node):
         )
         self._doubles.wait_until_first("emulator/status")
         self._session = (
-            RealTimeSession(scene, self._config.start)
+            real_time_session(scene, self._config.start)
             if self._config.clock == "realtime"
             else Session(scene, self._config.clock, self._config.start)
         )
@@ -215,7 +215,7 @@ class EmulatorNode(Node):
             f"clock {self._config.clock}"
         )
         self._closing = False
-        if isinstance(self._session, RealTimeSession):
+        if self._session.by_itself:
             self._teller = threading.Thread(
                 target=self._tell_ticks, args=(self._session,), name="teller"
             )
@@ -294,7 +294,7 @@ class EmulatorNode(Node):
             else:
                 self._pace.cancel()
 
-    def _tell_ticks(self, session: RealTimeSession) -> None:
+    def _tell_ticks(self, session: Session) -> None:
         """Publish the ticks of real time as they come, in a thread of its own."""
         while not self._closing and rclpy.ok():
             if session.wait(timeout=0.1):
@@ -305,7 +305,7 @@ class EmulatorNode(Node):
                     if rclpy.ok():
                         raise
 
-    def _catch_up(self, session: RealTimeSession) -> bool:
+    def _catch_up(self, session: Session) -> bool:
         """Take some ticks, publish some of what waits; return whether there is more of either.
 
         On a machine that is too slow there is always more: topics and services come in between.
@@ -320,7 +320,7 @@ class EmulatorNode(Node):
                 publisher.publish(data)
             return taken == AT_ONCE or bool(self._unpublished)
 
-    def _take(self, session: RealTimeSession) -> bool:
+    def _take(self, session: Session) -> bool:
         """Take a tick and tell its state; False if there is none."""
         if not session.take():
             return False
@@ -556,7 +556,7 @@ class EmulatorNode(Node):
             waiting_time=time.monotonic() - self._published_at if phase is Phase.WAITING else 0.0,
         )
         status.header.stamp = stamp(session.logical_ns)
-        if isinstance(session, RealTimeSession):
+        if session.by_itself:
             figures = session.figures
             status.overruns = figures.lost_periods
             status.old_commands = figures.old_commands
@@ -721,7 +721,7 @@ class EmulatorNode(Node):
         while self._unpublished:
             publisher, data = self._unpublished.popleft()
             publisher.publish(data)
-        if isinstance(self._session, RealTimeSession):
+        if self._session.by_itself:
             while self._take(self._session):
                 pass
         self._report_fault()

@@ -17,13 +17,13 @@ from arm_emulator.doors.fieldbus.converter import Converter, blocks
 from arm_emulator.doors.fieldbus.modbus_rtu import ModbusException
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine import outputs
+from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.outputs import KNOWN, SYMBOLS, outputs_of, readings_of, reported_by_parts
 from arm_emulator.machine.parts.output import READINGS, Output
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.parts.torque_sensor import TorqueSensor
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.real_time import RealTimeSession
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 from arm_emulator.machine.session import Session
@@ -191,7 +191,7 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
 
 
 def test_real_time_hands_over_the_same(scene: Scene) -> None:
-    session = RealTimeSession(scene, "paused")
+    session = real_time_session(scene, "paused")
     assert session.step() == ""
     fresh = Plant(scene)
     fresh.exchange(np.zeros(2))

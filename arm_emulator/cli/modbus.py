@@ -11,7 +11,7 @@ from arm_emulator.doors.fieldbus.modbus_line import CLOCKS, ModbusLine
 from arm_emulator.doors.fieldbus.modbus_pty import RealTimeService, serial_port, serve
 from arm_emulator.doors.fieldbus.modbus_rtu import LARGEST_STATION
 from arm_emulator.doors.fieldbus.serial_line import LineErrors, check_baud
-from arm_emulator.machine.real_time import RealTimeSession
+from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session
 
@@ -40,9 +40,8 @@ def modbus(
     errors = LineErrors(error_rate, seed)
     scene = load_scene(scene_name)
     warn_of_scene(scene)
-    session: Session
     if clock == "realtime":
-        session = RealTimeSession(scene, "first_answer")
+        session = real_time_session(scene, "first_answer")
     else:
         session = Session(scene, "lockstep", "first_answer")
     try:

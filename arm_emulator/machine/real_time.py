@@ -1,14 +1,11 @@
-"""A session in real time: a compiled thread owns the clock (core/boundary/real_time.h)."""
+"""The thread that owns time in real time: core/boundary/real_time.h, called from Python."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import select
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import fields
 
 import numpy as np
 
@@ -16,6 +13,7 @@ from arm_emulator.base.bound import VOLTAGE
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.build.unit import address
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.clock import Reached, RealTimeFigures
 from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.core_calls import (
     JOINT_COMMAND,
@@ -25,41 +23,12 @@ from arm_emulator.machine.core_calls import (
     Snapshot,
     Truth,
 )
-from arm_emulator.machine.measured import Measured, MeasuredPlace
+from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.outputs import readings_of
-from arm_emulator.machine.plant import LARGEST_STEPS, ROWS, Plant, PlantState
-from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.session import Session
+from arm_emulator.machine.plant import LARGEST_STEPS, ROWS, Plant
 
 LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023
-
-
-@dataclass(frozen=True)
-class RealTimeFigures:
-    """How punctual the loop is, since it was reset; times in ns."""
-
-    tick: int
-    lost_periods: int  # deadlines missed by whole periods, which logical time has lost
-    old_commands: int  # periods under a command that answers a state more than two periods old
-    worst_lateness: int
-    median_lateness: int
-    p99_lateness: int
-    unread: int  # snapshots that nobody fetched in time
-    fifo: int  # 1: the core's threads run under SCHED_FIFO
-    locked: int  # 1: memory is locked
-
-
-@dataclass(frozen=True)
-class Reached:
-    """The machine at a tick that the loop has reached."""
-
-    tick: int
-    spent: int  # ns, on the period that led there
-    fault: int  # joint that diverged; -1: none
-    energy: float  # J
-    rows: Array  # (len(ROWS), N), see `PlantState`
-    measured: Measured
 
 
 class RealTimeLoop:
@@ -174,153 +143,3 @@ class RealTimeLoop:
     def clear_figures(self) -> None:
         """Count from now on."""
         self._calls.arm_real_time_clear_figures(self._loop)
-
-
-class RealTimeSession(Session):
-    """A session whose ticks come from the real-time loop: `wait`, then `take` until it is False.
-
-    The loop runs exactly while the phase allows to advance.
-    """
-
-    def __init__(self, scene: Scene, start: str) -> None:
-        self._loop: RealTimeLoop | None = None
-        self._spent_ns = 0  # on exchanges
-        self._running = False
-        self._held = False  # between two ticks,
-        self._goes_on = False  # after which the loop goes on where it was
-        super().__init__(scene, "realtime", start)
-        self._loop = RealTimeLoop(
-            self.plant, self.period_ns, scene.steps_per_period, scene.cores[0]
-        )
-        self._look()
-        self._loop.command(-1, self._zero)
-        self._follow_phase()
-
-    def reset(self) -> None:
-        """Begin anew at tick 0."""
-        if self._loop is None:  # within the base's constructor
-            super().reset()
-            return
-        with self.between_ticks():
-            while self._loop.take() is not None:
-                pass
-            super().reset()
-            self._look()
-            self._loop.command(-1, self._zero)
-            self._loop.clear_figures()
-            self._goes_on = False
-
-    def close(self) -> None:
-        """Stop the loop for good."""
-        self._halt()
-
-    @property
-    def figures(self) -> RealTimeFigures:
-        """How punctual the loop is."""
-        assert self._loop is not None
-        return self._loop.figures()
-
-    @property
-    def energy(self) -> float:
-        """Energy of the machine at this tick [J]."""
-        return self._energy
-
-    @property
-    def paused(self) -> bool:
-        """Whether logical time stands still on request."""
-        return self._paused
-
-    @paused.setter
-    def paused(self, value: bool) -> None:
-        self._paused = value
-        self._follow_phase()
-
-    @contextmanager
-    def between_ticks(self) -> Iterator[None]:
-        """Within, the loop stands still: take what it has reached, then change the machine.
-
-        Afterwards it goes on as if it had not been stopped: periods that it has missed are counted.
-        """
-        assert self._loop is not None
-        if self._held:
-            yield
-            return
-        self._goes_on = self._running
-        self._halt()
-        self._held = True
-        try:
-            yield
-        finally:
-            self._held = False
-            if self._goes_on and self.may_advance:
-                self._running = True
-                self._loop.go_on()
-            else:
-                self._follow_phase()
-
-    def _take_machine(self) -> None:
-        super()._take_machine()
-        self._look()
-
-    def _look(self) -> None:
-        """Take what there is at this tick, while the loop stands still."""
-        self._state, self._measured = self.plant.state, self.plant.measured
-        self._energy = self.plant.energy
-
-    def offer(self, tick: int, joint_names: Any, voltage: Any) -> None:
-        """Take a motor command, see `Session.offer`."""
-        super().offer(tick, joint_names, voltage)
-        assert self._loop is not None and self._commanded is not None
-        self._loop.command(tick, self._commanded)
-        self._follow_phase()
-
-    @property
-    def step_wall_ns(self) -> int:
-        """Wall time that the loop's exchanges have taken so far [ns]."""
-        return self._spent_ns
-
-    def wait(self, timeout: float) -> bool:
-        """Wait at most `timeout` [s] for a tick."""
-        assert self._loop is not None
-        return self._loop.wait(timeout)
-
-    def take(self) -> bool:
-        """Go on to the next tick that the loop has reached; False if there is none."""
-        assert self._loop is not None
-        reached = self._loop.take()
-        if reached is None:
-            return False
-        self.tick, self._energy, self._measured = reached.tick, reached.energy, reached.measured
-        self.voltage = reached.measured.applied
-        self._spent_ns += reached.spent
-        t = reached.tick * self.scene.servo_period
-        current, theta_m, omega_m, q, v, gear_torque = reached.rows
-        counts = reached.measured.encoder_counts
-        self._state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque, counts)
-        if reached.fault >= 0:
-            self.fault = self.plant.fault(reached.fault, t, q, v, self.voltage)
-            self._running = False
-        return True
-
-    def step(self) -> str:
-        """Advance a paused session by one tick, see `Session.step`."""
-        said = super().step()
-        if not said:
-            self._energy = self.plant.energy
-        return said
-
-    def _halt(self) -> None:
-        if self._running and self._loop is not None:
-            self._loop.stop()
-        self._running = False
-
-    def _follow_phase(self) -> None:
-        if self._loop is None or self._held:
-            return
-        if self.may_advance and not self._running:
-            while self.take():  # ticks that were reached before the loop was halted
-                pass
-            self._running = True
-            self._loop.start(self.tick)
-        elif not self.may_advance:
-            self._halt()

@@ -1,13 +1,13 @@
 """One run of the machine under command: ticks, answers, phases. Knows nothing of ROS.
 
-A tick is the start of a servo period. The session publishes nothing and waits for nothing: its
-owner asks `may_advance`, calls `advance`, and tells the world.
+A tick is the start of a servo period. The session publishes nothing. Where its owner lets time
+pass, that asks `may_advance` and calls `advance`; where a loop does, it calls `wait` and `take`.
 """
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -17,6 +17,7 @@ from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.clock import Clock, RealTimeFigures
 from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.measured import Measured
@@ -61,7 +62,7 @@ class Session:
     """The machine, driven tick by tick by motor commands.
 
     Lock-step: tick k is left only with the command that answers tick k. Real time: the newest
-    command is held, and the owner advances by the clock.
+    command is held.
 
     Args:
         scene: the machine.
@@ -69,12 +70,16 @@ class Session:
         start: what goes on until the first command: "free_run" runs at zero voltage,
             "first_answer" stands still at tick 0, "paused" stands still until `paused` is set to
             False and then runs free.
+        driver: what lets the periods of its plant pass. A loop runs exactly while the phase allows
+            to advance.
 
     Raises:
         Refusal: another clock or start than these.
     """
 
-    def __init__(self, scene: Scene, clock: str, start: str) -> None:
+    def __init__(
+        self, scene: Scene, clock: str, start: str, driver: Callable[[Plant], Clock] = Clock
+    ) -> None:
         for quantity, value, known in (("clock", clock, CLOCKS), ("start", start, STARTS)):
             if value not in known:
                 raise Refusal("Session", quantity, "be known", value, ", ".join(known))
@@ -83,7 +88,9 @@ class Session:
         self._powered = True
         self.lockstep = clock == "lockstep"
         self.period_ns = round(scene.servo_period * 1e9)
-        self.plant.measure_time()
+        self._clock = driver(self.plant)
+        self._held = False  # between two ticks,
+        self._goes_on = False  # after which a loop goes on where it was
         self._start = start
         self._order = JointOrder("motor_commands", scene.joint_names)
         self._zero = np.zeros(len(scene.joint_names))
@@ -93,21 +100,43 @@ class Session:
     @property
     def step_wall_ns(self) -> int:
         """Wall time that integration steps have taken so far [ns]."""
-        return self.plant.spent_ns
+        return self._clock.spent_ns
+
+    @property
+    def by_itself(self) -> bool:
+        """Whether a loop lets time pass, the ticks of which are to be taken."""
+        return self._clock.by_itself
+
+    @property
+    def figures(self) -> RealTimeFigures:
+        """How punctual a loop is; zeros where the owner lets time pass."""
+        return self._clock.figures
 
     def reset(self) -> None:
         """Begin anew at tick 0, as after construction. Power stays as it is."""
-        self.plant.reset()
-        self._left_tick = self.tick  # where the run before was
-        self.tick = 0
-        self.paused = self._start == "paused"
-        self.fault: Diverged | EndOfTime | None = None
-        self.voltage = self._zero  # applied now
-        self._commanded: Array | None = None  # newest accepted command
-        self._answered_tick = -1  # the tick that it answers
-        self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
-        self._state: PlantState | None = None
-        self._measured: Measured | None = None
+        with self.between_ticks():
+            self.plant.reset()
+            self._left_tick = self.tick  # where the run before was
+            self.tick = 0
+            self._paused = self._start == "paused"
+            self.fault: Diverged | EndOfTime | None = None
+            self.voltage = self._zero  # applied now
+            self._commanded: Array | None = None  # newest accepted command
+            self._answered_tick = -1  # the tick that it answers
+            self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
+            self._look()
+            self._clock.begin()
+            self._goes_on = False
+
+    @property
+    def paused(self) -> bool:
+        """Whether logical time stands still on request."""
+        return self._paused
+
+    @paused.setter
+    def paused(self, value: bool) -> None:
+        self._paused = value
+        self._follow_phase()
 
     @property
     def powered(self) -> bool:
@@ -122,8 +151,25 @@ class Session:
 
     @contextmanager
     def between_ticks(self) -> Iterator[None]:
-        """Within, no time passes: the machine can be saved, and changed by hand."""
-        yield
+        """Within, no time passes: the machine can be saved, and changed by hand.
+
+        First take what a loop has reached. Afterwards it goes on as if it had not been stopped:
+        periods that it has missed are counted.
+        """
+        if self._held:
+            yield
+            return
+        self._goes_on = self._clock.running
+        self._clock.stop()
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = False
+            if self._goes_on and self.may_advance:
+                self._clock.go_on()
+            else:
+                self._follow_phase()
 
     def restore(self, saved: bytes) -> None:
         """Continue with a machine that was saved, with its power and its fault.
@@ -205,7 +251,16 @@ class Session:
         """Take over what became of the machine."""
         self._powered = self.plant.powered
         self.fault = self.plant.diverged
-        self._state = self._measured = None
+        self._look()
+
+    def _look(self) -> None:
+        """Forget what was read; a machine that a loop drives is read while it stands still."""
+        self._state: PlantState | None = None
+        self._measured: Measured | None = None
+        self._energy: float | None = None
+        if self._clock.by_itself:
+            plant = self.plant
+            self._state, self._measured, self._energy = plant.state, plant.measured, plant.energy
 
     @property
     def state(self) -> PlantState:
@@ -224,7 +279,7 @@ class Session:
     @property
     def energy(self) -> float:
         """Energy of the machine at this tick [J]."""
-        return self.plant.energy
+        return self.plant.energy if self._energy is None else self._energy
 
     @property
     def logical_ns(self) -> int:
@@ -287,6 +342,8 @@ class Session:
             self._before = (newest, self._commanded)
         self._commanded = command
         self._answered_tick = tick
+        self._clock.command(tick, command)
+        self._follow_phase()
 
     def _is_repeated(self, tick: int, command: Array) -> bool:
         for answered, known in ((self._answered_tick, self._commanded), self._before):
@@ -312,7 +369,7 @@ class Session:
         except Diverged as fault:
             self.fault = fault
         self.voltage = self.plant.voltage
-        self._state = self._measured = None
+        self._look()
         if self.fault is not None:
             return
         self.tick += 1
@@ -334,13 +391,43 @@ class Session:
             self.fault = fault
         finally:
             self.voltage = self.plant.voltage
-            self._state = self._measured = None
+            self._look()
             self._before = (-1, None)
             self._commanded, self._answered_tick = self.plant.commanded, loop.tick - 1
             self.tick = loop.tick
 
     def close(self) -> None:
-        """Let go of whatever drives the session."""
+        """Let the machine stand still for good."""
+        self._clock.stop()
+
+    def wait(self, timeout: float) -> bool:
+        """Wait at most `timeout` [s] for a tick of a loop."""
+        return self._clock.wait(timeout)
+
+    def take(self) -> bool:
+        """Go on to the next tick that a loop has reached; False if there is none."""
+        reached = self._clock.take()
+        if reached is None:
+            return False
+        self.tick, self._energy, self._measured = reached.tick, reached.energy, reached.measured
+        self.voltage = reached.measured.applied
+        t = reached.tick * self.scene.servo_period
+        current, theta_m, omega_m, q, v, gear_torque = reached.rows
+        counts = reached.measured.encoder_counts
+        self._state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque, counts)
+        if reached.fault >= 0:
+            self.fault = self.plant.fault(reached.fault, t, q, v, self.voltage)
+        return True
+
+    def _follow_phase(self) -> None:
+        if self._held:
+            return
+        if not self.may_advance:
+            self._clock.stop()
+        elif not self._clock.running:
+            while self.take():  # ticks that were reached before the loop was stopped
+                pass
+            self._clock.start(self.tick)
 
     def step(self) -> str:
         """Advance a paused session by one tick; return why not, or an empty text."""

@@ -24,8 +24,8 @@ import numpy as np
 from machines import moving_joints, random_chain_urdf, write_scene
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.plant import Diverged, Plant
-from arm_emulator.machine.real_time import RealTimeSession
 from arm_emulator.machine.scene import DEEPEST_EXCHANGE, SCHEMES, Scene, load_scene
 from fuzz.line import FAILED, REFUSED, TAKEN, tell
 
@@ -230,7 +230,7 @@ def drive(rng: np.random.Generator, scene: Scene) -> dict[str, int]:
 
 def drive_in_real_time(rng: np.random.Generator, scene: Scene) -> None:
     """Let the real-time loop run for a moment, under commands, power cuts, pauses and resets."""
-    session = RealTimeSession(scene, "free_run")
+    session = real_time_session(scene, "free_run")
     names = scene.joint_names
     try:
         end = time.monotonic() + 0.1

@@ -17,7 +17,6 @@ from arm_emulator.doors.fieldbus.converter import Converter
 from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
 from arm_emulator.doors.fieldbus.modbus_rtu import Receiver, Station
 from arm_emulator.doors.fieldbus.serial_line import LineErrors, bytes_time, silence_time
-from arm_emulator.machine.real_time import RealTimeSession
 
 # What is on its way from another process comes later than on a line. Only bytes that are no whole
 # request wait for that long.
@@ -149,7 +148,6 @@ class RealTimeService:
     def __init__(
         self, port: SerialPort, converter: Converter, number: int, baud: int, errors: LineErrors
     ) -> None:
-        assert isinstance(converter.session, RealTimeSession)
         self._session = converter.session
         self._port, self._converter, self._baud, self._errors = port, converter, baud, errors
         self._receiver = Receiver()

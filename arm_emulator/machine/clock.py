@@ -1,0 +1,84 @@
+"""Who lets the servo periods of a session pass: its owner, or a loop that owns time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.measured import Measured
+from arm_emulator.machine.plant import Plant
+
+
+@dataclass(frozen=True)
+class RealTimeFigures:
+    """How punctual a loop is, since it was reset; times in ns."""
+
+    tick: int = 0
+    lost_periods: int = 0  # deadlines missed by whole periods, which logical time has lost
+    old_commands: int = 0  # periods under a command that answers a state more than two periods old
+    worst_lateness: int = 0
+    median_lateness: int = 0
+    p99_lateness: int = 0
+    unread: int = 0  # snapshots that nobody fetched in time
+    fifo: int = 0  # 1: the core's threads run under SCHED_FIFO
+    locked: int = 0  # 1: memory is locked
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The machine at a tick that a loop has reached."""
+
+    tick: int
+    spent: int  # ns, on the period that led there
+    fault: int  # joint that diverged; -1: none
+    energy: float  # J
+    rows: Array  # (len(ROWS), N), see `PlantState`
+    measured: Measured
+
+
+class Clock:
+    """Lets the servo periods of a machine pass. This one leaves that to the owner of the session.
+
+    Attributes:
+        by_itself: whether ticks come without the owner, and are to be taken.
+        running: whether time passes now, or the owner lets it pass.
+    """
+
+    by_itself, running = False, True
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+        plant.measure_time()
+
+    @property
+    def spent_ns(self) -> int:
+        """Wall time that integration steps have taken so far [ns]."""
+        return self._plant.spent_ns
+
+    @property
+    def figures(self) -> RealTimeFigures:
+        """How punctual it is; zeros where nobody waits for a time."""
+        return RealTimeFigures()
+
+    def begin(self) -> None:
+        """Begin anew at tick 0: forget the commands and the ticks of the run before."""
+
+    def command(self, answered: int, voltage: Array) -> None:
+        """Hold voltages [V] from now on, which answer a tick."""
+
+    def start(self, tick: int) -> None:
+        """Let time pass from a tick on."""
+
+    def stop(self) -> None:
+        """Let the machine stand still. Ticks not taken yet stay."""
+
+    def go_on(self) -> None:
+        """Let time pass as if it had not been stopped."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait at most `timeout` [s] for a tick."""
+        return False
+
+    def take(self) -> Reached | None:
+        """Return the oldest tick not taken yet, None if there is none."""
+        return None

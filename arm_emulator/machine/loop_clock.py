@@ -1,0 +1,82 @@
+"""A session whose time passes by itself: a compiled thread owns the clock."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.clock import Clock, Reached, RealTimeFigures
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.real_time import RealTimeLoop
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.session import Session
+
+
+class LoopClock(Clock):
+    """Ticks come from the real-time loop of the core, see `RealTimeLoop`."""
+
+    by_itself = True
+
+    def __init__(self, plant: Plant) -> None:
+        scene = plant.scene
+        period_ns = round(scene.servo_period * 1e9)
+        super().__init__(plant)
+        self._loop = RealTimeLoop(plant, period_ns, scene.steps_per_period, scene.cores[0])
+        self._zero = np.zeros(len(scene.joints))
+        self._spent_ns = 0  # on exchanges
+        self.running = False
+
+    @property
+    def spent_ns(self) -> int:
+        """Wall time that the exchanges of the ticks taken have needed so far [ns]."""
+        return self._spent_ns
+
+    @property
+    def figures(self) -> RealTimeFigures:
+        """How punctual the loop is."""
+        return self._loop.figures()
+
+    def begin(self) -> None:
+        """Begin anew at tick 0, see `Clock.begin`."""
+        while self._loop.take() is not None:
+            pass
+        self._loop.command(-1, self._zero)
+        self._loop.clear_figures()
+
+    def command(self, answered: int, voltage: Array) -> None:
+        """Hold voltages [V] from now on, which answer a tick."""
+        self._loop.command(answered, voltage)
+
+    def start(self, tick: int) -> None:
+        """Let time pass from a tick on."""
+        self.running = True
+        self._loop.start(tick)
+
+    def stop(self) -> None:
+        """Stop within a period. Ticks not taken yet stay."""
+        if self.running:
+            self._loop.stop()
+        self.running = False
+
+    def go_on(self) -> None:
+        """Let time pass as if it had not been stopped; what was missed is lateness."""
+        self.running = True
+        self._loop.go_on()
+
+    def wait(self, timeout: float) -> bool:
+        """Wait at most `timeout` [s] for a tick, without Python's lock."""
+        return self._loop.wait(timeout)
+
+    def take(self) -> Reached | None:
+        """Return the oldest tick not taken yet, None if there is none."""
+        reached = self._loop.take()
+        if reached is not None:
+            self._spent_ns += reached.spent
+            if reached.fault >= 0:
+                self.running = False  # the loop has ended there
+        return reached
+
+
+def real_time_session(scene: Scene, start: str) -> Session:
+    """Return a session whose ticks come from the real-time loop, see `Session`."""
+    return Session(scene, "realtime", start, LoopClock)
