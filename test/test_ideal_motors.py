@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from balance import balance_of
 from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from arm_emulator.analysis.reference import reference
@@ -199,3 +200,48 @@ def test_our_servo_and_its_gains_refuse_them_by_name(motor: dict[str, Any]) -> N
         Refusal, match="shoulder.motor must be a part that the reference".replace(".", "[.]")
     ):
         reference(scene, [[0.0, 0.0, 0.0]], 1e-3)
+
+
+@pytest.mark.parametrize("scheme", ["extrapolated"])
+def test_what_goes_with_a_torque_that_jumps_keeps_order_two(tmp_path: Path, scheme: str) -> None:
+    """Friction with the load and ripple take the torque of the command that is there now.
+
+    Nothing stops on the way, so that `step` has nothing to be late for.
+    """
+    Ng, mu, (k, a) = 0.05, 0.3, (7.0, 0.2)
+    R, Kt = 0.7, 0.05
+    dc = {"kind": "dc", "rotor_inertia": ROTOR, "resistance": R, "torque_constant": Kt,
+          "back_emf_constant": Kt, "friction": {"load": mu}}  # fmt: skip
+    joints = {
+        "x": {"motor": TORQUE, "friction": {"load": mu}},
+        "y": {"motor": {**TORQUE, "ripple": {"waves": [[k, a]]}}},
+        "z": {"motor": dc},
+    }
+    file = write_scene(
+        tmp_path, gantry_urdf(), {name: {**joint, "gear": {"ratio": Ng}}
+                                  for name, joint in joints.items()},
+        servo_period=1e-3, integrator={"scheme": scheme, "dt": 1e-3},
+    )  # fmt: skip
+    rows = np.random.default_rng(5).uniform(0.3, 1.0, (40, 3)) * np.array([0.5, 0.5, 10.0])
+    moved = MOVED + ROTOR / Ng**2
+
+    def rates(_: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
+        q, v = state[:3], state[3:]
+        load = u[0] / Ng, u[1] / Ng, Kt / R * (u[2] - Kt * v[2] / Ng) / Ng
+        ripple = 1.0 + a * np.sin(k * q[1] / Ng)
+        a_ = np.array([(1.0 - mu) * load[0], ripple * load[1], load[2] - mu * abs(load[2])]) / moved
+        return np.concatenate([v, a_])
+
+    state, truth = np.array([0.0] * 3 + [0.5] * 3), []
+    for u in rows:
+        state = solve_ivp(rates, (0.0, 1e-3), state, "DOP853", args=(u,), rtol=1e-11,
+                          atol=1e-14).y[:, -1]  # fmt: skip
+        truth.append(state[:3])
+    errors = []
+    for steps in (2, 4, 8, 16):
+        plant = Plant(load_scene(file, {"integrator.dt": 1e-3 / steps}))
+        plant.reset(v=np.full(3, 0.5))
+        errors.append(np.abs(plant.run(rows, steps) - truth).max(axis=0))
+    assert (errors[-1] < 1e-7).all(), f"rad or m: {errors}"
+    # 64 in three halvings of order 2, 8 of order 1; rounding alone for a torque that is constant.
+    assert ((errors[-1] < errors[0] / 40.0) | (errors[-1] < 1e-13)).all(), f"{errors}"

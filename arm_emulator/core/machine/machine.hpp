@@ -263,7 +263,7 @@ class Machine {
     for (int j = 0; j < N; ++j) u[j] = voltage[j];
     bound(u);
     State<S> at = x;
-    Modes<S>::follow(numbers, at, u);
+    follow_at_once(numbers, at, u);
     return powers_of(numbers, at, u, modes_at(at, u));
   }
 
@@ -367,7 +367,7 @@ class Machine {
   Modes<S> modes_at(State<S> x, const double* u) const {
     typename Links<S>::Dynamics links;
     Links<S>::dynamics_apart(numbers, x.q, x.v, links);
-    Modes<S>::follow(numbers, x, u);
+    follow_at_once(numbers, x, u);
     return Modes<S>(numbers, x, u, links);
   }
 

@@ -31,20 +31,26 @@ class Coulomb {
   // Whether the torque of sliding depends on anything: then it is that of the state last taken.
   static constexpr bool varies =
       any_drive<S>([](const auto& drive) { return drive.friction_varies; });
+  // Whether what holds a joint at rest goes with a load.
+  static constexpr bool loaded =
+      any_drive<S>([](const auto& drive) { return drive.holds_by_load; });
 
   explicit Coulomb(const Numbers<S, X>& numbers) : n(numbers) {}
 
-  // Let friction be that at x, where modes(drive, j, lane) are those of the drives.
+  // Let friction be that at x, where modes(drive, j, lane) are those of the drives, and what holds
+  // a joint at rest that at `pulled`, where the torque that pulls it is taken.
   template <class ModesOf>
-  void take([[maybe_unused]] const State<S, X>& x, [[maybe_unused]] const X* u,
-            [[maybe_unused]] const ModesOf& modes) {
+  void take([[maybe_unused]] const State<S, X>& x, [[maybe_unused]] const State<S, X>& pulled,
+            [[maybe_unused]] const X* u, [[maybe_unused]] const ModesOf& modes) {
     if constexpr (varies) {
       for (int lane = 0; lane < kWidth<X>; ++lane)
         n.for_each_drive_of(lane, [&](const auto& drive, int j) {
           const auto now = modes(drive, j, lane);
-          const auto at = drive.with(input_in_lane(drive, j, x, u[j], lane), now);
-          set_lane(of.Dc[j], lane, drive.sliding(at, now.held()));
-          set_lane(of.Ds[j], lane, drive.holding(at, now.held()));
+          const auto at = [&](const State<S, X>& state) {
+            return drive.with(input_in_lane(drive, j, state, u[j], lane), now);
+          };
+          set_lane(of.Dc[j], lane, drive.sliding(at(x), now.held()));
+          set_lane(of.Ds[j], lane, drive.holding(at(pulled), now.held()));
           set_lane(of.dry[j], lane, drive.is_dry());
         });
     }

@@ -157,6 +157,10 @@ struct Drive {
   // Dry friction that the link feels, that of a rotor which turns with it included. It goes with
   // the load in the modes that are given, as the load itself does.
   static constexpr bool friction_varies = LinkFriction::varies || (carries_rotor && Rotor::varies);
+  static constexpr bool holds_by_load = LinkFriction::loaded || (carries_rotor && Rotor::loaded);
+  // Whether anything that is not linear goes with the motor's own states.
+  static constexpr bool bends_motor =
+      driven && (!std::is_same_v<LinearOf<Motor>, Motor> || (!elastic && holds_by_load));
   constexpr bool is_dry() const {
     if constexpr (carries_rotor && Rotor::modes > 0)
       if (rotor.law.is_dry()) return true;
@@ -377,7 +381,11 @@ struct Drive {
     if constexpr (driven && Motor::modes > 0) motor.settle(x.z, now.at[0]);
     if constexpr (elastic && Rotor::modes > 0) rotor.settle(x.z[wm], now.at[of_rotor]);
   }
-  // What follows at once takes its value.
+  // Whether a state of the motor follows at once, and there it takes its value.
+  constexpr bool follows_at_once() const {
+    if constexpr (driven) return motor.inertia(0, false) == 0.0;
+    return false;
+  }
   constexpr void follow(Input<double>& x) const {
     if constexpr (driven) motor.follow(x.z, x.u, felt_speed(x));
   }

@@ -56,8 +56,8 @@ class EnergyMeter {
 
   // A part from x to y, in these modes, t long.
   void part(State<S> x, State<S> y, const double* u, const Modes<S>& modes, double t) {
-    Modes<S>::follow(n, x, u);
-    Modes<S>::follow(n, y, u);
+    follow_at_once(n, x, u);
+    follow_at_once(n, y, u);
     const State<S> middle = middle_of(x, y, u, modes, t);
     total.add(powers_of(n, x, u, modes), t / 6.0);
     total.add(powers_of(n, middle, u, modes), 4.0 * t / 6.0);
@@ -82,7 +82,7 @@ class EnergyMeter {
       put(middle.q[j], x.q[j], y.q[j], before.q[j], after.q[j]);
       put(middle.v[j], x.v[j], y.v[j], before.v[j], after.v[j]);
     }
-    Modes<S>::follow(n, middle, u);
+    follow_at_once(n, middle, u);
     return middle;
   }
 

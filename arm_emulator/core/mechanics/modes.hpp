@@ -3,6 +3,7 @@
 // commands: nothing has to be remembered.
 #pragma once
 
+#include "mechanics/at_once.hpp"
 #include "mechanics/coulomb.hpp"
 #include "mechanics/links.hpp"
 #include "mechanics/state.hpp"
@@ -34,7 +35,7 @@ class Modes {
       Dynamics at = links;
       double a[N];
       torques(x, u, at, a);
-      coulomb.take(x, u, of_drives());
+      coulomb.take(x, x, u, of_drives());
       coulomb.solve(at.M.at, x.v, a);
       friction = coulomb.modes();
     }
@@ -50,7 +51,7 @@ class Modes {
   void accelerations(const State<S>& x, const double* u, Dynamics links, double (&a)[N],
                      Friction& coulomb) const {
     torques(x, u, links, a);
-    coulomb.take(x, u, of_drives());
+    coulomb.take(x, x, u, of_drives());
     coulomb.solve_in(friction, links.M.at, a);
   }
 
@@ -87,15 +88,7 @@ class Modes {
         put_states(drive, j, 0, at, x);
       }
     });
-    follow(*n, x, u);
-  }
-  // Put what follows at once where it is.
-  static void follow(const Numbers<S>& n, State<S>& x, const double* u) {
-    n.for_each_drive([&](const auto& drive, int j) {
-      auto at = input_of(drive, j, x, u[j]);
-      drive.follow(at);
-      put_states(drive, j, 0, at, x);
-    });
+    follow_at_once(*n, x, u);
   }
 
  private:

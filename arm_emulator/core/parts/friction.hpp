@@ -16,6 +16,8 @@ struct Friction {
   // Whether the torque of sliding depends on anything. Then it is taken at a step's start, and how
   // it changes enters the second stage.
   static constexpr bool varies = false;
+  // Whether what holds a shaft goes with the torque of the gear.
+  static constexpr bool loaded = false;
 
   // See drive.hpp.
   constexpr const Friction& linear() const { return *this; }

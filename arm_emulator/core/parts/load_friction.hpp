@@ -14,7 +14,7 @@ struct LoadFriction {
   double vs = 0.0;                      // as of Stribeck; 0: the torque of sliding is Dc
   double mu;                            // N m of friction per N m of the gear's torque
 
-  static constexpr bool varies = true;
+  static constexpr bool varies = true, loaded = true;
   constexpr Friction linear() const { return {Dv, Dc, Ds}; }
 
   constexpr bool is_dry() const { return Ds > 0.0 || mu > 0.0; }

@@ -22,7 +22,7 @@ struct RotorFriction {
   Law law;
 
   static constexpr int modes = 1;
-  static constexpr bool varies = Law::varies;
+  static constexpr bool varies = Law::varies, loaded = Law::loaded;
   constexpr auto linear() const {
     return RotorFriction<std::remove_cvref_t<decltype(law.linear())>>{law.linear()};
   }
@@ -80,7 +80,7 @@ struct RotorFriction {
 // A rotor without.
 struct FreeRotor {
   static constexpr int modes = 0;
-  static constexpr bool varies = false;
+  static constexpr bool varies = false, loaded = false;
   constexpr const FreeRotor& linear() const { return *this; }
 };
 

@@ -12,7 +12,7 @@ struct Stribeck {
   double Dv, Dc, Ds;  // as of Friction
   double vs;          // rad/s, at which 63 % of the fall are done
 
-  static constexpr bool varies = true;
+  static constexpr bool varies = true, loaded = false;
   constexpr Friction linear() const { return {Dv, Dc, Ds}; }
 
   constexpr bool is_dry() const { return Ds > 0.0; }

@@ -153,7 +153,8 @@ class LinearlyImplicit {
 
   using Numbers = Row<N, X>;
 
-  ARM_INLINE static void begin(const State<S, X>& x, const X (&u)[row], Inputs& in) {
+  ARM_INLINE void begin(State<S, X>& x, const X (&u)[row], Inputs& in) const {
+    if constexpr (kJumps<S>) begin_at_once(n, x, u);
     for_each<K, kMostStates>([&](auto k)
                                  __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
     in[In::q] = Numbers::load(x.q);
@@ -173,7 +174,10 @@ class LinearlyImplicit {
   ARM_INLINE void stages_of(const State<S, X>& x, const X (&u)[row], Dynamics& links, Inputs& in,
                             Accelerations& k1) {
     for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n.carried(j); });
-    coulomb.take(x, u, tables.modes());
+    if constexpr (Coulomb<S, X>::loaded)
+      coulomb.take(x, pulled_at_rest(x, in), u, tables.modes());
+    else
+      coulomb.take(x, x, u, tables.modes());
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
@@ -183,6 +187,20 @@ class LinearlyImplicit {
       if (given.past == Past::unknown) evaluate_change(x, k1, change);
     if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
     if constexpr (stages == 2) second_stage(links, change, in);
+  }
+
+  // x with the drives as they are in the first stage while the links rest: there a command that has
+  // jumped has its torque, and so must friction that goes with it.
+  ARM_INLINE State<S, X> pulled_at_rest(const State<S, X>& x, const Inputs& in) const {
+    State<S, X> pulled = x;
+    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+      Numbers z = Tables::template answer<In::k1>(tables.k_z[k], in);
+      for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
+        z.at[g] = in[k].at[g] + gamma * h * z.at[g];
+      });
+      z.store(pulled.z[k]);
+    });
+    return pulled;
   }
 
   ARM_INLINE void first_stage(const State<S, X>& x, Dynamics& links, Inputs& in,

@@ -39,7 +39,7 @@ class Located {
   template <class Exchange>
   void step(State<S>& x, const double (&u)[row], Dynamics& links, Exchange& exchange) {
     exchange.take(links);
-    Modes<S>::follow(n, x, u);
+    follow_at_once(n, x, u);
     const Modes<S> modes(n, x, u, links);
     const Memory memory = whole.memory();
     State<S> y = x;
@@ -72,7 +72,7 @@ class Located {
         Nobody nobody;
         part.reset(y);
         part.step(y, u, links, nobody);
-        Modes<S>::follow(n, y, u);
+        follow_at_once(n, y, u);
         if (meter) meter->part(x, y, u, modes, left);
         x = y;
         break;

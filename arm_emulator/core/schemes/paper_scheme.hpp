@@ -2,6 +2,7 @@
 // both.
 #pragma once
 
+#include "mechanics/at_once.hpp"
 #include "mechanics/coulomb.hpp"
 #include "mechanics/links.hpp"
 #include "schemes/drive_table.hpp"
@@ -48,6 +49,7 @@ class PaperScheme {
  private:
   // Eq. (3), the links held at sample k; `torque` is what the drives put on the links after it.
   ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
+    if constexpr (kJumps<S>) begin_at_once(n, x, u);
     typename Tables::Inputs in;
     for_each<K, kMostStates>(
         [&](auto k) __attribute__((always_inline)) { in[k] = Row<N, X>::load(x.z[k]); });
@@ -91,7 +93,7 @@ class PaperScheme {
       links.M.at[j][j] += n.carried(j);
       a[j] -= links.nle[j];
     });
-    coulomb.take(x, u, tables.modes());
+    coulomb.take(x, x, u, tables.modes());
     coulomb.solve(links.M.at, x.v, a);
   }
 

@@ -1,0 +1,50 @@
+// What follows at once, put where the state and the commands have it: the current of a winding
+// without inductance, the torque of a motor whose control has no bandwidth.
+#pragma once
+
+#include "mechanics/numbers.hpp"
+#include "mechanics/state.hpp"
+
+namespace arm {
+
+// Of all drives.
+template <class S>
+void follow_at_once(const Numbers<S>& n, State<S>& x, const double* u) {
+  n.for_each_drive([&](const auto& drive, int j) {
+    auto at = input_of(drive, j, x, u[j]);
+    drive.follow(at);
+    put_states(drive, j, 0, at, x);
+  });
+}
+
+// Whether a drive in which more than its linear parts goes with the motor's states has such a
+// state, or may have it where that is varied.
+template <class S>
+constexpr bool jumps_with(double varied) {
+  double p[kOwnNumbers<S> + 1] = {};
+  for (double& value : p) value = varied;
+  return std::apply(
+      [](const auto&... drive) { return (... || (drive.bends_motor && drive.follows_at_once())); },
+      S::drives(p));
+}
+template <class S>
+inline constexpr bool kJumps = jumps_with<S>(1.0) || jumps_with<S>(0.0);
+
+// Of those drives, at a step's start: ripple of a torque, and friction that goes with it, are asked
+// there, and a command has jumped since the step before. (Linear parts are in the tables of the
+// schemes, which take them as they will be.)
+template <class S, class X>
+ARM_INLINE void begin_at_once(const Numbers<S, X>& n, State<S, X>& x, const X* u) {
+  for (int lane = 0; lane < kWidth<X>; ++lane)
+    n.for_each_drive_of(lane,
+                        [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
+                          if constexpr (Drive::bends_motor)
+                            if (drive.follows_at_once()) {
+                              auto at = input_in_lane(drive, j, x, u[j], lane);
+                              drive.follow(at);
+                              put_states(drive, j, lane, at, x);
+                            }
+                        });
+}
+
+}  // namespace arm
