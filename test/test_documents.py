@@ -26,29 +26,6 @@ FOLDERS = "|".join(
 )
 
 
-def python_blocks() -> list[Any]:
-    """Every Python snippet that needs no network."""
-    blocks = []
-    for document in DOCUMENTS:
-        for index, block in enumerate(
-            re.findall(r"```python\n(.*?)```", document.read_text(), re.S)
-        ):
-            if "import rclpy" not in block:
-                blocks.append(pytest.param(block, id=f"{document.name}-{index}"))
-    return blocks
-
-
-@pytest.mark.parametrize("block", python_blocks())
-def test_snippets_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT)
-    names: dict[str, Any] = {}
-    exec(block, names)
-    if "target" in names:
-        # Half a count of the encoders each, and one and a half with w = 0.5: 0.1 mm at this arm.
-        deviation = names["target"].p_WT - names["kinematics"].forward(names["plant"].state.q)[1]
-        assert np.linalg.norm(deviation) < 1e-4
-
-
 def test_the_tutorial_shows_the_servo_as_it_is() -> None:
     source = (ROOT / "examples" / "my_servo.py").read_text()
     assert source[source.index("import math") :].rstrip() in page_of("your_servo").read_text()

@@ -1,0 +1,247 @@
+"""Commands and programs on the pages: run here, or checked and listed with the reason.
+
+Shell stands in fences of `sh`, Python in fences of `python`. A command of ours is read by its own
+parser, so that no page names an option or a command that has gone; files, modules, targets of make
+and types of messages must exist.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from documents import DOCUMENTS, ROOT
+
+from arm_emulator.cli.arguments import page_of, run_with
+from arm_emulator.cli.command import load_command
+
+# Commands of ours that end by themselves within seconds, and need nothing that a page has not made.
+RUN = {"cache", "check-scene", "completion", "fmu", "run"}
+# Why the others are read by their parser alone.
+OURS = {
+    "advise": "minutes; test_advice.py",
+    "canopen": "runs until Ctrl-C; test_canopen.py",
+    "check-bag": "needs the reader's bag; test_bags.py",
+    "compile": "a minute of compilation for a level of processors; test_library_cache.py",
+    "demo": "three processes; test_demo.py",
+    "ethercat": "needs a network interface; test_ethercat.py",
+    "firmware": "needs a cross compiler; test/peers",
+    "identify": "needs the reader's record; test_identification.py",
+    "modbus": "runs until Ctrl-C; test_modbus.py",
+    "new": "needs the reader's robot; test_new.py",
+    "record": "needs a network; test_bags.py",
+    "repair": "needs a damaged bag; test_repair.py",
+    "replay": "needs a bag; test_bags.py",
+    "tune": "minutes; test_tune.py",
+    "up": "runs until Ctrl-C; test_launch.py, test_network.py",
+    "validate": "minutes; test_validation.py",
+}
+# Programs of others, which this machine need not have, and steps of a shell.
+OTHERS = {
+    **dict.fromkeys(("apt", "colcon", "pip", "rosdep"), "installs"),
+    **dict.fromkeys(("callgrind_annotate", "gdb", "perf", "valgrind"), "a tool of the reader"),
+    **dict.fromkeys(("ip", "sudo"), "needs root"),
+    **dict.fromkeys(
+        (".", "c++", "cat", "cd", "cp", "echo", "eval", "export", "git", "grep", "ulimit"), "shell"
+    ),
+    "pytest": "a test of its own",
+    "rerun": "opens a window",
+    "ros2": "no wheel has it; types of messages are checked",
+}
+PROGRAMS = {*OTHERS, "arm_emulator", "make", "python"}
+# Files that a reader writes or gets on the way.
+THEIRS = {"my_crash.py", "steps.py"}
+# Fences of Python that are not run as they stand.
+PYTHON = {
+    "your_servo.md": "needs a network; test_examples.py runs the file that it shows",
+    "by_hand.md": "needs a network; test_by_hand.py",
+}
+# Programs of masters, indented on their pages since a test in test/peers reads them there.
+MASTERS = {"canopen.md", "ethercat.md", "modbus.md"}
+MAKEFILES = (
+    "Makefile",
+    "arm_emulator/servo/c/template/Makefile",
+    "arm_emulator/doors/microcontroller/examples/stm32f4_like/Makefile",
+)
+TOP = {path.name for path in ROOT.iterdir() if path.name[0] != "."} - {"out", "build", "log"}
+
+
+def fences(kind: str) -> list[tuple[Path, str]]:
+    """Return page and text of each fence of a kind."""
+    pattern = rf"^[ ]*```{kind}\n(.*?)^[ ]*```$"
+    return [
+        (page, found)
+        for page in DOCUMENTS
+        for found in re.findall(pattern, page.read_text(), re.M | re.S)
+    ]
+
+
+def lines_of(shell: str) -> Iterator[str]:
+    """Yield whole commands: continued lines and quotes joined, texts for `<<` left out."""
+    shell = re.sub(r"<<'(\w+)'\n.*?^\1$", "", shell, flags=re.M | re.S)
+    held = ""
+    for line in shell.replace("\\\n", " ").split("\n"):
+        held = f"{held}\n{line}" if held else line
+        try:
+            shlex.split(held, comments=True)
+        except ValueError:  # a quote that goes on
+            continue
+        if held.strip() and not held.lstrip().startswith("#"):
+            yield held
+        held = ""
+    assert not held, f"a quote without end: {held}"
+
+
+def commands_of(line: str) -> Iterator[list[str]]:
+    """Yield the words of each command of a line; values that are set before it are left out."""
+    lexer = shlex.shlex(line, posix=True, punctuation_chars=";&|<>")
+    lexer.whitespace_split = True
+    words: list[str] = []
+    for token in [*lexer, ";"]:
+        if set(token) <= set(";&|"):
+            while words and re.match(r"\w+=", words[0]):
+                words = words[1:]
+            if words:
+                yield words
+            words = []
+        else:
+            words.append(token)
+
+
+def shell_commands() -> list[Any]:
+    """Return every command of every page."""
+    return [
+        pytest.param(words, id=f"{page.name}: {' '.join(words)[:60]}")
+        for page, text in fences("sh")
+        for line in lines_of(text)
+        for words in commands_of(line)
+    ]
+
+
+def ours(words: list[str]) -> list[str] | None:
+    """Return the words behind our program's name, if a command is one of ours."""
+    words = words[: words.index(">")] if ">" in words else words
+    if words[:3] == ["python", "-m", "arm_emulator"]:
+        return words[3:]
+    return words[1:] if words[0] == "arm_emulator" else None
+
+
+def check_ours(words: list[str]) -> None:
+    """Let the command's own parser read it; usage lines, with [...], name known options."""
+    if not words or words[0] in ("COMMAND", "--version", "--help"):
+        return
+    command = load_command(words[0])
+    assert command is not None, f"no command {words[0]}"
+    assert words[0] in RUN or words[0] in OURS, f"neither run nor listed: {words[0]}"
+    if any(set(word) & set("[]") for word in words):
+        known = page_of(command)
+        for option in re.findall(r"--[a-z-]+", " ".join(words)):
+            assert option in known, option
+        return
+
+    @functools.wraps(command.function)
+    def nothing(*_: Any, **__: Any) -> int:
+        return 0
+
+    assert run_with(command._replace(function=nothing), words[1:]) == 0
+
+
+def check_python(words: list[str]) -> None:
+    """The module or the file of a call of Python exists."""
+    if words[1] == "-m":
+        assert (ROOT / (words[2].replace(".", "/") + ".py")).exists() or (
+            ROOT / words[2].replace(".", "/") / "__main__.py"
+        ).exists(), words[2]
+    elif words[1] != "-c":
+        assert words[1] in THEIRS or (ROOT / words[1]).exists(), words[1]
+
+
+def check_make(words: list[str]) -> None:
+    """The targets of a call of make are those of one Makefile, ours or an example's."""
+    targets = {word for word in words[1:] if "=" not in word}
+    known = [
+        set(re.findall(r"^([a-z][\w-]*):", (ROOT / one).read_text(), re.M)) for one in MAKEFILES
+    ]
+    assert any(targets <= one for one in known), targets
+
+
+@pytest.mark.parametrize("words", shell_commands())
+def test_a_command_on_a_page_is_one_that_there_is(words: list[str]) -> None:
+    mine = ours(words)
+    if mine is not None:
+        check_ours(mine)
+    elif words[0] == "python":
+        check_python(words)
+    elif words[0] == "make":
+        check_make(words)
+    else:
+        assert words[0] in OTHERS, f"neither run nor listed: {words[0]}"
+    for word in words:
+        first = word.split("/")[0]
+        if "/" in word and first in TOP and not set(word) & set("*[]$"):
+            assert (ROOT / word).exists(), word
+        found = re.fullmatch(r"arm_emulator_msgs/(?:(srv)|msg)/(\w+)", word)
+        if found:
+            kind = "srv" if found[1] else "msg"
+            assert (ROOT / "msg" / (found[1] or "") / f"{found[2]}.{kind}").exists(), word
+
+
+def test_what_ends_soon_runs(tmp_path: Path) -> None:
+    for name in ("config", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    ran = set()
+    for param in shell_commands():
+        words = ours(param.values[0])
+        if not words or words[0] not in RUN or {"--clear", "--help", "--servo"} & set(words):
+            continue
+        if any(re.search(r"[\[\]]|\b[A-Z_]{4,}\b|my_", word) for word in words):
+            continue  # for the reader to fill in
+        command = [sys.executable, "-m", "arm_emulator", *words]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{param.id}: {done.stderr}"
+        ran.add(words[0])
+    assert ran == RUN
+
+
+def test_shell_and_python_stand_in_fences() -> None:
+    for page in DOCUMENTS:
+        text = re.sub(r"^[ ]*```.*?^[ ]*```$", "", page.read_text(), flags=re.M | re.S)
+        for block in re.findall(r"(?<=\n\n)    (\S.*)", text):
+            assert block.split()[0] not in PROGRAMS, f"{page.name}: {block}"
+            assert page.name in MASTERS or not re.match(r"(import|from) \w", block), block
+
+
+def python_fences() -> list[Any]:
+    found: dict[str, int] = {}
+    blocks = []
+    for page, text in fences("python"):
+        found[page.name] = found.get(page.name, -1) + 1
+        if page.name not in PYTHON or "rclpy" not in text:
+            blocks.append(pytest.param(text, id=f"{page.name}-{found[page.name]}"))
+    return blocks
+
+
+@pytest.mark.parametrize("block", python_fences())
+def test_python_runs(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    names: dict[str, Any] = {}
+    exec(block, names)
+    if "target" in names:
+        # Half a count of the encoders each, and one and a half with w = 0.5: 0.1 mm at this arm.
+        deviation = names["target"].p_WT - names["kinematics"].forward(names["plant"].state.q)[1]
+        assert (deviation @ deviation) ** 0.5 < 1e-4
+
+
+def test_the_lists_have_nothing_that_no_page_needs() -> None:
+    used = {param.values[0][0] for param in shell_commands()}
+    assert set(OTHERS) <= used | {"pytest"}, set(OTHERS) - used
+    names = {words[0] for param in shell_commands() if (words := ours(param.values[0]))}
+    assert {*RUN, *OURS} <= names, {*RUN, *OURS} - names
+    assert {page.name for page, text in fences("python") if "rclpy" in text} == set(PYTHON)
