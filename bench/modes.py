@@ -19,17 +19,23 @@ SCENES = ("three_axis", "ur5", "panda")
 HEAD = """\
 # Eigenvalues of every mode
 
-    python -m arm_emulator check-scene SCENE --modes
+```sh
+python -m arm_emulator check-scene SCENE --modes
+```
 
-prints these tables: for each joint and each loop that a mode of its drive
-([drives.md](drives.md)) can put it into, the eigenvalues of one servo period at their worst over
-four poses, with the brake open and closed. `largest` is the factor by which the fastest motion
-grows per period (1 is what stands or drifts, more in torque loops is the arm's own fall),
-`slowest swing` the largest of those that swing. `growth` is what is left of the fastest growth at
-its worst, of torques less the arm's fall, of speeds less a tenth of it. Modes 1 and 8 are position,
-3 and 9 speed, 4 and 10 torque and torque at the speed limit, 6 position and speed. Friction that
-sticks, encoder steps and limits are not in them. `python -m bench.modes` writes this page, and a
-test holds it against the code.
+prints these tables. For each joint and each loop that a mode of its drive
+([Drives behind a field bus](drives.md)) can select, they show the eigenvalues of one servo period
+at their worst over four poses, with the brake open and closed.
+
+- `largest` is the factor by which the fastest motion grows per period. It is 1 for a motion that
+  stands or drifts; in torque loops it exceeds 1 by the arm's own fall.
+- `slowest swing` is the largest factor of the motions that swing.
+- `growth` is the fastest growth at its worst: in torque loops less the arm's fall, in speed loops
+  less a tenth of it.
+
+Modes 1 and 8 are position, 3 and 9 speed, 4 and 10 torque and torque at the speed limit, 6 position
+and speed. Stiction, encoder steps and limits are not included. `python -m bench.modes` writes this
+page; a test compares it with the code.
 """
 
 
