@@ -12,10 +12,8 @@ from arm_emulator.servo.servo_law import (
     CURRENT,
     POSITION,
     SPEED,
-    STATE,
-    WISH,
+    SERVO,
     Rows,
-    address,
     servo_law,
 )
 from arm_emulator.servo.servo_numbers import servo_numbers
@@ -79,25 +77,24 @@ class LinearServo:
 
 
 def _tick(numbers: Rows, loop: Loop, states: list[float], inputs: list[float]) -> list[float]:
-    law, state = servo_law(), np.zeros(1, STATE)
+    law, state = servo_law(), SERVO.rows("servo_state", 1)
     state["known"] = 1
     for name, value in zip(STATES, states, strict=True):
         state[name] = value
-    places = address(numbers), address(state)
+    places = SERVO.pointer("servo_joint", numbers), SERVO.pointer("servo_state", state)
     theta, current, voltage, target, v_target, tau = inputs
-    wish = np.zeros(1, WISH)
-    wish["v_target"], wish["tau"] = v_target, tau
-    for bound in ("omega", "current"):
-        wish[f"least_{bound}"], wish[f"most_{bound}"] = -math.inf, math.inf
+    wish = SERVO.new("servo_wish", v_target=v_target, tau=tau)
+    wish.least_omega = wish.least_current = -math.inf
+    wish.most_omega = wish.most_current = math.inf
     match loop:
         case Loop.POSITION:
-            wish["wants"], wish["q_target"] = POSITION, target
+            wish.wants, wish.q_target = POSITION, target
         case Loop.SPEED:
-            wish["wants"], wish["omega"] = SPEED, target
+            wish.wants, wish.omega = SPEED, target
         case Loop.TORQUE:
-            wish["wants"], wish["current"] = CURRENT, target
+            wish.wants, wish.current = CURRENT, target
         case Loop.SPEED_LIMIT:
-            wish["wants"], wish["least_omega"], wish["most_omega"] = CURRENT, target, target
+            wish.wants, wish.least_omega, wish.most_omega = CURRENT, target, target
     law.servo_joint_take(*places, theta, current, voltage)
-    voltage = law.servo_joint_drive(*places, address(wish))
+    voltage = law.servo_joint_drive(*places, wish)
     return [*(float(state[name][0]) for name in STATES), voltage]

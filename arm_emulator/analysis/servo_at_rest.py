@@ -8,7 +8,7 @@ import numpy as np
 
 from arm_emulator.analysis.sampled_loop import SampledPlant
 from arm_emulator.servo.servo_config import JointServo
-from arm_emulator.servo.servo_law import STATE, address, servo_law
+from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 _PLACES = (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)  # of the target within its count
@@ -36,8 +36,8 @@ def swing_at_rest(joint: JointServo, plant: SampledPlant, supply_voltage: float)
     count = 2.0 * math.pi / joint.counts_per_turn
     worst = 0.0
     for place in _PLACES:
-        state = np.zeros(1, STATE)
-        servo = address(numbers), address(state)
+        state = SERVO.rows("servo_state", 1)
+        servo = SERVO.pointer("servo_joint", numbers), SERVO.pointer("servo_state", state)
         x, V, q = np.zeros(len(plant.F)), 0.0, np.empty(ticks)
         target = (5.0 + place) * joint.count_angle
         for k in range(ticks):

@@ -8,7 +8,6 @@ no signature; that nobody else wrote the file follows from its owner and its fol
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import fcntl
 import hashlib
 import math
@@ -38,7 +37,7 @@ SEAL = b"arm_emulator"
 SEAL_SIZE = len(SEAL) + hashlib.sha256().digest_size
 
 # Only what bears such a name is ever removed, so that a cache may lie in a folder with other files.
-LIBRARY = re.compile(r"(?P<scene>[\w-]+)-[0-9a-f]{20}\.so", re.ASCII)
+LIBRARY = re.compile(r"(?P<scene>[\w-]+)-[0-9a-f]{20}\.(so|cdef)", re.ASCII)
 LEFT_OVER = re.compile(r"(?P<library>[\w-]+-[0-9a-f]{20})\.(lock|building-\w+)", re.ASCII)
 
 
@@ -133,40 +132,27 @@ def say_once(line: str) -> None:
 # Libraries
 
 
-def load(file: Path) -> ctypes.CDLL:
-    """Load a library after a look at every byte of it, and mark it as used.
+def content(file: Path) -> bytes:
+    """Return what was stored in a file, after a look at every byte of it, and mark it as used.
 
     Raises:
-        Damaged: it is not what was stored, or the loader does not take it.
-        FileNotFoundError: it is not there.
-    """
-    check(file)
-    try:
-        return ctypes.CDLL(str(file))
-    except OSError as error:  # for example a file system that is mounted with noexec
-        raise Damaged(f"the loader reports {error}") from None
-
-
-def check(file: Path) -> None:
-    """Raise unless a file is a library as it was stored.
-
-    Raises:
-        Damaged: see above.
+        Damaged: it is not what was stored.
         FileNotFoundError: it is not there.
     """
     try:
-        content = read_file(file, LARGEST_LIBRARY)
+        sealed = read_file(file, LARGEST_LIBRARY)
     except FileNotFoundError:
         raise
     except Untrusted as error:
         raise Damaged(str(error)) from None
     except OSError as error:
         raise Damaged(f"it cannot be read: {error.strerror}") from None
-    if not content:
+    if not sealed:
         raise Damaged("it is empty")
-    body, seal = content[:-SEAL_SIZE], content[-SEAL_SIZE:]
+    body, seal = sealed[:-SEAL_SIZE], sealed[-SEAL_SIZE:]
     if seal != _seal(file.name, body):
         raise Damaged("it is cut short, changed, or was never stored here")
+    return body
 
 
 @contextlib.contextmanager
@@ -180,7 +166,7 @@ def scratch_of(library: Path) -> Iterator[Path]:
 
 
 def store(file: Path, body: bytes, scratch: Path) -> None:
-    """Put a library into its place: written beside, in `scratch`, then renamed.
+    """Put a file into its place: written beside, in `scratch`, then renamed.
 
     Raises:
         OSError: it could not be written.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import hashlib
 import platform
 import sys
@@ -12,15 +11,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build import library_cache
+from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.compiler_command import find_compiler, identity, is_named
 from arm_emulator.build.elf import why_no_library
 from arm_emulator.build.trusted import Untrusted, check_folder, read_file
-
-Calls = Mapping[str, tuple[Any, list[Any]]]  # result and arguments of each function, by its name
 
 # Targets that code can be compiled for, best first; "native" is this machine's.
 PORTABLE_TARGETS = ("x86-64-v4", "x86-64-v3", "x86-64-v2", "x86-64")
@@ -37,7 +34,7 @@ class Unit:
         source: the text.
         flags: of the compiler.
         folders: where it includes files from.
-        calls: what the library must have.
+        headers: whose functions it has.
         where: what a refusal names.
         about: what the user reads while it is compiled.
         part: what a refusal names as to be compiled.
@@ -45,21 +42,28 @@ class Unit:
             `source` does not depend on it, to the last bit of what that computes.
         data: what stands in exported objects of copies for others, by their names; libraries in
             the cache are shared by units that differ in it alone.
+        more: functions that it has for others, which no header declares for us.
     """
 
     name: str
     source: str
     flags: tuple[str, ...]
     folders: tuple[Path, ...]
-    calls: Calls
+    headers: tuple[Header, ...]
     where: str
     about: str
     part: str
     beside: str = ""
     data: Mapping[str, bytes] = field(default_factory=dict)
+    more: tuple[str, ...] = ()
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """What others find in the library by name."""
+        return (*(name for header in self.headers for name in header.functions), *self.more)
 
 
-def library(unit: Unit) -> ctypes.CDLL:
+def library(unit: Unit) -> Library:
     """Return a unit as a library, compiling it if no cached one fits.
 
     Raises:
@@ -70,7 +74,7 @@ def library(unit: Unit) -> ctypes.CDLL:
             if target == "native" or _runs_here(target):
                 for file in _candidates(unit, target, folder):
                     try:
-                        return declare(library_cache.load(file), unit.calls)
+                        return _load(file, unit)
                     except FileNotFoundError:
                         continue
                     except library_cache.Damaged as error:
@@ -78,10 +82,18 @@ def library(unit: Unit) -> ctypes.CDLL:
     for folder in library_cache.writable_caches():
         with _compiled(unit, "native", folder) as file:
             try:
-                return declare(library_cache.load(file), unit.calls)
+                return _load(file, unit)
             except (library_cache.Damaged, FileNotFoundError) as error:
                 _say_damaged(file, error)
     raise AssertionError("writable_caches ends with a refusal")
+
+
+def _load(file: Path, unit: Unit) -> Library:
+    library_cache.content(file)
+    try:
+        return Library(file, unit.headers)
+    except OSError as error:  # for example a file system that is mounted with noexec
+        raise library_cache.Damaged(f"the loader reports {error}") from None
 
 
 def compile_units(units: Iterable[Unit], target: str, folder: Path | None) -> list[Path]:
@@ -160,7 +172,7 @@ def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
         try:
             held.enter_context(library_cache.locked(library))
             try:
-                library_cache.check(library)
+                library_cache.content(library)
             except (library_cache.Damaged, FileNotFoundError):
                 _compile(unit, target, library)
         except OSError as error:
@@ -208,7 +220,7 @@ def _built(file: Path, compiler: str, unit: Unit) -> bytes:
     try:
         # It lies in a folder that is closed to others, whatever the umask has made of its mode.
         body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
-        reason = why_no_library(body, (*unit.calls, *unit.data))
+        reason = why_no_library(body, (*unit.functions, *unit.data))
     except FileNotFoundError:
         reason = "there is none"
     except (OSError, Untrusted) as error:
@@ -293,16 +305,3 @@ def _runs_here(target: str) -> bool:
         "x86-64-v4": {"avx512f", "avx512dq", "avx512vl", "avx512bw"},
     }[target]
     return platform.machine() in ("x86_64", "AMD64") and needed <= set(_processor().split())
-
-
-def declare(library: ctypes.CDLL, calls: Calls) -> ctypes.CDLL:
-    """Give ctypes the signatures."""
-    for name, (result, arguments) in calls.items():
-        function = getattr(library, name)
-        function.restype, function.argtypes = result, arguments
-    return library
-
-
-def address(library: ctypes.CDLL, function: str) -> int | None:
-    """Return where a function of a library is."""
-    return ctypes.cast(getattr(library, function), ctypes.c_void_p).value

@@ -18,7 +18,7 @@ from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.firmware import Progress
+from arm_emulator.build.c_header import CData
 from arm_emulator.machine.plant import Diverged
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import END_OF_TIME, Session
@@ -69,7 +69,7 @@ def run_table(scene_name: str, seconds: float | None, table: Path, library: Path
         Refusal: see `load_table_run`, or the control code ended the process.
     """
 
-    def work(progress: Progress | None = None) -> int:
+    def work(progress: CData | None = None) -> int:
         return _run_table(scene_name, seconds, table, library, progress)
 
     return work() if library is None else guarded(library.name, work)
@@ -80,7 +80,7 @@ def _run_table(
     seconds: float | None,
     table: Path,
     library: Path | None,
-    progress: Progress | None,
+    progress: CData | None,
 ) -> int:
     one, targets = load_table_run(scene_name, table, library, progress)
     scene = one.session.scene

@@ -12,7 +12,7 @@ from arm_emulator.machine.cxx_literals import text
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.servo.servo_config import ServoConfig
-from arm_emulator.servo.servo_law import JOINT
+from arm_emulator.servo.servo_law import SERVO
 from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import nanoseconds
 
@@ -47,9 +47,10 @@ def servo_header(scene_name: str, joint_names: tuple[str, ...], config: ServoCon
     known = {joint.name: joint for joint in config.joints}
     joints = tuple(known[name] for name in joint_names)
     rows = servo_numbers(joints, config.period, config.supply_voltage).tolist()
+    fields = SERVO.dtype("servo_joint").names or ()
     names = ", ".join(_text(name) for name in joint_names)
     bodies = ",\n".join(
-        f"    {{{', '.join(_field(*pair) for pair in zip(JOINT, row, strict=True))}}}"
+        f"    {{{', '.join(_field(*pair) for pair in zip(fields, row, strict=True))}}}"
         for row in rows
     )
     times = {
@@ -88,8 +89,7 @@ def _text(words: str) -> str:
     return f'"{words}"' if plain else text(words)
 
 
-def _field(field: tuple[str, object], value: object) -> str:
-    name = field[0]
+def _field(name: str, value: object) -> str:
     if isinstance(value, tuple):
         return f"\n     .{name} = {{{', '.join(map(_number, value))}}}"
     return f"\n     .{name} = {_number(value)}"

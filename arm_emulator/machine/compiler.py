@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes
 import struct
 from dataclasses import replace
 from pathlib import Path
 
+from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import SHARED
-from arm_emulator.build.unit import Calls, Unit, compile_units, library
+from arm_emulator.build.unit import Unit, compile_units, library
 from arm_emulator.core import CORE
-from arm_emulator.machine.core_calls import ARM_CALLS, FLEET_CALLS, REAL_TIME_CALLS
+from arm_emulator.machine.core_calls import ARM, FLEET, REAL_TIME
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.scene_unit import scene_unit
 
@@ -23,7 +23,7 @@ FLAGS = (
 )
 
 
-def library_of(scene: Scene) -> ctypes.CDLL:
+def library_of(scene: Scene) -> Library:
     """Return the scene's compiled machine, compiling it if no cached library fits.
 
     Raises:
@@ -35,7 +35,7 @@ def library_of(scene: Scene) -> ctypes.CDLL:
 def machine_unit(scene: Scene) -> Unit:
     """Return what the library of `library_of` is compiled of."""
     about = f"scene {scene.name} ({len(scene.joints)} joints)"
-    unit = _unit(scene.name, scene_unit(scene), ARM_CALLS, scene.where, about)
+    unit = _unit(scene.name, scene_unit(scene), (ARM,), scene.where, about)
     return replace(unit, data=_periods(scene))
 
 
@@ -45,14 +45,14 @@ def _periods(scene: Scene) -> dict[str, bytes]:
     return {"arm_scene_periods": struct.pack("<ddq", *numbers)}
 
 
-def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.CDLL:
+def library_with(scene: Scene, name: str, source: str, header: Header) -> Library:
     """Return the scene's compiled machine with more C++ in the same unit, see `library_of`.
 
     Args:
         scene: the scene.
         name: what is added, for the name of the library.
         source: C++ that may use core/boundary/arm.h.
-        calls: the functions that it adds.
+        header: declares the functions that it adds.
     """
     unit = machine_unit(scene)
     return library(
@@ -60,18 +60,19 @@ def library_with(scene: Scene, name: str, source: str, calls: Calls) -> ctypes.C
             unit,
             name=f"{scene.name}-{name}",
             source=unit.source + source,
-            calls={**unit.calls, **calls},
+            headers=(*unit.headers, header),
+            folders=(*unit.folders, header.path.parent),
             about=f"{unit.about} with {name}",
         )
     )
 
 
-def fleet_library_of(scene: Scene) -> ctypes.CDLL:
+def fleet_library_of(scene: Scene) -> Library:
     """Return the scene's compiled fleet, see `library_of`."""
     return library(fleet_unit(scene))
 
 
-def real_time_library() -> ctypes.CDLL:
+def real_time_library() -> Library:
     """Return the compiled loop of core/boundary/real_time.h, see `library_of`."""
     return library(real_time_unit())
 
@@ -98,15 +99,15 @@ def fleet_unit(scene: Scene) -> Unit:
     """Return what the library of `fleet_library_of` is compiled of."""
     about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
     source = scene_unit(scene, "boundary/fleet_boundary.hpp")
-    unit = _unit(f"{scene.name}-fleet", source, FLEET_CALLS, scene.where, about)
+    unit = _unit(f"{scene.name}-fleet", source, (ARM, FLEET), scene.where, about)
     return replace(unit, data=_periods(scene))
 
 
 def real_time_unit() -> Unit:
     """Return what the library of `real_time_library` is compiled of."""
     source = '#include "boundary/real_time.cpp"\n'
-    return _unit("real_time", source, REAL_TIME_CALLS, "real time", "the real-time loop")
+    return _unit("real_time", source, (REAL_TIME,), "real time", "the real-time loop")
 
 
-def _unit(name: str, source: str, calls: Calls, where: str, about: str) -> Unit:
-    return Unit(name, source, FLAGS, (CORE,), calls, where, about, "the scene's core")
+def _unit(name: str, source: str, headers: tuple[Header, ...], where: str, about: str) -> Unit:
+    return Unit(name, source, FLAGS, (CORE,), headers, where, about, "the scene's core")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 
+from arm_emulator.build.c_header import NULL, CData
 from arm_emulator.machine.plant import Plant
 
 
@@ -13,17 +13,17 @@ class ControlCode:
 
     Attributes:
         name: for refusals.
-        step: address of the function that core/boundary/firmware_loop.h calls in every period.
-        with_: address that it gets.
-        stop: address of a number that is not 0 after a step that ends the run.
-        struct: a `firmware_loop.LoopStruct` where others can see the tick.
+        step: the function that core/boundary/firmware_loop.h calls in every period.
+        with_: pointer that it gets.
+        stop: where a number lies that is not 0 after a step that ends the run; NULL: nowhere.
+        struct: a ``firmware_loop`` where others can see the tick.
     """
 
     name: str
-    step: int | None
-    with_: int | None
-    stop: int | None = None
-    struct: ctypes.Structure | None = None
+    step: CData
+    with_: CData
+    stop: CData = NULL
+    struct: CData | None = None
 
     @property
     def ended(self) -> Exception | None:

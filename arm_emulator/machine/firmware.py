@@ -3,47 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import enum
+import mmap
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_bytes
+from arm_emulator.build.c_header import NULL, CData, Library, text
 from arm_emulator.build.elf import why_no_library
-from arm_emulator.build.unit import address
 from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.core_calls import JointDescription
-from arm_emulator.machine.firmware_loop import LoopStruct, firmware_loop
+from arm_emulator.machine.core_calls import ARM, FIRMWARE, FIRMWARE_LOOP
+from arm_emulator.machine.firmware_loop import firmware_loop
 from arm_emulator.machine.plant import Plant
 
 ENTRY = "arm_firmware"
-VERSION = 1  # of firmware.h
+VERSION = FIRMWARE.constant("FIRMWARE_VERSION")
 LARGEST = 2**28  # bytes of a library
-
-
-class _MachineStruct(ctypes.Structure):
-    """``firmware_machine``."""
-
-    _fields_ = (
-        ("size", ctypes.c_uint32),
-        ("joints", ctypes.c_int32),
-        ("period", ctypes.c_int64),
-        ("supply_voltage", ctypes.c_double),
-        ("joint", ctypes.c_void_p),
-    )
-
-
-class _FirmwareStruct(ctypes.Structure):
-    """``firmware``."""
-
-    _fields_ = (
-        ("version", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint32),
-        ("start", ctypes.c_void_p),
-        ("step", ctypes.c_void_p),
-    )
 
 
 class Doing(enum.IntEnum):
@@ -71,10 +48,11 @@ class Doing(enum.IntEnum):
         }[self]
 
 
-class Progress(ctypes.Structure):
-    """Where a run with a library is, for whoever watches it."""
-
-    _fields_ = (("doing", ctypes.c_int32), ("code", ctypes.c_int32), ("loop", LoopStruct))
+def new_progress(memory: mmap.mmap | None = None) -> CData:
+    """Return a ``firmware_progress``, in memory that others share if some is given."""
+    if memory is None:
+        return FIRMWARE_LOOP.new("firmware_progress")
+    return FIRMWARE_LOOP.ffi.from_buffer("firmware_progress *", memory)
 
 
 class Firmware(ControlCode):
@@ -82,8 +60,8 @@ class Firmware(ControlCode):
 
     Attributes:
         name: of its file, for refusals.
-        step: address of the step.
-        with_: address that it gets.
+        step: the function of the step.
+        with_: pointer that it gets.
 
     Args:
         file: the shared library.
@@ -94,34 +72,30 @@ class Firmware(ControlCode):
             another version, or without a step.
     """
 
-    def __init__(self, file: Path, progress: Progress | None = None) -> None:
+    def __init__(self, file: Path, progress: CData | None = None) -> None:
         self.name = file.name
-        self.progress = progress or Progress()
+        self.progress = progress or new_progress()
         reason = why_no_library(read_bytes(file, LARGEST), (ENTRY,))
         if reason:
             raise Refusal(self.name, "file", f"be a shared library with {ENTRY}", reason)
         self.progress.doing = Doing.LOADING
         self._threads = _threads()
         try:
-            self._library = ctypes.CDLL(str(file.resolve()))
+            self._library = Library(file.resolve(), (FIRMWARE,), unload=True)
         except OSError as error:
             raise Refusal(self.name, "file", "be loaded by the system", error) from None
-        entry = getattr(self._library, ENTRY)
-        entry.restype, entry.argtypes = ctypes.c_void_p, []
         self.progress.doing = Doing.ENTRY
-        at = entry()
+        at = self._library.arm_firmware()
         self.progress.doing = Doing.OURS
         if not at:
             raise Refusal(self.name, ENTRY, "return what the library does", "a null pointer")
-        version = ctypes.c_uint32.from_address(at).value
-        if version != VERSION:
-            raise Refusal(self.name, "version", f"be {VERSION}, that of firmware.h", version)
-        self._firmware = _FirmwareStruct.from_address(at)
-        if not self._firmware.step:
+        if at.version != VERSION:
+            raise Refusal(self.name, "version", f"be {VERSION}, that of firmware.h", at.version)
+        if not at.step:
             raise Refusal(self.name, "step", "be a function", "a null pointer")
-        self.step = address(firmware_loop(), "firmware_loop_step")
-        self.with_ = at
-        self.struct = self.progress.loop
+        self.step = firmware_loop().firmware_loop_step
+        self._firmware, self.with_ = at, FIRMWARE.ffi.cast("void *", at)
+        self.struct = FIRMWARE_LOOP.ffi.addressof(self.progress, "loop")
 
     def start(self, plant: Plant, period_ns: int) -> None:
         """Tell the code which machine it is to drive.
@@ -132,24 +106,23 @@ class Firmware(ControlCode):
         if not self._firmware.start:
             return
         N = len(plant.scene.joints)
-        self._joints = (JointDescription * N)()  # the code may keep a pointer
-        for index, joint in enumerate(self._joints):
-            joint.size = ctypes.sizeof(joint)
-            plant.core.arm_describe_joint(index, ctypes.byref(joint))
-        self._machine = _MachineStruct(
-            ctypes.sizeof(_MachineStruct),
-            N,
-            period_ns,
-            plant.scene.supply_voltage,
-            ctypes.addressof(self._joints),
+        self._joints = ARM.rows("arm_joint_description", N)  # the code may keep a pointer
+        self._joints["size"] = ARM.sizeof("arm_joint_description")
+        described = ARM.pointer("arm_joint_description", self._joints)
+        for index in range(N):
+            plant.core.arm_describe_joint(index, described + index)
+        self._machine = FIRMWARE.new(
+            "firmware_machine",
+            joints=N,
+            period=period_ns,
+            supply_voltage=plant.scene.supply_voltage,
+            joint=self._joints,
         )
-        start = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_void_p)(self._firmware.start)
         self.progress.doing = Doing.START
-        reason = start(ctypes.addressof(self._machine))
+        reason = self._firmware.start(self._machine)
         self.progress.doing = Doing.OURS
-        if reason is not None:
-            said = reason.decode(errors="replace")
-            raise Refusal(self.name, "start", f"take scene {plant.scene.name}", said)
+        if reason:
+            raise Refusal(self.name, "start", f"take scene {plant.scene.name}", text(reason))
 
     @contextlib.contextmanager
     def stepping(self) -> Iterator[None]:
@@ -165,7 +138,7 @@ class Firmware(ControlCode):
         if _threads() > self._threads:
             return
         self.progress.doing = Doing.ENDING
-        ctypes.CDLL(None).dlclose(ctypes.c_void_p(self._library._handle))
+        self._library.close()
         self.progress.doing = Doing.OURS
 
 

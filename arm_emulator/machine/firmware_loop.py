@@ -2,44 +2,23 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 
+from arm_emulator.build.c_header import Library
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Calls, Unit, address, library
+from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.control_code import ControlCode
+from arm_emulator.machine.core_calls import FIRMWARE_LOOP
 from arm_emulator.machine.plant import Plant
-
-_pointer, _int64 = ctypes.c_void_p, ctypes.c_int64
-_CALLS: Calls = {
-    "firmware_loop_run": (ctypes.c_int, [_pointer, _int64]),
-    "firmware_loop_step": (None, [_pointer] * 3),
-}
-
-
-class LoopStruct(ctypes.Structure):
-    """``firmware_loop``."""
-
-    _fields_ = (
-        ("size", ctypes.c_uint32),
-        ("joints", ctypes.c_int32),
-        *((name, _pointer) for name in ("machine", "measure", "exchange", "step", "with_")),
-        ("period", _int64),
-        *((name, _pointer) for name in ("row_tick", "rows")),
-        *((name, _int64) for name in ("row_count", "row")),
-        *((name, _pointer) for name in ("joint", "value_d", "command", "measurement")),
-        ("tick", _int64),
-        ("stop", _pointer),
-    )
 
 
 @cache
-def firmware_loop() -> ctypes.CDLL:
+def firmware_loop() -> Library:
     """Return the compiled loop of firmware_loop.h, compiling it if no cached library fits.
 
     Raises:
@@ -51,8 +30,9 @@ def firmware_loop() -> ctypes.CDLL:
 def firmware_loop_unit() -> Unit:
     """Return the loop as what is compiled."""
     source, about = '#include "firmware_loop.c"\n', "the loop of control code"
+    headers, part = (FIRMWARE_LOOP,), "firmware_loop.c"
     return Unit(
-        "firmware_loop", source, C_FLAGS, (BOUNDARY,), _CALLS, "firmware", about, "firmware_loop.c"
+        "firmware_loop", source, C_FLAGS, (BOUNDARY,), headers, "firmware", about, part
     )
 
 
@@ -82,32 +62,30 @@ class FirmwareLoop:
         ticks, rows = targets or ((), np.zeros((0, len(plant.scene.joints))))
         self._row_tick = np.array(ticks, np.int64)
         self._rows = np.array(rows, np.float64, order="C")
-        self._loop = code.struct or LoopStruct()
-        LoopStruct.__init__(
-            self._loop,
-            size=ctypes.sizeof(LoopStruct),
+        self.pointer = code.struct or FIRMWARE_LOOP.new("firmware_loop")
+        FIRMWARE_LOOP.fill(
+            self.pointer,
             joints=len(plant.scene.joints),
             machine=plant.machine,
-            measure=address(plant.core, "arm_measure"),
-            exchange=address(plant.core, "arm_exchange"),
+            measure=plant.core.arm_measure,
+            exchange=plant.core.arm_exchange,
             step=code.step,
-            with_=code.with_,
             period=period_ns,
-            row_tick=self._row_tick.ctypes.data,
-            rows=self._rows.ctypes.data,
+            row_tick=self._row_tick,
+            rows=self._rows,
             row_count=len(self._row_tick),
             joint=plant.command.joint,
             value_d=plant.command.value_d,
-            command=ctypes.addressof(plant.command),
-            measurement=ctypes.addressof(plant.measurement),
+            command=plant.command,
+            measurement=plant.measurement,
             stop=code.stop,
+            **{"with": code.with_},
         )
-        self.pointer = ctypes.byref(self._loop)
 
     @property
     def tick(self) -> int:
         """Where the machine is."""
-        return int(self._loop.tick)
+        return int(self.pointer.tick)
 
     def run(self, tick: int, ticks: int) -> None:
         """Go through so many periods from a tick on.
@@ -121,4 +99,4 @@ class FirmwareLoop:
 
     def begin(self, tick: int) -> None:
         """Tell where the machine is."""
-        self._loop.tick = tick
+        self.pointer.tick = tick

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 import os
 from collections.abc import Callable, Mapping
@@ -15,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import pointer
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import fleet_library_of
-from arm_emulator.machine.core_calls import FleetTruth
+from arm_emulator.machine.core_calls import FLEET, PLACES
 from arm_emulator.machine.plant import (
     LARGEST_STEPS,
     PIECE,
@@ -93,7 +93,7 @@ class Fleet:
         self.lanes = int(self.core.arm_fleet_lanes())
         values = self._values(varied or {})
         options = options_of(scene, values)
-        self._fleet = self.core.arm_fleet_new(ctypes.byref(options), self._count)
+        self._fleet = self.core.arm_fleet_new(options, self._count)
         groups = -(-self._count // self.lanes)
         workers = min(workers, groups)
         # More shares than workers: cores need not be equally fast.
@@ -136,7 +136,7 @@ class Fleet:
         self._began = at.copy(), speed.copy()
         for arm, (of_q, of_v) in enumerate(zip(at, speed, strict=True)):
             machine = self.core.arm_fleet_machine(self._fleet, arm)
-            self.core.arm_reset(machine, of_q.ctypes.data, of_v.ctypes.data)
+            self.core.arm_reset(machine, pointer(of_q), pointer(of_v))
 
     def advance(self, voltage: ArrayLike, steps: int) -> Array:
         """Take `steps` integration steps with the motor voltages held.
@@ -218,8 +218,8 @@ class Fleet:
         return {arm: why for arm, why in found.items() if why is not None}
 
     def _look(self, **to: NDArray[Any]) -> None:
-        truth = FleetTruth(**{name: rows.ctypes.data for name, rows in to.items()})
-        self.core.arm_fleet_get_truth(self._fleet, ctypes.byref(truth))
+        places = {PLACES.get(name, name): rows for name, rows in to.items()}
+        self.core.arm_fleet_get_truth(self._fleet, FLEET.new("arm_fleet_truth", **places))
 
     def _run(self, rows: Array, steps: int) -> Array:
         # A sum is quick, and not finite if any of them is not.
@@ -242,7 +242,7 @@ class Fleet:
     def _advance(self, rows: Array, steps: int, q: Array) -> None:
         def share(of: tuple[int, int]) -> None:
             run: Callable[..., int] = self.core.arm_fleet_run
-            run(self._fleet, *of, rows.ctypes.data, len(rows), steps, q.ctypes.data)
+            run(self._fleet, *of, pointer(rows), len(rows), steps, pointer(q))
 
         if self._pool and rows[..., 0].size * steps > WORTH_A_THREAD:
             list(self._pool.map(share, self._shares))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.machine.core_calls import IMU_MEASUREMENT, JOINT_MEASUREMENT, JOINT_SENSORS
+from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.outputs import KNOWN, readings_of
 from arm_emulator.machine.parts.output import READINGS
 from arm_emulator.machine.scene import Scene
@@ -48,22 +48,21 @@ class MeasuredPlace:
     """Where the core writes what was measured.
 
     Attributes:
-        addresses: of the arrays, by their names in ``arm_measurement``.
+        arrays: by their names in ``arm_measurement``.
     """
 
     def __init__(self, scene: Scene) -> None:
         N = len(scene.joints)
         self._rows = tuple(one.name for one in readings_of(scene))
-        self.joints = np.zeros(N, JOINT_MEASUREMENT)
-        self._arrays: dict[str, NDArray[Any]] = {
+        self.joints = ARM.rows("arm_joint_measurement", N)
+        self.arrays: dict[str, NDArray[Any]] = {
             "joint": self.joints,
-            "sensors": np.zeros(N, JOINT_SENSORS),
-            "imu": np.zeros(len(scene.imus), IMU_MEASUREMENT),
+            "sensors": ARM.rows("arm_joint_sensors", N),
+            "imu": ARM.rows("arm_imu_measurement", len(scene.imus)),
             "current_d": np.zeros(N),
             READINGS: np.zeros((len(self._rows), N)),
         }
-        self.addresses = {name: array.ctypes.data for name, array in self._arrays.items()}
 
     def read(self) -> Measured:
         """Return what is there now, as a copy."""
-        return Measured({name: one.copy() for name, one in self._arrays.items()}, self._rows)
+        return Measured({name: one.copy() for name, one in self.arrays.items()}, self._rows)

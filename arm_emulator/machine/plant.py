@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -14,21 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY, Bound
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import NULL, CData, Library, pointer, text
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import library_of
 from arm_emulator.machine.core_calls import (
+    ARM,
     DIVERGED,
     FAULT_THERMAL,
-    JOINT_COMMAND,
     MODES,
     OK,
+    PLACES,
     REFUSED,
-    Command,
-    Measurement,
-    Options,
-    Refused,
-    Truth,
-    Wrench,
 )
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.measured import Measured, MeasuredPlace
@@ -128,8 +123,8 @@ class Borrowed:
     """A machine that belongs to somebody else, a `Fleet`."""
 
     owner: object
-    core: ctypes.CDLL
-    machine: int
+    core: Library
+    machine: CData
     began: tuple[Array, Array]  # positions and speeds to which it was reset
 
 
@@ -137,7 +132,7 @@ class Plant:
     """Motors, gears and links of one scene, stepped by the compiled core.
 
     Attributes:
-        core: the scene's compiled core, through ctypes (core/boundary/arm.h).
+        core: the scene's compiled core (core/boundary/arm.h).
         machine: the core's handle of this machine.
         command, measurement: what `exchange` hands to the core.
         link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
@@ -153,7 +148,7 @@ class Plant:
     """
 
     def __init__(
-        self, scene: Scene, *, of: Borrowed | None = None, core: ctypes.CDLL | None = None
+        self, scene: Scene, *, of: Borrowed | None = None, core: Library | None = None
     ) -> None:
         self.scene = scene
         self.core = of.core if of else core or library_of(scene)
@@ -162,23 +157,20 @@ class Plant:
         self._owner = of.owner if of else None  # it must not go before
         self.machine = of.machine if of else self._new()
         self._voltage = np.zeros(N)
-        self._voltage_pointer = _pointer(self._voltage)
+        self._voltage_pointer = pointer(self._voltage)
         self._rows = np.zeros((len(ROWS), N))
         self._energy = np.zeros(1)
         # What is asked for, apart: without a place, energy and torques are not worked out.
-        self._clock = Truth()
-        self._energy_alone = Truth(energy=_address(self._energy))
-        self._truth = Truth(**dict(zip(ROWS, map(_address, self._rows), strict=True)))
-        self._commands = np.zeros(N, JOINT_COMMAND)
-        self._commands["mode"] = [MODES[joint.command] for joint in scene.joints]
-        self._commands["enable"] = 1
+        self._clock = truth_at()
+        self._energy_alone = truth_at(energy=self._energy)
+        self._truth = truth_at(**dict(zip(ROWS, self._rows, strict=True)))
+        self._commands = commands_of(scene)
         self._commands_d = np.zeros(N)
-        places = {"joint": _address(self._commands), "value_d": _address(self._commands_d)}
-        self.command = Command(tick=-1, **places)
+        places = {"joint": self._commands, "value_d": self._commands_d}
+        self.command = ARM.new("arm_command", tick=-1, **places)
         self._place = MeasuredPlace(scene)
         self._measured = self._place.joints
-        self.measurement = Measurement(**self._place.addresses)
-        self._structs = tuple(map(ctypes.byref, (self.command, self.measurement)))
+        self.measurement = ARM.new("arm_measurement", **self._place.arrays)
         self.link_angle_per_count = link_angle_per_count(scene)
         at_most = largest_position(scene)
         ratio = np.abs(scene.gear_ratios)
@@ -194,14 +186,12 @@ class Plant:
         else:
             self.reset()
 
-    def _new(self) -> int:
+    def _new(self) -> CData:
         values = np.array([one.value for one in self.scene.varied])
-        options = options_of(self.scene, values)
-        machine: int = self.core.arm_new(ctypes.byref(options))
-        return machine
+        return self.core.arm_new(options_of(self.scene, values))
 
     def __del__(self) -> None:
-        machine, self.machine = getattr(self, "machine", 0), 0
+        machine, self.machine = getattr(self, "machine", NULL), NULL
         if machine and self._owner is None:
             self.core.arm_delete(machine)
 
@@ -224,7 +214,7 @@ class Plant:
         )
         check_start("Plant.reset", self.scene, at, speed)
         self._reset_to = at.copy(), speed.copy()
-        self.core.arm_reset(self.machine, _pointer(at), _pointer(speed))
+        self.core.arm_reset(self.machine, pointer(at), pointer(speed))
 
     def advance(self, voltage: ArrayLike, steps: int) -> None:
         """Take `steps` integration steps with the motor voltages held.
@@ -247,13 +237,13 @@ class Plant:
             np.copyto(self._voltage, voltage, casting="same_kind")
         except TypeError:
             raise Refusal("Plant.advance", "voltage", "be numbers [V]", voltage) from None
-        advance, machine, pointer = self.core.arm_advance, self.machine, self._voltage_pointer
-        result = advance(machine, pointer, min(steps, PIECE))
+        advance, machine, applied = self.core.arm_advance, self.machine, self._voltage_pointer
+        result = advance(machine, applied, min(steps, PIECE))
         if result == REFUSED:
             raise Refusal("Plant.advance", "voltage", "be finite [V]", voltage)
         while result == OK and steps > PIECE:
             steps -= PIECE
-            result = advance(machine, pointer, min(steps, PIECE))
+            result = advance(machine, applied, min(steps, PIECE))
         if result == DIVERGED:
             raise self._diverged(self._voltage)
 
@@ -271,8 +261,7 @@ class Plant:
         self._commands["value"] = voltage
         self._commands_d[:] = 0.0 if voltage_d is None else voltage_d
         self.command.tick = tick
-        command, measurement = self._structs
-        result = self.core.arm_exchange(self.machine, command, measurement)
+        result = self.core.arm_exchange(self.machine, self.command, self.measurement)
         if result == REFUSED:
             raise self._refusal("Plant.exchange", "a number")
         if result == DIVERGED:
@@ -319,7 +308,7 @@ class Plant:
 
         Joints without sensors (docs/reference/parts/sensors.md) report their present values.
         """
-        self.core.arm_measure(self.machine, self._structs[1])
+        self.core.arm_measure(self.machine, self.measurement)
         return self._place.read()
 
     @property
@@ -330,7 +319,7 @@ class Plant:
     @property
     def powered(self) -> bool:
         """Whether the drives have power; without it every command is 0."""
-        self.core.arm_measure(self.machine, self._structs[1])
+        self.core.arm_measure(self.machine, self.measurement)
         return bool(self.measurement.powered)
 
     @powered.setter
@@ -361,9 +350,9 @@ class Plant:
         self.core.arm_set_parameter(self.machine, name.encode(), float(value))
 
     def _parameter(self, name: str) -> float:
-        value = ctypes.c_double()
-        self.core.arm_get_parameter(self.machine, name.encode(), ctypes.byref(value))
-        return value.value
+        value = np.zeros(1)
+        self.core.arm_get_parameter(self.machine, name.encode(), pointer(value))
+        return float(value[0])
 
     def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
         """Let a force and a moment act on a link, until set anew or reset.
@@ -380,9 +369,9 @@ class Plant:
         """
         where = "Plant.set_external_wrench"
         joint, wrench = on_moving_link(self.scene, where, link, wrench)
-        one = Wrench(axes=AXES.index(wrench.axes))
-        one.point[:], one.force[:], one.moment[:] = wrench.point, wrench.force, wrench.moment
-        if self.core.arm_set_external_wrench(self.machine, joint, ctypes.byref(one)) == REFUSED:
+        vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
+        one = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
+        if self.core.arm_set_external_wrench(self.machine, joint, one) == REFUSED:
             raise self._refusal(where, "another one")
 
     @property
@@ -391,8 +380,8 @@ class Plant:
         wrenches = {}
         for index, joint in enumerate(self.scene.chain.joints):
             if self.scene.external_wrench:
-                one = Wrench()
-                self.core.arm_get_external_wrench(self.machine, index, ctypes.byref(one))
+                one = ARM.new("arm_wrench")
+                self.core.arm_get_external_wrench(self.machine, index, one)
                 force, moment, point = map(tuple, (one.force, one.moment, one.point))
                 wrenches[joint.link] = ExternalWrench(force, moment, point, AXES[one.axes])
         return wrenches
@@ -400,9 +389,9 @@ class Plant:
     def save(self) -> bytes:
         """Return all that decides how the machine goes on, as bytes that may be kept."""
         size = self.core.arm_saved_size()
-        saved = ctypes.create_string_buffer(size)
-        self.core.arm_save(self.machine, saved, size)
-        return saved.raw
+        saved = np.zeros(size, np.uint8)
+        self.core.arm_save(self.machine, pointer(saved), size)
+        return saved.tobytes()
 
     def restore(self, saved: bytes) -> None:
         """Continue from what `save` of a plant of the same scene has returned, to the last bit.
@@ -449,7 +438,7 @@ class Plant:
         at_once = max(1, PIECE // max(1, steps))
         for first in range(0, len(rows), at_once):
             some, began = rows[first : first + at_once], self.t
-            pointers = _pointer(some), len(some), steps, _pointer(q[first:])
+            pointers = pointer(some), len(some), steps, pointer(q[first:])
             if self.core.arm_run(self.machine, *pointers) == DIVERGED:
                 done = int((self.t - began) / (max(1, steps) * self.scene.integrator.dt) + 1e-6)
                 raise self._diverged(some[min(done, len(some) - 1)])
@@ -479,11 +468,12 @@ class Plant:
 
     def _refusal(self, where: str, otherwise: str) -> Refusal:
         """Return why the core has refused a call."""
-        why = Refused()
-        self.core.arm_why(self.machine, ctypes.byref(why))
+        why = ARM.new("arm_refusal")
+        self.core.arm_why(self.machine, why)
         joint = f" of {self.scene.joint_names[why.joint]}" if why.joint >= 0 else ""
         got = why.got if why.joint >= 0 else otherwise
-        return Refusal(where, f"{why.quantity.decode()}{joint}", why.rule.decode(), got)
+        quantity, rule = text(why.quantity), text(why.rule)
+        return Refusal(where, f"{quantity}{joint}", rule, got)
 
     @property
     def t(self) -> float:
@@ -503,7 +493,7 @@ class Plant:
             Refusal: wrong shape, not finite, or the scene has no `energy_flow`.
         """
         V, out = self._vector(voltage, "Plant.powers", "voltage", "V"), np.zeros((2, self._N))
-        if self.core.arm_powers(self.machine, _pointer(V), _pointer(out)) == REFUSED:
+        if self.core.arm_powers(self.machine, pointer(V), pointer(out)) == REFUSED:
             raise self._refusal("Plant.powers", "false")
         return EnergyFlow(*out)
 
@@ -523,8 +513,8 @@ class Plant:
         total = np.zeros((2, self._N))
         for first in range(0, steps, PIECE):
             out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
-            meter, pointer = self.core.arm_advance_metered, self._voltage_pointer
-            result = meter(self.machine, pointer, count, _pointer(out))
+            meter, applied = self.core.arm_advance_metered, self._voltage_pointer
+            result = meter(self.machine, applied, count, pointer(out))
             if result == REFUSED:
                 raise self._refusal(where, "false")
             if result == DIVERGED:
@@ -544,7 +534,7 @@ class Plant:
                 nothing has changed.
         """
         self._look(self._truth)
-        self.core.arm_measure(self.machine, self._structs[1])
+        self.core.arm_measure(self.machine, self.measurement)
         current, theta_m, omega_m, q, v, gear_torque = self._rows.copy()
         counts = self._measured["encoder"].copy()
         t = self._truth.time
@@ -569,15 +559,14 @@ class Plant:
         for name, values in given.items():
             bound = self.bounds[name]
             rows[name] = np.ascontiguousarray(bound.vector(where, values, self._N))
-        truth = Truth(**{name: _address(row) for name, row in rows.items()})
-        if self.core.arm_set_truth(self.machine, ctypes.byref(truth)) == REFUSED:
+        if self.core.arm_set_truth(self.machine, truth_at(**rows)) == REFUSED:
             raise self._refusal(where, "another one")
 
     @property
     def winding_temperatures(self) -> Array:
         """Of the motors' windings (N,) [degC]; NaN where the scene tells of none."""
         temperatures = np.empty(self._N)
-        self.core.arm_get_winding_temperatures(self.machine, _pointer(temperatures))
+        self.core.arm_get_winding_temperatures(self.machine, pointer(temperatures))
         return temperatures
 
     @property
@@ -586,13 +575,13 @@ class Plant:
 
         `exchange` then takes the command as 0 and closes the brake.
         """
-        self.core.arm_measure(self.machine, self._structs[1])
+        self.core.arm_measure(self.machine, self.measurement)
         hot: NDArray[np.bool_] = (self._measured["faults"] & FAULT_THERMAL) != 0
         return hot
 
-    def _look(self, truth: Truth) -> Truth:
+    def _look(self, truth: CData) -> CData:
         """Have what has a place in `truth` written there."""
-        self.core.arm_get_truth(self.machine, ctypes.byref(truth))
+        self.core.arm_get_truth(self.machine, truth)
         return truth
 
     def link_accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
@@ -624,7 +613,7 @@ class Plant:
         if (np.abs(rows[0]) > POSITION.largest).any():
             raise Refusal(where, "q", f"be at most {POSITION.largest:g} rad or m", rows[0])
         a = np.empty_like(rows[0])
-        self.core.arm_forward_dynamics(self.machine, a.size // self._N, *map(_pointer, (*rows, a)))
+        self.core.arm_forward_dynamics(self.machine, a.size // self._N, *map(pointer, (*rows, a)))
         if not np.isfinite(a).all():
             raise Refusal(where, "what v and tau lead to", "be finite [rad/s2 or m/s2]", a)
         return a
@@ -635,9 +624,9 @@ class Plant:
         Args:
             loaded: whether a tooth is in contact in gears with play.
         """
-        K = self.core.arm_linear_drives(self.machine, loaded, None)
+        K = self.core.arm_linear_drives(self.machine, loaded, NULL)
         numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
-        self.core.arm_linear_drives(self.machine, loaded, _pointer(numbers))
+        self.core.arm_linear_drives(self.machine, loaded, pointer(numbers))
         drives = []
         for row in numbers:
             n, D, rows = int(row[0]), row[2 : 2 + K], row[2 + K :].reshape(K + 3, K + 3)
@@ -655,13 +644,27 @@ class Plant:
         return array
 
 
-def options_of(scene: Scene, values: Array) -> Options:
+def truth_at(**places: NDArray[Any]) -> CData:
+    """Return an ``arm_truth`` whose numbers go to arrays, by their names in `PlantState`."""
+    return ARM.new("arm_truth", **{PLACES.get(name, name): at for name, at in places.items()})
+
+
+def commands_of(scene: Scene) -> NDArray[Any]:
+    """Return commands of 0, as the joints' motors take them."""
+    commands = ARM.rows("arm_joint_command", len(scene.joints))
+    commands["mode"] = [MODES[joint.command] for joint in scene.joints]
+    commands["enable"] = 1
+    return commands
+
+
+def options_of(scene: Scene, values: Array) -> CData:
     """Return what the core makes machines of; `values` of the varied numbers must outlive it."""
-    return Options(
+    return ARM.new(
+        "arm_options",
         core=scene.cores[1],
         step=scene.integrator.dt,
         steps_per_period=scene.steps_per_period,
-        parameters=_address(values),
+        parameters=values,
     )
 
 
@@ -697,11 +700,3 @@ def as_numbers(values: ArrayLike, where: str, quantity: str, unit: str) -> Array
         return array.astype(np.float64, order="C", casting="same_kind", copy=False)
     except (TypeError, ValueError):
         raise Refusal(where, quantity, f"be numbers [{unit}]", values) from None
-
-
-def _pointer(array: Array) -> Any:
-    return array.ctypes.data_as(ctypes.c_void_p)
-
-
-def _address(array: NDArray[Any]) -> int:
-    return array.ctypes.data

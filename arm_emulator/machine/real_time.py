@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import select
 from dataclasses import fields
@@ -11,21 +10,13 @@ import numpy as np
 
 from arm_emulator.base.bound import VOLTAGE
 from arm_emulator.base.count import LARGEST, check_count
-from arm_emulator.build.unit import address
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Reached, RealTimeFigures
 from arm_emulator.machine.compiler import real_time_library
-from arm_emulator.machine.core_calls import (
-    JOINT_COMMAND,
-    MODES,
-    Command,
-    RealTimeOptions,
-    Snapshot,
-    Truth,
-)
+from arm_emulator.machine.core_calls import ARM, PLACES, REAL_TIME
 from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.outputs import readings_of
-from arm_emulator.machine.plant import LARGEST_STEPS, ROWS, Plant
+from arm_emulator.machine.plant import LARGEST_STEPS, ROWS, Plant, commands_of
 
 LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023
@@ -55,30 +46,28 @@ class RealTimeLoop:
         self._plant = plant  # must outlive the loop
         self._N = N = len(plant.scene.joints)
         self._calls = real_time_library()
-        options = RealTimeOptions(
+        options = REAL_TIME.new(
+            "arm_real_time_options",
             joints=N,
             machine=plant.machine,
-            exchange=address(plant.core, "arm_exchange"),
-            get_truth=address(plant.core, "arm_get_truth"),
-            join_schedule=address(plant.core, "arm_join_schedule"),
+            exchange=plant.core.arm_exchange,
+            get_truth=plant.core.arm_get_truth,
+            join_schedule=plant.core.arm_join_schedule,
             period=period_ns,
             core=core,
             imus=len(plant.scene.imus),
             readings=len(readings_of(plant.scene)),
         )
-        self._loop = self._calls.arm_real_time_new(ctypes.byref(options))
+        self._loop = self._calls.arm_real_time_new(options)
         self._bell = self._calls.arm_real_time_descriptor(self._loop)
         self._energy, self._rows = np.zeros(1), np.zeros((len(ROWS), N))
         self._place = MeasuredPlace(plant.scene)
-        places = {name: row.ctypes.data for name, row in zip(ROWS, self._rows, strict=True)}
-        self._snapshot = Snapshot(
-            truth=Truth(energy=self._energy.ctypes.data, **places),
-            **self._place.addresses,
-        )
-        self._commands = np.zeros(N, JOINT_COMMAND)
-        self._commands["mode"] = [MODES[joint.command] for joint in plant.scene.joints]
-        self._commands["enable"] = 1
-        self._command = Command(tick=-1, joint=self._commands.ctypes.data)
+        self._snapshot = REAL_TIME.new("arm_snapshot", **self._place.arrays)
+        places = {PLACES.get(name, name): row for name, row in zip(ROWS, self._rows, strict=True)}
+        truth = ARM.ffi.addressof(self._snapshot, "truth")
+        ARM.fill(truth, energy=self._energy, **places)
+        self._commands = commands_of(plant.scene)
+        self._command = ARM.new("arm_command", tick=-1, joint=self._commands)
 
     def __del__(self) -> None:
         loop, self._loop = getattr(self, "_loop", None), None
@@ -112,7 +101,7 @@ class RealTimeLoop:
         check_count(where, "answered", answered, -1)
         self._commands["value"] = VOLTAGE.vector(where, voltage, self._N)
         self._command.tick = answered
-        self._calls.arm_real_time_command(self._loop, ctypes.byref(self._command))
+        self._calls.arm_real_time_command(self._loop, self._command)
 
     def wait(self, timeout: float) -> bool:
         """Wait for a snapshot, at most `timeout` [s], without Python's lock."""
@@ -123,7 +112,7 @@ class RealTimeLoop:
 
     def take(self) -> Reached | None:
         """Return the oldest tick not taken yet, None if there is none."""
-        if not self._calls.arm_real_time_take(self._loop, ctypes.byref(self._snapshot)):
+        if not self._calls.arm_real_time_take(self._loop, self._snapshot):
             return None
         return Reached(
             self._snapshot.tick,
@@ -136,9 +125,9 @@ class RealTimeLoop:
 
     def figures(self) -> RealTimeFigures:
         """Return the loop's figures."""
-        values = np.zeros(len(fields(RealTimeFigures)), dtype=np.int64)
-        self._calls.arm_real_time_get_figures(self._loop, values.ctypes.data_as(ctypes.c_void_p))
-        return RealTimeFigures(*values.tolist())
+        figures = REAL_TIME.new("arm_real_time_figures")
+        self._calls.arm_real_time_get_figures(self._loop, figures)
+        return RealTimeFigures(**{one.name: getattr(figures, one.name) for one in fields(RealTimeFigures)})
 
     def clear_figures(self) -> None:
         """Count from now on."""

@@ -18,14 +18,16 @@ from pathlib import Path
 from typing import NoReturn
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.firmware import Doing, Progress
+from arm_emulator.build.c_header import CData
+from arm_emulator.machine.core_calls import FIRMWARE_LOOP
+from arm_emulator.machine.firmware import Doing, new_progress
 
 LOOK = 1.0  # s, after which a library that has not returned is looked at
 TELL_STALL = 5.0  # s
 _PR_SET_PDEATHSIG = 1
 
 
-def guarded(name: str, work: Callable[[Progress], int]) -> int:
+def guarded(name: str, work: Callable[[CData], int]) -> int:
     """Do work that calls a user's library, and return its exit code.
 
     Under a debugger it is done in this process, which the debugger watches.
@@ -38,9 +40,8 @@ def guarded(name: str, work: Callable[[Progress], int]) -> int:
         Refusal: the library has ended the process.
     """
     if _debugged():
-        return work(Progress())
-    memory = mmap.mmap(-1, ctypes.sizeof(Progress))
-    progress = Progress.from_buffer(memory)
+        return work(new_progress())
+    progress = new_progress(mmap.mmap(-1, FIRMWARE_LOOP.sizeof("firmware_progress")))
     sys.stdout.flush()
     sys.stderr.flush()
     watcher = os.getpid()
@@ -60,7 +61,7 @@ def guarded(name: str, work: Callable[[Progress], int]) -> int:
     raise Refusal(where, *Doing(progress.doing).must, got)
 
 
-def _work(work: Callable[[Progress], int], progress: Progress, watcher: int) -> NoReturn:
+def _work(work: Callable[[CData], int], progress: CData, watcher: int) -> NoReturn:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     code = 1
     if os.getppid() == watcher:
@@ -81,7 +82,7 @@ def _work(work: Callable[[Progress], int], progress: Progress, watcher: int) -> 
     os._exit(code)
 
 
-def _wait(child: int, name: str, progress: Progress) -> int:
+def _wait(child: int, name: str, progress: CData) -> int:
     """Wait for the child, and return its status; report a library that does not return."""
     looks, tick = 0, -1  # how often it was found at this tick
     with open(os.pidfd_open(child)) as end:

@@ -1,17 +1,7 @@
 /* Our servo in the loop with a machine. */
+#include "servo_step.h"
+
 #include <stddef.h>
-
-#include "firmware_loop.h"
-#include "servo.h"
-
-typedef struct servo_step {
-  servo* arm;
-  const int32_t* place; /* of each of its joints among the machine's */
-  int64_t* counts;      /* what is handed to it, an entry per joint */
-  double *current, *applied, *q, *voltage;
-  int32_t measured; /* 1: it has taken the measurement of this period already */
-  int32_t reserved;
-} servo_step;
 
 static void take(servo_step* one, int64_t now, const arm_measurement* measured) {
   for (int32_t j = 0; j < one->arm->joints; ++j) {
@@ -23,7 +13,6 @@ static void take(servo_step* one, int64_t now, const arm_measurement* measured) 
   servo_measure(one->arm, now, one->counts, one->current, one->applied);
 }
 
-/* Take the measurement of the coming period before its step, for whoever sets a target by it. */
 void servo_step_measure(servo_step* one, firmware_loop* loop) {
   loop->measure(loop->machine, loop->measurement);
   take(one, loop->tick * loop->period, loop->measurement);

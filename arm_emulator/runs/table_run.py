@@ -10,8 +10,9 @@ import numpy.typing as npt
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import CData
 from arm_emulator.machine.control_code import ControlCode
-from arm_emulator.machine.firmware import Firmware, Progress
+from arm_emulator.machine.firmware import Firmware
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
@@ -89,7 +90,7 @@ class TableRun:
 
 
 def load_table_run(
-    scene_name: str, table: Path, library: Path | None, progress: Progress | None = None
+    scene_name: str, table: Path, library: Path | None, progress: CData | None = None
 ) -> tuple[TableRun, TargetTable]:
     """Return a run of a scene, and its table.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy.typing as npt
 
 from arm_emulator.servo.servo import FloatArray, Servo, ServoConfig
-from arm_emulator.servo.servo_law import servo_law
+from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.servo.watchdog import DOES, Watchdog, WatchdogState
 
 
@@ -38,7 +38,7 @@ class Drives:
         self._law = servo_law()
         arm = self.servo.arm
         arm.motion_period = round(config.motion_period * 1e9)
-        self._watchdog = Watchdog(config.hold_after, config.cut_after, arm.watchdog)
+        self._watchdog = Watchdog(config.hold_after, config.cut_after, SERVO.ffi.addressof(arm, "watchdog"))
         self._powered = True
         self.reset()
 
@@ -76,7 +76,7 @@ class Drives:
         """
         servo = self.servo
         places = servo.measurement(counts, current, voltage)
-        self._law.servo_measure(servo.pointer, time_ns, *places)
+        self._law.servo_measure(servo.arm, time_ns, *places)
 
     def aim(self, target: Target) -> None:
         """Take new joint targets, from this period on.
@@ -86,7 +86,7 @@ class Drives:
         """
         servo = self.servo
         places = servo.targets(target.q, target.v, target.tau)
-        self._law.servo_aim(servo.pointer, *places)
+        self._law.servo_aim(servo.arm, *places)
 
     def voltage(self, powered: bool) -> FloatArray:
         """Return the voltages for the period that began with the last measurement, (N,) [V].
@@ -96,7 +96,7 @@ class Drives:
         """
         servo = self.servo
         assert servo.arm.measured, "measure first"
-        self._law.servo_voltage(servo.pointer, powered, servo.places[6])
+        self._law.servo_voltage(servo.arm, powered, servo.places[6])
         self._asked, self._powered = True, powered
         return servo.voltage
 

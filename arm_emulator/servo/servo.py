@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import ctypes
-
 import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.servo.servo_config import JointServo, ServoConfig, load_servo_config
-from arm_emulator.servo.servo_law import STATE, Rows, ServoStruct, address, servo_law
+from arm_emulator.servo.servo_law import SERVO, Rows, servo_law
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 __all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
 
 FloatArray = npt.NDArray[np.float64]
-Places = tuple[int | None, int | None, int | None]  # of arrays in memory; None: not given
+Places = tuple[CData, CData, CData]  # pointers to arrays; NULL: not given
 
 _Q_TARGET = POSITION.named("q_target")
 _V_TARGET = VELOCITY.named("v_target")
@@ -35,8 +34,8 @@ class Servo:
 
     Attributes:
         config: data-sheet values, gains and limits.
-        arm: the struct that the law works on.
-        state: what each joint remembers, (N,) rows of `servo_law.STATE`.
+        arm: pointer to the struct that the law works on.
+        state: what each joint remembers, (N,) rows of ``servo_state``.
         places: where the law finds counts, current, voltage, q, v, tau, and puts voltages.
 
     Args:
@@ -51,19 +50,16 @@ class Servo:
         self._law = servo_law()
         self._N = len(config.joints)
         self._joint = self._numbers_of(config)
-        self.state: Rows = np.zeros(self._N, STATE)
-        self.arm = ServoStruct(
-            joints=self._N, joint=address(self._joint), state=address(self.state)
-        )
-        self.pointer = ctypes.byref(self.arm)
+        self.state: Rows = SERVO.rows("servo_state", self._N)
+        self.arm = SERVO.new("servo", joints=self._N, joint=self._joint, state=self.state)
         self._counts = config.counts.named("counts")
         self._theta_measured, self._omega = self.state["theta_measured"], self.state["omega"]
         self._is_known, self._ratio = self.state["known"], self._joint["ratio"]
         # What the law reads and writes has its place for good: finding an array's costs time.
         self._whole = np.zeros(self._N, np.int64)
         self._rows = np.zeros((6, self._N))
-        self.places = (address(self._whole), *map(address, self._rows))
-        self._law.servo_reset(self.pointer)
+        self.places = (pointer(self._whole), *map(pointer, self._rows))
+        self._law.servo_reset(self.arm)
 
     @staticmethod
     def _numbers_of(config: ServoConfig) -> Rows:
@@ -76,7 +72,7 @@ class Servo:
 
     def reset(self) -> None:
         """Forget everything; the next measurement starts the observer where the motor stands."""
-        self._law.servo_reset(self.pointer)
+        self._law.servo_reset(self.arm)
 
     def retune(self, config: ServoConfig) -> None:
         """Go on with other gains and limits; what was observed and the integrals stay.
@@ -117,7 +113,7 @@ class Servo:
         """
         measured = self.measurement(counts, current, voltage)
         wanted = self.targets(q_target, v_target, tau_feedforward)
-        self._law.servo_observe(self.pointer, *measured)
+        self._law.servo_observe(self.arm, *measured)
         return self._control(wanted)
 
     def observe(
@@ -138,7 +134,7 @@ class Servo:
             Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
                 then.
         """
-        self._law.servo_observe(self.pointer, *self.measurement(counts, current, voltage))
+        self._law.servo_observe(self.arm, *self.measurement(counts, current, voltage))
 
     def control(
         self,
@@ -167,10 +163,10 @@ class Servo:
 
     def release(self) -> None:
         """Tell that the motors get no voltage; control will start without an integral again."""
-        self._law.servo_release(self.pointer)
+        self._law.servo_release(self.arm)
 
     def _control(self, wanted: Places) -> FloatArray:
-        self._law.servo_control(self.pointer, *wanted, self.places[6])
+        self._law.servo_control(self.arm, *wanted, self.places[6])
         return self.voltage
 
     @property
@@ -210,9 +206,9 @@ class Servo:
         tau = None if tau_feedforward is None else self._vector(tau_feedforward, _TAU)
         return self._row(2, q), self._row(3, v), self._row(4, tau)
 
-    def _row(self, row: int, values: FloatArray | None) -> int | None:
+    def _row(self, row: int, values: FloatArray | None) -> CData:
         if values is None:
-            return None
+            return NULL
         self._rows[row] = values
         return self.places[row + 1]
 

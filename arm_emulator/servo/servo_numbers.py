@@ -11,20 +11,22 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.servo.commanded import Commanded
 from arm_emulator.servo.held_motor import HeldMotor, Sum, held_motor
 from arm_emulator.servo.servo_config import JointServo
-from arm_emulator.servo.servo_law import JOINT, Rows
+from arm_emulator.servo.servo_law import SERVO, Rows
 
 
 def servo_numbers(joints: tuple[JointServo, ...], period: float, supply_voltage: float) -> Rows:
-    """Return the numbers of joints, (N,) rows of `servo_law.JOINT`.
+    """Return the numbers of joints, (N,) rows of ``servo_joint``.
 
     Raises:
         Refusal: coefficients that are not finite, or a winding and a rotor that swing together so
             fast that a voltage held for a period cannot control the current.
     """
-    return np.array([_row(joint, period, supply_voltage) for joint in joints], JOINT)
+    rows = [_row(joint, period, supply_voltage) for joint in joints]
+    kind = SERVO.dtype("servo_joint")
+    return np.array([tuple(row[name] for name in kind.names or ()) for row in rows], kind)
 
 
-def _row(joint: JointServo, period: float, supply_voltage: float) -> tuple[Any, ...]:
+def _row(joint: JointServo, period: float, supply_voltage: float) -> dict[str, Any]:
     numbers = _finite_numbers(joint, period)
     if numbers is None:
         rule = "have data that finite coefficients of the control law follow from"
@@ -95,38 +97,38 @@ class _Numbers:
         self._set_current_loop(joint, period)
         self._set_observer(math.exp(-joint.observer_bandwidth * period))
 
-    def row(self, joint: JointServo, supply_voltage: float) -> tuple[Any, ...]:
-        """Return the fields of `JOINT`."""
+    def row(self, joint: JointServo, supply_voltage: float) -> dict[str, Any]:
+        """Return the fields of ``servo_joint``."""
         motor = self.motor
-        return (
-            2**joint.encoder_bits if joint.encoder_bits else 0,
-            2.0 * math.pi / joint.counts_per_turn,
-            self.ratio,
-            1.0 / self.ratio,
-            self.torque_constant,
-            self.ratio / self.torque_constant,
-            self.winding.back_emf_constant,
-            self.omega_limit,
-            joint.current_limit,
-            joint.largest_command(supply_voltage),
-            joint.position_gain,
-            self.velocity_gain,
-            self.reset_rate,
-            tuple(motor.current),
-            tuple(motor.speed),
-            tuple(motor.turn),
-            tuple(self.mean_current),
-            1.0 / self.mean_current.voltage,
-            motor.speed_per_surplus,
-            motor.turn_per_surplus,
-            motor.voltage_per_surplus,
-            self.current_memory,
-            self.kept_voltage,
-            self.current_voltage,
-            self.theta_gain,
-            self.omega_gain,
-            self.load_gain,
-        )
+        return {
+            "wrap": 2**joint.encoder_bits if joint.encoder_bits else 0,
+            "count_angle": 2.0 * math.pi / joint.counts_per_turn,
+            "ratio": self.ratio,
+            "motor_turns": 1.0 / self.ratio,
+            "torque_constant": self.torque_constant,
+            "current_per_tau": self.ratio / self.torque_constant,
+            "emf": self.winding.back_emf_constant,
+            "omega_limit": self.omega_limit,
+            "current_limit": joint.current_limit,
+            "voltage_limit": joint.largest_command(supply_voltage),
+            "position_gain": joint.position_gain,
+            "velocity_gain": self.velocity_gain,
+            "reset_rate": self.reset_rate,
+            "end_current": motor.current,
+            "end_speed": motor.speed,
+            "turn": motor.turn,
+            "mean_current": self.mean_current,
+            "voltage_per_current": 1.0 / self.mean_current.voltage,
+            "speed_per_surplus": motor.speed_per_surplus,
+            "turn_per_surplus": motor.turn_per_surplus,
+            "voltage_per_surplus": motor.voltage_per_surplus,
+            "current_memory": self.current_memory,
+            "winding": self.kept_voltage,
+            "current_voltage": self.current_voltage,
+            "theta_gain": self.theta_gain,
+            "omega_gain": self.omega_gain,
+            "load_gain": self.load_gain,
+        }
 
     def _set_current_loop(self, joint: JointServo, period: float) -> None:
         """Set what the voltage follows from.

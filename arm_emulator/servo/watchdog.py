@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import enum
 import math
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import CData
 from arm_emulator.servo.servo_law import (
     CUT,
     FOLLOWS,
@@ -14,7 +14,7 @@ from arm_emulator.servo.servo_law import (
     HOLDS,
     LATE_TARGET,
     NO_TARGET,
-    WatchdogStruct,
+    SERVO,
     servo_law,
 )
 
@@ -42,18 +42,17 @@ class Watchdog:
     Args:
         hold_after: silence that leads to HOLD [s].
         cut_after: silence that leads to CUT, longer than `hold_after` [s].
-        of: a servo's; None: one of its own.
+        of: pointer to that of a servo, which must outlive this; None: one of its own.
 
     Raises:
         Refusal: times that are not positive or not in this order.
     """
 
     def __init__(
-        self, hold_after: float, cut_after: float, of: WatchdogStruct | None = None
+        self, hold_after: float, cut_after: float, of: CData | None = None
     ) -> None:
         self._law = servo_law()
-        self._dog = WatchdogStruct() if of is None else of
-        self._pointer = ctypes.byref(self._dog)
+        self._dog = SERVO.new("servo_watchdog") if of is None else of
         self.retune(hold_after, cut_after)
         self.reset()
 
@@ -75,19 +74,19 @@ class Watchdog:
 
     def reset(self) -> None:
         """Forget everything, a cut too."""
-        self._law.servo_watchdog_reset(self._pointer)
+        self._law.servo_watchdog_reset(self._dog)
 
     def target_came(self, now: float) -> None:
         """Take note of a joint target at time `now` [s]."""
-        self._law.servo_watchdog_target(self._pointer, nanoseconds(now))
+        self._law.servo_watchdog_target(self._dog, nanoseconds(now))
 
     def state_came(self, now: float) -> None:
         """Take note of a motor state at time `now` [s]."""
-        self._law.servo_watchdog_state(self._pointer, nanoseconds(now))
+        self._law.servo_watchdog_state(self._dog, nanoseconds(now))
 
     def check(self, now: float) -> WatchdogState:
         """Return what to do at time `now` [s]; `reason` is the reason in words."""
-        self._law.servo_watchdog_check(self._pointer, nanoseconds(now))
+        self._law.servo_watchdog_check(self._dog, nanoseconds(now))
         return self.state
 
     @property

@@ -32,6 +32,13 @@ typedef struct firmware_loop {
   const int32_t* stop; /* null, or not 0 after a step that ends the run before its period */
 } firmware_loop;
 
+/* Where a run with a library is, for whoever watches it from another process. */
+typedef struct firmware_progress {
+  int32_t doing; /* whose code runs, and what of it */
+  int32_t code;  /* with which the run has ended */
+  firmware_loop loop;
+} firmware_progress;
+
 /* Go through so many periods, or fewer where a step ends the run, the machine diverges or a command
  * is refused; what arm_exchange returned last is returned. */
 int firmware_loop_run(firmware_loop* loop, int64_t ticks);

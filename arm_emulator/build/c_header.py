@@ -1,0 +1,312 @@
+"""C headers read by cffi: the one statement of structs, constants and signatures.
+
+Reading a header takes some 30 ms. What comes of it is kept in the cache of libraries, in the form
+that ``_cffi_backend`` takes, which is read back in less than one.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import marshal
+import re
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import _cffi_backend
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build import library_cache
+
+FFI = Any  # cffi has no types of its own
+CData = Any
+
+NULL: CData = _cffi_backend.FFI.NULL
+SUFFIX = ".cdef"
+_ARRAYS = _cffi_backend.FFI()
+_NUMBERS = {
+    np.dtype(name): f"{kind}[]"
+    for name, kind in {
+        "f8": "double", "f4": "float", "i8": "int64_t", "u8": "uint64_t", "i4": "int32_t",
+        "u4": "uint32_t", "i2": "int16_t", "u2": "uint16_t", "i1": "int8_t", "u1": "uint8_t",
+    }.items()
+}  # fmt: skip
+_INCLUDE = re.compile(r'#\s*include\s+(?:"([^"]+)"|<[^>]+>)')
+_NUMBER = re.compile(r"-?(?:0x[0-9a-fA-F]+|\d+)")
+
+
+def pointer(numbers: npt.NDArray[Any]) -> CData:
+    """Return where the numbers of an array lie. The array must be contiguous, and outlive it."""
+    return _ARRAYS.from_buffer(_NUMBERS[numbers.dtype], numbers)
+
+
+def text(characters: CData) -> str:
+    """Return what a string of C says, up to its end or the array's."""
+    return str(_ARRAYS.string(characters).decode(errors="replace"))
+
+
+@dataclass(frozen=True)
+class Header:
+    """A header of ours; those that it includes are read as headers of their own.
+
+    Attributes:
+        ffi: cffi's view of it. Types of a header are the same ones to all that include it.
+        functions: those that it declares itself.
+
+    Args:
+        path: its file.
+        folders: where included headers lie that do not lie beside it.
+    """
+
+    path: Path
+    folders: Sequence[Path] = ()
+    ffi: FFI = field(init=False, repr=False, compare=False)
+    functions: tuple[str, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        path = self.path.resolve()
+        if path not in _READ:
+            _READ[path] = _read(_Text(path, tuple(self.folders)))
+        ffi, functions = _READ[path]
+        object.__setattr__(self, "ffi", ffi)
+        object.__setattr__(self, "functions", functions)
+
+    def constant(self, name: str) -> int:
+        """Return what a name of an enum, or a macro that is a whole number, stands for."""
+        return int(self.ffi.integer_const(name))
+
+    def sizeof(self, kind: str) -> int:
+        """Return the bytes of a struct."""
+        return int(self.ffi.sizeof(kind))
+
+    def new(self, kind: str, **values: Any) -> CData:
+        """Return a pointer to a new struct of zeros, with a size if it begins with that.
+
+        Args:
+            kind: name of the struct.
+            values: of fields, see `fill`.
+        """
+        return self.fill(self.ffi.new(f"{kind} *"), **values)
+
+    def fill(self, struct: CData, **values: Any) -> CData:
+        """Set fields of a struct, and its size if it begins with that; return it.
+
+        Args:
+            struct: a pointer to it.
+            values: by the names of fields. An array of numpy stands for where it lies: it must
+                outlive the struct, and its numbers must be those that the field points to.
+        """
+        fields = self.ffi.typeof(struct).item.fields
+        if fields[0][0] == "size":
+            struct.size = self.ffi.sizeof(struct[0])
+        kinds = dict(fields)
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                value = self._place(kinds[name].type, value)
+            setattr(struct, name, value)
+        return struct
+
+    def rows(self, kind: str, count: int) -> npt.NDArray[Any]:
+        """Return a new array of structs, all zeros."""
+        return np.zeros(count, self.dtype(kind))
+
+    def dtype(self, kind: str) -> np.dtype[Any]:
+        """Return a struct as numpy has it."""
+        return _dtype(self.ffi, self.ffi.typeof(kind))
+
+    def pointer(self, kind: str, rows: npt.NDArray[Any]) -> CData:
+        """Return where an array of structs lies. It must be contiguous, and outlive the pointer."""
+        return self._place(self.ffi.typeof(f"{kind} *"), rows)
+
+    def _place(self, kind: Any, rows: npt.NDArray[Any]) -> CData:
+        if _dtype(self.ffi, kind.item) != rows.dtype:
+            raise TypeError(f"{kind.cname} to an array of {rows.dtype}")
+        return self.ffi.cast(kind, self.ffi.from_buffer(rows))
+
+
+_OPEN: dict[str, list[tuple[FFI, CData]]] = {}  # cffi unloads what nobody holds
+
+
+class Library:
+    """A shared library: its functions, as headers declare them. It stays loaded.
+
+    Attributes:
+        file: where it is.
+
+    Args:
+        file: where it is.
+        headers: what it has.
+        unload: whether `close` unloads it.
+
+    Raises:
+        OSError: the system does not load it.
+        AttributeError: it lacks a function.
+    """
+
+    def __init__(self, file: str | Path, headers: Sequence[Header], unload: bool = False) -> None:
+        self.file = str(file)
+        for ffi, functions in ((header.ffi, header.functions) for header in headers):
+            library = ffi.dlopen(self.file, ffi.RTLD_NOW | (0 if unload else ffi.RTLD_NODELETE))
+            _OPEN.setdefault(self.file, []).append((ffi, library))
+            vars(self).update((name, getattr(library, name)) for name in functions)
+
+    def close(self) -> None:
+        """Unload it; none of its functions may be called then."""
+        for ffi, library in _OPEN.pop(self.file, []):
+            ffi.dlclose(library)
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"{self.file}: no header declares {name}")
+
+
+_DTYPES: dict[Any, np.dtype[Any]] = {}
+
+
+def _dtype(ffi: FFI, kind: Any) -> np.dtype[Any]:
+    if kind not in _DTYPES:
+        _DTYPES[kind] = _dtype_of(ffi, kind)
+    return _DTYPES[kind]
+
+
+def _dtype_of(ffi: FFI, kind: Any) -> np.dtype[Any]:
+    if kind.kind == "array":
+        return np.dtype((_dtype(ffi, kind.item), (kind.length,)))
+    if kind.kind == "pointer":
+        return np.dtype("u8")
+    if kind.kind == "struct":
+        fields = dict(kind.fields)
+        return np.dtype({
+            "names": list(fields),
+            "formats": [_dtype(ffi, one.type) for one in fields.values()],
+            "offsets": [one.offset for one in fields.values()],
+            "itemsize": ffi.sizeof(kind),
+        })  # fmt: skip
+    size = ffi.sizeof(kind)
+    if kind.cname in ("double", "float"):
+        return np.dtype(f"f{size}")
+    return np.dtype(f"{'i' if int(ffi.cast(kind, -1)) < 0 else 'u'}{size}")
+
+
+_READ: dict[Path, tuple[FFI, tuple[str, ...]]] = {}
+
+
+class _Text:
+    """What a header declares, as cffi's parser takes it."""
+
+    def __init__(self, path: Path, folders: tuple[Path, ...]) -> None:
+        self.path, self.included = path, list[Header]()
+        self._digest = hashlib.sha256(f"{_cffi_backend.__version__} {sys.version}".encode())
+        lines = []
+        text = path.read_text(encoding="utf-8")
+        self._digest.update(text.encode())
+        for line in _taken(re.sub(r"/\*.*?\*/", " ", text, flags=re.S).splitlines()):
+            include = _INCLUDE.match(line)
+            if include is None:
+                lines.append(line)
+            elif include[1]:
+                beside = (path.parent, *folders)
+                found = next(at / include[1] for at in beside if (at / include[1]).is_file())
+                self.included.append(Header(found, folders))
+        self.text = "\n".join(lines)
+        for header in self.included:
+            self._digest.update(_DIGESTS[header.path.resolve()])
+        _DIGESTS[path] = self._digest.digest()
+
+    @property
+    def name(self) -> str:
+        """Under which it is kept."""
+        return f"{self.path.stem}-{self._digest.hexdigest()[:20]}{SUFFIX}"
+
+
+_DIGESTS: dict[Path, bytes] = {}
+
+
+def _taken(lines: list[str]) -> Iterator[str]:
+    """Yield the lines that a C compiler takes, with no directives but includes and numbers."""
+    defined, taken = set[str](), [True]
+    for line in lines:
+        words = line.lstrip().removeprefix("#").split() if line.lstrip().startswith("#") else []
+        if not words:
+            if taken[-1]:
+                yield line
+        elif words[0] in ("ifdef", "ifndef"):
+            taken.append(taken[-1] and (words[1] in defined) == (words[0] == "ifdef"))
+        elif words[0] == "else":
+            taken[-1] = taken[-2] and not taken[-1]
+        elif words[0] == "endif":
+            taken.pop()
+        elif taken[-1] and words[0] == "include":
+            yield line.strip()
+        elif taken[-1] and words[0] == "define":
+            defined.add(words[1])
+            if len(words) == 3 and _NUMBER.fullmatch(words[2]):
+                yield line.strip()
+
+
+def _read(text: _Text) -> tuple[FFI, tuple[str, ...]]:
+    parts = _kept(text)
+    if parts is None:
+        parts = _parsed(text)
+        _keep(text, parts)
+    functions = parts.pop("functions")
+    included = tuple(header.ffi for header in text.included)
+    return _cffi_backend.FFI(text.path.stem, **parts, _includes=included), functions
+
+
+def _kept(text: _Text) -> dict[str, Any] | None:
+    for folder in library_cache.cache_folders():
+        with contextlib.suppress(FileNotFoundError, library_cache.Damaged):
+            parts: dict[str, Any] = marshal.loads(library_cache.content(folder / text.name))
+            return parts
+    return None
+
+
+def _keep(text: _Text, parts: dict[str, Any]) -> None:
+    # Without a place to write to, headers are read by every process.
+    with contextlib.suppress(Refusal, OSError):
+        folder = next(library_cache.writable_caches())
+        file = folder / text.name
+        with library_cache.locked(file), library_cache.scratch_of(file) as scratch:
+            library_cache.store(file, marshal.dumps(parts), scratch)
+
+
+_PARSERS: dict[Path, Any] = {}
+
+
+def _parsed(text: _Text) -> dict[str, Any]:
+    from cffi.cffi_opcode import OP_DLOPEN_FUNC
+    from cffi.recompiler import make_py_source
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "parts.py"
+        make_py_source(_parser(text), text.path.stem, str(file))
+        call = ast.parse(file.read_text(encoding="utf-8")).body[-1]
+    assert isinstance(call, ast.Assign) and isinstance(call.value, ast.Call)
+    parts: dict[str, Any] = {
+        one.arg: ast.literal_eval(one.value)
+        for one in call.value.keywords
+        if one.arg and one.arg != "_includes"
+    }
+    names = parts.get("_globals", ())[::2]  # an opcode, of which the last byte is the kind
+    parts["functions"] = tuple(one[4:].decode() for one in names if one[3] == OP_DLOPEN_FUNC)
+    return parts
+
+
+def _parser(text: _Text) -> Any:
+    """Return cffi's parser of a header, which has read what it includes, too."""
+    from cffi import FFI as Parser
+
+    if text.path not in _PARSERS:
+        _PARSERS[text.path] = parser = Parser()
+        for header in text.included:
+            parser.include(_parser(_Text(header.path.resolve(), tuple(header.folders))))
+        parser.cdef(text.text)
+        parser.set_source(text.path.stem, None)
+    return _PARSERS[text.path]
