@@ -8,7 +8,6 @@ moves: the commands are 0. Published are medians of interleaved repetitions, of 
 
 from __future__ import annotations
 
-import ctypes
 import sys
 import tempfile
 import time
@@ -18,30 +17,26 @@ from pathlib import Path
 
 import numpy as np
 
+from arm_emulator.build.c_header import Header, Library, pointer
 from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Calls, Unit, declare, library
+from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.doors.fmu.unit import FOLDER
-from arm_emulator.machine.core_calls import ARM_CALLS
+from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 
 PERIODS = 20_000  # of a repetition
-_p, _i64, _f64, _u32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double, ctypes.c_uint32
-CALLS: Calls = {
-    "run_fmi": (_f64, [_p] * 4 + [_f64, _f64, _i64, _i64, _u32, _p, _u32, _p, ctypes.c_size_t]),
-    "run_arm": (ctypes.c_int, [_p] * 4 + [_i64]),
-}
+LOOP = Header(Path(__file__).with_name("fmu_loop.h"), (BOUNDARY,))
 
 
 def cost(name: str) -> dict[str, float]:
     """Return the median time of a servo period by what was timed [ns]."""
     scene = load_scene(name)
     source = (Path(__file__).parent / "fmu_loop.c").read_text(encoding="utf-8")
-    unit = Unit(
-        "fmu_loop", source, C_FLAGS, (BOUNDARY, FOLDER), CALLS, "bench", "a loop", "fmu_loop.c"
-    )
+    folders = (BOUNDARY, FOLDER, Path(__file__).parent)
+    unit = Unit("fmu_loop", source, C_FLAGS, folders, (LOOP,), "bench", "a loop", "fmu_loop.c")
     loop = library(unit)
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "arm.fmu"
@@ -49,39 +44,29 @@ def cost(name: str) -> dict[str, float]:
         with zipfile.ZipFile(file) as archive:
             archive.extractall(scratch)
         (binary,) = Path(scratch, "binaries", "x86_64-linux").iterdir()
-        core = declare(ctypes.CDLL(str(binary)), ARM_CALLS)
+        core = Library(binary, (ARM,))
         root = ET.parse(Path(scratch) / "modelDescription.xml").getroot()
     listed = {one.attrib["name"]: one.attrib for one in root.iterfind("ModelVariables/*")}
     command, encoder = (int(listed[n]["valueReference"]) for n in ("command", "encoder_counts"))
-    make = core.fmi3InstantiateCoSimulation
-    make.restype = _p
-    make.argtypes = [ctypes.c_char_p] * 3 + [ctypes.c_bool] * 4 + [_p, ctypes.c_size_t] + [_p] * 3
-    words = root.attrib["instantiationToken"].encode()
-    instance = make(b"arm", words, None, False, False, False, False, None, 0, None, None, None)
-    for call, arguments in (
-        ("EnterInitializationMode", [_p, ctypes.c_bool, _f64, _f64, ctypes.c_bool, _f64]),
-        ("ExitInitializationMode", [_p]),
-    ):
-        function = getattr(core, f"fmi3{call}")
-        function.argtypes = arguments
-        function(instance, *[0] * (len(arguments) - 1))
+    token = root.attrib["instantiationToken"].encode()
+    instance = loop.begin_fmi(core.file.encode(), token)
+    assert instance, "the unit begins"
     plant = Plant(scene, core=core)
     plant.exchange(np.zeros(len(scene.joints)))
     values, counts = np.zeros(len(scene.joints)), np.zeros(len(scene.joints), np.int64)
-    functions = [core.fmi3SetFloat64, core.fmi3DoStep, core.fmi3GetInt64]
     at = 0.0
 
     def by_fmi(periods: int) -> None:
         nonlocal at
         at = loop.run_fmi(
-            *functions, instance, at, scene.servo_period, periods, PERIODS // periods, command,
-            values.ctypes.data, encoder, counts.ctypes.data, len(values),
+            instance, at, scene.servo_period, periods, PERIODS // periods, command,
+            pointer(values), encoder, pointer(counts), len(values),
         )  # fmt: skip
         assert at >= 0.0, "every step is taken"
 
     def by_arm() -> None:
-        pointers = ctypes.byref(plant.command), ctypes.byref(plant.measurement)
-        assert loop.run_arm(core.arm_exchange, plant.machine, *pointers, PERIODS) == 0, "taken"
+        structs = plant.command, plant.measurement
+        assert loop.run_arm(core.arm_exchange, plant.machine, *structs, PERIODS) == 0, "taken"
 
     ways = {
         "arm_exchange": by_arm,
@@ -94,8 +79,7 @@ def cost(name: str) -> dict[str, float]:
             started = time.perf_counter()
             work()
             times[way].append((time.perf_counter() - started) / PERIODS * 1e9)
-    core.fmi3FreeInstance.argtypes = [_p]
-    core.fmi3FreeInstance(instance)
+    loop.end_fmi(instance)
     return {way: float(np.median(some[1:])) for way, some in times.items()}
 
 

@@ -1,33 +1,45 @@
-/* What an importer of FMI 3.0 does each servo period, and the same by arm.h, for bench/fmu.py. */
-#include "arm.h"
+#include "fmu_loop.h"
+
+#include <dlfcn.h>
+
 #include "fmi3.h"
 
-typedef fmi3Status set_values(fmi3Instance, const fmi3ValueReference[], size_t, const double[],
-                              size_t);
-typedef fmi3Status get_counts(fmi3Instance, const fmi3ValueReference[], size_t, int64_t[], size_t);
-typedef fmi3Status do_step(fmi3Instance, double, double, bool, bool*, bool*, bool*, double*);
-typedef int exchange_all(arm_machine*, const arm_command*, arm_measurement*);
+static void* binary;
 
-/* `steps` steps of `periods` servo periods from `time` on; the time of the end, or -1. */
-__attribute__((visibility("default"))) double run_fmi(set_values* set, do_step* step,
-                                                      get_counts* get, fmi3Instance instance,
-                                                      double time, double period, int64_t periods,
-                                                      int64_t steps, uint32_t command,
-                                                      const double* values, uint32_t encoder,
-                                                      int64_t* counts, size_t joints) {
+#define CALL(name) ((__typeof__(&name))dlsym(binary, #name))
+
+void* begin_fmi(const char* file, const char* token) {
+  binary = dlopen(file, RTLD_NOW);
+  if (!binary) return NULL;
+  fmi3Instance instance = CALL(fmi3InstantiateCoSimulation)(
+      "arm", token, NULL, false, false, false, false, NULL, 0, NULL, NULL, NULL);
+  if (!instance) return NULL;
+  if (CALL(fmi3EnterInitializationMode)(instance, false, 0.0, 0.0, false, 0.0)) return NULL;
+  return CALL(fmi3ExitInitializationMode)(instance) ? NULL : instance;
+}
+
+double run_fmi(void* instance, double time, double period, int64_t periods, int64_t steps,
+               uint32_t command, const double* values, uint32_t encoder, int64_t* counts,
+               int64_t joints) {
+  __typeof__(&fmi3SetFloat64) set = CALL(fmi3SetFloat64);
+  __typeof__(&fmi3DoStep) step = CALL(fmi3DoStep);
+  __typeof__(&fmi3GetInt64) get = CALL(fmi3GetInt64);
+  const size_t count = (size_t)joints;
   bool flags[3];
   for (int64_t k = 0; k < steps; ++k) {
-    if (set(instance, &command, 1, values, joints) ||
+    if (set(instance, &command, 1, values, count) ||
         step(instance, time, (double)periods * period, true, flags, flags + 1, flags + 2, &time) ||
-        get(instance, &encoder, 1, counts, joints))
+        get(instance, &encoder, 1, counts, count))
       return -1.0;
   }
   return time;
 }
 
-__attribute__((visibility("default"))) int run_arm(exchange_all* exchange, arm_machine* machine,
-                                                   const arm_command* command, arm_measurement* out,
-                                                   int64_t periods) {
+void end_fmi(void* instance) { CALL(fmi3FreeInstance)(instance); }
+
+int run_arm(int (*exchange)(arm_machine*, const arm_command*, arm_measurement*),
+            arm_machine* machine, const arm_command* command, arm_measurement* out,
+            int64_t periods) {
   int result = ARM_OK;
   for (int64_t k = 0; k < periods && result == ARM_OK; ++k)
     result = exchange(machine, command, out);

@@ -14,9 +14,10 @@ from xml.sax.saxutils import escape
 import numpy as np
 from machines import DC, PMSM, write_scene
 
-from arm_emulator.build.unit import compile_units, declare
+from arm_emulator.build.c_header import Library
+from arm_emulator.build.unit import compile_units
 from arm_emulator.machine.compiler import machine_unit
-from arm_emulator.machine.core_calls import ARM_CALLS
+from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from oracles.random_chain import LINK
@@ -203,7 +204,7 @@ class Instance:
 def plant_for(scene: Scene, target: str) -> Plant:
     """A plant whose library is for a target, whatever else the cache has."""
     (file,) = compile_units([machine_unit(scene)], target, None)
-    return Plant(scene, core=declare(ctypes.CDLL(str(file)), ARM_CALLS))
+    return Plant(scene, core=Library(file, (ARM,)))
 
 
 def rich_machine(folder: Path, names: tuple[str, ...], **keys: Any) -> Path:

@@ -18,7 +18,7 @@ from fake_compiler import fake_compiler
 from machines import random_chain
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build import cxx
+from arm_emulator.build import cxx, unit
 from arm_emulator.build.compiler_command import find_compiler, identity
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.library_cache import CACHE_VARIABLE, SEAL_SIZE
@@ -48,7 +48,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def quick_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that gives three_axis' library without the work, but not at once."""
-    body = Path(library_of(load_scene("three_axis"))._name).read_bytes()[:-SEAL_SIZE]
+    body = Path(library_of(load_scene("three_axis")).file).read_bytes()[:-SEAL_SIZE]
     (tmp_path / "made").write_bytes(body)
     does = f'sleep 0.5; cp {tmp_path / "made"} "$out"'
     monkeypatch.setenv("CXX", fake_compiler(tmp_path, does))
@@ -214,7 +214,7 @@ def test_random_output_of_a_compiler_is_never_loaded(
     whole = next(Path(line.split()[-1]) for line in Path("/proc/self/maps").read_text().splitlines()
                  if whole.name in line)  # fmt: skip
     library = whole.read_bytes()
-    monkeypatch.setattr(ctypes, "CDLL", lambda file: pytest.fail("it was loaded"))
+    monkeypatch.setattr(unit, "Library", lambda *_: pytest.fail("it was loaded"))
     made = tmp_path / "made"
     monkeypatch.setenv("CXX", fake_compiler(tmp_path, f'cp {made} "$out"'))
     rng = np.random.default_rng(4)

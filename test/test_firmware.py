@@ -24,13 +24,14 @@ from network import bits_of
 from sensor_msgs.msg import JointState
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import CData, pointer
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import library
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.servo_header import servo_header
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.firmware import Doing, Firmware, Progress
+from arm_emulator.machine.firmware import Doing, Firmware
 from arm_emulator.machine.firmware_loop import firmware_loop
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
@@ -42,7 +43,7 @@ from arm_emulator.runs.target_table import load_target_table
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo import load_servo_config
-from arm_emulator.servo.servo_law import address, servo_law
+from arm_emulator.servo.servo_law import servo_law
 
 ROOT = Path(__file__).resolve().parents[1]
 SERVO = load_servo_config(ROOT / "config/servo/three_axis.yaml")
@@ -158,15 +159,15 @@ def test_all_of_our_c_compiles_without_a_warning(tmp_path: Path) -> None:
 def test_a_servo_that_has_measured_nothing_gives_no_voltage() -> None:
     """Whatever it was aimed at: it does not know where the motors stand."""
     drives, law = Drives(SERVO), servo_law()
-    arm, voltage = drives.servo.pointer, np.full(N, np.nan)
+    arm, voltage = drives.servo.arm, np.full(N, np.nan)
     drives.aim(Target(np.ones(N)))
-    law.servo_voltage(arm, True, address(voltage))
+    law.servo_voltage(arm, True, pointer(voltage))
     np.testing.assert_array_equal(voltage, np.zeros(N), err_msg="before the first measurement")
     drives.measure(0, [0] * N, [0.0] * N)
     drives.aim(Target(np.ones(N)))
     assert (drives.voltage(powered=True) > 0.0).all(), "after it, towards the target"
     drives.reset()
-    law.servo_voltage(arm, True, address(voltage))
+    law.servo_voltage(arm, True, pointer(voltage))
     np.testing.assert_array_equal(voltage, np.zeros(N), err_msg="after a reset")
 
 
@@ -547,7 +548,7 @@ def test_a_library_that_does_not_return_is_reported_and_ends_with_ctrl_c(
     monkeypatch.setattr(guarded, "LOOK", 0.05)
     monkeypatch.setattr(guarded, "TELL_STALL", 0.1)
 
-    def work(progress: Progress) -> int:
+    def work(progress: CData) -> int:
         progress.doing, progress.loop.tick = Doing.STEP, 12
         while True:
             time.sleep(1.0)

@@ -26,14 +26,14 @@ from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.unit import declare
+from arm_emulator.build.c_header import Library
 from arm_emulator.cli.fmu import write_fmu
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.doors.fmu.model_description import model_description
 from arm_emulator.doors.fmu.model_description_2 import model_description_2
 from arm_emulator.doors.fmu.units import unit_of
 from arm_emulator.doors.fmu.variables import scalars, variables
-from arm_emulator.machine.core_calls import ARM_CALLS
+from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.plant import Plant
@@ -64,7 +64,7 @@ def fmu(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Fmu:
 @pytest.fixture
 def plant(scene: Scene, fmu: Fmu) -> Plant:
     """The same machine at another door: arm.h of the unit's binary."""
-    return Plant(scene, core=declare(ctypes.CDLL(fmu.binary._name), ARM_CALLS))
+    return Plant(scene, core=Library(fmu.binary._name, (ARM,)))
 
 
 def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:

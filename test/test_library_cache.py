@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import stat
 import struct
@@ -22,11 +21,12 @@ from machines import one_link_urdf, write_scene
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build import library_cache, unit
+from arm_emulator.build.c_header import Library
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.elf import with_data
 from arm_emulator.build.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 from arm_emulator.machine.compiler import compile_ahead, library_of, machine_unit, real_time_library
-from arm_emulator.machine.core_calls import ARM_CALLS, REAL_TIME_CALLS
+from arm_emulator.machine.core_calls import ARM, REAL_TIME
 from arm_emulator.machine.scene import Scene, load_scene
 
 SOMEBODY = 65534  # a user who is neither we nor root
@@ -172,7 +172,7 @@ def test_every_cut_of_a_library_is_found_out(cache: Path, sound: Sound) -> None:
     for size in range(0, len(sound.stored), 101):
         file.write_bytes(sound.stored[:size])
         with pytest.raises(library_cache.Damaged):
-            library_cache.check(file)
+            library_cache.content(file)
 
 
 def test_a_folder_in_the_place_of_a_library_is_told(cache: Path, sound: Sound) -> None:
@@ -226,7 +226,7 @@ def planted(sound: Sound, tmp_path_factory: pytest.TempPathFactory) -> Planted:
     folder = tmp_path_factory.mktemp("planted")
     mark = folder / "mark"
     source = folder / "planted.cpp"
-    functions = "".join(f"void {name}() {{}}\n" for name in (*ARM_CALLS, *REAL_TIME_CALLS))
+    functions = "".join(f"void {name}() {{}}\n" for name in (*ARM.functions, *REAL_TIME.functions))
     source.write_text(
         f'#include <cstdio>\nextern "C" {{\nint planted;\n{functions}}}\n'
         f'__attribute__((constructor)) void run() {{ fclose(fopen("{mark}", "w")); }}\n'
@@ -395,7 +395,7 @@ def test_who_swaps_folders_while_we_look_wins_nothing(
         until = time.monotonic() + 1.5
         while time.monotonic() < until or tries < 100:
             try:
-                core: ctypes.CDLL | None = library_of(sound.scene)
+                core: Library | None = library_of(sound.scene)
             except Refusal:
                 core = None
             assert core is None or not hasattr(core, "planted"), tries

@@ -46,7 +46,7 @@ print(hashlib.sha256(offline.session.plant.save()).hexdigest(), fleet.state.q.to
 
 def names_of(unit: Unit) -> set[str]:
     """Return the functions that a library may show: those declared, and more of their prefix."""
-    names = set(unit.calls)
+    names = set(unit.functions)
     prefixes = "|".join({name.split("_")[0] for name in names})
     for folder in unit.folders:
         for file in folder.glob("*.[hc]*"):

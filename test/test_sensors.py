@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import dataclasses
 import math
 import re
@@ -18,7 +17,7 @@ from scipy import stats
 from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.tuned import run
-from arm_emulator.machine.core_calls import Measurement
+from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
@@ -635,14 +634,15 @@ def test_a_client_of_version_1_is_served(scene: Scene) -> None:
     plant = Plant(scene)
     plant.exchange(np.ones(3))
     measurement = plant.measurement
-    short = Measurement.sensors.offset
-    room = (ctypes.c_ubyte * ctypes.sizeof(Measurement))(*[0xAB] * ctypes.sizeof(Measurement))
-    ctypes.memmove(room, ctypes.byref(measurement), short)
-    ctypes.c_uint32.from_buffer(room).value = short
-    assert plant.core.arm_measure(plant.machine, room) == 0, "the struct of version 1"
-    assert bytes(room)[short:] == b"\xab" * (len(room) - short), "behind its end"
-    ctypes.c_uint32.from_buffer(room).value = short - 1
-    assert plant.core.arm_measure(plant.machine, room) == 1, "one that is too short"
+    short, size = ARM.ffi.offsetof("arm_measurement", "sensors"), ARM.sizeof("arm_measurement")
+    one = ARM.ffi.new("arm_measurement *")
+    room = ARM.ffi.buffer(one)
+    room[:] = bytes(ARM.ffi.buffer(measurement, short)) + b"\xab" * (size - short)
+    one.size = short
+    assert plant.core.arm_measure(plant.machine, one) == 0, "the struct of version 1"
+    assert room[short:] == b"\xab" * (size - short), "behind its end"
+    one.size = short - 1
+    assert plant.core.arm_measure(plant.machine, one) == 1, "one that is too short"
 
 
 def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:

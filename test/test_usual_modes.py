@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 from pathlib import Path
 
+import numpy as np
 from machines import DC, GANTRY, gantry_urdf, write_scene
 
+from arm_emulator.build.c_header import Header, pointer
 from arm_emulator.machine.compiler import library_with
 from arm_emulator.machine.scene import load_scene
 
@@ -58,13 +59,15 @@ void ask(int joint, int open, int count, int* usual) {
 def test_drives_that_say_they_are_in_usual_modes_are(tmp_path: Path) -> None:
     joints = dict(zip(GANTRY, JOINTS, strict=True))
     scene = load_scene(write_scene(tmp_path, gantry_urdf(), joints))
-    calls = {"ask": (None, [ctypes.c_int] * 3 + [ctypes.c_void_p])}
-    core = library_with(scene, "ask", ASK, calls)
+    header = tmp_path / "c" / "ask.h"
+    header.parent.mkdir()
+    header.write_text("void ask(int joint, int brake_open, int count, int* counted);\n")
+    core = library_with(scene, "ask", ASK, Header(header))
 
     def ask(joint: int, brake_open: bool) -> list[int]:
-        counted = (ctypes.c_int * 3)()
-        core.ask(joint, brake_open, 20_000, counted)
-        return list(counted)
+        counted = np.zeros(3, np.int32)
+        core.ask(joint, brake_open, 20_000, pointer(counted))
+        return counted.tolist()
 
     at_once, wrongly, usual = ask(0, True)
     assert wrongly == 0, "a limit, a stop or a brake holds where nothing is said to"

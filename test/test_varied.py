@@ -104,7 +104,7 @@ def test_one_library_serves_every_value(tmp_path: Path) -> None:
             dataclasses.replace(v, value=2.5) if v.name == mass else v for v in scene.varied
         ),
     )
-    assert library_of(heavy)._name == one.core._name == other.core._name, "libraries"
+    assert library_of(heavy).file == one.core.file == other.core.file, "libraries"
     assert Plant(heavy).parameters[mass] == 2.5, "as the scene has it"
     assert one.parameters[mass] == 1.5, "as another scene has it"
     assert other.parameters[mass] == 3.0, "as it was set"

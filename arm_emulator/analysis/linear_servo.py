@@ -11,8 +11,8 @@ from arm_emulator.servo.servo_config import JointServo
 from arm_emulator.servo.servo_law import (
     CURRENT,
     POSITION,
-    SPEED,
     SERVO,
+    SPEED,
     Rows,
     servo_law,
 )

@@ -12,9 +12,9 @@ import hashlib
 import marshal
 import re
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -282,12 +282,16 @@ _PARSERS: dict[Path, Any] = {}
 
 def _parsed(text: _Text) -> dict[str, Any]:
     from cffi.cffi_opcode import OP_DLOPEN_FUNC
-    from cffi.recompiler import make_py_source
+    from cffi.recompiler import Recompiler
 
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "parts.py"
-        make_py_source(_parser(text), text.path.stem, str(file))
-        call = ast.parse(file.read_text(encoding="utf-8")).body[-1]
+    recompiler, source = (
+        Recompiler(_parser(text), text.path.stem, target_is_python=True),
+        StringIO(),
+    )
+    recompiler.collect_type_table()
+    recompiler.collect_step_tables()
+    recompiler.write_source_to_f(source, None)
+    call = ast.parse(source.getvalue()).body[-1]
     assert isinstance(call, ast.Assign) and isinstance(call.value, ast.Call)
     parts: dict[str, Any] = {
         one.arg: ast.literal_eval(one.value)

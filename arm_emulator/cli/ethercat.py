@@ -11,8 +11,9 @@ from arm_emulator.analysis.mode_loops import withheld_words
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import CData
 from arm_emulator.doors.fieldbus.esi import esi
-from arm_emulator.doors.fieldbus.ethercat import Figures, Segment
+from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import check_servo, load_gains
 
@@ -78,7 +79,7 @@ def _segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     return scene, Segment(scene, servo, lockstep)
 
 
-def _tell(figures: Figures, lockstep: bool) -> None:
+def _tell(figures: CData, lockstep: bool) -> None:
     print(f"frames            {figures.frames}, of which with all process data {figures.exchanges}")
     print(f"servo periods     {figures.periods}")
     if not lockstep:

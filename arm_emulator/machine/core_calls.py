@@ -21,4 +21,9 @@ MODES = {
 }  # fmt: skip
 
 # Places of a state in C, by their names in `PlantState` and `FleetState`.
-PLACES = {"theta_m": "motor_angle", "omega_m": "motor_speed", "t": "time", "encoder_counts": "encoder"}
+PLACES = {
+    "theta_m": "motor_angle",
+    "omega_m": "motor_speed",
+    "t": "time",
+    "encoder_counts": "encoder",
+}

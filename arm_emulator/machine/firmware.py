@@ -11,7 +11,7 @@ from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_bytes
-from arm_emulator.build.c_header import NULL, CData, Library, text
+from arm_emulator.build.c_header import CData, Library, text
 from arm_emulator.build.elf import why_no_library
 from arm_emulator.machine.control_code import ControlCode
 from arm_emulator.machine.core_calls import ARM, FIRMWARE, FIRMWARE_LOOP

@@ -31,9 +31,7 @@ def firmware_loop_unit() -> Unit:
     """Return the loop as what is compiled."""
     source, about = '#include "firmware_loop.c"\n', "the loop of control code"
     headers, part = (FIRMWARE_LOOP,), "firmware_loop.c"
-    return Unit(
-        "firmware_loop", source, C_FLAGS, (BOUNDARY,), headers, "firmware", about, part
-    )
+    return Unit("firmware_loop", source, C_FLAGS, (BOUNDARY,), headers, "firmware", about, part)
 
 
 class FirmwareLoop:

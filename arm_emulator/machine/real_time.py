@@ -127,7 +127,9 @@ class RealTimeLoop:
         """Return the loop's figures."""
         figures = REAL_TIME.new("arm_real_time_figures")
         self._calls.arm_real_time_get_figures(self._loop, figures)
-        return RealTimeFigures(**{one.name: getattr(figures, one.name) for one in fields(RealTimeFigures)})
+        return RealTimeFigures(
+            **{one.name: getattr(figures, one.name) for one in fields(RealTimeFigures)}
+        )
 
     def clear_figures(self) -> None:
         """Count from now on."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arm_emulator.build.c_header import Header, Library, pointer
+from arm_emulator.build.c_header import Header, Library
 from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY

@@ -38,7 +38,9 @@ class Drives:
         self._law = servo_law()
         arm = self.servo.arm
         arm.motion_period = round(config.motion_period * 1e9)
-        self._watchdog = Watchdog(config.hold_after, config.cut_after, SERVO.ffi.addressof(arm, "watchdog"))
+        self._watchdog = Watchdog(
+            config.hold_after, config.cut_after, SERVO.ffi.addressof(arm, "watchdog")
+        )
         self._powered = True
         self.reset()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.build.c_header import Header, Library
@@ -18,9 +17,7 @@ SERVO = Header(FOLDER / "servo.h")
 FOLLOWS, HOLDS, CUT = map(SERVO.constant, ("SERVO_FOLLOWS", "SERVO_HOLDS", "SERVO_CUT"))
 HEARS, NO_TARGET = map(SERVO.constant, ("SERVO_HEARS", "SERVO_NO_TARGET"))
 LATE_TARGET, LATE_STATE = map(SERVO.constant, ("SERVO_LATE_TARGET", "SERVO_LATE_STATE"))
-POSITION, SPEED, CURRENT = map(
-    SERVO.constant, ("SERVO_POSITION", "SERVO_SPEED", "SERVO_CURRENT")
-)
+POSITION, SPEED, CURRENT = map(SERVO.constant, ("SERVO_POSITION", "SERVO_SPEED", "SERVO_CURRENT"))
 
 Rows = npt.NDArray[Any]  # of structs, an entry per joint
 

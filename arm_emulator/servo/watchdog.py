@@ -48,9 +48,7 @@ class Watchdog:
         Refusal: times that are not positive or not in this order.
     """
 
-    def __init__(
-        self, hold_after: float, cut_after: float, of: CData | None = None
-    ) -> None:
+    def __init__(self, hold_after: float, cut_after: float, of: CData | None = None) -> None:
         self._law = servo_law()
         self._dog = SERVO.new("servo_watchdog") if of is None else of
         self.retune(hold_after, cut_after)

@@ -13,40 +13,30 @@
 // costs is of second order in the period.
 #include <cstdint>
 
+#include "manutec_r3.h"
+
 namespace manutec {
 
 constexpr int kAxes = 6;
 
-struct Axis {
-  double n;           // motor turns per link turn
-  double w, D;        // of the current regulator
-  double begin, way;  // rad, of the path
-  double x, C;        // states at the beginning
-};
-
-struct Path {
-  double rate, change;  // 1/s and 1/s2: speed and acceleration of s, that goes from 0 to 1
-
-  // s and ds/dt of a trapezoidal speed, at the time t.
-  void at(double t, double& s, double& v) const {
-    const double ramp = rate / change, until = 1.0 / rate, end = until + ramp;
-    if (t < ramp)
-      s = 0.5 * change * t * t, v = change * t;
-    else if (t < until)
-      s = rate * (t - 0.5 * ramp), v = rate;
-    else if (t < end)
-      s = 1.0 - 0.5 * change * (end - t) * (end - t), v = change * (end - t);
-    else
-      s = 1.0, v = 0.0;
-  }
-};
+// s and ds/dt of a trapezoidal speed, at the time t.
+void at(const manutec_path& path, double t, double& s, double& v) {
+  const double rate = path.rate, change = path.change;
+  const double ramp = rate / change, until = 1.0 / rate, end = until + ramp;
+  if (t < ramp)
+    s = 0.5 * change * t * t, v = change * t;
+  else if (t < until)
+    s = rate * (t - 0.5 * ramp), v = rate;
+  else if (t < end)
+    s = 1.0 - 0.5 * change * (end - t) * (end - t), v = change * (end - t);
+  else
+    s = 1.0, v = 0.0;
+}
 
 }  // namespace manutec
 
-// Go `periods` of `period` s. After each of them current, motor angle and speed, q and v, kAxes of
-// each, go to `out`, which begins with those at the start. Returns ARM_OK, or how it ended.
 extern "C" __attribute__((visibility("default"))) int manutec_run(
-    arm_machine* machine, const manutec::Axis* axes, const manutec::Path* path, double period,
+    arm_machine* machine, const manutec_axis* axes, const manutec_path* path, double period,
     std::int64_t periods, double* out) {
   using namespace manutec;
   constexpr double kp = 5.0, ks = 0.5, Ts = 0.05;
@@ -67,9 +57,9 @@ extern "C" __attribute__((visibility("default"))) int manutec_run(
     if (const int result = arm_get_truth(machine, &truth)) return result;
     if (k == periods) return ARM_OK;
     double s, v;
-    path->at(static_cast<double>(k) * period, s, v);
+    at(*path, static_cast<double>(k) * period, s, v);
     for (int j = 0; j < kAxes; ++j) {
-      const Axis& axis = axes[j];
+      const manutec_axis& axis = axes[j];
       const double u = axis.n * axis.way * v +
                        kp * (axis.n * (axis.begin + axis.way * s) - truth.motor_angle[j]) -
                        truth.motor_speed[j];

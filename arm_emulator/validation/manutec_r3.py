@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import time
 from dataclasses import dataclass
 from functools import cache
@@ -12,6 +11,8 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from arm_emulator.base.config_files import config_folder
+from arm_emulator.build.c_header import Header, pointer
+from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import library_with
 from arm_emulator.machine.core_calls import OK
@@ -88,28 +89,31 @@ def simulate(period: float = 5e-5, steps: int = 1, scheme: str = "rosenbrock",
     """
     integrator = {"scheme": scheme, "dt": period / steps, "events": events}
     scene = load_scene("manutec_r3", {"servo_period": period, "integrator": integrator})
-    pointer, count = ctypes.c_void_p, ctypes.c_int64
-    run = (ctypes.c_int, [pointer, pointer, pointer, ctypes.c_double, count, pointer])
-    calls = {"manutec_run": run}
-    plant = Plant(scene, core=library_with(scene, "controllers", CONTROLLERS.read_text(), calls))
+    header = Header(CONTROLLERS.with_suffix(".h"), (BOUNDARY,))
+    plant = Plant(scene, core=library_with(scene, "controllers", CONTROLLERS.read_text(), header))
     truth, _, x, C = solution()
     plant.put("manutec_r3", {
         "current": truth.current[0], "theta_m": truth.theta_m[0], "omega_m": truth.omega_m[0],
         "q": truth.q[0], "v": truth.v[0],
     })  # fmt: skip
     way = Q_END - Q_BEGIN
-    axes = np.ascontiguousarray(
-        np.column_stack([turns_of_motors(), REGULATOR_W, REGULATOR_D, Q_BEGIN, way, x, C])
-    )
+    axes = header.rows("manutec_axis", AXES)
+    for name, values in {
+        "n": turns_of_motors(), "w": REGULATOR_W, "D": REGULATOR_D, "begin": Q_BEGIN, "way": way,
+        "x": x, "C": C,
+    }.items():  # fmt: skip
+        axes[name] = values
     # All axes begin and end together (Modelica's KinematicPTP2).
-    path = 1.0 / np.array(
-        [(abs(way) / LARGEST_SPEED).max(), (abs(way) / LARGEST_ACCELERATION).max()]
+    rate, change = (
+        1.0 / (abs(way) / LARGEST_SPEED).max(),
+        1.0 / (abs(way) / LARGEST_ACCELERATION).max(),
     )
+    path = header.new("manutec_path", rate=rate, change=change)
     periods = int(END / period + 1e-6)
     out = np.empty((periods + 1, 5, AXES))
     began = time.perf_counter()
     result = plant.core.manutec_run(
-        plant.machine, axes.ctypes.data, path.ctypes.data, period, periods, out.ctypes.data
+        plant.machine, header.pointer("manutec_axis", axes), path, period, periods, pointer(out)
     )
     seconds = time.perf_counter() - began
     if result != OK:

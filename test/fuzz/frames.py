@@ -8,33 +8,32 @@ of errors; whatever else comes, slaves are in a state that there is.
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 import sys
 import traceback
 from pathlib import Path
 
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.doors.fieldbus import ethercat
-from arm_emulator.doors.fieldbus.drives import drives_library_with
-from arm_emulator.doors.fieldbus.ethercat import Segment
+from arm_emulator.build.c_header import Header, Library, text
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.fieldbus.drives import DRIVES_CORE, drives_library_with
+from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains
+from arm_emulator.servo.c import FOLDER
 from fuzz.line import FAILED, REFUSED, TAKEN, tell
 
 FRAMES = 10_000  # of a batch
 SCENE = "three_axis"
 _SOURCE = Path(__file__).with_name("ethercat.cpp")
+FUZZ = Header(Path(__file__).with_name("ethercat_fuzz.h"), (DRIVES_CORE, BOUNDARY, FOLDER))
 
 
-def library() -> ctypes.CDLL:
+def library() -> Library:
     """Return drives, segment and what makes the frames, in one library."""
-    pointer = ctypes.c_void_p
-    arguments = [pointer, pointer, ctypes.c_uint64, ctypes.c_int64, ctypes.c_char_p]
-    calls = {**ethercat.CALLS, "ethercat_fuzz": (ctypes.c_int64, arguments)}
-    source = '#include "ethercat.cpp"\n' + _SOURCE.read_text()
+    source = '#include "ethercat.cpp"\n' + FUZZ.path.read_text() + _SOURCE.read_text()
     return drives_library_with(
-        "ethercat-fuzz", source, calls, "the EtherCAT segment and its frames"
+        "ethercat-fuzz", source, (SEGMENT, FUZZ), "the EtherCAT segment and its frames"
     )
 
 
@@ -43,11 +42,11 @@ def case(seed: int, number: int, frames: int = FRAMES) -> dict[str, int]:
     calls = library()
     path = find_scene(SCENE)
     segment = Segment(load_scene(path), load_gains(path).servo, number % 2 == 0, calls)
-    why = ctypes.create_string_buffer(200)
+    why = FUZZ.ffi.new("char[]", 200)
     sound = calls.ethercat_fuzz(
         segment.pointer, segment.drives.pointer, seed * 1_000_003 + number, frames, why
     )
-    assert sound >= 0, f"batch {number} of seed {seed}: {why.value.decode()}"
+    assert sound >= 0, f"batch {number} of seed {seed}: {text(why)}"
     figures = segment.figures
     thrown = figures.malformed + figures.foreign + figures.circulating
     assert figures.frames == sound and thrown > frames // 20, "hardly one frame was malformed"

@@ -6,7 +6,6 @@ Modbus it knows the codes of refusals.
 
 from __future__ import annotations
 
-import ctypes
 import math
 import struct
 from collections.abc import Callable, Sequence
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.doors.fieldbus.modbus_rtu import Code, ModbusException
-from arm_emulator.machine.core_calls import JointDescription
+from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.parts.output import AXES, Output
 from arm_emulator.machine.scene import Joint, Scene
@@ -204,8 +203,8 @@ class Converter:
 
     def _description(self, index: int) -> list[int]:
         scene = self.session.scene
-        joint = JointDescription(size=ctypes.sizeof(JointDescription))
-        self.session.plant.core.arm_describe_joint(index, ctypes.byref(joint))
+        joint = ARM.new("arm_joint_description")
+        self.session.plant.core.arm_describe_joint(index, joint)
         return [
             joint.kind,
             joint.modes & 0xFFFF,

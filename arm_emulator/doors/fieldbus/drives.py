@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -10,14 +9,13 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
 from arm_emulator.analysis.linear_servo import Loop
 from arm_emulator.analysis.mode_loops import Mode, withheld_modes
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import limits_of
+from arm_emulator.build.c_header import CData, Header, Library, text
 from arm_emulator.build.flags import SHARED
-from arm_emulator.build.unit import Calls, Unit, address, library
+from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.core_calls import MODES
 from arm_emulator.machine.parts.end_stops import EndStops
@@ -25,11 +23,10 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Joint, Scene
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_config import ServoConfig
-from arm_emulator.servo.servo_law import JOINT
+from arm_emulator.servo.servo_law import Rows
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 DRIVES_CORE = Path(__file__).resolve().parent / "core"
-ETHERCAT, CANOPEN = 1, 2  # enum drives_bus
 
 # The servo's bits are those of its C library: nothing is contracted or reordered.
 DRIVES_FLAGS = (
@@ -39,40 +36,14 @@ DRIVES_FLAGS = (
 )
 SOURCE = '#include "servo.c"\n#include "drives.hpp"\n'
 
-_pointer, _int, _int32, _int64 = ctypes.c_void_p, ctypes.c_int, ctypes.c_int32, ctypes.c_int64
-_uint8, _uint16, _uint32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32
-
-DRIVES_CALLS: Calls = {
-    "drives_new": (_pointer, [_pointer]),
-    "drives_delete": (None, [_pointer]),
-    "drives_count": (_int32, [_pointer]),
-    "drives_begin": (None, [_pointer]),
-    "drives_period": (_int, [_pointer]),
-    "drives_periods": (_int, [_pointer, _int64]),
-    "drives_tick": (_int64, [_pointer]),
-    "drives_read": (
-        _uint32,
-        [_pointer, _int32, _uint16, _uint8, _pointer, _uint32, _pointer],
-    ),
-    "drives_write": (_uint32, [_pointer, _int32, _uint16, _uint8, _pointer, _uint32]),
-    "drives_write_number": (_uint32, [_pointer, _int32, _uint16, _uint8, _int64]),
-    "drives_sdo": (_int32, [_pointer, _int32, ctypes.c_char_p, _pointer]),
-    "drives_sdo_begin": (None, [_pointer, _int32]),
-    "drives_communication": (_uint32, [_pointer, _int32]),
-    "drives_list": (_int, [_int32, _pointer]),
-    "drives_list_mode": (_int, [_int32, _pointer]),
-    "drives_set": (_int, [_pointer, _int32, _uint16, _uint8, _int64]),
-    "drives_periods_per_target": (_int32, [_pointer, _int32]),
-    "drives_lost": (None, [_pointer, _int32, _uint16]),
-    "drives_lock_mapping": (None, [_pointer, _int32, _int]),
-    "drives_restart": (None, [_pointer, _int32]),
-}
+DRIVES = Header(DRIVES_CORE / "drives.h", (BOUNDARY, FOLDER))
+ETHERCAT, CANOPEN = map(DRIVES.constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))
 
 
 def drives_unit(
     name: str = "drives",
     source: str = "",
-    calls: Calls | None = None,
+    headers: tuple[Header, ...] = (),
     about: str = "the drives behind field buses",
 ) -> Unit:
     """Return the drives, with a bus in the same unit, as what is compiled, for all scenes the same.
@@ -80,7 +51,7 @@ def drives_unit(
     Args:
         name: of the library.
         source: C++ that comes behind core/drives.hpp.
-        calls: the functions that it adds.
+        headers: declare the functions that it adds.
         about: what the user is told while it is compiled.
     """
     return Unit(
@@ -88,77 +59,29 @@ def drives_unit(
         SOURCE + source,
         DRIVES_FLAGS,
         (DRIVES_CORE, FOLDER, BOUNDARY),
-        {**DRIVES_CALLS, **(calls or {})},
+        (DRIVES, *headers),
         "fieldbus",
         about,
         "drives.hpp",
     )
 
 
-def drives_library_with(name: str, source: str, calls: Calls, about: str) -> ctypes.CDLL:
+def drives_library_with(name: str, source: str, headers: tuple[Header, ...], about: str) -> Library:
     """Return the drives compiled with a bus, see `drives_unit`.
 
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    return library(drives_unit(name, source, calls, about))
+    return library(drives_unit(name, source, headers, about))
 
 
 @cache
-def drives_library() -> ctypes.CDLL:
+def drives_library() -> Library:
     """Return the drives compiled, see `drives_library_with`."""
     return library(drives_unit())
 
 
-# ``drives_joint``.
-_JOINT = [
-    ("name", "u8"),
-    ("servo", JOINT),
-    *((name, "i8") for name in ("counts_per_turn", "lower", "upper")),
-    *((name, "i4") for name in ("brake", "index", "stops", "mode")),
-    *((name, "u4") for name in ("modes", "reserved")),
-]
-
-
-class _MachineStruct(ctypes.Structure):
-    """``drives_machine``."""
-
-    _fields_ = (
-        ("size", _uint32),
-        ("joints", _int32),
-        ("bus", _int32),
-        ("reserved", _int32),
-        *((name, _pointer) for name in ("machine", "measure", "exchange")),
-        ("period", _int64),
-        ("supply_voltage", ctypes.c_double),
-        ("device_name", ctypes.c_char_p),
-        ("joint", _pointer),
-    )
-
-
-class _EntryStruct(ctypes.Structure):
-    """``drives_entry``."""
-
-    _fields_ = (
-        ("index", _uint16),
-        ("sub", _uint8),
-        ("last_sub", _uint8),
-        ("type", _uint16),
-        ("bits", _uint16),
-        *((name, _uint8) for name in ("access", "pdo", "code", "buses")),
-        ("reserved", _uint32),
-        *((name, _int64) for name in ("standard", "least", "most")),
-        *((name, ctypes.c_char_p) for name in ("object", "name", "unit")),
-    )
-
-
-class _ModeStruct(ctypes.Structure):
-    """``drives_mode``."""
-
-    _fields_ = (("number", _int32), ("loops", _uint32), ("name", ctypes.c_char_p))
-
-
-_SDO_REPLIES = 127  # DRIVES_SDO_REPLIES
+_SDO_REPLIES = DRIVES.constant("DRIVES_SDO_REPLIES")
 
 ACCESS = ("const", "ro", "wo", "rw")
 TYPES = {
@@ -223,14 +146,14 @@ def dictionary() -> tuple[Entry, ...]:
     return tuple(_walk(drives_library()))
 
 
-def _walk(calls: ctypes.CDLL) -> Iterator[Entry]:
-    one, slot = _EntryStruct(), 0
-    while calls.drives_list(slot, ctypes.byref(one)):
+def _walk(calls: Library) -> Iterator[Entry]:
+    one, slot = DRIVES.new("drives_entry"), 0
+    while calls.drives_list(slot, one):
         yield Entry(
             one.index,
             one.sub,
-            one.object.decode(),
-            one.name.decode(),
+            text(one.object),
+            text(one.name),
             one.code,
             one.last_sub,
             TYPES[one.type],
@@ -239,7 +162,7 @@ def _walk(calls: ctypes.CDLL) -> Iterator[Entry]:
             bool(one.pdo & 1),
             bool(one.pdo & 2),
             one.buses,
-            one.unit.decode(),
+            text(one.unit),
             one.standard,
             one.least,
             one.most,
@@ -254,10 +177,10 @@ def modes() -> tuple[Mode, ...]:
 
 
 def _walk_modes(calls: ctypes.CDLL) -> Iterator[Mode]:
-    one, row = _ModeStruct(), 0
-    while calls.drives_list_mode(row, ctypes.byref(one)):
+    one, row = DRIVES.new("drives_mode"), 0
+    while calls.drives_list_mode(row, one):
         loops = tuple(loop for bit, loop in enumerate(Loop) if one.loops >> bit & 1)
-        yield Mode(one.number, one.name.decode(), loops)
+        yield Mode(one.number, text(one.name), loops)
         row += 1
 
 
@@ -282,7 +205,7 @@ class Drives:
     """
 
     def __init__(
-        self, plant: Plant, servo: ServoConfig, bus: int, calls: ctypes.CDLL | None = None
+        self, plant: Plant, servo: ServoConfig, bus: int, calls: Library | None = None
     ) -> None:
         self.plant = plant
         self.calls = calls or drives_library()
@@ -291,26 +214,25 @@ class Drives:
         self.withheld = withheld_modes(scene, servo, modes())
         for one in self.withheld:
             self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode.number - 1
-        self._names = [name.encode() for name in scene.joint_names]
-        self._joints["name"] = [
-            ctypes.cast(ctypes.c_char_p(name), _pointer).value for name in self._names
-        ]
-        self._machine = _MachineStruct(
-            size=ctypes.sizeof(_MachineStruct),
+        names = [_text(name) for name in (*scene.joint_names, scene.name)]
+        self._joints["name"] = [int(DRIVES.ffi.cast("uintptr_t", name)) for name in names[:-1]]
+        self._names = names  # they must outlive the drives
+        self._machine = DRIVES.new(
+            "drives_machine",
             joints=len(self._joints),
             bus=bus,
             machine=plant.machine,
-            measure=address(plant.core, "arm_measure"),
-            exchange=address(plant.core, "arm_exchange"),
+            measure=plant.core.arm_measure,
+            exchange=plant.core.arm_exchange,
             period=round(scene.servo_period * 1e9),
             supply_voltage=scene.supply_voltage,
-            device_name=scene.name.encode(),
-            joint=self._joints.ctypes.data,
+            device_name=names[-1],
+            joint=self._joints,
         )
-        self.pointer = self.calls.drives_new(ctypes.byref(self._machine))
-        self._room = ctypes.create_string_buffer(256)
-        self._replies = ctypes.create_string_buffer(8 * _SDO_REPLIES)
-        self._size = _uint32()
+        self.pointer = self.calls.drives_new(self._machine)
+        self._room = DRIVES.ffi.new("uint8_t[]", 256)
+        self._replies = DRIVES.ffi.new("uint8_t[]", 8 * _SDO_REPLIES)
+        self._size = DRIVES.ffi.new("uint32_t *")
         self._entries = {(one.index, one.sub): one for one in _walk(self.calls)}
 
     def __del__(self) -> None:
@@ -344,7 +266,7 @@ class Drives:
             result = int(self.calls.drives_periods(self.pointer, periods))
             # The drives have measurements of their own; the plant tells of its newest one.
             plant = self.plant
-            plant.core.arm_measure(plant.machine, ctypes.byref(plant.measurement))
+            plant.core.arm_measure(plant.machine, plant.measurement)
             return result
 
         self.plant.exchange_in(go)
@@ -356,11 +278,11 @@ class Drives:
             Aborted: no such entry, or it cannot be read.
         """
         code = self.calls.drives_read(
-            self.pointer, drive, index, sub, self._room, len(self._room), ctypes.byref(self._size)
+            self.pointer, drive, index, sub, self._room, len(self._room), self._size
         )
         if code:
             raise Aborted(index, sub, code)
-        return self._room.raw[: self._size.value]
+        return bytes(DRIVES.ffi.buffer(self._room, self._size[0]))
 
     def download(self, drive: int, index: int, sub: int, value: bytes) -> None:
         """Write bytes to an entry.
@@ -400,7 +322,7 @@ class Drives:
     def sdo(self, drive: int, request: bytes) -> list[bytes]:
         """Return the replies of a drive's SDO server on CANopen to a request of 8 bytes."""
         count = self.calls.drives_sdo(self.pointer, drive, request, self._replies)
-        raw = self._replies.raw[: 8 * count]
+        raw = bytes(DRIVES.ffi.buffer(self._replies, 8 * count))
         return [raw[k : k + 8] for k in range(0, len(raw), 8)]
 
     def begin_sdo(self, drive: int) -> None:
@@ -428,8 +350,12 @@ class Drives:
         self.calls.drives_restart(self.pointer, drive)
 
 
-def _joints_of(scene: Scene, servo: ServoConfig) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    """Return rows of `_JOINT` in the scene's order of joints; names are left out."""
+def _text(words: str) -> CData:
+    return DRIVES.ffi.new("char[]", words.encode())
+
+
+def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
+    """Return rows of ``drives_joint`` in the scene's order of joints; names are left out."""
     known = {joint.name: joint for joint in servo.joints}
     if sorted(known) != sorted(scene.joint_names):
         rule = "name every moving joint of the scene once"
@@ -439,7 +365,7 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> np.ndarray[tuple[int], np.dt
         rule = f"be the scene's servo_period, {scene.servo_period:g} s"
         raise Refusal(scene.where, "servo.period", rule, f"{servo.period:g} s")
     told = tuple(known[name] for name in scene.joint_names)
-    rows = np.zeros(len(told), _JOINT)
+    rows = DRIVES.rows("drives_joint", len(told))
     rows["servo"] = servo_numbers(told, servo.period, servo.supply_voltage)
     limits = limits_of(ET.fromstring(scene.urdf))
     for row, joint in zip(rows, scene.joints, strict=True):

@@ -2,72 +2,28 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import os
 from functools import cache
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.unit import Calls, Unit, library
-from arm_emulator.doors.fieldbus.drives import ETHERCAT, Drives, drives_unit
+from arm_emulator.build.c_header import CData, Header, Library
+from arm_emulator.build.unit import Unit, library
+from arm_emulator.core import BOUNDARY
+from arm_emulator.doors.fieldbus.drives import DRIVES_CORE, ETHERCAT, Drives, drives_unit
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
+from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_config import ServoConfig
 
 MEMORY = 0x3000  # bytes of a slave
 LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
 
-_pointer, _int, _int32, _int64 = ctypes.c_void_p, ctypes.c_int, ctypes.c_int32, ctypes.c_int64
-
-CALLS: Calls = {
-    "ethercat_new": (_pointer, [_pointer]),
-    "ethercat_delete": (None, [_pointer]),
-    "ethercat_frame": (_int64, [_pointer, _pointer, _int64, _int64]),
-    "ethercat_period": (_int, [_pointer, _int64]),
-    "ethercat_get_figures": (None, [_pointer, _pointer]),
-    "ethercat_memory": (_pointer, [_pointer, _int32]),
-    "ethercat_open": (_int, [ctypes.c_char_p]),
-    "ethercat_serve": (_int, [_pointer, _int, _int64]),
-}
-
-
-class _Options(ctypes.Structure):
-    """``ethercat_options``."""
-
-    _fields_ = (
-        ("size", ctypes.c_uint32),
-        ("lockstep", _int32),
-        ("all", _pointer),
-        ("period", _int64),
-    )
-
-
-class Figures(ctypes.Structure):
-    """``ethercat_figures``, see core/ethercat.h."""
-
-    _fields_ = (
-        *(
-            (name, _int64)
-            for name in (
-                "frames",
-                "exchanges",
-                "periods",
-                "malformed",
-                "foreign",
-                "circulating",
-                "unknown",
-                "lost_cycles",
-                "late_periods",
-                "watchdogs",
-            )
-        ),
-        ("operational", _int32),
-        ("diverged", _int32),
-    )
+SEGMENT = Header(DRIVES_CORE / "ethercat.h", (BOUNDARY, FOLDER))
 
 
 @cache
-def ethercat_library() -> ctypes.CDLL:
+def ethercat_library() -> Library:
     """Return drives and segment compiled.
 
     Raises:
@@ -78,7 +34,7 @@ def ethercat_library() -> ctypes.CDLL:
 
 def ethercat_unit() -> Unit:
     """Return drives and segment as what is compiled."""
-    return drives_unit("ethercat", '#include "ethercat.cpp"\n', CALLS, "the EtherCAT segment")
+    return drives_unit("ethercat", '#include "ethercat.cpp"\n', (SEGMENT,), "the EtherCAT segment")
 
 
 class Segment:
@@ -100,15 +56,17 @@ class Segment:
     """
 
     def __init__(
-        self, scene: Scene, servo: ServoConfig, lockstep: bool, calls: ctypes.CDLL | None = None
+        self, scene: Scene, servo: ServoConfig, lockstep: bool, calls: Library | None = None
     ) -> None:
         self._calls = calls or ethercat_library()
         self.lockstep = lockstep
         self.drives = Drives(Plant(scene), servo, ETHERCAT, self._calls)
         period = round(scene.servo_period * 1e9)
-        options = _Options(ctypes.sizeof(_Options), lockstep, self.drives.pointer, period)
-        self.pointer = self._calls.ethercat_new(ctypes.byref(options))
-        self._room = ctypes.create_string_buffer(LONGEST)
+        options = SEGMENT.new(
+            "ethercat_options", lockstep=lockstep, all=self.drives.pointer, period=period
+        )
+        self.pointer = self._calls.ethercat_new(options)
+        self._room = SEGMENT.ffi.new("uint8_t[]", LONGEST)
 
     def __del__(self) -> None:
         pointer, self.pointer = getattr(self, "pointer", None), None
@@ -123,24 +81,24 @@ class Segment:
             now: what a clock says [ns], where it is not lock-step.
         """
         size = min(len(frame), LONGEST)
-        ctypes.memmove(self._room, frame, size)
+        SEGMENT.ffi.memmove(self._room, frame, size)
         back = self._calls.ethercat_frame(self.pointer, self._room, size, now)
-        return self._room.raw[:back]
+        return bytes(SEGMENT.ffi.buffer(self._room, back))
 
     def period(self, now: int = 0) -> None:
         """Let a servo period pass without a frame; `now` is what a clock says [ns]."""
         self._calls.ethercat_period(self.pointer, now)
 
     @property
-    def figures(self) -> Figures:
-        """What has happened since the segment was made."""
-        out = Figures()
-        self._calls.ethercat_get_figures(self.pointer, ctypes.byref(out))
+    def figures(self) -> CData:
+        """What has happened since the segment was made, as ``ethercat_figures``."""
+        out = SEGMENT.new("ethercat_figures")
+        self._calls.ethercat_get_figures(self.pointer, out)
         return out
 
     def memory(self, slave: int) -> bytes:
         """Return registers and memory of a slave."""
-        return ctypes.string_at(self._calls.ethercat_memory(self.pointer, slave), MEMORY)
+        return bytes(SEGMENT.ffi.buffer(self._calls.ethercat_memory(self.pointer, slave), MEMORY))
 
     def open(self, interface: str) -> int:
         """Return a descriptor of a network interface.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import uuid
 from collections.abc import Sequence
 from dataclasses import replace
@@ -45,7 +44,7 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
         beside=f'{table}inline constexpr char kToken[] = "{token}";\n}}\n'
         f'#include "fmi{version}.cpp"\n',
         folders=(*machine.folders, BOUNDARY, FOLDER),
-        calls={**machine.calls, f"fmi{version}GetVersion": (ctypes.c_char_p, [])},
+        more=(f"fmi{version}GetVersion",),
         about=f"{machine.about} for FMI {version}.0",
     )
     return unit, token
