@@ -78,15 +78,16 @@ def main() -> None:
     for header, library in libraries:
         for name in header.functions:
             call = getattr(library, name)
-            kinds = header.ffi.typeof(call).args
-            pointers = [k for k, kind in enumerate(kinds) if kind.kind == "pointer"]
+            types = header.ffi.typeof(call).args
+            kinds = [kind.cname.removeprefix("struct ") for kind in types]
+            pointers = [k for k, kind in enumerate(types) if kind.kind == "pointer"]
             for nulls in subsets(pointers):
-                if any(own.get(kinds[k].cname, 0) is None and k not in nulls for k in pointers):
+                if any(own.get(kinds[k], 0) is None and k not in nulls for k in pointers):
                     continue
                 if name.endswith("_delete") and not nulls:
                     continue
                 arguments = [
-                    (NULL if k in nulls else own.get(kind.cname) or room())
+                    (NULL if k in nulls else own.get(kind) or room())
                     if k in pointers else values.get((name, k), 1)
                     for k, kind in enumerate(kinds)
                 ]  # fmt: skip

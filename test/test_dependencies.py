@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 # Where rosdep's key is not the name of the module, or begins with python3-.
-KEYS = {"PIL": "python3-pil"}
+KEYS = {"PIL": "python3-pil", "_cffi_backend": "python3-cffi"}
 # Where pip's name is not the name of the module.
 WHEELS = {
     "can": "python-can",

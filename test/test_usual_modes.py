@@ -61,7 +61,7 @@ def test_drives_that_say_they_are_in_usual_modes_are(tmp_path: Path) -> None:
     scene = load_scene(write_scene(tmp_path, gantry_urdf(), joints))
     header = tmp_path / "c" / "ask.h"
     header.parent.mkdir()
-    header.write_text("void ask(int joint, int brake_open, int count, int* counted);\n")
+    header.write_text("void ask(int joint, int brake_open, int count, int32_t* counted);\n")
     core = library_with(scene, "ask", ASK, Header(header))
 
     def ask(joint: int, brake_open: bool) -> list[int]:

@@ -108,7 +108,7 @@ class Header:
             struct.size = self.ffi.sizeof(struct[0])
         kinds = dict(fields)
         for name, value in values.items():
-            if isinstance(value, np.ndarray):
+            if isinstance(value, np.ndarray) and name in kinds:
                 value = self._place(kinds[name].type, value)
             setattr(struct, name, value)
         return struct
@@ -178,7 +178,7 @@ def _dtype(ffi: FFI, kind: Any) -> np.dtype[Any]:
 def _dtype_of(ffi: FFI, kind: Any) -> np.dtype[Any]:
     if kind.kind == "array":
         return np.dtype((_dtype(ffi, kind.item), (kind.length,)))
-    if kind.kind == "pointer":
+    if kind.kind in ("pointer", "function"):
         return np.dtype("u8")
     if kind.kind == "struct":
         fields = dict(kind.fields)
