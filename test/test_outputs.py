@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,13 @@ from machines import GRAVITY, LINK, write_scene
 from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
 from arm_emulator.doors.fieldbus.modbus_rtu import ModbusException
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine import outputs
+from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.outputs import KNOWN, SYMBOLS, outputs_of, readings_of, reported_by_parts
@@ -124,25 +125,16 @@ def test_measured_has_all_of_it(scene: Scene, plant: Plant) -> None:
         _ = measured.colour
 
 
-class _Reading(ctypes.Structure):
-    _fields_ = (
-        ("size", ctypes.c_uint32),
-        ("present", ctypes.c_int32),
-        ("name", ctypes.c_char_p),
-        ("unit", ctypes.c_char_p),
-    )
-
-
 def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
     rows = readings_of(scene)
     for row in range(len(rows) + 1):
         for joint in range(3):
-            one = _Reading(size=ctypes.sizeof(_Reading))
-            result = plant.core.arm_describe_reading(row, joint, ctypes.byref(one))
+            one = ARM.new("arm_reading")
+            result = plant.core.arm_describe_reading(row, joint, one)
             assert result == (row == len(rows) or joint == 2), "refused"
             if result == 0:
                 expected = rows[row].unit_at(scene.chain.joints[joint].kind)
-                assert (one.name.decode(), one.unit.decode()) == (rows[row].name, expected)
+                assert (text(one.name), text(one.unit)) == (rows[row].name, expected)
                 assert one.present == 1
 
 

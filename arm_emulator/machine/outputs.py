@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.core_calls import IMU_MEASUREMENT, JOINT_MEASUREMENT, JOINT_SENSORS
+from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
 from arm_emulator.machine.parts.imu import Imu
@@ -44,14 +44,17 @@ KNOWN: dict[str, Output] = {
     )
 }
 
-# Where arm.h has outputs.
-SYMBOLS = {
-    *(f"joint.{name}" for name, *_ in JOINT_MEASUREMENT),
-    *(f"sensors.{name}" for name, *_ in JOINT_SENSORS),
-    *(f"imu.{name}" for name, *_ in IMU_MEASUREMENT),
-    "current_d",
-    READINGS,
-}
+
+def _symbols() -> Iterator[str]:
+    for name, field in ARM.ffi.typeof("arm_measurement").fields:
+        if field.type.kind == "pointer":
+            array = field.type.item
+            yield from (
+                [f"{name}.{one}" for one, _ in array.fields] if array.kind == "struct" else [name]
+            )
+
+
+SYMBOLS = set(_symbols())  # where arm.h has outputs
 
 
 def outputs_of(scene: Scene) -> tuple[Output, ...]:

@@ -176,7 +176,7 @@ def modes() -> tuple[Mode, ...]:
     return tuple(_walk_modes(drives_library()))
 
 
-def _walk_modes(calls: ctypes.CDLL) -> Iterator[Mode]:
+def _walk_modes(calls: Library) -> Iterator[Mode]:
     one, row = DRIVES.new("drives_mode"), 0
     while calls.drives_list_mode(row, one):
         loops = tuple(loop for bit, loop in enumerate(Loop) if one.loops >> bit & 1)
