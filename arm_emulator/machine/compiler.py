@@ -61,7 +61,7 @@ def library_with(scene: Scene, name: str, source: str, header: Header) -> Librar
             name=f"{scene.name}-{name}",
             source=unit.source + source,
             headers=(*unit.headers, header),
-            folders=(*unit.folders, header.path.parent),
+            folders=(*unit.folders, header.path.parent, *header.folders),
             about=f"{unit.about} with {name}",
         )
     )
