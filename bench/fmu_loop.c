@@ -11,8 +11,8 @@ static void* binary;
 void* begin_fmi(const char* file, const char* token) {
   binary = dlopen(file, RTLD_NOW);
   if (!binary) return NULL;
-  fmi3Instance instance = CALL(fmi3InstantiateCoSimulation)(
-      "arm", token, NULL, false, false, false, false, NULL, 0, NULL, NULL, NULL);
+  fmi3Instance instance = CALL(fmi3InstantiateCoSimulation)("arm", token, NULL, false, false, false,
+                                                            false, NULL, 0, NULL, NULL, NULL);
   if (!instance) return NULL;
   if (CALL(fmi3EnterInitializationMode)(instance, false, 0.0, 0.0, false, 0.0)) return NULL;
   return CALL(fmi3ExitInitializationMode)(instance) ? NULL : instance;

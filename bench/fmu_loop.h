@@ -1,4 +1,4 @@
-/* What an importer of FMI 3.0 does each servo period, and the same by arm.h, for bench/fmu.py. C99. */
+/* What an importer of FMI 3.0 does each servo period, and the same by arm.h, for fmu.py. C99. */
 #ifndef FMU_LOOP_H
 #define FMU_LOOP_H
 
