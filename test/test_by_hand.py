@@ -473,7 +473,7 @@ def test_a_machine_of_another_scene_is_refused() -> None:
 
 
 def test_names_are_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("emulator_node.node.MOST_SAVED", 3)
+    monkeypatch.setattr("emulator_node.services.MOST_SAVED", 3)
     with in_process() as one:
         for name in ("a", "b", "c", "a"):
             assert one.call("emulator/save_state", SaveState.Request(name=name)).success

@@ -136,7 +136,7 @@ def test_a_command_for_another_emulator_is_not_taken() -> None:
             one.say("motor_commands", foreign)
             counted = emulator._diagnostics.values["motor_commands for another emulator"]
             assert counted == count, "commands that are counted as others'"
-        emulator._say_status()
+        emulator._status.report()
         status = one.newest("emulator/status")
         assert status.tick == one.newest("motor_states").tick == 0, "the machine has moved"
         assert status.phase == EmulatorStatus.PHASE_WAITING, "for its own command"

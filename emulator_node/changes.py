@@ -1,0 +1,36 @@
+"""Changes of the machine by hand, between two ticks, published so that a run can be repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from arm_emulator.machine.session import Session
+from emulator_node.pacer import Pacer
+from emulator_node.reports import Reports
+
+
+class Changes:
+    """Changes the machine of a session."""
+
+    def __init__(self, session: Session, pacer: Pacer, reports: Reports) -> None:
+        self._session, self._pacer, self._reports = session, pacer, reports
+
+    @contextmanager
+    def between_ticks(self) -> Iterator[None]:
+        """Within, no time passes, and all ticks up to now are published."""
+        with self._session.between_ticks():
+            self._pacer.catch_up()
+            yield
+
+    def make(self, kind: int, change: Callable[[], None]) -> None:
+        """Change the machine, and publish what is needed to repeat that.
+
+        Args:
+            kind: of MachineEvent.
+            change: does it; what it raises is passed on, and nothing is published then.
+        """
+        with self.between_ticks():
+            change()
+            saved = self._session.plant.save()
+        self._reports.event(kind, saved)

@@ -1,0 +1,139 @@
+"""How the emulator is: diagnostics in words, and emulator/status."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.node import Node
+
+from arm_emulator.analysis.stability import explain
+from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.session import EndOfTime, Phase, Session
+from arm_emulator.ros.node_shell import NANOSECONDS, STATE_PUB_QOS, Diagnostics, stamp
+from arm_emulator_msgs.msg import EmulatorStatus
+from emulator_node.outbox import Outbox
+from emulator_node.recorder_gate import RecorderGate
+from emulator_node.reports import Reports
+from emulator_node.view import View
+
+
+class Health:
+    """Reports a fault once, and the phase in words.
+
+    Args:
+        node: whose log it is.
+        session: the machine.
+        diagnostics: of the node.
+        timeout: gives the wall time without an answer that is reported [s].
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        diagnostics: Diagnostics,
+        gate: RecorderGate,
+        outbox: Outbox,
+        timeout: Callable[[], float],
+    ) -> None:
+        self._logger, self._session, self._diagnostics = node.get_logger(), session, diagnostics
+        self._gate, self._outbox, self._timeout = gate, outbox, timeout
+        self._reported: Diverged | EndOfTime | None = None  # the fault that was published last
+
+    def report_fault(self) -> None:
+        """Report the machine's fault, if it has a new one."""
+        fault = self._session.fault
+        if fault is not None and fault is not self._reported:
+            self._reported = fault
+            explain(fault)
+            self._diagnostics.error(str(fault))
+            self._logger.error(str(fault))
+
+    def report(self, waited: float) -> None:
+        """Publish how the machine is; `waited`: since this tick was published [s]."""
+        session, diagnostics, record = self._session, self._diagnostics, self._outbox.record
+        late = waited > self._timeout()
+        if session.phase is Phase.STOPPED:
+            diagnostics.error(str(session.fault))
+        elif session.phase is Phase.PAUSED:
+            diagnostics.ok(f"paused at tick {session.tick}")
+        elif session.phase is Phase.FREE_RUNNING:
+            diagnostics.warn("no motor command yet, running free at 0 V")
+        elif session.phase is Phase.WAITING and late:
+            # In whole seconds, so that the words change, and are published, once a second.
+            diagnostics.warn(
+                f"waiting for the motor command that answers tick {session.tick}, "
+                f"for {waited:.0f} s"
+            )
+        elif self._gate.waited_for and late:
+            diagnostics.warn(
+                f"waiting for recorder {self._gate.waited_for} to write what led to tick "
+                f"{session.tick}, for {waited:.0f} s"
+            )
+        elif record is not None and record.trouble:
+            diagnostics.warn(f"the record is not complete: {record.trouble}")
+        elif not session.powered:
+            diagnostics.warn("the drives' power is off, motors at 0 V")
+        else:
+            diagnostics.ok("running")
+
+
+class Status:
+    """Publishes emulator/status, with rates since the one before.
+
+    Attributes:
+        publisher: of it.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        diagnostics: Diagnostics,
+        reports: Reports,
+        outbox: Outbox,
+        view: View,
+    ) -> None:
+        self._session, self._diagnostics, self._reports = session, diagnostics, reports
+        self._outbox, self._view = outbox, view
+        self.publisher = node.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew at tick 0."""
+        self._mark = (time.monotonic_ns(), 0, 0)  # wall, ticks, ns spent on steps
+
+    def report(self) -> None:
+        """Publish it."""
+        session, now = self._session, time.monotonic_ns()
+        since, ticks, core_ns = self._mark
+        new_ticks = max(0, session.tick - ticks)
+        steps = new_ticks * session.scene.steps_per_period
+        self._mark = (now, session.tick, session.step_wall_ns)
+        # In lock-step every tick waits a moment for its answer; a machine that goes on is running.
+        phase = Phase.RUNNING if session.phase is Phase.WAITING and new_ticks else session.phase
+        waited = time.monotonic() - self._reports.published_at
+        figures = session.figures
+        status = EmulatorStatus(
+            tick=session.tick,
+            phase=int(phase),
+            answered=session.answered,
+            powered=session.powered,
+            logical_time=session.logical_ns / NANOSECONDS,
+            real_time_factor=new_ticks * session.period_ns / (now - since),
+            step_time=max(0, session.step_wall_ns - core_ns) / steps if steps else 0.0,
+            energy=session.energy,
+            commands_refused=self._diagnostics.refused,
+            samples_dropped=self._view.dropped,
+            waiting_time=waited if phase is Phase.WAITING else 0.0,
+            overruns=figures.lost_periods,
+            old_commands=figures.old_commands,
+            worst_lateness=figures.worst_lateness / NANOSECONDS,
+            median_lateness=figures.median_lateness / NANOSECONDS,
+            p99_lateness=figures.p99_lateness / NANOSECONDS,
+            real_time_priority=bool(figures.fifo),
+            memory_locked=bool(figures.locked),
+        )
+        status.header.stamp = stamp(session.logical_ns)
+        self._outbox.put(self.publisher, status)

@@ -1,0 +1,101 @@
+"""What the emulator takes from topics: motor commands, wrenches, reports of recorders."""
+
+from __future__ import annotations
+
+import threading
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.node import Node
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.session import Needless, Session
+from arm_emulator.ros.doubles import STARTED
+from arm_emulator.ros.fixed_layout import taking
+from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, Diagnostics
+from arm_emulator_msgs.msg import MachineEvent, MotorCommand, RecorderReport
+from emulator_node.changes import Changes
+from emulator_node.outbox import Outbox
+from emulator_node.pacer import Pacer
+from emulator_node.recorder_gate import RecorderGate
+from emulator_node.view import View
+
+# Topics of what acts on links, and whose axes force and moment have.
+EXTERNAL_WRENCHES = {"external_wrench": "link", "external_wrench_in_world": "world"}
+
+
+class Intake:
+    """Subscribes, and hands over.
+
+    Attributes:
+        commands: name of the topic of motor commands.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        pacer: Pacer,
+        changes: Changes,
+        gate: RecorderGate,
+        outbox: Outbox,
+        diagnostics: Diagnostics,
+        view: View,
+        lock: threading.RLock,
+    ) -> None:
+        self._session, self._pacer, self._changes = session, pacer, changes
+        self._gate, self._outbox, self._diagnostics, self._lock = gate, outbox, diagnostics, lock
+        self.commands = node.resolve_topic_name("motor_commands")
+        subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
+        take = taking("motor_commands", MotorCommand, self._on_command, diagnostics.refuse)
+        subscribe(MotorCommand, "motor_commands", take, qos, raw=True)
+        subscribe(PoseStamped, "tool_target", view.target, qos)
+        for topic, axes in EXTERNAL_WRENCHES.items():
+            subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, axes), qos)
+        subscribe(RecorderReport, "emulator/recorders", self._on_recorder, qos)
+
+    def _on_command(self, command: Any, data: bytes) -> None:
+        with self._lock:
+            if command.machine not in (0, STARTED):
+                self._diagnostics.count("motor_commands for another emulator")
+                return
+            try:
+                self._session.offer(command.tick, command.joint_names, command.voltage)
+            except Needless as reason:
+                self._diagnostics.count(f"motor_commands {reason.kind}")
+                return
+            except Refusal as reason:
+                self._diagnostics.refuse("motor_commands", reason)
+                return
+            if self._outbox.record is not None:
+                self._outbox.record.put(self.commands, data)
+            self._pacer.go_on()
+
+    def _on_recorder(self, report: RecorderReport) -> None:
+        with self._lock:
+            try:
+                self._gate.on_report(report)
+            except Refusal as reason:
+                self._diagnostics.refuse("emulator/recorders", reason)
+                return
+            if self._gate.waited_for and self._session.answered:
+                self._pacer.go_on()
+
+    def _on_wrench(self, topic: str, axes: str, message: WrenchStamped) -> None:
+        """Let a wrench act from this tick on, at the origin of the link that it names."""
+        f, n = message.wrench.force, message.wrench.torque
+        wrench = ExternalWrench((f.x, f.y, f.z), (n.x, n.y, n.z), axes=axes)
+        with self._lock:
+            session, link = self._session, message.header.frame_id
+            try:
+                if session.acts_already(link, wrench):
+                    return
+                if behind := self._gate.without_room():
+                    rule = f"come when recorder {behind} has caught up"
+                    raise Refusal(topic, "message", rule, f"at tick {session.tick}")
+                push = partial(session.set_external_wrench, link, wrench)
+                self._changes.make(MachineEvent.KIND_EXTERNAL_WRENCH, push)
+            except Refusal as reason:
+                self._diagnostics.refuse(topic, reason)

@@ -1,0 +1,166 @@
+"""What makes ticks follow each other: answers in lock-step, a loop in real time."""
+
+from __future__ import annotations
+
+import threading
+from typing import Protocol
+
+import rclpy
+from rclpy.node import Node
+
+from arm_emulator.machine.session import Phase, Session
+from arm_emulator.ros.node_shell import wall_timer
+from emulator_node.health import Health
+from emulator_node.outbox import Outbox
+from emulator_node.recorder_gate import RecorderGate
+from emulator_node.reports import Reports
+
+AT_ONCE = 10  # ticks in real time that are taken, and messages that are published, at a time
+
+
+class Pacer(Protocol):
+    """Lets the session pass from tick to tick, and publishes each."""
+
+    def start(self) -> None:
+        """Begin, once all else is there."""
+
+    def go_on(self) -> None:
+        """Leave this tick, if it waits for nothing more."""
+
+    def look(self) -> None:
+        """Look, some times a second, whether time has to pass."""
+
+    def catch_up(self) -> None:
+        """Publish all ticks that were reached, before a change. Time must stand still."""
+
+    def close(self) -> None:
+        """End."""
+
+
+class LockstepPacer:
+    """Ticks follow answers, and before the first one the servo period.
+
+    Args:
+        node: whose executor paces the free run.
+        lock: guards the session.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        gate: RecorderGate,
+        reports: Reports,
+        health: Health,
+        lock: threading.RLock,
+    ) -> None:
+        self._node, self._session, self._gate = node, session, gate
+        self._reports, self._health, self._lock = reports, health, lock
+
+    def start(self) -> None:
+        """Pace the free run."""
+        self._pace = wall_timer(self._node, self._session.scene.servo_period, self._on_pace)
+
+    def go_on(self) -> None:
+        """Leave this tick if that is allowed, and every recorder has kept up."""
+        if not self._session.may_advance or self._gate.behind():
+            return
+        self._session.advance()
+        if self._session.fault is None:
+            self._reports.tick()
+        self._health.report_fault()
+
+    def look(self) -> None:
+        """Pace the free run again, if the machine has come back to it."""
+        if self._pace.is_canceled() and self._session.phase is Phase.FREE_RUNNING:
+            self._pace.reset()
+
+    def catch_up(self) -> None:
+        """Nothing passes without being published."""
+        self._health.report_fault()
+
+    def close(self) -> None:
+        """Nothing runs by itself."""
+
+    def _on_pace(self) -> None:
+        with self._lock:
+            if self._session.phase is Phase.FREE_RUNNING:
+                self.go_on()
+            else:  # who waits needs no pace
+                self._pace.cancel()
+
+
+class LoopPacer:
+    """Ticks come from a loop. A thread of its own takes and publishes them.
+
+    Args:
+        lock: guards the session: between the executor, which serves topics and services, and that
+            thread.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        outbox: Outbox,
+        reports: Reports,
+        health: Health,
+        lock: threading.RLock,
+    ) -> None:
+        self._session, self._outbox, self._reports = session, outbox, reports
+        self._health, self._lock = health, lock
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="taker")
+
+    def start(self) -> None:
+        """Take ticks from now on."""
+        self._outbox.taker = self._thread
+        self._thread.start()
+
+    def go_on(self) -> None:
+        """The loop goes on by itself."""
+
+    def look(self) -> None:
+        """The loop needs no help."""
+
+    def catch_up(self) -> None:
+        """Publish all ticks that the loop has reached, in order, so that a change comes behind."""
+        self._outbox.send()
+        while self._take():
+            pass
+        self._health.report_fault()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._closing = True
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._closing and rclpy.ok():
+            if self._session.wait(timeout=0.1):
+                try:
+                    while self._take_some() and not self._closing:
+                        pass
+                except RuntimeError:  # of rclpy, when a signal has ended it in between
+                    if rclpy.ok():
+                        raise
+
+    def _take_some(self) -> bool:
+        """Take some ticks, publish some of what waits; return whether there is more of either.
+
+        On a machine that is too slow there is always more: topics and services come in between.
+        """
+        with self._lock:
+            taken = 0
+            while taken < AT_ONCE and self._take():
+                taken += 1
+            self._health.report_fault()
+            return self._outbox.send(AT_ONCE) or taken == AT_ONCE
+
+    def _take(self) -> bool:
+        """Take a tick and publish its state; False if there is none."""
+        if not self._session.take():
+            return False
+        if self._session.fault is None:  # else it has not come to another tick
+            self._reports.tick()
+        return True

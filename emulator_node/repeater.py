@@ -1,0 +1,46 @@
+"""States that nobody has answered, once more; and how long the machine waits already."""
+
+from __future__ import annotations
+
+import time
+
+from arm_emulator.machine.session import Phase, Session
+from emulator_node.health import Health
+from emulator_node.pacer import Pacer
+from emulator_node.recorder_gate import RecorderGate
+from emulator_node.reports import Reports
+
+REPEAT_AFTER = (
+    0.2  # s, wall: a state without an answer is published again, for partners that come late
+)
+
+
+class Repeater:
+    """Looks every `REPEAT_AFTER` whether the machine waits, and for whom."""
+
+    def __init__(
+        self,
+        session: Session,
+        pacer: Pacer,
+        gate: RecorderGate,
+        reports: Reports,
+        health: Health,
+    ) -> None:
+        self._session, self._pacer, self._gate = session, pacer, gate
+        self._reports, self._health = reports, health
+
+    def look(self) -> None:
+        """Publish an unanswered state again; report a partner that stays silent."""
+        session, gate, now = self._session, self._gate, time.monotonic()
+        unanswered = session.phase in (Phase.WAITING, Phase.PAUSED) and not session.answered
+        if session.lockstep and (gate.waited_for or session.tick == 0):
+            # A recorder may have ended meanwhile, or have come to a machine that is paused.
+            if gate.behind():
+                unanswered = unanswered or session.tick == 0  # it may not have this state yet
+            elif session.answered:
+                self._pacer.go_on()
+        late = now - self._reports.repeated_at >= REPEAT_AFTER
+        if unanswered and late and not gate.without_room():
+            self._reports.repeat()
+        self._health.report(waited=now - self._reports.published_at)
+        self._pacer.look()

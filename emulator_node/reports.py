@@ -1,0 +1,156 @@
+"""What the emulator publishes of its machine: states, truth, time, events."""
+
+from __future__ import annotations
+
+import time
+from array import array
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from arm_emulator.machine.measured_fields import MeasuredFields
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.doubles import STARTED
+from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator.ros.node_shell import (
+    DESCRIPTION_QOS,
+    EVENT_QOS,
+    STATE_PUB_QOS,
+    set_stamp,
+    stamp,
+)
+from arm_emulator_msgs.msg import MachineEvent, MotorState
+from emulator_node.outbox import Outbox
+from emulator_node.recorder_gate import RecorderGate
+from emulator_node.view import View
+
+
+class Reports:
+    """Publishes ticks of a session, and changes of its machine.
+
+    Attributes:
+        publishers: all of them.
+        published_at: when this tick's state was first published [s, monotonic].
+        repeated_at: when it was published last.
+
+    Args:
+        node: whose topics they are.
+        session: the machine.
+        outbox: how messages leave.
+        gate: counts the motor states.
+        view: where ticks are shown.
+        period: logical time between messages of truth and time [s], 0 for every tick.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        outbox: Outbox,
+        gate: RecorderGate,
+        view: View,
+        period: float,
+    ) -> None:
+        self._session, self._outbox, self._gate, self._view = session, outbox, gate, view
+        self._ticks = max(1, round(period / session.scene.servo_period))
+        self._fields = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
+        self._motor_state = FixedLayout(self._empty_motor_state())
+        self._truth = JointState(name=list(session.scene.joint_names))
+        self._newest_time = Clock()
+        self._changes = 0
+        create = node.create_publisher
+        self._motor_states = create(MotorState, "motor_states", STATE_PUB_QOS)
+        self._truths = create(JointState, "emulator/joint_states", STATE_PUB_QOS)
+        self._clocks = create(Clock, "clock", STATE_PUB_QOS)
+        self._descriptions = create(String, "robot_description", DESCRIPTION_QOS)
+        self._events = create(MachineEvent, "emulator/events", EVENT_QOS)
+        self.publishers: list[Publisher] = [
+            self._motor_states, self._truths, self._clocks, self._descriptions, self._events,
+        ]  # fmt: skip
+        self.published_at = self.repeated_at = time.monotonic()
+
+    def description(self) -> None:
+        """Publish the robot's description."""
+        self._outbox.put(self._descriptions, String(data=self._session.scene.urdf))
+
+    def tick(self) -> None:
+        """Publish this tick's state."""
+        self.published_at = self.repeated_at = time.monotonic()
+        session = self._session
+        self._put_motor_state()
+        if session.tick % self._ticks == 0:
+            self._put_truth()
+            self._newest_time = Clock(clock=stamp(session.logical_ns))
+            self._outbox.put(self._clocks, self._newest_time)
+        self._view.tick()
+
+    def change(self) -> None:
+        """Publish this tick's state once more, as it is after a change by hand."""
+        self.repeated_at = time.monotonic()
+        self._put_motor_state()
+        self._put_truth()
+        self._view.tick()
+
+    def repeat(self) -> None:
+        """Publish an unanswered state once more, for a partner that came late or lost it."""
+        self.repeated_at = time.monotonic()
+        self._put_motor_state()
+        if self._session.tick == 0:
+            self._put_truth()
+
+    def time_again(self) -> None:
+        """Publish the newest time once more.
+
+        It is read with best effort: who lost it, or came after it, has it now.
+        """
+        self._clocks.publish(self._newest_time)
+
+    def event(self, kind: int, saved: bytes) -> None:
+        """Publish a change by hand, with the machine as it is after it."""
+        session = self._session
+        self._changes += 1
+        event = MachineEvent(
+            tick=session.tick,
+            number=self._changes,
+            kind=kind,
+            powered=session.powered,
+            state=array("B", saved),
+            machine=STARTED,
+        )
+        event.header.stamp = stamp(session.logical_ns)
+        self._outbox.put(self._events, event)
+
+    def _put_truth(self) -> None:
+        state, truth = self._session.state, self._truth
+        truth.header.stamp = stamp(self._session.logical_ns)
+        truth.position = array("d", state.q.tobytes())
+        truth.velocity = array("d", state.v.tobytes())
+        truth.effort = array("d", state.gear_torque.tobytes())
+        self._outbox.put(self._truths, truth)
+
+    def _empty_motor_state(self) -> MotorState:
+        """Return a motor state with all its names and lengths."""
+        scene, measured = self._session.scene, self._session.measured
+        message = MotorState(
+            joint_names=list(scene.joint_names),
+            machine=STARTED,
+            imu_names=[one.name for one in scene.imus],
+            voltage=array("d", bytes(8 * len(scene.joints))),
+        )
+        self._fields.begin(message, measured)
+        return message
+
+    def _put_motor_state(self) -> None:
+        session, message = self._session, self._motor_state.message
+        set_stamp(message.header.stamp, session.logical_ns)
+        message.tick = session.tick
+        message.powered = session.powered
+        message.voltage[:] = session.voltage
+        self._fields.fill(message, session.measured)
+        self._gate.count()
+        if self._outbox.record is not None:
+            self._outbox.record.count(session.tick)
+        self._outbox.put(self._motor_states, self._motor_state.data())

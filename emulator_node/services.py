@@ -1,0 +1,194 @@
+"""Services of the emulator: pause, step, reset, power, and its machine saved, restored and set."""
+
+from __future__ import annotations
+
+import threading
+from array import array
+from collections.abc import Callable
+from functools import partial
+
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.node_shell import Diagnostics
+from arm_emulator_msgs.msg import MachineEvent
+from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
+from emulator_node.changes import Changes
+from emulator_node.health import Health, Status
+from emulator_node.pacer import Pacer
+from emulator_node.recorder_gate import RecorderGate
+from emulator_node.reports import Reports
+
+MOST_SAVED = 1000  # states that are kept by name
+
+
+class TimeServices:
+    """Pause, step, reset and power."""
+
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        pacer: Pacer,
+        changes: Changes,
+        gate: RecorderGate,
+        reports: Reports,
+        health: Health,
+        status: Status,
+        diagnostics: Diagnostics,
+        lock: threading.RLock,
+    ) -> None:
+        self._session, self._pacer, self._changes, self._gate = session, pacer, changes, gate
+        self._reports, self._health, self._status = reports, health, status
+        self._diagnostics, self._lock = diagnostics, lock
+        node.create_service(SetBool, "~/pause", self._on_pause)
+        node.create_service(Trigger, "~/step", self._on_step)
+        node.create_service(Trigger, "~/reset", self._on_reset)
+        node.create_service(SetBool, "~/power", self._on_power)
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        with self._lock:
+            session = self._session
+            session.paused = request.data
+            if request.data:
+                self._pacer.catch_up()
+            response.success = True
+            response.message = f"{'paused' if request.data else 'going on'} at tick {session.tick}"
+            if session.answered:
+                self._pacer.go_on()
+            return response
+
+    def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        with self._lock:
+            response.message = self._step()
+            response.success = not response.message
+            if response.success:
+                self._reports.tick()
+                response.message = f"at tick {self._session.tick}"
+            self._health.report_fault()
+            return response
+
+    def _step(self) -> str:
+        if self._session.paused:
+            at_start = self._session.tick == 0 and self._gate.behind()
+            behind = self._gate.waited_for if at_start else self._gate.without_room()
+            if behind:
+                return f"recorder {behind} has to catch up first, step again then"
+        return self._session.step()
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        with self._lock:
+            self._changes.make(MachineEvent.KIND_RESET, self._session.reset)
+            self._gate.begin()
+            self._status.begin()
+            self._diagnostics.ok("reset")
+            self._reports.tick()
+            response.success, response.message = True, "at tick 0"
+            return response
+
+    def _on_power(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        with self._lock:
+            switch = partial(setattr, self._session, "powered", request.data)
+            self._changes.make(MachineEvent.KIND_POWER, switch)
+        response.success = True
+        response.message = (
+            "power on" if request.data else "power off: motors at 0 V, windings shorted"
+        )
+        return response
+
+
+class MachineServices:
+    """The machine saved, restored, and set by hand."""
+
+    def __init__(
+        self,
+        node: Node,
+        session: Session,
+        pacer: Pacer,
+        changes: Changes,
+        gate: RecorderGate,
+        reports: Reports,
+        lock: threading.RLock,
+    ) -> None:
+        self._session, self._pacer, self._changes, self._gate = session, pacer, changes, gate
+        self._reports, self._lock = reports, lock
+        self._saved: dict[str, bytes] = {}  # machines by name
+        node.create_service(SaveState, "~/save_state", self._on_save_state)
+        node.create_service(RestoreState, "~/restore_state", self._on_restore_state)
+        node.create_service(SetState, "~/set_state", self._on_set_state)
+        node.create_service(SetVaried, "~/set_varied", self._on_set_varied)
+
+    def _on_save_state(
+        self, request: SaveState.Request, response: SaveState.Response
+    ) -> SaveState.Response:
+        with self._lock, self._changes.between_ticks():
+            if len(self._saved) >= MOST_SAVED and request.name not in {"", *self._saved}:
+                rule = f"be one of the {MOST_SAVED} that are kept already"
+                response.message = str(Refusal("save_state", "name", rule, request.name))
+                return response
+            saved = self._session.plant.save()
+            if request.name:
+                self._saved[request.name] = saved
+            response.success, response.state = True, array("B", saved)
+            response.message = f"at tick {self._session.tick}"
+            return response
+
+    def _on_restore_state(
+        self, request: RestoreState.Request, response: RestoreState.Response
+    ) -> RestoreState.Response:
+        def restore() -> None:
+            if bool(request.name) == bool(request.state):
+                got = "both" if request.name else "neither"
+                raise Refusal("restore_state", "what is restored", "be a name or a state", got)
+            if request.name and request.name not in self._saved:
+                known = ", ".join(self._saved) or "none"
+                raise Refusal("restore_state", "name", "be a saved one", request.name, known)
+            self._session.restore(self._saved.get(request.name, bytes(request.state)))
+
+        self._put(MachineEvent.KIND_RESTORE, restore, response)
+        return response
+
+    def _on_set_state(
+        self, request: SetState.Request, response: SetState.Response
+    ) -> SetState.Response:
+        given = {
+            "current": request.current,
+            "theta_m": request.motor_position,
+            "omega_m": request.motor_velocity,
+            "q": request.position,
+            "v": request.velocity,
+        }
+        change = partial(self._session.set_state, request.joint_names, given)
+        self._put(MachineEvent.KIND_SET_STATE, change, response)
+        return response
+
+    def _on_set_varied(
+        self, request: SetVaried.Request, response: SetVaried.Response
+    ) -> SetVaried.Response:
+        change = partial(self._session.set_varied, request.name, request.value)
+        self._put(MachineEvent.KIND_SET_VARIED, change, response)
+        return response
+
+    def _put(
+        self,
+        kind: int,
+        change: Callable[[], None],
+        response: RestoreState.Response | SetState.Response | SetVaried.Response,
+    ) -> None:
+        """Change the machine, publish its state as it is now, and go on from there."""
+        with self._lock:
+            behind = self._gate.without_room()
+            if behind:
+                response.message = f"recorder {behind} has to catch up first, ask again then"
+                return
+            try:
+                self._changes.make(kind, change)
+            except Refusal as reason:
+                response.message = str(reason)
+                return
+            response.success, response.message = True, f"at tick {self._session.tick}"
+            self._reports.change()
+            if self._session.answered:
+                self._pacer.go_on()

@@ -1,0 +1,69 @@
+"""The arm in Rerun: ticks and targets as they come."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import PoseStamped
+
+from arm_emulator.machine.outputs import reported_by_parts
+from arm_emulator.machine.scene import example_robot_data
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.node_shell import nanoseconds_of
+from arm_emulator.view.rerun_stream import RerunStream
+
+
+class View:
+    """What a session shows.
+
+    Args:
+        session: the machine.
+        file: Rerun recording to write, none if empty.
+        port: where a viewer may connect, 0 for none.
+
+    Raises:
+        Refusal: see `RerunStream`.
+    """
+
+    def __init__(self, session: Session, file: str, port: int) -> None:
+        self._session = session
+        scene, robots = session.scene, example_robot_data()
+        self._shown = [one for one in reported_by_parts(scene) if not one.per_unit]
+        self._stream = RerunStream(
+            scene.urdf,
+            scene.joint_names,
+            q_start=scene.start,
+            tool=scene.tool,
+            package_dirs=[robots.parents[1]] if robots else [],
+            file=file or None,
+            port=port or None,
+            further={one.name: one.unit for one in self._shown},
+        )
+
+    @property
+    def dropped(self) -> int:
+        """Samples that there was no time for."""
+        return self._stream.dropped
+
+    def tick(self) -> None:
+        """Show this tick."""
+        if not self._stream.open:
+            return
+        session, state = self._session, self._session.state
+        self._stream.offer(
+            session.logical_ns,
+            state.q,
+            state.v,
+            state.gear_torque,
+            state.current,
+            session.voltage,
+            (state.encoder_counts + 0.5) * session.plant.link_angle_per_count,
+            [getattr(session.measured, one.name) for one in self._shown],
+        )
+
+    def target(self, target: PoseStamped) -> None:
+        """Show a target beside the arm; the machine itself knows nothing of it."""
+        p = target.pose.position
+        self._stream.offer_target(nanoseconds_of(target.header.stamp), (p.x, p.y, p.z))
+
+    def close(self) -> None:
+        """Finish the recording."""
+        self._stream.close()
