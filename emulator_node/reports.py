@@ -35,6 +35,7 @@ class Reports:
         publishers: all of them.
         published_at: when this tick's state was first published [s, monotonic].
         repeated_at: when it was published last.
+        changes: events so far, each a change by hand.
 
     Args:
         node: whose topics they are.
@@ -60,7 +61,7 @@ class Reports:
         self._motor_state = FixedLayout(self._empty_motor_state())
         self._truth = JointState(name=list(session.scene.joint_names))
         self._newest_time = Clock()
-        self._changes = 0
+        self.changes = 0
         create = node.create_publisher
         self._motor_states = create(MotorState, "motor_states", STATE_PUB_QOS)
         self._truths = create(JointState, "emulator/joint_states", STATE_PUB_QOS)
@@ -111,10 +112,10 @@ class Reports:
     def event(self, kind: int, saved: bytes) -> None:
         """Publish a change by hand, with the machine as it is after it."""
         session = self._session
-        self._changes += 1
+        self.changes += 1
         event = MachineEvent(
             tick=session.tick,
-            number=self._changes,
+            number=self.changes,
             kind=kind,
             powered=session.powered,
             state=array("B", saved),

@@ -209,7 +209,7 @@ def test_a_run_with_brakes_is_repeated_to_the_last_bit(
         def between() -> None:
             seen.update(one.newest("motor_states").brake_closed)
             if draw.random() < 0.02:
-                one.nodes["emulator"]._say_status()  # by which `check-bag` knows the clock
+                one.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
                 assert one.call("emulator/power", draw.random() < 0.5).success
 
         go_on(one, 200, between)

@@ -159,7 +159,7 @@ def recorded(clock: str, seed: int, bag: Path, varied: Path) -> set[str]:
 
         def between() -> None:
             if draw.random() < 0.02:
-                one.nodes["emulator"]._say_status()  # by which `check-bag` knows the clock
+                one.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
                 hand.changes()
 
         go_on(one, 400, between)
@@ -288,7 +288,7 @@ def test_what_is_set_is_set_and_all_else_stays(seed: int) -> None:
         go_on(one, 20)
         for _ in range(20):
             before, request = session_of(one).state, sound_set_state(draw)
-            tick, changes = session_of(one).tick, one.nodes["emulator"]._changes
+            tick, changes = session_of(one).tick, one.nodes["emulator"]._reports.changes
             answer = one.call("emulator/set_state", request)
             assert answer.success and answer.message == f"at tick {tick}", answer
             after = session_of(one).state
@@ -298,7 +298,7 @@ def test_what_is_set_is_set_and_all_else_stays(seed: int) -> None:
                     expected = values.get(joint, getattr(before, row)[j])
                     # Gears are elastic here: each quantity is one of its own, to the bit.
                     assert getattr(after, row)[j] == expected, f"{name} of {joint} after {request}"
-            assert one.nodes["emulator"]._changes == changes + 1, "events"
+            assert one.nodes["emulator"]._reports.changes == changes + 1, "events"
             # And it is told at once, at the same tick.
             told = one.newest("motor_states")
             assert told.tick == tick and list(told.current) == list(after.current)
@@ -393,7 +393,7 @@ def test_a_machine_that_has_diverged_goes_on_when_it_is_put_elsewhere(
             go_on(one, 20)
             assert session_of(one).fault is None and session_of(one).tick >= tick + 20
         assert faults > 3, "the test is of something"
-        one.nodes["emulator"]._say_status()
+        one.nodes["emulator"]._status.report()
         one.write(tmp_path / "bag")
     assert check(tmp_path / "bag", "three_axis") == 0
 
@@ -448,21 +448,21 @@ def test_bad_requests_are_refused_and_change_nothing(clock: str) -> None:
         saved = bytes(one.call("emulator/save_state", SaveState.Request(name="kept")).state)
         assert one.call("emulator/pause", True).success
         before, tick = session_of(one).plant.save(), session_of(one).tick
-        changes = one.nodes["emulator"]._changes
+        changes = one.nodes["emulator"]._reports.changes
         for name, request in bad_requests(draw, saved):
             answer = one.call(name, request)
             words = f"{name} {str(request)[:300]}: {answer.message}"
             assert not answer.success and " must " in answer.message, words
             assert "\n" not in answer.message, words
             assert session_of(one).plant.save() == before, words
-        assert (session_of(one).tick, one.nodes["emulator"]._changes) == (tick, changes)
+        assert (session_of(one).tick, one.nodes["emulator"]._reports.changes) == (tick, changes)
         assert one.call("emulator/pause", False).success
         # And while it runs.
         for name, request in bad_requests(draw, saved):
             assert not one.call(name, request).success, name
             one.deliver()
         go_on(one, 20)
-        assert one.nodes["emulator"]._changes == changes, "events"
+        assert one.nodes["emulator"]._reports.changes == changes, "events"
 
 
 def test_a_machine_of_another_scene_is_refused() -> None:

@@ -46,7 +46,7 @@ def sound(draw: random.Random) -> tuple[str, WrenchStamped]:
 
 
 def changes(one: InProcess) -> int:
-    return int(one.nodes["emulator"]._changes)
+    return int(one.nodes["emulator"]._reports.changes)
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -61,7 +61,7 @@ def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
         def between() -> None:
             nonlocal said
             if draw.random() < 0.02:
-                one.nodes["emulator"]._say_status()  # by which `check-bag` knows the clock
+                one.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
                 one.say(*sound(draw))
                 said += 1
 
