@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import subprocess
@@ -213,7 +214,8 @@ def test_commands_are_in_the_unit_of_each_motor(kinds: tuple[str, ...], tmp_path
     expected = commands * [joint.torque_per_command for joint in scene.joints]
     assert plant.state.gear_torque == pytest.approx(expected, rel=2e-2), "torques of the links"
     limits = [joint.largest_command(scene.supply_voltage) for joint in scene.joints]
-    wanted = {"dc": 48.0, "loop": 48.0, "pmsm": 48.0, "torque": 0.2, "current": 3.0}
+    amplitude = 48.0 / math.sqrt(3.0)  # of which the core clamps commands of a pmsm
+    wanted = {"dc": 48.0, "loop": 48.0, "pmsm": amplitude, "torque": 0.2, "current": 3.0}
     assert limits == [wanted.get(kind) for kind in kinds], "limits [V, A, N m]"
     motions = judged_motions(scene, 0.1)
     assert {motion.name for motion in motions} == set(KINDS), "kinds of motions"

@@ -190,10 +190,10 @@ def test_energy_from_nowhere_is_seen_all_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("motor", [TORQUE, CURRENT], ids=lambda motor: motor["kind"])
-def test_our_servo_and_its_gains_refuse_them_by_name(motor: dict[str, Any]) -> None:
+def test_a_servo_for_voltages_and_the_reference_refuse_them(motor: dict[str, Any]) -> None:
     scene = load_scene("three_axis", {"joints.shoulder.motor": motor})
     servo = load_servo_config(find_beside(find_scene("three_axis"), "servo"))
-    words = f"joints.shoulder.motor.kind must be dc for our servo, got {motor['kind']}"
+    words = rf"servo.joints.shoulder.{motor['kind']}_bandwidth must be given: .*, got nothing"
     with pytest.raises(Refusal, match=words):
         check_joints(scene, servo)
     with pytest.raises(

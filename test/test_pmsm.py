@@ -16,13 +16,10 @@ from machines import GANTRY, gantry_urdf, moving_joints, random_chain_urdf, writ
 from scipy.integrate import solve_ivp
 
 from arm_emulator.analysis.reference import links_model
-from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.pmsm import Pmsm
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
-from arm_emulator.runs.gains import check_joints
-from arm_emulator.servo.servo_config import load_servo_config
 
 PERIOD = 1e-3  # s, over which a command is held
 SUPPLY = 48.0
@@ -206,14 +203,6 @@ def test_commands_stay_within_the_inverters_circle_and_go_without_power(arm: Pat
     assert plant.voltage.tolist() == [0.0, 0.0, 0.0], "uq without power"
     with pytest.raises(Refusal, match=r"value_d of .* must be finite"):
         plant.exchange(row, voltage_d=[0.0, math.nan, 0.0])
-
-
-def test_our_servo_refuses_them_by_name() -> None:
-    motor = drawn_motor(np.random.default_rng(1))
-    scene = load_scene("three_axis", {"joints.shoulder.motor": motor})
-    servo = load_servo_config(find_beside(find_scene("three_axis"), "servo"))
-    with pytest.raises(Refusal, match=r"shoulder\.motor\.kind must be dc for our servo, got pmsm"):
-        check_joints(scene, servo)
 
 
 def test_a_weakened_field_lets_a_motor_without_load_turn_faster(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ JOINT = JointServo(
     back_emf_constant=0.05,
     rotor_inertia=1e-4,
     current_limit=20.0,
+    voltage_limit=100.0,  # more than there is
     velocity_limit=3.0,
     position_gain=30.0,
     velocity_gain=150.0,
@@ -446,7 +447,7 @@ def test_inductance_and_current_limit_may_be_left_out() -> None:
         ),
         ("joints.joint.counts_per_turn", 10.5, "counts_per_turn must be a whole number >= 1"),
         ("joints.joint.counts_per_turn", 0, "counts_per_turn must be a whole number >= 1"),
-        ("joints.joint.resistance", -1.0, "resistance must be a number > 0 ohm"),
+        ("joints.joint.resistance", -1.0, "resistance must be a number >= 0 ohm"),
         ("joints.joint.inductance", -1e-3, "inductance must be a number >= 0 H"),
         ("joints.joint.torque_constant", None, "joints.joint.torque_constant must be given"),
         ("joints.joint.current_limit", 0.0, "current_limit must be a number > 0 A"),

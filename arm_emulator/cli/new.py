@@ -23,8 +23,7 @@ from arm_emulator.design.robot_limits import move_meshes, read_limits, write_lim
 from arm_emulator.design.scene_text import demo_text, motion_text, scene_text, servo_text
 from arm_emulator.design.sizing import Demand, Sized, rounded, size
 from arm_emulator.design.survey import survey
-from arm_emulator.design.tuned import data_of
-from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.design.tuned import data_of, data_sheet
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
@@ -231,25 +230,12 @@ def _texts(
 
 def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
     """Return the servo of a joint: the data sheet's numbers, and gains that follow from them."""
-    motor, gear, encoder = drive.joint.motor, drive.joint.gear, drive.joint.encoder
-    assert isinstance(motor, DcMotor) and encoder is not None
-    friction = drive.joint.friction.viscous
-    assert motor.current_limit is not None
-    current_limit = motor.current_limit
-    gains = design(
-        *data_of(drive.joint), demand.inertia, SERVO_PERIOD, friction, supply, current_limit
-    )
+    friction, sheet = drive.joint.friction.viscous, data_sheet(drive.joint, supply)
+    limit = sheet["current_limit"]
+    gains = design(*data_of(drive.joint), demand.inertia, SERVO_PERIOD, friction, supply, limit)
     return JointServo(
         name=demand.name,
-        gear_ratio=gear.ratio,
-        counts_per_turn=encoder.counts_per_turn,
-        resistance=motor.resistance,
-        inductance=motor.inductance,
-        torque_constant=motor.torque_constant,
-        back_emf_constant=motor.back_emf_constant,
-        rotor_inertia=motor.rotor_inertia,
-        current_bandwidth=drive.joint.current_bandwidth,
-        current_limit=current_limit,
+        **sheet,
         velocity_limit=drive.speed,
         position_gain=rounded(gains.position_gain),
         velocity_gain=rounded(gains.velocity_gain),

@@ -73,6 +73,7 @@ class MotorData:
     counts_per_turn: int | None = None  # of the encoder; None: as good as ideal
     current_bandwidth: float = 0.0  # Hz, of the drive's current loop; 0: it takes a voltage
     viscous: float = 0.0  # N m s/rad, friction of the rotor
+    torque_bandwidth: float = 0.0  # Hz, of a drive that is commanded a torque, whose current it is
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,8 @@ def design(
     Raises:
         Refusal: no gains hold this motor at this period; it names one that would do.
     """
-    kick = KICK * min(current_limit, supply_voltage / motor.resistance)
+    stall = supply_voltage / motor.resistance if motor.resistance else math.inf
+    kick = KICK * min(current_limit, stall)
     gains = _search(motor, gear, link_inertia, period, viscous, kick)
     if gains is not None:
         return gains
@@ -272,6 +274,7 @@ def joint_servo(
         back_emf_constant=motor.back_emf_constant,
         rotor_inertia=motor.rotor_inertia,
         current_bandwidth=motor.current_bandwidth,
+        torque_bandwidth=motor.torque_bandwidth,
         velocity_limit=1e6,
         **dataclasses.asdict(gains),
     )
@@ -281,9 +284,8 @@ def joint_plant(
     motor: MotorData, gear: GearData, link_inertia: float, viscous: float, period: float
 ) -> SampledPlant:
     """Return one joint: motor, gear and a link that nothing else moves."""
-    R, L, Kb = Commanded.by(
-        motor.resistance, motor.inductance, motor.back_emf_constant, motor.current_bandwidth
-    )
+    bandwidth = motor.torque_bandwidth or motor.current_bandwidth
+    R, L, Kb = Commanded.by(motor.resistance, motor.inductance, motor.back_emf_constant, bandwidth)
     Kt = motor.torque_constant
     Dv, Ng, Kg, Dg = motor.viscous, gear.ratio, gear.stiffness, gear.damping
     # States i, theta, omega, q, v.

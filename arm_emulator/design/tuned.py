@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from arm_emulator.analysis.sampled_loop import Margins
 from arm_emulator.analysis.servo_at_rest import swing_at_rest
 from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_plant
-from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Joint, Scene
 from arm_emulator.machine.session import Session
@@ -128,20 +128,46 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
     return config
 
 
+def data_sheet(joint: Joint, supply_voltage: float) -> dict[str, Any]:
+    """Return what `JointServo` takes of a scene's joint beside gains and a limit of its speed.
+
+    Args:
+        joint: the joint, with a motor.
+        supply_voltage: of the scene [V].
+    """
+    motor, data = joint.motor, joint.servo_data
+    assert motor is not None and data is not None, "check_joints has refused others"
+    voltage = motor.largest_command(supply_voltage) if joint.command.startswith("V") else None
+    limits = {
+        "current_limit": motor.command_limit,
+        "voltage_limit": None if voltage == supply_voltage else voltage,
+    }
+    return {
+        "gear_ratio": joint.gear.ratio,
+        "counts_per_turn": joint.counts_per_turn,
+        "encoder_bits": (joint.encoder.bits or 0) if joint.encoder else 0,
+        "rotor_inertia": motor.inertia,
+        **dataclasses.asdict(data),
+        **{key: value for key, value in limits.items() if value is not None},
+    }
+
+
 def data_of(joint: Joint) -> tuple[MotorData, GearData]:
     """Return a scene's joint as the design takes it."""
     motor, gear = joint.motor, joint.gear
-    assert isinstance(motor, DcMotor), "check_joints has refused others"
+    data = joint.servo_data
+    assert motor is not None and data is not None, "check_joints has refused others"
     return (
         MotorData(
-            motor.resistance,
-            motor.inductance,
-            motor.torque_constant,
-            motor.back_emf_constant,
-            motor.rotor_inertia,
+            data.resistance,
+            data.inductance,
+            data.torque_constant,
+            data.back_emf_constant,
+            motor.inertia,
             joint.counts_per_turn,
-            joint.current_bandwidth,
+            data.current_bandwidth,
             0.0 if joint.rotor_friction is None else joint.rotor_friction.viscous,
+            data.torque_bandwidth,
         ),
         GearData(gear.ratio, gear.stiffness, gear.damping),
     )

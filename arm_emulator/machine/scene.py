@@ -40,7 +40,7 @@ from arm_emulator.machine.parts.known import (
     read_gear,
     read_motor,
 )
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motor import Motor, ServoData
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import JointSensors
 from arm_emulator.machine.parts.torque_motor import TorqueMotor
@@ -102,7 +102,7 @@ class Joint:
         """
         if self.motor is None or self.command == TorqueMotor.command:
             return self
-        motor = TorqueMotor(rotor_inertia=vars(self.motor)["rotor_inertia"])
+        motor = TorqueMotor(rotor_inertia=self.motor.inertia)
         kept = tuple(one for one in self.decorators if not one.electrical)
         return replace(self, motor=motor, decorators=kept)
 
@@ -118,6 +118,14 @@ class Joint:
         if self.motor is None:
             return 0.0
         return max((one.bandwidth_around(self.motor) for one in self.decorators), default=0.0)
+
+    @property
+    def servo_data(self) -> ServoData | None:
+        """What a servo must know of its motor and drive; None: ours cannot drive it."""
+        data = None if self.motor is None else self.motor.servo_data
+        if data is None or self.current_bandwidth == 0.0:
+            return data
+        return replace(data, current_bandwidth=self.current_bandwidth)
 
     @property
     def torque_per_command(self) -> float:
@@ -206,7 +214,9 @@ class Scene:
         return np.array(
             [
                 self.supply_voltage
-                if joint.command.startswith("V") or joint.motor is None
+                if joint.motor is None
+                else joint.motor.largest_command(self.supply_voltage)
+                if joint.command.startswith("V")
                 else joint.motor.command_limit or math.inf
                 for joint in self.joints
             ]

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from arm_emulator.base.config_files import find_beside
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
@@ -72,9 +71,9 @@ def check_joints(scene: Scene, servo: ServoConfig) -> None:
     of_servo = {joint.name: joint for joint in servo.joints}
     for joint in scene.joints:
         taken = of_servo[joint.name]
-        if joint.motor is not None and not isinstance(joint.motor, DcMotor):
+        if joint.motor is not None and joint.servo_data is None:
             where = f"joints.{joint.name}.motor.kind"
-            raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
+            raise Refusal(scene.where, where, "be one that our servo drives", joint.motor.kind)
         taken.check_command(scene.where, joint.command)
         bits = 0 if joint.encoder is None else joint.encoder.bits or 0
         if taken.encoder_bits != bits:

@@ -5,7 +5,8 @@ A drive that closes a current loop of bandwidth f makes of a command u [A] the c
     1 / (2 pi f) di/dt = u - i
 
 at any speed. That is the winding L di/dt = V - R i - Kb omega with R = 1, L = 1 / (2 pi f) and
-Kb = 0, whose volts are amperes.
+Kb = 0, whose volts are amperes. So it is with a drive that makes a torque of its command, whose
+volts and amperes are N m.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Commanded(NamedTuple):
         resistance: float,
         inductance: float,
         back_emf_constant: float,
-        current_bandwidth: float,
+        bandwidth: float,
     ) -> Commanded:
         """Return what a motor's command meets.
 
@@ -35,8 +36,9 @@ class Commanded(NamedTuple):
             resistance: of the winding [ohm].
             inductance: of the winding [H].
             back_emf_constant: [V s/rad].
-            current_bandwidth: of the drive's current loop [Hz]; 0: the command is a voltage.
+            bandwidth: of the drive's loop of the current or the torque [Hz]; 0: the command is a
+                voltage.
         """
-        if current_bandwidth > 0.0:
-            return cls(1.0, 1.0 / (2.0 * math.pi * current_bandwidth), 0.0)
+        if bandwidth > 0.0:
+            return cls(1.0, 1.0 / (2.0 * math.pi * bandwidth), 0.0)
         return cls(resistance, inductance, back_emf_constant)

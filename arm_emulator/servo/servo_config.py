@@ -69,10 +69,10 @@ class JointServo:
         metadata={"rule": _Rule("be a whole number >= 1", 1.0, open=False, integer=True)}
     )
     """Encoder counts per motor turn."""
-    resistance: float = field(metadata=_positive("ohm"))
-    """Of the winding [ohm]."""
+    resistance: float = field(metadata=_not_negative("ohm"))
+    """Of the winding [ohm]; 0 only where the drive is commanded a current or a torque."""
     torque_constant: float = field(metadata=_positive("N m/A"))
-    """Motor torque per current [N m/A]."""
+    """Motor torque per current [N m/A]; 1 where the drive is commanded a torque."""
     back_emf_constant: float = field(metadata=_not_negative("V s/rad"))
     """Voltage per motor speed [V s/rad]."""
     rotor_inertia: float = field(metadata=_positive("kg m2"))
@@ -96,6 +96,12 @@ class JointServo:
     current_bandwidth: float = field(default=0.0, metadata=_not_negative("Hz"))
     """Of the current loop that the drive closes by itself [Hz]: it is commanded a current [A];
     left out: a voltage."""
+    torque_bandwidth: float = field(default=0.0, metadata=_not_negative("Hz"))
+    """Of the drive's control of its torque [Hz]: it is commanded a torque [N m], measures no
+    current, and has its limits in N m; left out: a current or a voltage."""
+    voltage_limit: float = field(default=math.inf, metadata=_positive("V"))
+    """Largest voltage that the drive can give [V], for the amplitude of synchronous motors; left
+    out: that of the supply."""
     encoder_bits: int = field(
         default=0,
         metadata={
@@ -111,13 +117,19 @@ class JointServo:
     def commanded(self) -> Commanded:
         """What the motor's command meets."""
         emf = self.back_emf_constant
-        return Commanded.by(self.resistance, self.inductance, emf, self.current_bandwidth)
+        return Commanded.by(self.resistance, self.inductance, emf, self.loop_bandwidth)
+
+    @property
+    def loop_bandwidth(self) -> float:
+        """Of the loop that the drive closes [Hz]; 0: none, its command is a voltage."""
+        return self.torque_bandwidth or self.current_bandwidth
 
     def largest_command(self, supply_voltage: float) -> float:
-        """Return the largest command [V, A]: what the supply, or the current limit, leaves."""
-        if self.current_bandwidth == 0.0:
-            return supply_voltage
-        return min(self.current_limit, supply_voltage / self.resistance)
+        """Return the largest command [V, A, N m]: what the supply, or its limit, leaves."""
+        voltage = min(supply_voltage, self.voltage_limit)
+        if self.loop_bandwidth == 0.0:
+            return voltage
+        return min(self.current_limit, voltage / self.resistance if self.resistance else math.inf)
 
     def check_command(self, where: str, unit: str) -> None:
         """Refuse a motor of a scene that is commanded something else than this servo gives.
@@ -129,13 +141,17 @@ class JointServo:
         Raises:
             Refusal: it is.
         """
-        quantity = f"servo.joints.{self.name}.current_bandwidth"
-        if unit == "A" and self.current_bandwidth == 0.0:
-            rule = "be given: the motor's drive closes a current loop"
-            raise Refusal(where, quantity, rule, "nothing")
-        if unit == "V" and self.current_bandwidth > 0.0:
-            rule = "be absent: the scene's motor takes a voltage"
-            raise Refusal(where, quantity, rule, f"{self.current_bandwidth:g} Hz")
+        for key, of, what in (
+            ("current_bandwidth", "A", "the motor's drive closes a current loop"),
+            ("torque_bandwidth", "N m", "the scene's motor takes a torque"),
+        ):
+            bandwidth, quantity = getattr(self, key), f"servo.joints.{self.name}.{key}"
+            if unit == of and bandwidth == 0.0:
+                raise Refusal(where, quantity, f"be given: {what}", "nothing")
+            if unit != of and bandwidth > 0.0:
+                takes = {"A": "current", "N m": "torque"}.get(unit, "voltage")
+                rule = f"be absent: the scene's motor takes a {takes}"
+                raise Refusal(where, quantity, rule, f"{bandwidth:g} Hz")
 
     @property
     def inertia(self) -> float:
@@ -375,6 +391,16 @@ def _check_periods(scalars: Mapping[str, float], where: str) -> None:
 def _check_rates(joint: JointServo, period: float, where: str) -> None:
     """Refuse what a law that is computed once per period cannot do."""
     path = f"joints.{joint.name}"
+    if joint.torque_bandwidth > 0.0:
+        if joint.current_bandwidth > 0.0:
+            rule = "be absent beside a current_bandwidth"
+            raise Refusal(where, f"{path}.torque_bandwidth", rule, joint.torque_bandwidth)
+        if joint.torque_constant != 1.0:
+            rule = "be 1 with a torque_bandwidth: commands are torques"
+            raise Refusal(where, f"{path}.torque_constant", rule, joint.torque_constant)
+    if joint.resistance == 0.0 and joint.loop_bandwidth == 0.0:
+        rule = "be a number > 0 ohm where the command is a voltage"
+        raise Refusal(where, f"{path}.resistance", rule, joint.resistance)
     fastest = 1.0 / period
     for key in ("observer_bandwidth", "position_gain"):
         if (value := getattr(joint, key)) > fastest:

@@ -102,6 +102,7 @@ class _Numbers:
         motor = self.motor
         return {
             "wrap": 2**joint.encoder_bits if joint.encoder_bits else 0,
+            "unsensed": int(joint.torque_bandwidth > 0.0),
             "count_angle": 2.0 * math.pi / joint.counts_per_turn,
             "ratio": self.ratio,
             "motor_turns": 1.0 / self.ratio,

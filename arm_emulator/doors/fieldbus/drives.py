@@ -369,10 +369,15 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
     rows["servo"] = servo_numbers(told, servo.period, servo.supply_voltage)
     limits = limits_of(ET.fromstring(scene.urdf))
     for row, joint in zip(rows, scene.joints, strict=True):
-        if joint.motor is not None and joint.motor.command != "V":
+        if joint.motor is not None and joint.servo_data is None:
             where = f"joints.{joint.name}.motor.kind"
-            raise Refusal(scene.where, where, "be dc for our servo", joint.motor.kind)
-        known[joint.name].check_command(scene.where, joint.command)
+            raise Refusal(scene.where, where, "be one that our servo drives", joint.motor.kind)
+        own = known[joint.name]
+        own.check_command(scene.where, joint.command)
+        if not math.isfinite(own.largest_command(servo.supply_voltage)):
+            where = f"servo.joints.{joint.name}.current_limit"
+            rule = "be given: the rated torque of its drive (0x6076) follows from it"
+            raise Refusal(scene.where, where, rule, "nothing")
         row["counts_per_turn"] = joint.counts_per_turn
         row["lower"], row["upper"] = _limits(joint, limits.get(joint.name))
         row["brake"] = joint.brake is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motor import AT_ONCE, Motor, ServoData
 from arm_emulator.machine.parts.part import Number
 
 
@@ -24,6 +24,11 @@ class CurrentMotor(Motor):
     rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
     bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
     current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
+
+    @property
+    def servo_data(self) -> ServoData:  # noqa: D102
+        bandwidth = self.bandwidth or AT_ONCE
+        return ServoData(torque_constant=self.torque_constant, current_bandwidth=bandwidth)
 
     @property
     def torque_per_command(self) -> float:  # noqa: D102

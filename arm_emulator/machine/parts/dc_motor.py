@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from arm_emulator.machine.parts.motor import Circuit, Motor
+from arm_emulator.machine.parts.motor import Circuit, Motor, ServoData
 from arm_emulator.machine.parts.part import Number
 
 
@@ -40,6 +40,15 @@ class DcMotor(Motor):
         if self.inductance == 0.0:
             return None
         return Circuit(self.resistance, self.inductance, self.back_emf_constant)
+
+    @property
+    def servo_data(self) -> ServoData:  # noqa: D102
+        return ServoData(
+            torque_constant=self.torque_constant,
+            resistance=self.resistance,
+            inductance=self.inductance,
+            back_emf_constant=self.back_emf_constant,
+        )
 
     @property
     def torque_per_command(self) -> float:  # noqa: D102

@@ -20,6 +20,25 @@ class Circuit:
     back_emf_constant: float  # V s/rad
 
 
+AT_ONCE = 1e9  # Hz, the bandwidth of what follows its command at once
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoData:
+    """What a servo must know of a motor: what its command meets, and what torque comes of it.
+
+    The command is a voltage across the winding, a current behind a bandwidth, or a torque behind
+    one; then the torque takes the place of the current, with a torque constant of 1.
+    """
+
+    torque_constant: float  # N m/A
+    resistance: float = 0.0  # ohm
+    inductance: float = 0.0  # H
+    back_emf_constant: float = 0.0  # V s/rad
+    current_bandwidth: float = 0.0  # Hz
+    torque_bandwidth: float = 0.0  # Hz
+
+
 @dataclass(frozen=True, kw_only=True)
 class Motor(Part):
     """A motor, with the gear's primary side on its rotor."""
@@ -33,7 +52,7 @@ class Motor(Part):
 
     def effort(self, motion: ShaftMotion) -> Array:
         """The rotor's inertia; what is measured is the torque that the windings give."""
-        torque: Array = vars(self)["rotor_inertia"] * motion.acceleration
+        torque: Array = self.inertia * motion.acceleration
         return torque
 
     @property
@@ -50,6 +69,17 @@ class Motor(Part):
     @property
     def circuit(self) -> Circuit | None:
         """Return the winding that a drive can close a current loop around; None: there is none."""
+        return None
+
+    @property
+    def inertia(self) -> float:
+        """Of its rotor with the gear's primary side [kg m2]."""
+        inertia: float = vars(self)["rotor_inertia"]
+        return inertia
+
+    @property
+    def servo_data(self) -> ServoData | None:
+        """Return what a servo must know of it; None: our servo cannot drive it."""
         return None
 
     def rests(self, at: AtRest) -> Share | str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motor import Motor, ServoData
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Number
 
@@ -29,11 +30,21 @@ class Pmsm(Motor):
     rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
 
     @property
+    def servo_data(self) -> ServoData:
+        """Across the flux it is a dc motor, but for products of currents and speed."""
+        return ServoData(
+            torque_constant=1.5 * self.pole_pairs * self.flux,
+            resistance=self.resistance,
+            inductance=self.inductance_q,
+            back_emf_constant=self.pole_pairs * self.flux,
+        )
+
+    @property
     def torque_per_command(self) -> float:  # noqa: D102
         return 1.5 * self.pole_pairs * self.flux / self.resistance
 
     def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
-        return supply_voltage
+        return supply_voltage / math.sqrt(3.0)  # the amplitude that an inverter reaches
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motor import AT_ONCE, Motor, ServoData
 from arm_emulator.machine.parts.part import Number
 
 
@@ -22,6 +22,10 @@ class TorqueMotor(Motor):
     rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
     bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
     torque_limit: Annotated[float | None, Number("torque_limit", "N m", above=0.0)] = None
+
+    @property
+    def servo_data(self) -> ServoData:  # noqa: D102
+        return ServoData(torque_constant=1.0, torque_bandwidth=self.bandwidth or AT_ONCE)
 
     @property
     def torque_per_command(self) -> float:  # noqa: D102

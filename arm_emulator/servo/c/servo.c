@@ -75,7 +75,9 @@ SERVO_INLINE void take_angle(const servo_joint* joint, servo_state* state, servo
     return;
   }
   const servo_real i = state->current, omega = state->omega, load = state->load;
-  const servo_real surplus = current - sum_of(&joint->end_current, i, omega, voltage, load);
+  const servo_real predicted = sum_of(&joint->end_current, i, omega, voltage, load);
+  const servo_real measured = joint->unsensed ? predicted : current;
+  const servo_real surplus = measured - predicted;
   const servo_real predicted_theta = state->theta + (sum_of(&joint->turn, i, omega, voltage, load) +
                                                      joint->turn_per_surplus * surplus);
   const servo_real predicted_omega =
@@ -85,7 +87,7 @@ SERVO_INLINE void take_angle(const servo_joint* joint, servo_state* state, servo
   state->omega = predicted_omega + joint->omega_gain * innovation;
   state->load = load + joint->load_gain * innovation;
   state->unknown_voltage = joint->voltage_per_surplus * surplus;
-  state->current = current;
+  state->current = measured;
 }
 
 void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,

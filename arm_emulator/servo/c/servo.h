@@ -15,7 +15,8 @@
  *
  * A drive that closes a current loop takes a current in the place of a voltage. To the law that is
  * a winding of 1 ohm without back EMF whose voltages are amperes (arm_emulator/servo/commanded.py):
- * read A for V in all that follows.
+ * read A for V in all that follows. A drive that is commanded a torque measures no current: the
+ * torque that is predicted takes its place, with a torque constant of 1; read N m for V and A.
  *
  * Every stage is limited (speed, current, supply voltage), and the integral follows the current
  * that the limits have left over (automatic reset), so that it cannot wind up.
@@ -59,6 +60,7 @@ typedef struct servo_sum {
  * C). */
 typedef struct servo_joint {
   int64_t wrap;               /* counts of an absolute encoder's word; 0: they go on */
+  int64_t unsensed;           /* 1: no current is measured, that which is predicted counts */
   servo_real count_angle;     /* rad at the motor */
   servo_real ratio;           /* link turns per motor turn; negative: the other way */
   servo_real motor_turns;     /* 1 / ratio */
