@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,10 @@ from arm_emulator.doors.fieldbus.drives import DRIVES, DRIVES_CORE
 from arm_emulator.doors.fieldbus.ethercat import SEGMENT
 from arm_emulator.doors.microcontroller import FOLDER as MICROCONTROLLER
 from arm_emulator.doors.microcontroller.microcontroller import RUNNER
+from arm_emulator.machine.compiler import library_of
 from arm_emulator.machine.core_calls import ARM, FIRMWARE, FIRMWARE_LOOP, FLEET, REAL_TIME
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.servo_step import HERE, STEP
 from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
 from arm_emulator.servo.servo_law import SERVO
@@ -129,6 +134,27 @@ def test_an_array_of_other_numbers_is_no_place_for_a_struct(tmp_path: Path) -> N
     assert command.value_d == NULL
     why = ARM.new("arm_refusal", quantity=b"q")
     assert text(why.quantity) == "q"
+
+
+def test_functions_outlive_the_library_that_gave_them_and_machines_leave_nothing() -> None:
+    """The system keeps it loaded; a process may make machines for ever."""
+    scene = load_scene("three_axis")
+    saved_size = library_of(scene).arm_saved_size
+    before = saved_size()
+    gc.collect()
+    tracemalloc.start()
+    try:
+        for run in range(4):
+            if run == 1:
+                first = tracemalloc.get_traced_memory()[0]
+            for _ in range(50):
+                Plant(scene).advance([0.0] * 3, 1)
+            gc.collect()
+        grown = tracemalloc.get_traced_memory()[0] - first
+    finally:
+        tracemalloc.stop()
+    assert grown < 150 * 100, f"{grown} bytes of 150 plants"
+    assert saved_size() == before
 
 
 def kept(cache: Path) -> dict[str, bytes]:

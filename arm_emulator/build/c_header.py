@@ -131,11 +131,11 @@ class Header:
         return self.ffi.cast(kind, self.ffi.from_buffer(rows))
 
 
-_OPEN: dict[str, list[tuple[FFI, CData]]] = {}  # cffi unloads what nobody holds
+_OPEN: dict[str, list[tuple[FFI, CData]]] = {}  # cffi closes what nobody holds
 
 
 class Library:
-    """A shared library: its functions, as headers declare them. It stays loaded.
+    """A shared library: its functions, as headers declare them. It stays loaded until `close`.
 
     Attributes:
         file: where it is.
@@ -154,7 +154,8 @@ class Library:
         self.file = str(file)
         for ffi, functions in ((header.ffi, header.functions) for header in headers):
             library = ffi.dlopen(self.file, ffi.RTLD_NOW | (0 if unload else ffi.RTLD_NODELETE))
-            _OPEN.setdefault(self.file, []).append((ffi, library))
+            if unload:
+                _OPEN.setdefault(self.file, []).append((ffi, library))
             vars(self).update((name, getattr(library, name)) for name in functions)
 
     def close(self) -> None:
