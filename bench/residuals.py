@@ -1,6 +1,7 @@
 """Whether the tool rests where it was predicted to, over many poses and effects.
 
     python -m bench.residuals [SCENE ...] [--poses N] [--effects NAME ...] [--out FILE]
+    python -m bench.pages residuals
 
 Arms with one effect each start in drawn poses and bring their tools to drawn targets, as the demo
 does; where they rest was predicted before. The bound is how far from the target the tool may rest:
@@ -32,12 +33,22 @@ from arm_emulator.runs.offline import OfflineRun
 
 Array = NDArray[np.float64]
 
-ARMS = ("three_axis", "ur5")
 POSES = 100
+WAITS = 2000  # motion periods at most, beside those of the plan: so that noise is another
 AROUND = 0.6  # rad, of the start
 NEAREST_SINGULAR = 0.08  # singular value
 STICKS = {"viscous": 0.5, "coulomb": 2.0, "breakaway": 3.0}
 WAVES = [[2, 5e-5], [1, 2e-5, 0.7]]
+
+# What `make pages` measures: the effects of each arm.
+OF_ARMS: dict[str, tuple[str, ...]] = {
+    "three_axis": (
+        "none", "play", "stiction", "stiction of rotors", "eccentric encoders", "noisy encoders",
+        "payload", "kinematic error", "cogging", "torque ripple",
+    ),
+    "ur5": ("none", "play", "stiction", "eccentric encoders", "noisy encoders", "payload"),
+    "panda": ("none", "play", "stiction", "eccentric encoders", "noisy encoders", "payload"),
+}  # fmt: skip
 
 # What is changed in a scene, by the name of the effect.
 EFFECTS: dict[str, dict[str, Any]] = {
@@ -74,15 +85,16 @@ def rests(scene: Scene, gains: Gains, plan: DemoPlan, poses: int, seed: int = 0)
     """Yield demos from drawn poses to drawn targets."""
     rng = np.random.default_rng(seed)
     kinematics = controller_for(scene.urdf, scene.joint_names, gains.motion).kinematics
-    for k in range(poses):
+    for _ in range(poses):
         q = _pose(scene, kinematics, rng)
         joints = tuple(
             replace(joint, start=float(angle)) for joint, angle in zip(scene.joints, q, strict=True)
         )
         displacement = rng.normal(size=3)
         displacement *= np.linalg.norm(plan.displacement) / np.linalg.norm(displacement)
-        own = replace(scene, joints=joints, seed=k)
-        yield rest(own, gains, replace(plan, displacement=displacement))
+        waits = int(rng.integers(WAITS)) * round(gains.motion.period * 1e9)
+        own = replace(plan, displacement=displacement, settle_ns=plan.settle_ns + waits)
+        yield rest(replace(scene, joints=joints), gains, own)
 
 
 def rest(scene: Scene, gains: Gains, plan: DemoPlan) -> Rest:
@@ -160,6 +172,17 @@ def measure(arm: str, effect: str, poses: int) -> Summary:
     )
 
 
+def run(quick: bool) -> list[Summary]:
+    """Make the demos of all arms."""
+    poses = 10 if quick else POSES
+    return [measure(arm, effect, poses) for arm, effects in OF_ARMS.items() for effect in effects]
+
+
+def report(found: list[Summary]) -> str:
+    """Return them as a table."""
+    return "\n".join([HEAD, *map(row, found)])
+
+
 HEAD = """\
 | arm | effect | poses | inside | residual, median [mm] | bound, median [mm] | times | largest bound, times | farthest, of the radius |
 |---|---|---|---|---|---|---|---|---|"""  # noqa: E501
@@ -177,7 +200,7 @@ def row(one: Summary) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Print a row per arm and effect."""
     parser = argparse.ArgumentParser(prog="bench.residuals", description=__doc__)
-    parser.add_argument("scenes", nargs="*", default=ARMS)
+    parser.add_argument("scenes", nargs="*", default=tuple(OF_ARMS))
     parser.add_argument("--poses", type=int, default=POSES)
     parser.add_argument("--effects", nargs="*", choices=list(EFFECTS), default=list(EFFECTS))
     parser.add_argument("--out", type=Path)

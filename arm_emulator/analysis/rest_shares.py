@@ -15,7 +15,7 @@ from arm_emulator.analysis.stability import at_rest
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.encoder import IDEAL_COUNTS_PER_TURN, Encoder
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.resting import Around, AtRest, Share
+from arm_emulator.machine.parts.resting import Around, AtRest, Share, Stuck
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Joint, Scene
 from arm_emulator.servo.servo_config import ServoConfig
@@ -25,19 +25,36 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RestShares:
-    """Of all joints, base to tool (N,): rad of the links, m where they slide.
+    """Of all joints, base to tool: rad of the links, m where they slide.
 
-    `ahead` is by how much the servo takes the links to be ahead of where they are, `stuck` by how
-    much it may leave its targets alone.
+    `ahead` is by how much the servo takes the links to be ahead of where they are, `stuck` how far
+    from their targets they may be left.
     """
 
-    ahead: FloatArray
-    ahead_within: FloatArray
-    ahead_spread: FloatArray
-    stuck_within: FloatArray
-    stuck_spread: FloatArray
-    angle_noise: FloatArray  # of the motors [rad]
-    current_noise: FloatArray  # of the motors [A]
+    ahead: tuple[Around, ...]
+    stuck: tuple[Stuck, ...]
+    angle_noise: FloatArray  # of the motors (N,) [rad]
+    current_noise: FloatArray  # of the motors (N,) [A]
+
+    @property
+    def centre(self) -> FloatArray:
+        """What is known of `ahead` (N,)."""
+        return np.array([one.centre for one in self.ahead])
+
+    @property
+    def within(self) -> FloatArray:
+        """How far the links may be off beside that (N,), noise aside."""
+        stuck = [max(one.short, one.beyond) for one in self.stuck]
+        return np.array([one.within for one in self.ahead]) + stuck
+
+    def draw(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Return by how much the links may be short of their targets beside that, (count, N)."""
+        columns = []
+        for ahead, stuck in zip(self.ahead, self.stuck, strict=True):
+            side = rng.choice([-1.0, 1.0], count)
+            short = side * rng.uniform(-stuck.beyond, stuck.short, count)
+            columns.append(short + sum(one.draw(rng, side) for one in ahead.unknown))
+        return np.array(columns).T
 
 
 def rest_shares(
@@ -70,34 +87,32 @@ def rest_shares(
             start=joint.start / joint.gear.ratio,
             ratio=joint.gear.ratio,
             rigid=joint.gear.stiffness is None,
-            torque=float(torque),
-            torque_within=0.0,
-            torque_spread=0.0,
+            torque=Around(float(torque)),
             stiffness=stiffness,
             integral=stiffness / law.integral_time * max(seconds, servo.period),
             count=law.count_angle,
         )
         rows.append(_of_joint(scene, joint, at, times))
-    return RestShares(*np.array(rows).T)
+    ahead, stuck, angle_noise, current_noise = zip(*rows, strict=True)
+    return RestShares(ahead, stuck, np.array(angle_noise), np.array(current_noise))
 
 
-def _of_joint(scene: Scene, joint: Joint, at: AtRest, times: float) -> tuple[float, ...]:
+def _of_joint(
+    scene: Scene, joint: Joint, at: AtRest, times: float
+) -> tuple[Around, Stuck, float, float]:
     first = _ask(scene, joint, at)
-    torque = _sum([share.torque for share in first])
-    stuck = _sum([share.stuck for share in first])
+    torque, stuck = _sum(first, times)[1:]
     known = replace(
         at,
-        theta_within=times * stuck.within / abs(at.ratio),
-        torque=at.torque - torque.centre,  # what other parts put on the link the gear need not
-        torque_within=torque.within,
-        torque_spread=torque.spread,
+        theta_within=max(stuck.short, stuck.beyond) / abs(at.ratio),
+        # What other parts put on the link the gear need not.
+        torque=Around(at.torque.centre - torque.centre, torque.scaled(-1.0).unknown),
     )
     shares = _ask(scene, joint, known)
-    ahead = _sum([share.ahead for share in shares])
-    stuck = _sum([share.stuck for share in shares])
-    noise = [sum(getattr(share, name) for share in shares)
-             for name in ("angle_noise", "current_noise")]  # fmt: skip
-    return ahead.centre, ahead.within, ahead.spread, stuck.within, stuck.spread, *noise
+    ahead, _, stuck = _sum(shares, times)
+    angle, current = (sum(getattr(share, name) for share in shares)
+                      for name in ("angle_noise", "current_noise"))  # fmt: skip
+    return ahead, stuck, angle, current
 
 
 def _ask(scene: Scene, joint: Joint, at: AtRest) -> list[Share]:
@@ -112,12 +127,16 @@ def _ask(scene: Scene, joint: Joint, at: AtRest) -> list[Share]:
     return shares
 
 
-def _sum(numbers: list[Around]) -> Around:
-    return Around(
-        sum(one.centre for one in numbers),
-        sum(one.within for one in numbers),
-        float(np.sqrt(sum(one.spread**2 for one in numbers))),
-    )
+def _sum(shares: list[Share], times: float) -> tuple[Around, Around, Stuck]:
+    """Return `ahead`, `torque` and `stuck` of all parts together.
+
+    What the servo leaves short of its target the motion controller multiplies. What has slipped
+    beyond it is where it is.
+    """
+    ahead, torque, stuck = Around(), Around(), Stuck()
+    for share in shares:
+        ahead, torque, stuck = ahead + share.ahead, torque + share.torque, stuck | share.stuck
+    return ahead, torque, replace(stuck, short=times * stuck.short)
 
 
 def _count_angle(joint: Joint) -> float:

@@ -147,19 +147,55 @@ class SampledLoop:
             angle: standard deviations of the motors' measured angles (N,) [rad].
             current: and of their currents (N,) [A].
         """
+        return self._of_links(_settled(self.A, self._added_by_noise(angle, current)))
+
+    def unrest_of_followers(
+        self,
+        angle: npt.ArrayLike,
+        current: npt.ArrayLike,
+        ratios: FloatArray,
+        share: float,
+        periods: int,
+    ) -> FloatArray:
+        """Return the same where the targets follow what is measured, when the next one is due.
+
+        Args:
+            angle: as for `unrest`.
+            current: as for `unrest`.
+            ratios: link turns per motor turn (N,).
+            share: how far a target stays with the measured angle, 1: no other place draws it.
+            periods: servo periods from target to target.
+        """
+        n, N = len(self.A), len(ratios)
+        S = np.diag(np.square(angle))
+        measured = np.zeros((N, n))  # share of the link angles, in which the targets are
+        measured[:, : self._states] = share * ratios[:, None] * self.plant.theta
+        by_angle = np.vstack([self._by_noise[0], np.zeros((N, N))])
+        # States, then targets, which stand until the next ones.
+        between = np.block([[self.A, self.B], [np.zeros((N, n)), np.eye(N)]])
+        anew = np.block(
+            [[self.A + self.B @ measured, np.zeros((n, N))], [measured, np.zeros((N, N))]]
+        )
+        by_anew = by_angle + np.vstack([self.B, np.eye(N)]) * (share * ratios)
+        others = np.zeros((n + N, n + N))
+        others[:n, :n] = self._added_by_noise(np.zeros(N), current)
+        Q, F = by_anew @ S @ by_anew.T + others, anew
+        added = by_angle @ S @ by_angle.T + others
+        for _ in range(periods - 1):
+            Q, F = between @ Q @ between.T + added, between @ F
+        return self._of_links(_settled(F, Q))
+
+    def _added_by_noise(self, angle: npt.ArrayLike, current: npt.ArrayLike) -> FloatArray:
+        """Return the covariance that noise adds to the states in a period."""
         by_angle, by_current = self._by_noise
         Q = (by_angle * np.square(angle)) @ by_angle.T
-        Q += (by_current * np.square(current)) @ by_current.T
-        # Sum of A^k Q A'^k, its length doubled until nothing is added.
-        P, A = Q, self.A
-        for _ in range(_DOUBLINGS):
-            added = A @ P @ A.T
-            P, A = P + added, A @ A
-            if np.abs(added).max(initial=0.0) <= 1e-12 * np.abs(P).max(initial=0.0):
-                break
+        added: FloatArray = Q + (by_current * np.square(current)) @ by_current.T
+        return added
+
+    def _of_links(self, covariance: FloatArray) -> FloatArray:
         q = self.plant.q
-        covariance: FloatArray = q @ P[: self._states, : self._states] @ q.T
-        return covariance
+        of_links: FloatArray = q @ covariance[: self._states, : self._states] @ q.T
+        return of_links
 
     @property
     def stable(self) -> bool:
@@ -243,3 +279,14 @@ def _margins(w: FloatArray, S: ComplexArray) -> Margins:
         float((lag / frequency).min(initial=math.inf)),
         float(np.abs(S).max()),
     )
+
+
+def _settled(A: FloatArray, Q: FloatArray) -> FloatArray:
+    """Return the sum of A^k Q A'^k, its length doubled until nothing is added."""
+    P = Q
+    for _ in range(_DOUBLINGS):
+        added = A @ P @ A.T
+        P, A = P + added, A @ A
+        if np.abs(added).max(initial=0.0) <= 1e-12 * np.abs(P).max(initial=0.0):
+            break
+    return P

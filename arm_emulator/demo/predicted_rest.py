@@ -26,9 +26,8 @@ from arm_emulator.runs.gains import Gains
 
 FloatArray = npt.NDArray[np.float64]
 
-# What is independent seldom errs all to one side. Standard deviations that one of 300 numbers
-# exceeds that are normally distributed: on either side, and above.
-DEVIATIONS, ONE_SIDED = 2.94, 2.71
+# One in so many machines rests farther off than it was predicted; of so many that are drawn.
+ONE_OF, DRAWN = 200, 30_000
 LITTLE = 0.1  # of the width of a prediction: what does not count beside it
 
 
@@ -82,8 +81,8 @@ def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
     arrived = int(away[-1]) + 1 if len(away) else 0
     shares = rest_shares(scene, gains.servo, q, (len(way) - 1 - arrived) * period, times)
     reference = kinematics.tool_error(q, target)
-    centre = kinematics.tool_error(q - shares.ahead, target)
-    within, radius = _spread(scene, gains, controller, q, shares, times)
+    centre = kinematics.tool_error(q - shares.centre, target)
+    within, radius = _spread(scene, gains, controller, q, shares)
     moved = np.linalg.norm(kinematics.forward(way[-1])[1] - kinematics.forward(way[-2])[1])
     arrival = Arrival.REACHED
     if moved > LITTLE * radius:
@@ -108,46 +107,26 @@ def _reference(
 
 
 def _spread(
-    scene: Scene,
-    gains: Gains,
-    controller: Controller,
-    q: FloatArray,
-    shares: RestShares,
-    times: float,
+    scene: Scene, gains: Gains, controller: Controller, q: FloatArray, shares: RestShares
 ) -> tuple[FloatArray, float]:
-    """Return `within` and `radius`."""
-    kinematics = controller.kinematics
-    J = kinematics.jacobian(q)
-    bounds = shares.ahead_within + times * shares.stuck_within
-    most = np.abs(J) @ bounds
-    variances = shares.ahead_spread**2 + (times * shares.stuck_spread) ** 2
-    bounded = (J * variances) @ J.T
-    noise = J @ _unrest(scene, gains, controller, q, shares) @ J.T
-    # Of the second order in all that is off, times the reach: see `predicted_residual`.
-    second = bounds.sum() * (0.5 * bounds.sum() + np.abs(shares.ahead).sum())
-    rows = np.full(len(J), second)
-    rows[:POSITION_ROWS] *= kinematics.reach
-    of_row = DEVIATIONS * np.sqrt(np.diag(bounded + noise))
-    within = np.minimum(of_row, most + DEVIATIONS * np.sqrt(np.diag(noise))) + rows
-    here = slice(0, POSITION_ROWS)
-    distance = min(
-        _distance((bounded + noise)[here, here]),
-        float(np.linalg.norm(most[here])) + _distance(noise[here, here]),
-    )
-    return within, float(distance + kinematics.reach * second)
+    """Return `within` and `radius`: what all but one of 200 machines stay within that are drawn.
 
-
-def _distance(covariance: FloatArray) -> float:
-    """Return the distance that one of 300 normally distributed vectors exceeds.
-
-    Its square is a sum of squares, and so nearly a gamma distribution, whose cube root is nearly
-    normal (E. B. Wilson and M. M. Hilferty, Proc. Nat. Acad. Sci. 17, 1931).
+    Each machine has its own values of all that is not known, as the parts state their distribution.
     """
-    mean, square = float(np.trace(covariance)), float((covariance**2).sum())
-    if mean <= 0.0:
-        return 0.0
-    ninth = 2.0 * square / (9.0 * mean**2)
-    return float(np.sqrt(mean * (1.0 - ninth + ONE_SIDED * np.sqrt(ninth)) ** 3))
+    kinematics, rng = controller.kinematics, np.random.default_rng(0)
+    off = shares.draw(rng, DRAWN)
+    noise = _unrest(scene, gains, controller, q, shares)
+    if noise.any():
+        off = off + rng.multivariate_normal(np.zeros(len(q)), noise, DRAWN)
+    rows = off @ kinematics.jacobian(q).T
+    share = 1.0 - 1.0 / ONE_OF
+    # Of the second order in all that is off, times the reach: see `predicted_residual`.
+    bounds = shares.within.sum()
+    second = np.full(rows.shape[1], bounds * (0.5 * bounds + np.abs(shares.centre).sum()))
+    second[:POSITION_ROWS] *= kinematics.reach
+    within = np.quantile(np.abs(rows), share, axis=0) + second
+    distances = np.linalg.norm(rows[:, :POSITION_ROWS], axis=1)
+    return within, float(np.quantile(distances, share) + second[0])
 
 
 def _unrest(
@@ -157,13 +136,12 @@ def _unrest(
     if not shares.angle_noise.any() and not shares.current_noise.any():
         return np.zeros((len(q), len(q)))
     loop = ServoLoops(scene, gains.servo, [q]).loops[0]
-    covariance = loop.unrest(shares.angle_noise, shares.current_noise)
-    if isinstance(controller, JacobianController):
-        # Its targets come from what is measured: w of the error is taken from 1 - w of the angle.
-        left = 1.0 - controller.weight
-        by_target = left / np.sqrt(1.0 - left**2) * scene.gear_ratios * shares.angle_noise
-        covariance = covariance + np.diag(by_target**2)
-    return covariance
+    noise = shares.angle_noise, shares.current_noise
+    if not isinstance(controller, JacobianController):
+        return loop.unrest(*noise)
+    # Its targets come from what is measured: w of the error is taken from 1 - w of the angle.
+    periods = round(gains.motion.period / gains.servo.period)
+    return loop.unrest_of_followers(*noise, scene.gear_ratios, 1.0 - controller.weight, periods)
 
 
 def _times_held(controller: Controller) -> float:

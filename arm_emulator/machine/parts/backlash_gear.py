@@ -8,7 +8,7 @@ from typing import Annotated
 
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.part import Number
-from arm_emulator.machine.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
+from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Unknown
 
 NO_TORQUE = 1e-6  # N m, N: rounding
 
@@ -27,12 +27,10 @@ class BacklashGear(ElasticGear):
     def rests(self, at: AtRest) -> Share | str:
         """Where no torque holds its teeth on one side, the link is anywhere within the play."""
         share = super().rests(at)
-        if abs(at.torque) > at.torque_within + NO_TORQUE or isinstance(share, str):
+        if abs(at.torque.centre) > at.torque.within + NO_TORQUE or isinstance(share, str):
             return share
-        play = 0.5 * self.backlash
-        spread = math.hypot(at.torque_spread / self.stiffness, OFTEN_LARGEST * play)
-        within = at.torque_within / self.stiffness + play
-        return Share(ahead=Around(at.torque / self.stiffness, within, spread))
+        play = Around(0.0, (Unknown(0.5 * self.backlash, Shape.ENDS),))
+        return Share(ahead=at.torque.scaled(1.0 / self.stiffness) + play)
 
     def wind_up(self, torque: float) -> float:
         """Return the angle by which the gear gives way at rest, the play included."""

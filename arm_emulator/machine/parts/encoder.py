@@ -11,7 +11,15 @@ from arm_emulator.base.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Number, Part
-from arm_emulator.machine.parts.resting import Around, AtRest, Share, waves_at
+from arm_emulator.machine.parts.resting import (
+    Around,
+    AtRest,
+    Shape,
+    Share,
+    Stuck,
+    Unknown,
+    waves_at,
+)
 
 # What a joint without an encoder reports, since encoder counts are whole numbers.
 IDEAL_COUNTS_PER_TURN = 2**20
@@ -139,15 +147,13 @@ class Encoder(Part):
         ]
         own = sum(amplitude for _, amplitude, _ in waves)  # the servo turns the motor by them
         errors = waves_at(waves, at.theta, at.theta_within + own)
-        half = 0.5 * count
+        shown = Around((self.offset or 0.0) + errors.centre, errors.unknown)
+        noise, half = self.noise or 0.0, 0.5 * count
+        left = half * unblurred(noise / count)
         return Share(
-            ahead=Around(
-                at.ratio * ((self.offset or 0.0) + errors.centre),
-                ratio * (half + errors.within),
-                ratio * math.hypot(half / math.sqrt(3.0), errors.spread),
-            ),
-            stuck=Around(0.0, ratio * half),
-            angle_noise=self.noise or 0.0,
+            ahead=shown.scaled(at.ratio) + Around(0.0, (Unknown(ratio * left, Shape.SIDE),)),
+            stuck=Stuck(short=ratio * left),
+            angle_noise=math.hypot(noise, (half - left) / math.sqrt(3.0)),
         )
 
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
@@ -162,6 +168,19 @@ class Encoder(Part):
             "ripple_order": cxx_literals.number(self.ripple_order),
         }
         return [*whole.items(), *super().members(joint, places)]
+
+
+def unblurred(noise: float) -> float:
+    """Return how much of half a count is still off in the mean of many counts under noise.
+
+    The mean of a sawtooth over normally distributed noise: each wave of its Fourier series is
+    exp(-2 pi^2 k^2 noise^2) times as large.
+
+    Args:
+        noise: standard deviation [counts].
+    """
+    waves = (math.exp(-2.0 * (math.pi * k * noise) ** 2) / k for k in range(1, 20))
+    return min(1.0, 2.0 / math.pi * sum(waves))
 
 
 @dataclass(frozen=True, kw_only=True)

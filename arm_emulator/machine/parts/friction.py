@@ -11,7 +11,7 @@ import numpy as np
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.part import Number, Part
-from arm_emulator.machine.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
+from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Stuck, Unknown
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -51,6 +51,13 @@ class Friction(Part):
             raise section.refusal("breakaway", "come with a coulomb friction", self.breakaway)
 
 
+def sticking_link(at: AtRest, holds: float, slides: float) -> Share:
+    """Return what friction leaves at a link that stops sliding, and then holds."""
+    stuck = at.stuck(holds, slides) if at.rigid else Stuck()
+    torque = (Unknown(-holds, Shape.SIDE, slides / holds),) if holds else ()
+    return Share(torque=Around(0.0, torque), stuck=stuck)
+
+
 @dataclass(frozen=True, kw_only=True)
 class LinkFriction(Friction):
     """Friction at the link."""
@@ -59,9 +66,8 @@ class LinkFriction(Friction):
 
     def rests(self, at: AtRest) -> Share | str:
         """Leave a gear wound up; without a spring the link sticks with its rotor."""
-        holds, slides = self.holds(at.torque), self.slides(at.torque)
-        stuck = at.stuck(holds, slides) if at.rigid else Around()
-        return Share(torque=Around(0.0, holds, OFTEN_LARGEST * slides), stuck=stuck)
+        holds, slides = self.holds(at.torque.centre), self.slides(at.torque.centre)
+        return sticking_link(at, holds, slides)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +79,7 @@ class OfRotor(Friction):
 
     def rests(self, at: AtRest) -> Share | str:
         """A rotor stays where it sticks until the servo's integral has grown beyond."""
-        torque, at_link = at.ratio * at.torque, 1.0 / abs(at.ratio)
+        torque, at_link = at.ratio * at.torque.centre, 1.0 / abs(at.ratio)
         return Share(stuck=at.stuck(at_link * self.holds(torque), at_link * self.slides(torque)))
 
     @property

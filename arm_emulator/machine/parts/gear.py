@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -36,10 +36,12 @@ class Gear(Part):
 
     def rests(self, at: AtRest) -> Share | str:
         """The motor is ahead of its link by what the gear gives way."""
-        low, high = sorted(self.wind_up(at.torque + sign * at.torque_within) for sign in (-1, 1))
-        within = 0.5 * (high - low)
-        share = at.torque_spread / at.torque_within if at.torque_within else 0.0
-        return Share(ahead=Around(0.5 * (low + high), within, share * within))
+        centre, within = at.torque.centre, at.torque.within
+        if not within:
+            return Share(ahead=Around(self.wind_up(centre)))
+        low, high = self.wind_up(centre - within), self.wind_up(centre + within)
+        gives = at.torque.scaled(0.5 * (high - low) / within)
+        return Share(ahead=replace(gives, centre=0.5 * (low + high)))
 
     def wind_up(self, torque: float) -> float:
         """Return the angle by which the gear gives way at rest [rad], seen at the link."""

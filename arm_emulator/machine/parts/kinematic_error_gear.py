@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -10,7 +9,7 @@ from typing import Any, ClassVar
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.resting import Around, AtRest, Share, waves_at
+from arm_emulator.machine.parts.resting import AtRest, Share, waves_at
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_slope
 
@@ -56,11 +55,7 @@ class KinematicErrorGear(ElasticGear):
             return share
         motor = waves_at(self.motor, at.theta, at.theta_within)
         link = waves_at(self.link, at.q, abs(at.ratio) * at.theta_within)
-        parts = (share.ahead, motor, link)
-        within = sum(one.within for one in parts)
-        spread = math.hypot(*(one.spread for one in parts))
-        centre = share.ahead.centre - motor.centre - link.centre
-        return Share(ahead=Around(centre, within, spread))
+        return Share(ahead=share.ahead + motor.scaled(-1.0) + link.scaled(-1.0))
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

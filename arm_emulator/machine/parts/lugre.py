@@ -8,8 +8,9 @@ from typing import Annotated
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.friction import sticking_link
 from arm_emulator.machine.parts.part import Number, Part
-from arm_emulator.machine.parts.resting import OFTEN_LARGEST, Around, AtRest, Share
+from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
 
@@ -58,8 +59,7 @@ class LinkLuGre(LuGre):
 
     def rests(self, at: AtRest) -> Share | str:
         """Its bristles stay bent, and the gear stays wound up."""
-        stuck = at.stuck(self.breakaway, self.coulomb) if at.rigid else Around()
-        return Share(torque=Around(0.0, self.breakaway, OFTEN_LARGEST * self.coulomb), stuck=stuck)
+        return sticking_link(at, self.breakaway, self.coulomb)
 
 
 @dataclass(frozen=True, kw_only=True)

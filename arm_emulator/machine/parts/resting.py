@@ -2,42 +2,92 @@
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+FloatArray = NDArray[np.float64]
+
+
+class Shape(enum.Enum):
+    """How an unknown number is distributed between its largest values of either sign."""
+
+    ANYWHERE = "anywhere"
+    """All values are as likely."""
+    ENDS = "ends"
+    """At either end in half of all cases, else anywhere."""
+    SIDE = "side"
+    """In half of all cases at the end on the side that its joint comes from, else anywhere."""
+    WAVE = "wave"
+    """The sine of an angle that may be any."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number of which no more is known, independent of all others but for its joint's side."""
+
+    most: float
+    shape: Shape = Shape.ANYWHERE
+    end: float = 1.0
+    """From where on, by the largest, it is at an end."""
+
+    def scaled(self, factor: float) -> Unknown:
+        """Return it times a factor; a side changes with the sign."""
+        size = factor if self.shape is Shape.SIDE else abs(factor)
+        return Unknown(size * self.most, self.shape, self.end)
+
+    def draw(self, rng: np.random.Generator, side: FloatArray) -> FloatArray:
+        """Return values for joints that come from the sides +1 and -1."""
+        anywhere = rng.uniform(-1.0, 1.0, side.shape)
+        if self.shape is Shape.WAVE:
+            return self.most * np.sin(np.pi * anywhere)
+        if self.shape is Shape.ANYWHERE:
+            return self.most * anywhere
+        end = side if self.shape is Shape.SIDE else rng.choice([-1.0, 1.0], side.shape)
+        end = end * rng.uniform(self.end, 1.0, side.shape)
+        return self.most * np.where(rng.random(side.shape) < 0.5, end, anywhere)
 
 
 @dataclass(frozen=True)
 class Around:
-    """A number that is known within something: `centre` plus or minus `within` at most.
-
-    `deviation` is its standard deviation within: that of a number that may be anywhere there, if
-    it is not given.
-    """
+    """A number that is the sum of one that is known and others that are not."""
 
     centre: float = 0.0
-    within: float = 0.0
-    deviation: float | None = None
+    unknown: tuple[Unknown, ...] = ()
+
+    def __add__(self, other: Around) -> Around:
+        """Return the sum of two that are independent."""
+        return Around(self.centre + other.centre, self.unknown + other.unknown)
+
+    def scaled(self, factor: float) -> Around:
+        """Return it times a factor."""
+        unknown = tuple(one.scaled(factor) for one in self.unknown)
+        return Around(factor * self.centre, unknown)
 
     @property
-    def spread(self) -> float:
-        """Its standard deviation."""
-        return self.within / math.sqrt(3.0) if self.deviation is None else self.deviation
+    def within(self) -> float:
+        """How far it may be off its centre."""
+        return sum(abs(one.most) for one in self.unknown)
 
 
-# Counts: a motor that slips no farther soon comes to rest in that of its target.
-SOON_THERE = 10.0
-# Standard deviation of where a motor sticks, by how far it may stick off its target: most come to
-# rest near it. Measured over many poses (bench/residuals.py).
-SELDOM = 0.25
+@dataclass(frozen=True)
+class Stuck:
+    """How far from its target a servo may leave its joint: anywhere from one end to the other."""
 
+    short: float = 0.0
+    """On the side that the joint comes from."""
+    beyond: float = 0.0
+    """On the other one."""
 
-# Standard deviation, by the largest, of what is as likely at its largest as anywhere below.
-OFTEN_LARGEST = math.sqrt(0.5 * (1.0 + 1.0 / 3.0))
+    def __or__(self, other: Stuck) -> Stuck:
+        """Return where the joint may be left for the one reason or the other."""
+        return Stuck(max(self.short, other.short), max(self.beyond, other.beyond))
 
 
 @dataclass(frozen=True)
@@ -50,9 +100,7 @@ class AtRest:
     start: float  # where the motor starts [rad]
     ratio: float  # link turns per motor turn
     rigid: bool  # whether the link turns with its rotor
-    torque: float  # what the link takes to rest there
-    torque_within: float  # how well that is known
-    torque_spread: float  # its standard deviation
+    torque: Around  # what the link takes to rest there
     stiffness: float  # torque per angle off that our servo gives at once, at the link
     integral: float  # and that it has added by the end
     count: float  # of the motor's encoder, within which it asks for nothing, at the link
@@ -61,21 +109,25 @@ class AtRest:
     def motion(self) -> ShaftMotion:
         """The link that stands there, as a motion of one sample."""
         still = np.zeros(1)
-        torque = np.array([self.torque])
+        torque = np.array([self.torque.centre])
         return ShaftMotion(still, np.array([self.q]), still, still, torque, torque, self.ratio)
 
-    def stuck(self, holds: float, slides: float) -> Around:
+    def stuck(self, holds: float, slides: float) -> Stuck:
         """Return where a motor that sticks may stand off its target.
+
+        While it slides, the servo's integral comes to what it feels, the sooner the longer its way
+        is. Where it stops short, the integral has since grown by less than what holds it. Once it
+        has, the motor slips by what the two torques differ by; but within a count of its target
+        it has not been pushed.
 
         Args:
             holds: torque that it withstands at rest, at the link.
             slides: that it feels while it turns.
         """
-        still = 2.0 * holds / self.integral  # the integral has not moved it on
-        slip = 2.0 * (holds - slides) / self.stiffness  # or has, and it went beyond
-        if slip < SOON_THERE * self.count:
-            slip = 0.0
-        return Around(0.0, still + slip, math.hypot(SELDOM * still, slip / math.sqrt(3.0)))
+        way = abs(self.ratio * (self.theta - self.start))
+        lacks = slides * min(1.0, slides / max(self.stiffness * way, slides)) if slides else 0.0
+        slip = (holds - slides) / self.stiffness
+        return Stuck((holds - slides + lacks) / self.integral, max(0.0, slip - 0.5 * self.count))
 
 
 @dataclass(frozen=True)
@@ -86,7 +138,7 @@ class Share:
     """On the link, beside weight: known, or whatever it takes within, as dry friction does."""
     ahead: Around = Around()
     """By how much the servo takes the link to be ahead of where it is."""
-    stuck: Around = Around()
+    stuck: Stuck = Stuck()
     """By how much the servo may leave its target alone."""
     angle_noise: float = 0.0
     """Standard deviation of the motor's angle as measured in a servo period [rad]."""
@@ -99,16 +151,14 @@ def waves_at(waves: Sequence[tuple[float, float, float]], angle: float, within: 
 
     Where a wave may pass through a good part of its period, it may have any of its values.
     """
-    centre = bound = square = 0.0
+    centre, unknown = 0.0, []
     for order, amplitude, phase in waves:
         turned = abs(order) * within
         if turned > 1.0:
-            bound += abs(amplitude)
-            square += 0.5 * amplitude**2
+            unknown.append(Unknown(abs(amplitude), Shape.WAVE))
             continue
         x = order * angle + phase
         centre += amplitude * math.sin(x)
         moves = abs(amplitude) * (abs(math.cos(x)) * turned + 0.5 * turned**2)
-        bound += moves
-        square += moves**2 / 3.0
-    return Around(centre, bound, math.sqrt(square))
+        unknown.append(Unknown(moves))
+    return Around(centre, tuple(one for one in unknown if one.most))
