@@ -177,7 +177,7 @@ NETWORK_TESTS := test/test_network.py test/test_lockstep.py
 test-under-load: setup .venv/.robots
 	@$(RUN) && python -m bench.under_load $(ARGS) -- pytest -q $(NETWORK_TESTS)
 
-fuzz: setup .venv/.robots
+fuzz: setup .venv/.robots .venv/.peers
 	@$(RUN) && PYTHONPATH=test:$$PYTHONPATH python -m fuzz $(ARGS)
 
 bench: setup .venv/.robots .venv/.bench

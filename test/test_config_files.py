@@ -122,7 +122,7 @@ CHANGES: list[tuple[Callable[[str], str], str, str]] = [
     (lambda text: text.replace("period: 5.0e-2", "period: 1.0e-1"), "motion",
      "servo.motion_period must be motion_controller.period, 0.1 s, got 0.05 s"),
     (lambda text: text.replace("tool: tool ", "tool: hand "), "motion",
-     "tool must be a link of the robot description, got hand"),
+     "own: tool must be a link of the robot description, got hand"),
     (lambda text: "a: [", "servo", "own: file must be well-formed YAML"),
     (lambda text: text.replace("resistance: 1.0", "resistance: 1e999"), "servo", "own: joints."),
 ]  # fmt: skip

@@ -178,6 +178,21 @@ def test_odd_names_survive_the_files(seed: int, tmp_path: Path) -> None:
         assert joint.motor is not None and servo.resistance == joint.motor.resistance
 
 
+def test_what_a_description_shows_need_not_be_sound(tmp_path: Path) -> None:
+    """No name, and a look that no viewer draws: the machine is sound."""
+    robot = ET.fromstring(OWN["planar"]())
+    del robot.attrib["name"]
+    for link in robot.findall("link"):
+        link.append(ET.fromstring("<visual><geometry><cyliNder/></geometry><material/></visual>"))
+    ET.SubElement(robot, "material")
+    file = tmp_path / "odd.urdf"
+    file.write_bytes(ET.tostring(robot))
+    plain = tmp_path / "plain.urdf"
+    plain.write_text(OWN["planar"]())
+    drives = [write_new(one, tmp_path / one.stem).drives for one in (file, plain)]
+    assert repr(drives[0]) == repr(drives[1])
+
+
 def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     file.write_text(OWN["planar"]())

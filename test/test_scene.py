@@ -128,7 +128,7 @@ def test_bad_values_are_refused_in_one_line(overrides: dict[str, Any], words: st
     with pytest.raises(Refusal, match=re.escape(words)) as refusal:
         load_scene("three_axis", overrides=overrides)
     assert "\n" not in str(refusal.value)
-    assert str(refusal.value).startswith("three_axis.")
+    assert str(refusal.value).startswith("three_axis.yaml: "), "the file that has the value"
 
 
 @pytest.mark.parametrize(("change", "words"), BAD_URDFS, ids=lambda value: str(value)[:40])

@@ -297,6 +297,13 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
         Refusal: the masses are not the scene's: its payload was not given.
     """
     robot = ET.fromstring(scene.urdf)
+    # What is of no concern here need not be as Pinocchio likes it.
+    robot.set("name", "robot")
+    for link in robot.findall("link"):
+        for element in set(link) - set(link.findall("inertial")):
+            link.remove(element)
+    for element in set(robot) - {*robot.findall("link"), *robot.findall("joint")}:
+        robot.remove(element)
     for joint in robot.iter("joint"):
         # Pinocchio counts a continuous joint by cosine and sine; here every angle is a number.
         if joint.get("type") == "continuous":

@@ -44,6 +44,11 @@ def parameter(
     )
 
 
+def parameters_of(kind: type[Any]) -> dict[str, dataclasses.Field[Any]]:
+    """Return the fields of a dataclass that are parameters, by name."""
+    return {field.name: field for field in dataclasses.fields(kind) if field.metadata}
+
+
 def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters:
     """Read a node's ROS parameter file into the frozen dataclass `kind`.
 
@@ -51,7 +56,7 @@ def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters
         Refusal: no parameters of that node, an unknown name, or a value that is not taken.
     """
     given = dict(ros_parameters(path, node))
-    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    fields = parameters_of(kind)
     for name, value in given.items():
         if name not in fields:
             known = ", ".join(fields)

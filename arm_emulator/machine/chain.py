@@ -183,6 +183,7 @@ class _UrdfJoint:
 def read_chain(
     robot: ET.Element,
     where: str,
+    asks: str,
     *,
     locked: Mapping[str, float],
     tool: str,
@@ -193,6 +194,7 @@ def read_chain(
     Args:
         robot: the URDF's root element.
         where: what to call it in refusals.
+        asks: what to call the scene there, which names the locked joints and the tool.
         locked: joints held at a position [rad or m].
         tool: the link that carries `payload`, which is given in that link's frame.
         payload: a body to add at the tool.
@@ -205,7 +207,7 @@ def read_chain(
     known = {joint.name for joint in joints}
     for name in locked:
         if name not in known:
-            raise Refusal(where, f"locked.{name}", "be a joint of the URDF", name, _names(joints))
+            raise Refusal(asks, f"locked.{name}", "be a joint of the URDF", name, _names(joints))
     for joint in joints:
         _check_kind(joint, locked, where)
         if joint.mimic and joint.name not in locked:
@@ -217,7 +219,7 @@ def read_chain(
                 "lock it in the scene: locked: {" + joint.name + ": 0.0}",
             )
     if tool not in links:
-        raise Refusal(where, "tool", "be a link of the URDF", tool, ", ".join(links))
+        raise Refusal(asks, "tool", "be a link of the URDF", tool, ", ".join(links))
     moving = _moving_joints(_root(links, joints, where), links, joints, locked, where)
     bodies = _read_bodies(robot, where)
     for one in moving:

@@ -295,7 +295,7 @@ def _build(root: Section, file: Path) -> Scene:
     payload_body = None if payload is None else _payload(payload)
 
     def read(load: Body | None) -> Chain:
-        return read_chain(robot, urdf_file.name, locked=locked, tool=tool, payload=load)
+        return read_chain(robot, urdf_file.name, where, locked=locked, tool=tool, payload=load)
 
     chain = read(payload_body)
     bare = tuple(joint.body for joint in chain.joints)

@@ -48,7 +48,7 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
     Raises:
         Refusal: a description, name or value that is not taken.
     """
-    kinematics = Kinematics(urdf_xml, joint_names, config.tool, config.task)
+    kinematics = Kinematics(urdf_xml, joint_names, config.tool, config.task, config.where)
     if config.method_for(len(kinematics.joint_names)) == "qp":
         return QpController(
             kinematics, config.period, config.velocity_limit, config.acceleration_limit

@@ -44,6 +44,7 @@ class Kinematics:
         joint_names: the joints commanded, in the order of all arrays.
         tool: link (or any frame of the URDF) that is the tool.
         task: "position", "pose", or "auto": pose from 6 joints on.
+        where: what to call what asks for these joints and this tool in refusals.
 
     Attributes:
         urdf_xml: the robot description.
@@ -65,14 +66,19 @@ class Kinematics:
     """
 
     def __init__(
-        self, urdf_xml: str, joint_names: Sequence[str], tool: str, task: str = "auto"
+        self,
+        urdf_xml: str,
+        joint_names: Sequence[str],
+        tool: str,
+        task: str = "auto",
+        where: str = "motion_controller",
     ) -> None:
         self.urdf_xml = urdf_xml
         self.joint_names = tuple(joint_names)
         self.tool = tool
-        self.rows = _rows(task, len(self.joint_names))
+        self.rows = _rows(task, len(self.joint_names), where)
         self.turns_tool = self.rows == POSE_ROWS
-        self.model = _model(urdf_xml, self.joint_names, tool)
+        self.model = _model(urdf_xml, self.joint_names, tool, where)
         self._data = self.model.createData()
         self._joints = [
             self.model.joints[self.model.getJointId(JOINT + n)] for n in self.joint_names
@@ -81,7 +87,7 @@ class Kinematics:
         self.continuous = np.array([joint.nq == 2 for joint in self._joints])
         self._places = np.array([joint.idx_q for joint in self._joints])
         self._neutral = pin.neutral(self.model)
-        self._frame = _frame(self.model, tool)
+        self._frame = _frame(self.model, tool, where)
         self.lower, self.upper = self._position_limits()
         rates = rate_limits(urdf_xml)
         self.velocity_limit = np.array([rates[name].velocity for name in self.joint_names])
@@ -206,7 +212,7 @@ def moving_joints(urdf_xml: str) -> tuple[str, ...]:
     return _moving(whole_model(urdf_xml))
 
 
-def _rows(task: str, joints: int) -> int:
+def _rows(task: str, joints: int, where: str) -> int:
     """Return the number of task rows."""
     tasks = {
         "auto": POSE_ROWS if joints >= POSE_ROWS else POSITION_ROWS,
@@ -214,7 +220,7 @@ def _rows(task: str, joints: int) -> int:
         "pose": POSE_ROWS,
     }
     if task not in tasks:
-        raise Refusal("motion_controller", "task", "be known", task, ", ".join(tasks))
+        raise Refusal(where, "task", "be known", task, ", ".join(tasks))
     return tasks[task]
 
 
@@ -222,30 +228,30 @@ def _moving(model: Any) -> tuple[str, ...]:
     return tuple(name.removeprefix(JOINT) for name in list(model.names)[1:])
 
 
-def _model(urdf_xml: str, joint_names: tuple[str, ...], tool: str) -> Any:
+def _model(urdf_xml: str, joint_names: tuple[str, ...], tool: str, where: str) -> Any:
     """Return the Pinocchio model whose moving joints are exactly `joint_names`."""
     model = whole_model(urdf_xml, tool)
     moving = _moving(model)
     for name in joint_names:
         if name not in moving:
             raise Refusal(
-                "motion_controller",
+                where,
                 "joint_names",
                 "be moving joints of the robot description",
                 name,
                 ", ".join(moving),
             )
     if not joint_names or len(set(joint_names)) != len(joint_names):
-        raise Refusal("motion_controller", "joint_names", "be different names", joint_names)
+        raise Refusal(where, "joint_names", "be different names", joint_names)
     locked = [model.getJointId(JOINT + name) for name in moving if name not in joint_names]
     model = pin.buildReducedModel(model, locked, pin.neutral(model))
     for name in joint_names:
         if model.joints[model.getJointId(JOINT + name)].nv != 1:
-            raise Refusal("motion_controller", name, "have one degree of freedom", "more")
+            raise Refusal(where, name, "have one degree of freedom", "more")
     return model
 
 
-def _frame(model: Any, tool: str) -> int:
+def _frame(model: Any, tool: str, where: str) -> int:
     """Return the index of the link (or other frame) `tool`."""
     for name, kind in (
         (LINK + tool, pin.FrameType.BODY),
@@ -254,7 +260,7 @@ def _frame(model: Any, tool: str) -> int:
         if model.existFrame(name, kind):
             return int(model.getFrameId(name, kind))
     raise Refusal(
-        "motion_controller",
+        where,
         "tool",
         "be a link of the robot description",
         tool,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from arm_emulator.base.parameters import load_parameters, parameter
+
+NODE = "motion_controller"
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,8 @@ class MotionConfig:
     may_end_moving: bool = parameter(
         False, "whether the last point of a joint trajectory may have a speed", settable=True
     )
+    where: str = field(default=NODE, compare=False)
+    """What to call it in refusals: its file, or the node."""
 
     def method_for(self, joints: int) -> str:
         """Return the method, paper or qp, for an arm of so many joints."""
@@ -160,4 +164,4 @@ def load_motion_config(path: Path) -> MotionConfig:
     Raises:
         Refusal: a value that is not taken.
     """
-    return load_parameters(path, "motion_controller", MotionConfig)
+    return replace(load_parameters(path, NODE, MotionConfig), where=path.name)

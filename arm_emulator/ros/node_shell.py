@@ -28,7 +28,7 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from arm_emulator.base.memory import is_want_of_memory
-from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, perhaps
+from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, parameters_of, perhaps
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
 from arm_emulator.ros.end_anyway import end_anyway
@@ -118,7 +118,7 @@ def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
     Raises:
         Refusal: a value of the wrong type or out of its range.
     """
-    where, fields = f"node {node.get_name()}", dataclasses.fields(kind)  # type: ignore[arg-type]
+    where, fields = f"node {node.get_name()}", parameters_of(kind).values()
     values = {}
     for field in fields:
         if not node.has_parameter(field.name):
@@ -147,7 +147,7 @@ def refuse_other_parameters(node: Node, config: object) -> None:
     Raises:
         Refusal: a parameter that nobody knows, such as a misspelt one.
     """
-    known = [field.name for field in dataclasses.fields(config)]  # type: ignore[arg-type]
+    known = list(parameters_of(type(config)))
     for name in node.get_parameters_by_prefix(""):
         if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
             where = f"node {node.get_name()}"
@@ -191,8 +191,7 @@ def replaced(node: Node, config: Parameters, changes: Mapping[str, Any]) -> Para
     Raises:
         Refusal: a value of the wrong type or out of its range.
     """
-    fields = {field.name: field for field in dataclasses.fields(config)}  # type: ignore[arg-type]
-    where = f"node {node.get_name()}"
+    fields, where = parameters_of(type(config)), f"node {node.get_name()}"
     given = {name: checked(value, fields[name], where) for name, value in changes.items()}
     return dataclasses.replace(config, **given)  # type: ignore[type-var]
 
