@@ -56,7 +56,7 @@ def demo() -> tuple[Judge, Array]:
 def try_only(monkeypatch: pytest.MonkeyPatch, *schemes: str) -> None:
     """Let advice try these schemes alone, unless all cases are asked for: each is compiled."""
     if not FULL:
-        monkeypatch.setattr("emulator_node.advice.SCHEMES", schemes)
+        monkeypatch.setattr("arm_emulator.analysis.advice.SCHEMES", schemes)
 
 
 def true_error(method: Method, steps: int) -> float:
