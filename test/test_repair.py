@@ -213,7 +213,7 @@ def test_a_full_disk_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.Monk
 
         bag = tmp_path / f"full{case}"
         with monkeypatch.context() as patch:
-            patch.setattr(bag.Path, "open", open_full)
+            patch.setattr("arm_emulator.ros.bag.Path.open", open_full)
             with pytest.raises(OSError, match="No space left"):
                 talk(bag, 300)
         kept = words_of(bag)
@@ -287,7 +287,7 @@ def test_after_the_first_failure_nothing_is_written_behind_it(
         writes = _Writes(draw, number, draw.randrange(200, size), heals)
         bag = tmp_path / f"{case}"
         with monkeypatch.context() as patch:
-            patch.setattr(bag, "write_all", writes)
+            patch.setattr("arm_emulator.ros.bag.write_all", writes)
             if number is None:
                 talk(bag, 100, case)
             else:
