@@ -29,7 +29,10 @@ class BacklashGear(ElasticGear):
         share = super().rests(at)
         if abs(at.torque.centre) > at.torque.within + NO_TORQUE or isinstance(share, str):
             return share
-        play = Around(0.0, (Unknown(0.5 * self.backlash, Shape.ENDS),))
+        # What a link feels as it stops takes its play, too.
+        felt = [one for one in at.torque.unknown if one.shape is Shape.SIDE]
+        shape, often = (Shape.SIDE, felt[0].often) if felt else (Shape.ENDS, 0.5)
+        play = Around(0.0, (Unknown(0.5 * self.backlash, shape, often=often),))
         return Share(ahead=at.torque.scaled(1.0 / self.stiffness) + play)
 
     def wind_up(self, torque: float) -> float:

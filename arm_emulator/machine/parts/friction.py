@@ -14,6 +14,9 @@ from arm_emulator.machine.parts.part import Number, Part
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Stuck, Unknown
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
+# Links that rest with what they felt as they slid, or more (bench/residuals.py).
+MOSTLY = 0.9
+
 
 @dataclass(frozen=True, kw_only=True)
 class Friction(Part):
@@ -54,7 +57,7 @@ class Friction(Part):
 def sticking_link(at: AtRest, holds: float, slides: float) -> Share:
     """Return what friction leaves at a link that stops sliding, and then holds."""
     stuck = at.stuck(holds, slides) if at.rigid else Stuck()
-    torque = (Unknown(-holds, Shape.SIDE, slides / holds),) if holds else ()
+    torque = (Unknown(-holds, Shape.SIDE, slides / holds, MOSTLY),) if holds else ()
     return Share(torque=Around(0.0, torque), stuck=stuck)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,9 @@ class Shape(enum.Enum):
     ANYWHERE = "anywhere"
     """All values are as likely."""
     ENDS = "ends"
-    """At either end in half of all cases, else anywhere."""
+    """Often at either end, else anywhere."""
     SIDE = "side"
-    """In half of all cases at the end on the side that its joint comes from, else anywhere."""
+    """Often at the end on the side that its joint comes from, else anywhere."""
     WAVE = "wave"
     """The sine of an angle that may be any."""
 
@@ -36,11 +36,13 @@ class Unknown:
     shape: Shape = Shape.ANYWHERE
     end: float = 1.0
     """From where on, by the largest, it is at an end."""
+    often: float = 0.5
+    """In which part of all cases it is there."""
 
     def scaled(self, factor: float) -> Unknown:
         """Return it times a factor; a side changes with the sign."""
         size = factor if self.shape is Shape.SIDE else abs(factor)
-        return Unknown(size * self.most, self.shape, self.end)
+        return replace(self, most=size * self.most)
 
     def draw(self, rng: np.random.Generator, side: FloatArray) -> FloatArray:
         """Return values for joints that come from the sides +1 and -1."""
@@ -51,7 +53,7 @@ class Unknown:
             return self.most * anywhere
         end = side if self.shape is Shape.SIDE else rng.choice([-1.0, 1.0], side.shape)
         end = end * rng.uniform(self.end, 1.0, side.shape)
-        return self.most * np.where(rng.random(side.shape) < 0.5, end, anywhere)
+        return self.most * np.where(rng.random(side.shape) < self.often, end, anywhere)
 
 
 @dataclass(frozen=True)
