@@ -102,6 +102,7 @@ def test_every_key_of_a_scene_is_listed() -> None:
 
 
 def test_every_parameter_is_listed_with_its_default() -> None:
+    from arm_emulator.base.parameters import parameters_of
     from arm_emulator.motion.motion_config import MotionConfig
     from arm_emulator.servo.servo_config import JointServo, ServoConfig
     from emulator_node.node import EmulatorParameters
@@ -110,7 +111,7 @@ def test_every_parameter_is_listed_with_its_default() -> None:
     text = page_of("topics").read_text()
     rows = dict(re.findall(r"^\| `([\w.]+)` \|(.*)$", text, re.M))
     for kind in (EmulatorParameters, MotionConfig):
-        for field in fields(kind):
+        for field in parameters_of(kind).values():
             shown = str(field.default) if field.default else "none"
             default, words = rows[field.name].split("|")[:2]
             assert shown in default, field.name

@@ -19,6 +19,7 @@ from machines import Oracle, write_scene
 from arm_emulator.machine.chain import Body, ChainJoint, Frame, frame_of
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.plant import Diverged, Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.varied_body import AXES, NAMES, TENSOR, expressions, numbers_of, of_child
@@ -154,11 +155,23 @@ def write_skewed_mixture(folder: Path, seed: int) -> tuple[Path, Path]:
 
 
 def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dict[str, float]:
-    """Other values of all that is varied; of the links those of another scene."""
+    """Other values of all that is varied; of the links those of another scene.
+
+    A current loop is set up for the winding that is built in, so that none could be built in with
+    another one.
+    """
     links = {one.name: one.value for one in of_links.varied}
+    known = {
+        f"joints.{joint.name}.motor.{key}"
+        for joint in scene.joints
+        if any(isinstance(part, CurrentLoop) for part in joint.parts)
+        for key in ("resistance", "inductance", "back_emf_constant")
+    }
     return {
         one.name: links[one.name]
         if one.name.startswith("links.")
+        else one.value
+        if one.name in known
         else one.value + 1.0
         if one.name == "seed"
         else float(np.clip(one.value * rng.uniform(1.0, 1.2), one.least, one.most))
