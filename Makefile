@@ -124,8 +124,19 @@ export QUIET_START
 # Beside the requirements of the others, so that only `make docs` wants them.
 .venv/.docs: requirements-docs.txt .venv/.requirements
 	@echo 'setup: MkDocs ...'
-	@$(call quietly,docs,$(PIP) $<)
+	@$(call quietly,docs,$(INSTALL) $<)
 	@touch $@
+
+# The command line from any shell, with what it needs of ROS.
+define COMMAND
+#!/bin/sh
+case ":$$AMENT_PREFIX_PATH:" in
+  *'/install/arm_emulator:'*) ;;
+  *) . '$(CURDIR)/.venv/bin/activate' && . '$(CURDIR)/install/setup.sh' ;;
+esac
+exec '$(CURDIR)/.venv/bin/python' -m arm_emulator "$$@"
+endef
+export COMMAND
 
 COLCON := colcon --log-base /dev/null build --base-paths . msg
 
@@ -140,11 +151,12 @@ install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 LINKED := build/arm_emulator/setup.py
 SHARED := $(shell find config launch resource -type f 2>/dev/null)
 
-install/.package: package.xml setup.py setup.cfg $(SHARED) install/.messages \
+install/.package: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.messages \
                   $(if $(wildcard $(LINKED)),,FORCE)
 	@echo 'setup: nodes and command line ...'
 	@rm -rf build/arm_emulator install/arm_emulator
 	@$(call quietly,package,$(ACTIVATE) && $(COLCON) --packages-select arm_emulator --symlink-install)
+	@echo "$$COMMAND" > .venv/bin/arm_emulator && chmod +x .venv/bin/arm_emulator
 	@touch $@
 
 # -------------------------------------------------------------------------------------- commands

@@ -1,5 +1,9 @@
-"""Install the ROS package arm_emulator: its Python packages, the scenes and the launch files."""
+"""Install the package: its Python packages, the scenes and the launch files.
 
+By colcon as a ROS package; by pip without ROS, for physics, doors and the command line.
+"""
+
+import re
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -17,9 +21,18 @@ def share(folder: str) -> list[tuple[str, list[str]]]:
     return list(files.items())
 
 
+def wheels(part: str) -> list[str]:
+    """Name the packages in a part of requirements*.txt, which alone have versions."""
+    files = "".join(file.read_text() for file in sorted(Path().glob("requirements*.txt")))
+    parts = dict(re.findall(r"^# --- (.*)\n((?:.+\n)*)", files, re.M))
+    return re.findall(r"^([\w.-]+)==", parts[part], re.M)
+
+
+VERSION = re.search(r'VERSION = "(.*)"', Path("arm_emulator/version.py").read_text())
+
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION[1],
     description="An emulated arm robot, its servo and its motion controller as ROS 2 nodes.",
     license="Apache-2.0",
     maintainer="arm_emulator developers",
@@ -34,11 +47,16 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "LICENSE"]),
+        (f"share/{NAME}/hook", ["resource/hook/path.dsv"]),
         *share("config"),
         *share("launch"),
     ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},  # colcon test then knows the runner
+    python_requires=">=3.11",
+    install_requires=wheels("numbers, robots, files, pictures, command line"),
+    extras_require={
+        "doors": wheels("doors"),
+        "test": ["pytest"],  # colcon test then knows the runner
+    },
     zip_safe=False,
     entry_points={
         "console_scripts": [

@@ -50,8 +50,8 @@ def check_own(where: str, file: Path) -> None:
 
 
 def _installed() -> list[Path]:
-    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    return [Path(prefix) / "share" / "arm_emulator" / "config" for prefix in prefixes]
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), get_path("data")]
+    return [Path(prefix) / "share" / "arm_emulator" / "config" for prefix in prefixes if prefix]
 
 
 def find_config(name: str, ending: str, kind: str = ".") -> Path:

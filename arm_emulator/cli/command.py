@@ -19,22 +19,26 @@ class Command(NamedTuple):
         name: on the command line.
         function: does it; its parameters are the arguments, what it returns is the exit code.
         until_stopped: Ctrl-C is its usual end, with exit code 0.
+        of_ros: it needs ROS 2.
     """
 
     name: str
     function: Callable[..., int]
     until_stopped: bool
+    of_ros: bool
 
 
 _registered: dict[str, Command] = {}
 
 
-def command(*, until_stopped: bool = False) -> Callable[[Function], Function]:
+def command(
+    *, until_stopped: bool = False, of_ros: bool = False
+) -> Callable[[Function], Function]:
     """Register a function as the command that its module is named after."""
 
     def register(function: Function) -> Function:
         name = function.__module__.rpartition(".")[2].replace("_", "-")
-        _registered[name] = Command(name, function, until_stopped)
+        _registered[name] = Command(name, function, until_stopped, of_ros)
         return function
 
     return register

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Sequence
 
@@ -48,6 +49,9 @@ def _run(one: Command, words: Sequence[str]) -> int:
         print(page_of(one))
         return 0
     try:
+        if one.of_ros:  # before it starts anything
+            for module in ("rclpy", "arm_emulator_msgs"):
+                importlib.import_module(module)
         return run_with(one, words)
     except Refusal as refusal:
         reason = str(refusal)

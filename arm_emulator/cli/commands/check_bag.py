@@ -8,7 +8,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 
 
-@command()
+@command(of_ros=True)
 def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = False) -> int:
     """Drive the machine again with the commands of a bag, and compare every bit.
 

@@ -11,7 +11,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, SceneName
 
 
-@command()
+@command(of_ros=True)
 def demo(
     scene: SceneName = "three_axis",
     /,

@@ -8,7 +8,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Topics
 
 
-@command(until_stopped=True)
+@command(until_stopped=True, of_ros=True)
 def record(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> int:
     """Record the network into a rosbag2 bag until Ctrl-C.
 

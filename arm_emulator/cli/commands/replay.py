@@ -8,7 +8,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Topics
 
 
-@command(until_stopped=True)
+@command(until_stopped=True, of_ros=True)
 def replay(bag: Path, /, *, topics: Topics = None, rate: float = 1.0, wait: bool = False) -> int:
     """Publish what a bag holds, at the recorded times.
 

@@ -11,7 +11,7 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, SceneName
 
 
-@command(until_stopped=True)
+@command(until_stopped=True, of_ros=True)
 def up(
     scene: SceneName = "three_axis",
     /,
