@@ -9,6 +9,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "arm_emulator"
+HERE = Path(__file__).resolve().parent  # colcon links this file elsewhere
 PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 
 
@@ -23,12 +24,12 @@ def share(folder: str) -> list[tuple[str, list[str]]]:
 
 def wheels(part: str) -> list[str]:
     """Name the packages in a part of requirements*.txt, which alone have versions."""
-    files = "".join(file.read_text() for file in sorted(Path().glob("requirements*.txt")))
+    files = "".join(file.read_text() for file in sorted(HERE.glob("requirements*.txt")))
     parts = dict(re.findall(r"^# --- (.*)\n((?:.+\n)*)", files, re.M))
     return re.findall(r"^([\w.-]+)==", parts[part], re.M)
 
 
-VERSION = re.search(r'VERSION = "(.*)"', Path("arm_emulator/version.py").read_text())
+VERSION = re.search(r'VERSION = "(.*)"', (HERE / "arm_emulator/version.py").read_text())
 
 setup(
     name=NAME,

@@ -31,9 +31,7 @@ class Command(NamedTuple):
 _registered: dict[str, Command] = {}
 
 
-def command(
-    *, until_stopped: bool = False, of_ros: bool = False
-) -> Callable[[Function], Function]:
+def command(*, until_stopped: bool = False, of_ros: bool = False) -> Callable[[Function], Function]:
     """Register a function as the command that its module is named after."""
 
     def register(function: Function) -> Function:

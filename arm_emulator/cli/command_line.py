@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import sys
 from collections.abc import Sequence
 
@@ -49,9 +49,9 @@ def _run(one: Command, words: Sequence[str]) -> int:
         print(page_of(one))
         return 0
     try:
-        if one.of_ros:  # before it starts anything
-            for module in ("rclpy", "arm_emulator_msgs"):
-                importlib.import_module(module)
+        for module in ("rclpy", "arm_emulator_msgs") if one.of_ros else ():
+            if importlib.util.find_spec(module) is None:  # before it starts anything
+                return _refused(one.name, ModuleNotFoundError(name=module))
         return run_with(one, words)
     except Refusal as refusal:
         reason = str(refusal)
