@@ -67,3 +67,22 @@ def test_wheels_for_ros_are_those_of_the_environment_that_is_tested() -> None:
     ours = {x for x in (ROOT / "requirements-ros.txt").read_text().splitlines() if "==" in x}
     numpy_1 = {x for x in ours if x.startswith("pyarrow==")}  # newer ones want NumPy 2
     assert len(ours) > 5 and ours - numpy_1 <= everywhere
+
+
+# What the wheel needs beside ROS is named in requirements*.txt, and comes along with these.
+BROUGHT = {"lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
+NAMES = {"pinocchio": "pin", "yaml": "PyYAML", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}
+NAMES |= {"can": "python-can", "elftools": "pyelftools"}
+OF_ROS = re.compile(r"\w+_(msgs|srvs|interfaces)|rclpy|ament_index_python|launch(_ros)?")
+
+
+def test_the_wheel_names_all_that_it_imports() -> None:
+    text = "".join(file.read_text() for file in sorted(ROOT.glob("requirements*.txt")))
+    parts = dict(re.findall(r"^# --- (.*)\n((?:.+\n)*)", text, re.M))
+    setup = (ROOT / "setup.py").read_text()
+    named = [parts[part] for part in re.findall(r'wheels\("(.*?)"\)', setup)]
+    wheels = set(re.findall(r"^([\w.-]+)==", "\n".join(named), re.M))
+    assert len(wheels) > 10
+    modules = {module for module in imported("arm_emulator") if not OF_ROS.fullmatch(module)}
+    missing = {one for one in modules if NAMES.get(one, BROUGHT.get(one, one)) not in wheels}
+    assert not missing

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import select
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -59,12 +62,24 @@ def _run(one: Command, words: Sequence[str]) -> int:
         reason = f"arm_emulator {one.name}: {bad}"
     except ModuleNotFoundError as missing:
         return _refused(one.name, missing)
+    except BrokenPipeError:
+        if not _reader_is_gone():
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is still to be flushed
+        return exit_code(signal.SIGPIPE, None)
     except Exception as error:
         if not is_want_of_memory(error):
             raise
         reason = str(Refusal("arm_emulator", "memory", "suffice", repr(error)))
     print(reason, file=sys.stderr)
     return 2
+
+
+def _reader_is_gone() -> bool:
+    """Return whether who read our output, such as `head`, has ended."""
+    poll = select.poll()
+    poll.register(1, 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def _refused(where: str, missing: ModuleNotFoundError) -> int:

@@ -13,6 +13,7 @@ import fcntl
 import os
 import re
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 SHARED = Path("/dev/shm")
@@ -23,24 +24,35 @@ _LOCK = re.compile(r"(?P<segment>fastrtps_[0-9a-f]{16})_el")
 def clear_left_over(shared: Path = SHARED) -> int:
     """Remove the segments of this user whose owners are gone, and return how many."""
     removed = 0
+    for lock, segment in left_over(shared):
+        with contextlib.suppress(OSError):
+            segment.unlink(missing_ok=True)
+            lock.unlink()
+            removed += 1
+    return removed
+
+
+def left_over(shared: Path = SHARED) -> Iterator[tuple[Path, Path]]:
+    """Yield lock and segment of each owner that is gone and was this user's; holds the lock."""
     with contextlib.suppress(OSError):  # no shared memory of this kind here
         for name in os.listdir(shared):
             lock = _LOCK.fullmatch(name)
             if lock:
-                with contextlib.suppress(OSError):  # its owner lives, or has just ended
-                    removed += _clear(shared / name, shared / lock["segment"])
-    return removed
+                with contextlib.suppress(OSError), _held(shared / name) as old:
+                    if old:
+                        yield shared / name, shared / lock["segment"]
 
 
-def _clear(lock: Path, segment: Path) -> bool:
+@contextlib.contextmanager
+def _held(lock: Path) -> Iterator[bool]:
+    """Hold a lock for a block; False: it is not ours, or too new. OSError: its owner lives."""
     opened = os.open(lock, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         found = os.fstat(opened)
         if found.st_uid != os.geteuid() or time.time() - found.st_mtime < YOUNG:
-            return False
+            yield False
+            return
         fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        segment.unlink(missing_ok=True)
-        lock.unlink()
-        return True
+        yield True
     finally:
         os.close(opened)

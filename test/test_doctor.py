@@ -1,0 +1,115 @@
+"""What `doctor` reports of a machine that lacks something, or where something was left behind."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from arm_emulator.cli import doctor
+from arm_emulator.cli.doctor import Finding, findings
+
+
+def found(name: str) -> Finding:
+    [one] = [one for one in findings() if one.name == name]
+    return one
+
+
+def test_each_finding_is_a_line_and_a_row_of_json(capsys: pytest.CaptureFixture[str]) -> None:
+    code = doctor.doctor(json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert doctor.doctor(json=True) == code
+    rows = json.loads(capsys.readouterr().out)["findings"]
+    assert len(lines) == len(rows) >= 10
+    for line, row in zip(lines, rows, strict=True):
+        assert line.startswith(row["level"]) and row["name"] in line
+        assert row["level"] in ("ok", "note", "problem")
+        assert row["level"] == "ok" or row["remedy"] or " must " in row["text"], row
+    assert code == any(row["level"] == "problem" for row in rows)
+
+
+def test_what_is_missing_is_a_problem_with_a_remedy(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert found("compiler").level == "ok"
+    old = tmp_path / "old_compiler"
+    old.write_text("#!/bin/sh\necho 'error: unknown standard c++20' >&2\nexit 1\n")
+    old.chmod(0o755)
+    monkeypatch.setenv("CXX", str(old))
+    one = found("compiler")
+    assert one.level == "problem" and "unknown standard" in one.text and "g++ from 11" in one.text
+    monkeypatch.setenv("CXX", "no_such_compiler")
+    assert found("compiler").level == "problem"
+    monkeypatch.setattr(doctor, "LEAST_DISK", 1e9)
+    assert found("disk").level == "problem" and "make room" in found("disk").remedy
+    monkeypatch.setattr(doctor, "EXTRAS", (("no_such_module", "no-such", "`nothing`"),))
+    assert found("no-such") == Finding(
+        "no-such", "note", "not installed, needed by `nothing`", "pip install no-such"
+    )
+
+
+@pytest.mark.parametrize(
+    ("domain", "reach", "level"),
+    [
+        ("77", "LOCALHOST", "ok"),
+        ("77", "SUBNET", "note"),
+        ("233", "LOCALHOST", "problem"),
+        ("x", "OFF", "problem"),
+        ("-1", "LOCALHOST", "problem"),
+    ],
+)
+def test_the_domain_is_one_and_stays_here(
+    domain: str, reach: str, level: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
+    assert found("ROS domain").level == level
+
+
+def test_a_node_without_a_launcher_is_found_and_one_with_a_launcher_is_not() -> None:
+    def numbers() -> list[str]:
+        one = found("processes")
+        return one.remedy.split()[1:] if one.level == "problem" else []
+
+    asleep = "import time; time.sleep(60)"
+    kept = subprocess.Popen([sys.executable, "-c", asleep, "servo_node.node"])
+    line = f'"{sys.executable}" -c "{asleep}" servo_node.node >/dev/null 2>&1 & echo $!'
+    left = int(subprocess.check_output(["sh", "-c", line]))
+    try:
+        deadline = time.monotonic() + 20.0
+        while str(left) not in numbers() and time.monotonic() < deadline:
+            status = Path(f"/proc/{left}/status").read_text()
+            adopted_by = int(status.split("PPid:")[1].split()[0])
+            if adopted_by not in (1, os.getpid()) and "sh\n" not in status:
+                pytest.skip("another process than init adopts orphans here")
+            time.sleep(0.05)
+        assert str(left) in numbers() and str(kept.pid) not in numbers()
+    finally:
+        os.kill(left, 9)
+        kept.kill()
+        kept.wait()
+    assert str(left) not in numbers()
+
+
+def test_shared_memory_of_the_dead_is_counted_and_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from arm_emulator.ros import shared_memory
+
+    for number in range(3):
+        lock = tmp_path / f"fastrtps_{number:016x}_el"
+        lock.write_text("")
+        os.utime(lock, (1.0, 1.0))
+        (tmp_path / f"fastrtps_{number:016x}").write_text("segment")
+    with open(tmp_path / f"fastrtps_{0:016x}_el") as alive:
+        fcntl.flock(alive, fcntl.LOCK_EX)  # as its owner does
+        monkeypatch.setattr(doctor, "left_over", lambda: shared_memory.left_over(tmp_path))
+        one = found("shared memory")
+        assert one.level == "note" and one.text.startswith("2 segments")
+        assert len(list(tmp_path.iterdir())) == 6, "doctor removes nothing"

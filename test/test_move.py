@@ -1,0 +1,86 @@
+"""`move` and `status` beside a running network, and where there is none."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from network import network
+
+from arm_emulator.ros.ros_domain import own_domain
+
+
+def run(*words: str) -> tuple[int, str, str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "arm_emulator", *words],
+        capture_output=True, text=True, timeout=120.0, check=False,
+    )  # fmt: skip
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(tmp_path: Path) -> None:
+    with network(tmp_path / "log", start="first_answer") as (user, _):
+        user.wait("the run", lambda: user.tick > 20)
+        code, out, errors = run("move", "--by", "0.01", "0", "0")
+        lines = out.splitlines()
+        assert code == 0, errors
+        assert [line.split(",")[0] for line in lines] == ["accepted", "moving", "reached"], out
+        assert float(lines[-1].split()[1]) < 1.0, "mm left, of the 10"
+
+        code, out, errors = run("move", "--joints", "waist=0.2", "--json")
+        facts = json.loads(out)
+        assert code == 0 and facts["states"] == ["accepted", "moving", "reached"], errors
+        code, out, _ = run("status", "--json")
+        facts = json.loads(out)
+        assert code == 0 and facts["target"]["state"] == "reached"
+        assert abs(facts["joints"]["waist"] - 0.2) < 2e-3, "the joint is where it was sent"
+        assert {one["level"] for one in facts["nodes"].values()} == {"ok"}
+
+        code, out, _ = run("move", "--to", "50", "0", "0")
+        assert code == 1 and out.splitlines()[-1].startswith("unreachable"), out
+        code, out, _ = run("move", "--joints", "waist=1e9")
+        assert code == 1 and "refused: " in out, out
+        code, out, errors = run("move", "--joints", "knee=1")
+        assert code == 2 and "must name joints, got knee; valid: waist" in errors, errors
+        code, out, errors = run("move", "--by", "0", "0", "1e-3", "--timeout", "1e-3")
+        assert code == 1 and "no end within 0.001 s" in out, out
+
+
+def test_without_a_network_one_line_names_the_remedy() -> None:
+    with own_domain():
+        started = {
+            words: subprocess.Popen(
+                [sys.executable, "-m", "arm_emulator", *words],
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            )
+            for words in (("move", "--by", "0", "0", "0.1"), ("status", "--timeout", "0.1"))
+        }  # fmt: skip
+        codes = {"move": 2, "status": 1}
+        for words, process in started.items():
+            out, errors = process.communicate(timeout=60.0)
+            assert process.returncode == codes[words[0]], errors
+            assert "start " in out + errors and "`arm_emulator up`" in out + errors
+            assert errors.count("\n") == (words[0] == "move"), errors
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("move",), "the target must be one, got none"),
+        (("move", "--by", "0", "0", "0", "--joints", "a=1"), "got --by and --joints"),
+        (("move", "--joints", "a"), "--joints must be NAME=ANGLE"),
+        (("move", "--joints", "a=nan"), "--joints must be NAME=ANGLE"),
+        (("move", "--joints", "a=1", "--seconds", "0"), "--seconds must be > 0"),
+        (("move", "--by", "0", "0", "0", "--namespace", "a b"), "--namespace must be a name"),
+    ],
+)
+def test_what_is_no_target_is_refused(
+    words: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from test_command_line import run as here
+
+    code, out, errors = here(*words)
+    assert code == 2 and not out and errors.count("\n") == 1 and reason in errors, errors
