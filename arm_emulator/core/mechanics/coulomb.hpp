@@ -76,11 +76,7 @@ class Coulomb {
       factors.factor(W);
       factors.solve(x);
     } else {
-      for (int j = 0; j < N; ++j) {
-        direction[j] = select(where(dry(j), v[j] > 0.0), X{} + 1.0,
-                              select(where(dry(j), v[j] < 0.0), X{} - 1.0, X{}));
-        locked[j] = where(dry(j), v[j] == 0.0);
-      }
+      begin(v);
       Descent down;
       for (int j = 0; j < N; ++j) down.rhs[j] = x[j];
       do {
@@ -89,6 +85,14 @@ class Coulomb {
         solve_again(x);
       } while (lock_one(down, x) || free_one(W, down, x));
     }
+  }
+
+  // The decisions alone. Joints that all slide, or all rest, need no solution for them.
+  void decide(Matrix& W, const double* v, double* rhs) {
+    int resting = begin(v);
+    for (int j = 0; resting == N && j < N; ++j)
+      if (magnitude(held[j] = rhs[j]) > Ds(j)) resting = -1;
+    if (resting != 0 && resting != N) solve(W, v, rhs);
   }
 
   // What each joint does: whether it is locked, else the way it slides, which is 0 where no dry
@@ -113,7 +117,15 @@ class Coulomb {
     factor_unlocked(W);
     for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction[j];
     solve_again(x);
-    for (int j = 0; j < N; ++j) held[j] = torque_of_lock(j, W, rhs, x);
+    for (int j = 0; j < N; ++j)
+      if (locked[j]) held[j] = torque_of_lock(j, W, rhs, x);
+  }
+  // The torques of locks alone, with the decisions made.
+  void hold_in(const Modes& modes, const Matrix& W, X* x) {
+    bool all_rest = true;
+    for (int j = 0; j < N; ++j) all_rest = all_rest && modes.locked[j];
+    if (!all_rest) return solve_in(modes, W, x);
+    for (int j = 0; j < N; ++j) held[j] = x[j];
   }
 
   // What the lock of joint j could take beside what it takes, below 0 if it does not hold [N m].
@@ -141,6 +153,18 @@ class Coulomb {
   }
 
  private:
+  // What the speeds v call for, where every joint at rest holds. Returns how many of them are.
+  ARM_INLINE int begin(const X* v) {
+    int resting = 0;
+    for (int j = 0; j < N; ++j) {
+      direction[j] = select(where(dry(j), v[j] > 0.0), X{} + 1.0,
+                            select(where(dry(j), v[j] < 0.0), X{} - 1.0, X{}));
+      locked[j] = where(dry(j), v[j] == 0.0);
+      if constexpr (kWidth<X> == 1) resting += locked[j] ? 1 : 0;
+    }
+    return resting;
+  }
+
   // M with the rows and columns of the locked joints made those of the identity.
   void factor_unlocked(const Matrix& W) {
     Matrix free = {};

@@ -6,6 +6,7 @@
 #include "mechanics/at_once.hpp"
 #include "mechanics/coulomb.hpp"
 #include "mechanics/links.hpp"
+#include "mechanics/links_memo.hpp"
 #include "mechanics/state.hpp"
 
 namespace arm {
@@ -36,7 +37,7 @@ class Modes {
       double a[N];
       torques(x, u, at, a);
       coulomb.take(x, x, u, of_drives());
-      coulomb.solve(at.M.at, x.v, a);
+      coulomb.decide(at.M.at, x.v, a);
       friction = coulomb.modes();
     }
   }
@@ -57,7 +58,7 @@ class Modes {
 
   // How far x is from where a mode changes: negative if one does not hold any more. (Of quantities
   // that differ in unit the least; only its sign counts.)
-  double margin(const State<S>& x, const double* u) const {
+  double margin(const State<S>& x, const double* u, LinksMemo<S>& memo) const {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
     n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
@@ -67,11 +68,12 @@ class Modes {
         at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
     if (least < 0.0 || !any_locked()) return least;
-    Dynamics links;
-    Links<S>::dynamics_apart(*n, x.q, x.v, links);
+    Dynamics links = memo.at(*n, x);
     double a[N];
     Friction coulomb(*n);
-    accelerations(x, u, links, a, coulomb);
+    torques(x, u, links, a);
+    coulomb.take(x, x, u, of_drives());
+    coulomb.hold_in(friction, links.M.at, a);
     for (int j = 0; j < N; ++j)
       if (friction.locked[j]) at_most(coulomb.spare(j));
     return least;

@@ -28,10 +28,22 @@ class Located {
   static constexpr int N = S::N, row = Method::row;
 
   Located(double step, const Numbers<S>& numbers) : h(step), n(numbers), whole(step, numbers) {}
-  void renew() { whole.renew(); }
-  void reset(const State<S>& x) { whole.reset(x); }
+  void renew() {
+    memo.forget();
+    whole.renew();
+  }
+  void reset(const State<S>& x) {
+    memo.forget();
+    whole.reset(x);
+  }
   Memory memory() const { return whole.memory(); }
-  void restore(const Memory& memory) { whole.restore(memory); }
+  void restore(const Memory& memory) {
+    memo.forget();
+    whole.restore(memory);
+  }
+
+  // The links' part at x.
+  const Dynamics& links_at(const State<S>& x) { return memo.at(n, x); }
 
   // Pass the smooth parts of steps to a meter, or to nobody.
   void watch(EnergyMeter<S>* by) { meter = by; }
@@ -44,7 +56,7 @@ class Located {
     const Memory memory = whole.memory();
     State<S> y = x;
     whole.step_in(modes, y, u, links, Past::used);
-    if (modes.margin(y, u) < 0.0) {
+    if (modes.margin(y, u, memo) < 0.0) {
       whole.restore(memory);
       cut(x, y, u, modes, links);
     } else {
@@ -80,12 +92,12 @@ class Located {
       y = x;
       part.step_in(modes, y, u, links, Past::unknown);
       double t = left;
-      if (modes.margin(y, u) < 0.0) t = first_event(x, y, u, modes, links, left);
+      if (modes.margin(y, u, memo) < 0.0) t = first_event(x, y, u, modes, links, left);
       modes.settle(y, u);
       if (meter) meter->part(x, y, u, modes, t);
       x = y;
       left -= t;
-      Links<S>::dynamics_apart(n, x.q, x.v, links);
+      links = memo.at(n, x);
       modes = Modes<S>(n, x, u, links);
     }
     whole.remember(start, x, u);
@@ -95,10 +107,10 @@ class Located {
   // (Illinois), with a bisection where three trials have not halved the interval; y is the state
   // then, where it does not hold any more.
   double first_event(const State<S>& x, State<S>& y, const double (&u)[row], const Modes<S>& modes,
-                     const Dynamics& links, double left) const {
+                     const Dynamics& links, double left) {
     const double instant = kInstant * h;
     double before = 0.0, after = left, halved = left;
-    double margin_before = modes.margin(x, u), margin_after = modes.margin(y, u);
+    double margin_before = modes.margin(x, u, memo), margin_after = modes.margin(y, u, memo);
     int side = 0;  // that was moved last: where one stands still, its margin is halved
     int slow = 0;  // trials since the interval was halved
     for (int trial = 0; trial < kMostTrials && after - before > instant; ++trial) {
@@ -116,7 +128,7 @@ class Located {
       }
       State<S> trial_end = x;
       Method(t, n, modes).step_in(modes, trial_end, u, links, Past::unknown);
-      const double margin = modes.margin(trial_end, u);
+      const double margin = modes.margin(trial_end, u, memo);
       if (margin < 0.0) {
         y = trial_end;
         after = t, margin_after = margin;
@@ -140,6 +152,7 @@ class Located {
   double h;
   const Numbers<S>& n;
   Method whole;
+  LinksMemo<S> memo;
   EnergyMeter<S>* meter = nullptr;
 };
 

@@ -28,7 +28,9 @@ class OneThread {
     Dynamics links;
     // Inlined, so that its constants fold with the step's; loops over many joints have none, and
     // run faster in a function of their own.
-    if constexpr (S::N > kUnrollNested)
+    if constexpr (requires { stepper.links_at(x); })
+      links = stepper.links_at(x);
+    else if constexpr (S::N > kUnrollNested)
       Links<S, X>::dynamics_apart(n, x.q, x.v, links);
     else
       Links<S, X>::dynamics(n, x.q, x.v, links);
