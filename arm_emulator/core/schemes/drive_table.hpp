@@ -286,6 +286,11 @@ class DriveTables {
       : make(maker), n(numbers) {
     for (int lane = 0; lane < width; ++lane) fill_lane(lane, modes);
   }
+  // For steps of another length, in the same modes.
+  void retime(const Make& maker) {
+    make = maker;
+    for (int j = 0; j < N; ++j) copy(make.template operator()<R>(drives[j]), j, 0);
+  }
   static_assert(!any_drive<S>([](const auto& drive) {
     return !LinearDrive<K, M>::is_sound(drive);
   }),
@@ -304,7 +309,7 @@ class DriveTables {
         held = now[lane][j].held();
         put_offsets(j, lane);
       }
-      copy(table_of(drive, held), j, lane);
+      copy(table_of(drive, held, j), j, lane);
     });
   }
 
@@ -466,12 +471,13 @@ class DriveTables {
   }
 
   template <class TheDrive>
-  ARM_APART DriveTable<K, M, R> table_of(const TheDrive& drive, unsigned held) const {
-    return make.template operator()<R>(LinearDrive<K, M>::of(drive, held));
+  ARM_APART DriveTable<K, M, R> table_of(const TheDrive& drive, unsigned held, int j) {
+    drives[retimed ? j : 0] = LinearDrive<K, M>::of(drive, held);
+    return make.template operator()<R>(drives[retimed ? j : 0]);
   }
   ARM_APART void change_table(int joint, int lane, unsigned held) {
     n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-      if (j == joint) copy(table_of(drive, held), j, lane);
+      if (j == joint) copy(table_of(drive, held, j), j, lane);
     });
   }
   void put_offsets(int j, int lane) {
@@ -491,6 +497,8 @@ class DriveTables {
 
   Make make;
   const arm::Numbers<S, X>& n;
+  static constexpr bool retimed = S::events == Events::located && width == 1;
+  LinearDrive<K, M> drives[retimed ? N : 1];
   Modes now[modal ? width : 1][N];
   alignas(64) X offsets[modal ? M : 1][row] = {};
 };

@@ -51,6 +51,12 @@ class LinearlyImplicit {
   LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers, const Modes<S>& modes)
       : h(step), n(numbers), tables(numbers, {step, stages}, modes.drive), coulomb(numbers) {}
 
+  // The same for steps of another length.
+  void retime(double step) {
+    h = step;
+    tables.retime({step, stages});
+  }
+
   ~LinearlyImplicit() { delete half; }
   LinearlyImplicit(const LinearlyImplicit&) = delete;
   LinearlyImplicit& operator=(const LinearlyImplicit&) = delete;

@@ -92,7 +92,7 @@ class Located {
       y = x;
       part.step_in(modes, y, u, links, Past::unknown);
       double t = left;
-      if (modes.margin(y, u, memo) < 0.0) t = first_event(x, y, u, modes, links, left);
+      if (modes.margin(y, u, memo) < 0.0) t = first_event(x, y, u, modes, links, left, part);
       modes.settle(y, u);
       if (meter) meter->part(x, y, u, modes, t);
       x = y;
@@ -103,44 +103,44 @@ class Located {
     whole.remember(start, x, u);
   }
 
-  // The time at which the first mode ceases to hold, somewhat below `left`, by regula falsi
-  // (Illinois), with a bisection where three trials have not halved the interval; y is the state
-  // then, where it does not hold any more.
+  // The time at which the first mode ceases to hold, somewhat below `left`, by inverse quadratic
+  // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
+  // 1997); y is the state then, where it does not hold any more.
   double first_event(const State<S>& x, State<S>& y, const double (&u)[row], const Modes<S>& modes,
-                     const Dynamics& links, double left) {
-    const double instant = kInstant * h;
-    double before = 0.0, after = left, halved = left;
-    double margin_before = modes.margin(x, u, memo), margin_after = modes.margin(y, u, memo);
-    int side = 0;  // that was moved last: where one stands still, its margin is halved
-    int slow = 0;  // trials since the interval was halved
-    for (int trial = 0; trial < kMostTrials && after - before > instant; ++trial) {
-      const double width = after - before;
-      if (width <= 0.5 * halved)
-        halved = width, slow = 0;
-      else
-        ++slow;
-      double t = before + 0.5 * width;
-      if (margin_before > 0.0 && slow < 3) {
-        t = before + width * margin_before / (margin_before - margin_after);
-        // So that both ends close in on an estimate that is as good as can be.
-        const double least = before + 0.5 * instant, most = after - 0.5 * instant;
-        t = t < least ? least : t > most ? most : t;
-      }
-      State<S> trial_end = x;
-      Method(t, n, modes).step_in(modes, trial_end, u, links, Past::unknown);
-      const double margin = modes.margin(trial_end, u, memo);
-      if (margin < 0.0) {
-        y = trial_end;
-        after = t, margin_after = margin;
-        if (side == 1) margin_before *= 0.5;
-        side = 1;
-      } else {
-        before = t, margin_before = margin;
-        if (side == -1) margin_after *= 0.5;
-        side = -1;
-      }
+                     const Dynamics& links, double left, Method& part) {
+    struct Trial {
+      double t, margin;
+      bool holds() const { return !(margin < 0.0); }
+    };
+    Trial last = {0.0, modes.margin(x, u, memo)}, other = {left, modes.margin(y, u, memo)};
+    double share = last.margin > 0.0 ? last.margin / (last.margin - other.margin) : 0.5;
+    for (int trial = 0; trial < kMostTrials; ++trial) {
+      const double width = other.t - last.t;  // of either sign
+      const double least = 0.5 * kInstant * h / magnitude(width);
+      if (least >= 0.5) break;
+      share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
+      const double t = last.t + share * width;
+      State<S> end = x;
+      part.retime(t);
+      part.step_in(modes, end, u, links, Past::unknown);
+      const Trial now = {t, modes.margin(end, u, memo)};
+      if (!now.holds()) y = end;
+      Trial before = last;
+      if (now.holds() != last.holds()) before = other, other = last;
+      last = now;
+      share = next_share(last, other, before);
     }
-    return after;
+    return last.holds() ? other.t : last.t;
+  }
+  // Where between `last` and `other`, of which one holds, the margin is 0.
+  static double next_share(const auto& last, const auto& other, const auto& before) {
+    const double xi = (last.t - other.t) / (before.t - other.t);
+    const double phi = (last.margin - other.margin) / (before.margin - other.margin);
+    if (!(phi * phi < xi && (1.0 - phi) * (1.0 - phi) < 1.0 - xi)) return 0.5;
+    return last.margin / (other.margin - last.margin) * before.margin /
+               (other.margin - before.margin) +
+           (before.t - last.t) / (other.t - last.t) * last.margin / (before.margin - last.margin) *
+               other.margin / (before.margin - other.margin);
   }
 
   // Stands where the thread of the links would.
