@@ -165,12 +165,13 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
     with progress(f"{scene.name}, {count} arms", last + 1) as done:
         for tick in range(last + 1):
             state, instruct = fleet.state, tick % ticks == 0
+            measured = fleet.measured
             if tick >= first and instruct:
                 tools = np.array([kinematics.forward(q)[1] for q in state.q])
                 tools[fleet.faults >= 0] = np.nan
                 deviations.append(goal - tools)
             for arm, law in enumerate(laws):
-                counts, current = state.encoder_counts[arm], state.current[arm]
+                counts, current = measured.encoder_counts[arm], measured.current[arm]
                 voltage[arm] = law.answer(tick * period_ns, counts, current, voltage[arm], instruct)
             fleet.advance(voltage, steps)
             done("")

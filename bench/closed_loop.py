@@ -54,8 +54,8 @@ class DemoMotion:
         target = Instruction(scene.start)
         self._controller.begin(scene.start)
         for k in range(self.periods):
-            state = plant.state
-            servo.observe(state.encoder_counts, state.current)
+            measured = plant.measured
+            servo.observe(measured.encoder_counts, measured.current)
             if k >= self.settle and k % self._cycle == 0:
                 target = self._controller.update(servo.q_measured, self._target)
             voltages[k] = servo.control(target.q, target.v, target.tau)

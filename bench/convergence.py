@@ -38,8 +38,8 @@ def step_response(period: float) -> Array:
     target[0] += WAY / 0.43
     gone = []
     for tick in range(round(_LONG / scene.servo_period) + 1):
-        state = session.state
-        drives.measure(session.logical_ns, state.encoder_counts, state.current)
+        measured = session.measured
+        drives.measure(session.logical_ns, measured.encoder_counts, measured.current)
         drives.aim(Target(target))
         if tick and tick % round(period / scene.servo_period) == 0:
             measured = drives.servo.q_measured[0]

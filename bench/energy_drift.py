@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.analysis.reference import links_model, reference
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.measure import compile_all, side_by_side
 from bench.mujoco_peer import INTEGRATORS, MujocoArm

@@ -15,8 +15,9 @@ from mujoco import rollout
 from numpy.typing import NDArray
 
 from arm_emulator.analysis.reference import reference
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.bare import BARE
 from bench.measure import Task, Timing, interleaved, progress

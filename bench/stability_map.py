@@ -12,7 +12,8 @@ import pinocchio as pin
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from arm_emulator.analysis.reference import links_model
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.measure import compile_all, side_by_side
 from bench.motion import Array, sines

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.analysis.reference import reference
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.bare import BARE
 from bench.measure import (

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from arm_emulator.analysis.stability import explain
-from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.session import EndOfTime, Phase, Session
 from arm_emulator.ros.node_shell import NANOSECONDS, STATE_PUB_QOS, Diagnostics, stamp
 from arm_emulator_msgs.msg import EmulatorStatus

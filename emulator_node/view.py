@@ -55,7 +55,7 @@ class View:
             state.gear_torque,
             state.current,
             session.voltage,
-            (state.encoder_counts + 0.5) * session.plant.link_angle_per_count,
+            (session.measured.encoder_counts + 0.5) * session.plant.link_angle_per_count,
             [getattr(session.measured, one.name) for one in self._shown],
         )
 

@@ -23,7 +23,7 @@ import numpy as np
 import yaml
 
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene, load_scene
 from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Rng, run

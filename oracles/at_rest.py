@@ -27,7 +27,8 @@ from arm_emulator.analysis.reference import links_model
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 
 SHIPPED = ("three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300")

@@ -27,13 +27,14 @@ from typing import Any
 import numpy as np
 import yaml
 
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.known import EXTRAS, GEARS, MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from oracles.random_chain import moving_joints, random_chain_urdf
 

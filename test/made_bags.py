@@ -50,7 +50,7 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
                     tick=session.tick,
                     joint_names=names,
                     powered=session.powered,
-                    encoder_counts=session.state.encoder_counts,
+                    encoder_counts=session.measured.encoder_counts,
                     current=session.state.current,
                     voltage=session.voltage,
                 ),

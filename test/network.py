@@ -329,10 +329,10 @@ def bits_of(encoder_counts: Any, current: Any) -> bytes:
 def offline_states(run: OfflineRun, ticks: int) -> dict[int, bytes]:
     """Return what `User.motor_states` records, of a run without a network, up to a tick."""
     session = run.session
-    states = {session.tick: bits_of(session.state.encoder_counts, session.state.current)}
+    states = {session.tick: bits_of(session.measured.encoder_counts, session.measured.current)}
     while session.tick < ticks:
         run.advance(1)
-        states[session.tick] = bits_of(session.state.encoder_counts, session.state.current)
+        states[session.tick] = bits_of(session.measured.encoder_counts, session.measured.current)
     return states
 
 

@@ -33,7 +33,8 @@ from arm_emulator.cli.recorded_commands import read_commands
 from arm_emulator.cli.tune import tune
 from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.identification.fitted_scene import write_fitted
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from bench.advice import CLASSES, judge_scene
 from oracles.event_reference import reference_with_events

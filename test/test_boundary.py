@@ -22,7 +22,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build import library_cache
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.compiler import compile_ahead
-from arm_emulator.machine.plant import Diverged, Plant, PlantState
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene, load_scene
 
 MACHINES = some([0, 1, 3, 4, 2, 5, 6, 7], 3)  # their seeds
@@ -141,7 +143,6 @@ def test_a_state_that_is_set_is_the_state(drawn: tuple[Scene, np.random.Generato
         q=q,
         v=v,
         gear_torque=np.zeros(N),
-        encoder_counts=np.zeros(N, np.int64),
     )
     move(plant, random_motion(rng, N), at_once)  # whatever its past
     t = plant.t
@@ -156,7 +157,7 @@ def test_a_state_that_is_set_is_the_state(drawn: tuple[Scene, np.random.Generato
     counts_per_rad = np.array([joint.counts_per_turn for joint in scene.joints]) / (2 * math.pi)
     plain = [joint.encoder is None or joint.encoder.plain for joint in scene.joints]
     counts = np.floor(now.theta_m * counts_per_rad)
-    np.testing.assert_array_equal(now.encoder_counts[plain], counts[plain])
+    np.testing.assert_array_equal(plant.measured.encoder_counts[plain], counts[plain])
 
     kept, one = plant.save(), np.eye(N)[0]
     wrong = [
@@ -221,7 +222,7 @@ def test_a_client_in_c_gets_the_bits_of_python(tmp_path: Path) -> None:
         plant.exchange(np.array([1.0, 2.0, 3.0]) * (k % 7 - 3), k)
     for line, joint in zip(told, scene.joints, strict=False):
         assert line == f"{joint.name} {joint.counts_per_turn / (2 * math.pi):.17g}"
-    pairs = zip(plant.state.encoder_counts, plant.state.current, strict=True)
+    pairs = zip(plant.measured.encoder_counts, plant.measured.current, strict=True)
     expected = f"{ticks} " + " ".join(f"{counts} {current:.17g}" for counts, current in pairs)
     first, again = told[3:]
     assert first == expected, "tick, counts, currents"

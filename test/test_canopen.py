@@ -23,7 +23,8 @@ from arm_emulator.doors.fieldbus.canopen_node import Frame, State
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
 from arm_emulator.doors.fieldbus.drives import CANOPEN, Aborted, Drives, dictionary
 from arm_emulator.doors.fieldbus.eds import eds
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
 

@@ -19,7 +19,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command_line import main
 from arm_emulator.doors.fieldbus.drives import CANOPEN, ETHERCAT, Aborted, Drives, Entry, dictionary
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.servo.servo import Servo, load_servo_config
 

@@ -31,7 +31,7 @@ def worst_error(scene: Scene, seed: int) -> float:
     shape = (STATES, len(scene.joints))
     q, v = rng.uniform(-np.pi, np.pi, shape), rng.normal(0.0, 3.0, shape)
     tau = rng.normal(0.0, 30.0, shape)
-    a = plant.link_accelerations(q, v, tau)
+    a = plant.links.accelerations(q, v, tau)
     expected = np.array([oracle.aba(*row) for row in zip(q, v, tau, strict=True)])
     error = np.linalg.norm(a - expected, axis=1) / np.linalg.norm(expected, axis=1)
     return float(error.max())
@@ -76,7 +76,7 @@ def test_payload_is_a_body_at_the_tool(tmp_path: Path) -> None:
     oracle.data = oracle.model.createData()
     q, v, tau = rng.normal(size=(3, 2))
     expected = oracle.aba(q, v, tau)
-    got = plant.link_accelerations(q, v, tau)
+    got = plant.links.accelerations(q, v, tau)
     assert got == pytest.approx(expected, rel=TOLERANCE), "accelerations with a payload"
 
 
@@ -96,7 +96,7 @@ def test_locked_joints_hold_their_position(tmp_path: Path, seed: int) -> None:
     reduced.model = pin.buildReducedModel(oracle.model, places, at)
     reduced.data = reduced.model.createData()
     expected = pytest.approx(reduced.aba(q, v, tau), rel=TOLERANCE)
-    assert Plant(scene).link_accelerations(q, v, tau) == expected, "accelerations by the core"
+    assert Plant(scene).links.accelerations(q, v, tau) == expected, "accelerations by the core"
     assert Oracle(scene).aba(q, v, tau) == expected, "accelerations by the tests' oracle"
 
 

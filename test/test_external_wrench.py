@@ -17,9 +17,10 @@ from scipy.integrate import solve_ivp
 from arm_emulator.analysis.reference import ROWS, ReferenceMachine
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench
 from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 
@@ -123,12 +124,12 @@ def test_links_accelerate_as_in_pinocchio(tmp_path: Path) -> None:
         machine.wrenches = drawn_wrenches(rng, scene, 20.0)
         push(plant, machine.wrenches)
         q, v, tau = rng.normal(0.0, 1.0, (3, 3))
-        a = plant.link_accelerations(q, v, tau)
+        a = plant.links.accelerations(q, v, tau)
         expected = pin.aba(machine.model, machine.data, q, v, tau + machine.torques(q))
         np.testing.assert_allclose(a, expected, rtol=1e-9, atol=1e-8, err_msg="accelerations")
     plant.reset()
     assert set(plant.external_wrenches.values()) == {ExternalWrench()}, "after a reset"
-    a = plant.link_accelerations(q, v, tau)
+    a = plant.links.accelerations(q, v, tau)
     expected = pin.aba(machine.model, machine.data, q, v, tau)
     np.testing.assert_allclose(a, expected, rtol=1e-9, atol=1e-8, err_msg="after a reset")
 

@@ -15,8 +15,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.library_cache import CACHE_VARIABLE
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.compiler import compile_ahead
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.fleet import Fleet
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from oracles.random_machines import machine
 
@@ -268,7 +269,7 @@ def refusals() -> Iterator[tuple[str, Any, str]]:
     yield "far", lambda s: Fleet(s, 2, q=all_joints(s, 1e300)), "q must be at most"
     yield "v", lambda s: Fleet(s, 2, v=all_joints(s, np.inf)), "v must be finite"
     yield "voltage", lambda s: Fleet(s, 2).advance(all_joints(s, np.nan), 1), "must be finite"
-    yield "shape", lambda s: Fleet(s, 2).run(np.zeros((4, 3, 3)), 1), "voltages must have shape"
+    yield "shape", lambda s: Fleet(s, 2).run(np.zeros((4, 3, 3)), 1), "commands must have shape"
     yield "words", lambda s: Fleet(s, 2).run("fast", 1), "must be numbers"
     yield "steps", lambda s: Fleet(s, 2).run([all_joints(s, 0.0)], -1), "steps must be >= 0"
     yield "arm", lambda s: Fleet(s, 2)[2], "arm must be at most 1"

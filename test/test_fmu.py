@@ -72,7 +72,7 @@ def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
     state, measured = plant.state, plant.measured
     told: dict[str, Any] = {name: getattr(measured, name) for name in MEASURED}
     told |= {
-        "encoder_counts": state.encoder_counts,
+        "encoder_counts": measured.encoder_counts,
         "current_d": plant.current_d,
         "applied": plant.voltage,
         "powered": plant.powered,
@@ -304,7 +304,7 @@ def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
             held = inputs if time > ticks * period + rounding else None
         if k % 7 and k < len(lengths) - 1:
             continue
-        now = {"encoder_counts": plant.state.encoder_counts, "truth.q": plant.state.q,
+        now = {"encoder_counts": plant.measured.encoder_counts, "truth.q": plant.state.q,
                "truth.v": plant.state.v, "applied": plant.voltage}  # fmt: skip
         for name, value in now.items():
             assert np.array_equal(one.get(name), value), (name, k, float(time))

@@ -11,7 +11,8 @@ import pytest
 from draws import FULL, some
 
 from arm_emulator.analysis.stability import SmallMotions, attempts, what_holds
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.hard_cases import (
     CASES,

@@ -19,7 +19,8 @@ from scipy.linalg import expm
 from arm_emulator.analysis.reference import reference
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import check_joints
 from arm_emulator.servo.servo_config import load_servo_config

@@ -527,8 +527,8 @@ class Experiment:
             self.tick(q)
 
     def tick(self, q_target: np.ndarray) -> None:
-        state = self.plant.state
-        voltage = self.servo.update(state.encoder_counts, state.current, q_target)
+        measured = self.plant.measured
+        voltage = self.servo.update(measured.encoder_counts, measured.current, q_target)
         self.plant.advance(voltage, self.plant.scene.steps_per_period)
 
     def deviations(self, target: Pose, instructions: int) -> Iterator[np.ndarray]:
@@ -536,7 +536,7 @@ class Experiment:
         for _ in range(instructions + 1):
             state = self.plant.state
             yield self.controller.kinematics.tool_error(state.q, target)
-            q = (state.encoder_counts + 0.5) * self.count_angle
+            q = (self.plant.measured.encoder_counts + 0.5) * self.count_angle
             q_target = self.controller.update(q, target).q
             for _ in range(self.cycle):
                 self.tick(q_target)

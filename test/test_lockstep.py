@@ -291,10 +291,10 @@ def test_free_run_ends_with_the_first_answer(tmp_path: Path) -> None:
         scene = load_scene("three_axis")
         plant = Plant(scene)
         plant.advance([0.0] * 3, scene.steps_per_period * tick)
-        expected = bits_of(plant.state.encoder_counts, plant.state.current)
+        expected = bits_of(plant.measured.encoder_counts, plant.measured.current)
         assert user.motor_states()[tick] == expected
         plant.advance([1.0, 2.0, 3.0], scene.steps_per_period)
-        expected = bits_of(plant.state.encoder_counts, plant.state.current)
+        expected = bits_of(plant.measured.encoder_counts, plant.measured.current)
         assert user.motor_states()[tick + 1] == expected
         # The same answer once more is no fault; another one to a tick that was left is.
         again = MotorCommand(tick=tick, joint_names=elbow_first, voltage=volts)

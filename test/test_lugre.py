@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator.analysis.advice import ORDERS
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, load_scene
 
 PERIOD = 1e-2  # s, over which a voltage is held

@@ -428,7 +428,7 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
     )
     run.instructor.add_path(run.controller, poses, SECOND // 2)
     for tick in range(900):
-        state = run.session.state
+        state = run.session.measured
         bits = np.asarray(state.encoder_counts, dtype=np.int64).tobytes() + state.current.tobytes()
         assert nodes.states[tick] == bits, f"the first other bit at tick {tick}"
         run.advance(1)

@@ -153,4 +153,4 @@ def test_encoder_counts_are_the_floor_of_the_motor_angle(tmp_path: Path) -> None
     plant = Plant(load_scene(file))
     for turns, counts in ((0.0, 0), (0.0015, 1), (-0.0005, -1), (-2.5004, -2501)):
         plant.reset(q=[turns * 2 * np.pi * 0.01])
-        assert plant.state.encoder_counts[0] == counts, f"counts after {turns} motor turns"
+        assert plant.measured.encoder_counts[0] == counts, f"counts after {turns} motor turns"

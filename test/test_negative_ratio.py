@@ -120,8 +120,10 @@ def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> Non
     session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
     goal = scene.start + np.array([0.1, -0.1, 0.2])
     for tick in range(3000):
-        state = session.state
-        drives.measure(session.logical_ns, state.encoder_counts, state.current, session.voltage)
+        measured = session.measured
+        drives.measure(
+            session.logical_ns, measured.encoder_counts, measured.current, session.voltage
+        )
         drives.aim(Target(goal))
         session.offer(tick, scene.joint_names, drives.voltage(powered=True).tolist())
         session.advance()

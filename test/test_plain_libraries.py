@@ -177,9 +177,9 @@ def test_arrays_that_are_none_change_nothing(plant: Plant, controller: JacobianC
         lambda x: plant.run([x], 1),
         lambda x: plant.put("here", {"q": x}),
         lambda x: plant.put("here", {"v": good, "current": x}),
-        lambda x: plant.link_accelerations(x, good, good),
-        lambda x: plant.link_accelerations(good, x, good),
-        lambda x: plant.link_accelerations(good, good, x),
+        lambda x: plant.links.accelerations(x, good, good),
+        lambda x: plant.links.accelerations(good, x, good),
+        lambda x: plant.links.accelerations(good, good, x),
         lambda x: loop.command(0, x),
         lambda x: servo.observe(x, good),
         lambda x: servo.observe(counts, x),
@@ -219,9 +219,9 @@ def test_shapes_that_do_not_fit_together_are_refused(plant: Plant) -> None:
         shapes = [(int(rng.integers(0, 5)), N) if rng.random() < 0.8 else (N,) for _ in range(3)]
         q, v, tau = (np.zeros(shape) for shape in shapes)
         if len(set(shapes)) == 1:
-            assert plant.link_accelerations(q, v, tau).shape == shapes[0]
+            assert plant.links.accelerations(q, v, tau).shape == shapes[0]
         else:
-            refused(plant.link_accelerations, q, v, tau)
+            refused(plant.links.accelerations, q, v, tau)
 
 
 @pytest.mark.parametrize("exponent", [7, 20, 100, 200, 308])
@@ -230,7 +230,7 @@ def test_numbers_too_large_are_refused_or_lead_to_finite_ones(exponent: int, pla
     for _ in range(50):
         q, v, tau = rng.uniform(-1.7, 1.7, (3, N)) * 10.0 ** (exponent * rng.integers(0, 2, (3, 1)))
         try:
-            assert np.isfinite(plant.link_accelerations(q, v, tau)).all()
+            assert np.isfinite(plant.links.accelerations(q, v, tau)).all()
         except Refusal:
             pass
         try:

@@ -10,7 +10,8 @@ import pytest
 from machines import one_link_urdf, write_scene
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, load_scene
 
 
@@ -74,14 +75,14 @@ def test_two_plants_do_not_share_anything() -> None:
 @pytest.mark.parametrize(
     ("voltage", "words"),
     [
-        ([1.0, 2.0], r"Plant.advance: voltage must have shape \(3,\), got \(2,\)"),
-        ([1.0, np.nan, 0.0], r"Plant.advance: voltage must be finite \[V\], got .*nan"),
-        ([1.0, np.inf, 0.0], r"voltage must be finite \[V\]"),
-        (np.array([1.0, np.nan, 0.0]), r"voltage must be finite \[V\]"),
-        (["a", "b", "c"], r"voltage must be numbers \[V\]"),
-        ([1.0, None, 0.0], r"voltage must be numbers \[V\]"),
-        (np.array([1.0, 2.0j, 0.0]), r"voltage must be numbers \[V\]"),
-        (np.zeros((3, 1)), r"voltage must have shape \(3,\), got \(3, 1\)"),
+        ([1.0, 2.0], r"Plant.advance: command must have shape \(3,\), got \(2,\)"),
+        ([1.0, np.nan, 0.0], r"Plant.advance: command of shoulder must be finite, got nan"),
+        ([1.0, np.inf, 0.0], r"command of shoulder must be finite, got inf"),
+        (np.array([1.0, np.nan, 0.0]), r"command of shoulder must be finite, got nan"),
+        (["a", "b", "c"], r"command must be numbers \[V, N m or A\]"),
+        ([1.0, None, 0.0], r"command must be numbers \[V, N m or A\]"),
+        (np.array([1.0, 2.0j, 0.0]), r"command must be numbers \[V, N m or A\]"),
+        (np.zeros((3, 1)), r"command must have shape \(3,\), got \(3, 1\)"),
     ],
 )
 def test_bad_voltages_change_nothing(plant: Plant, voltage: Any, words: str) -> None:

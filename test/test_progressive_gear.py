@@ -19,9 +19,10 @@ from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import CORE
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import FLAGS
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.parts.gear import RigidGear
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 

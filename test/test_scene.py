@@ -47,7 +47,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"supply_voltage": 1e9}, "supply_voltage must be <= 100000 V"),
     ({"gravity": [0, 0]}, "gravity must be 3 numbers of at most 1000 [m/s2], got [0, 0]"),
     ({"gravity": [0, 0, float("nan")]}, "gravity must be 3 numbers"),
-    ({"payload.mass": -1}, "payload.mass must be > 0 kg, got -1"),
+    ({"payload.mass": -1}, "payload.mass must be >= 0 kg, got -1"),
     ({"payload": {"mass": 1, "inertia": [1, 1, 0, 0, 0, 0]}}, "payload.inertia must be positive definite"),
     ({"integrator.scheme": "magic"}, "integrator.scheme must be one of the known, got 'magic'; valid: rosenbrock, extrapolated, implicit, paper"),
     ({"integrator.dt": 3e-4}, "integrator.dt must divide the servo period of 0.001 s, got 0.0003; valid: 0.00025 s"),

@@ -379,5 +379,5 @@ def test_the_reference_knows_the_payload_as_the_core_does() -> None:
     q, v, tau = np.random.default_rng(2).normal(size=(3, 3))
     expected = pin.aba(model, model.createData(), q, v, tau)
     # As in test_dynamics.py.
-    got = Plant(one).link_accelerations(q, v, tau)
+    got = Plant(one).links.accelerations(q, v, tau)
     assert got == pytest.approx(expected, rel=1e-10), "accelerations with a payload"

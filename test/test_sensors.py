@@ -18,10 +18,12 @@ from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.tuned import run
 from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.outputs import ALWAYS, KNOWN
-from arm_emulator.machine.plant import Diverged, Plant, PlantState
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
@@ -541,7 +543,8 @@ def test_lanes_of_a_fleet_measure_as_single_arms(scene: Scene) -> None:
     alike.run(voltages[:, 0], steps)
     assert same(alike[0].measured, alike[1].measured), "equal arms with equal seeds"
     np.testing.assert_array_equal(
-        fleets[0].state.encoder_counts, [fleets[0][k].measured.encoder_counts for k in range(count)]
+        fleets[0].measured.encoder_counts,
+        [fleets[0][k].measured.encoder_counts for k in range(count)],
     )
 
 

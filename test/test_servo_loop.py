@@ -324,13 +324,15 @@ def test_how_still_a_link_stands_is_predicted(seed: int, counts: int) -> None:
     session, drives = Session(scene, "lockstep", "first_answer"), Drives(servo)
     target, rows, ticks = scene.start + rng.uniform(-0.01, 0.01, 6), [], 5000
     for tick in range(ticks):
-        state = session.state
-        drives.measure(session.logical_ns, state.encoder_counts, state.current, session.voltage)
+        measured = session.measured
+        drives.measure(
+            session.logical_ns, measured.encoder_counts, measured.current, session.voltage
+        )
         drives.aim(Target(target))
         session.offer(tick, scene.joint_names, drives.voltage(powered=True).tolist())
         session.advance()
         if tick >= ticks - 2000:
-            rows.append(state.q)
+            rows.append(session.state.q)
     counts_swung = np.ptp(np.array(rows), axis=0) / [joint.count_angle for joint in servo.joints]
     for j in range(3):  # the large joints; the wrists are moved by them
         joint = scene.joints[j]
@@ -401,8 +403,10 @@ def swing_of(scene: Scene, servo: ServoConfig, ticks: int, kick: float) -> np.nd
     out = np.empty(ticks)
     order = [servo.joint_names.index(name) for name in scene.joint_names]
     for tick in range(ticks):
-        state = session.state
-        drives.measure(session.logical_ns, state.encoder_counts, state.current, session.voltage)
+        measured = session.measured
+        drives.measure(
+            session.logical_ns, measured.encoder_counts, measured.current, session.voltage
+        )
         drives.aim(Target(scene.start[order]))
         V = drives.voltage(powered=True)
         if tick == ticks // 8:

@@ -17,7 +17,8 @@ from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.flags import SHARED
 from arm_emulator.core import CORE
 from arm_emulator.machine.compiler import FLAGS
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.scene_unit import scene_unit

@@ -15,7 +15,8 @@ from machines import MOTOR, Oracle, moving_joints, random_chain_urdf, write_scen
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.compiler import library_of
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 
 ALL = ["payload.mass", "joints.*.motor.*", "joints.*.gear.*", "joints.*.friction.*"]
@@ -218,7 +219,7 @@ def test_varied_links_move_as_those_of_the_urdf_that_has_them(tmp_path: Path) ->
         plant.set_parameter(one.name, one.value)
     q, v, tau = rng.normal(size=(3, 50, 3))
     expected = np.array([oracle.aba(*row) for row in zip(q, v, tau, strict=True)])
-    got = plant.link_accelerations(q, v, tau)
+    got = plant.links.accelerations(q, v, tau)
     # As in test_dynamics.py.
     np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-10, err_msg="accelerations")
     plant.reset(q[0], v[0])

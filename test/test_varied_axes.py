@@ -17,10 +17,11 @@ from draws import FULL, some
 from machines import Oracle, write_scene
 
 from arm_emulator.machine.chain import Body, ChainJoint, Frame, frame_of
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.parts.current_loop import CurrentLoop
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.varied_body import AXES, NAMES, TENSOR, expressions, numbers_of, of_child
 from oracles.mixtures import STEPS, commands, push, write_mixture
@@ -125,7 +126,7 @@ def test_varied_links_on_skewed_axes_are_those_of_pinocchio(seed: int, tmp_path:
         plant.set_parameter(one.name, one.value)
     q, v, tau = rng.normal(size=(3, 50, len(scene.joints)))
     expected = np.array([oracle.aba(*row) for row in zip(q, v, tau, strict=True)])
-    got = plant.link_accelerations(q, v, tau)
+    got = plant.links.accelerations(q, v, tau)
     # As in test_dynamics.py.
     np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-10, err_msg="accelerations")
     plant.reset(q[0], v[0])

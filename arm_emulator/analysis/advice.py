@@ -27,7 +27,8 @@ from arm_emulator.analysis.true_motion import (
 )
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import EVENTS, SCHEMES, Scene, odds
 
 ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}

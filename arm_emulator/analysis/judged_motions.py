@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 
 SECONDS = 1.0
@@ -107,7 +108,7 @@ class Leader:
         """Return M with rotors (N, N) and what the joints need to go on evenly (N,)."""
         N = len(q)
         at, torques = np.tile(q, (N + 1, 1)), np.vstack([np.zeros(N), np.eye(N)])
-        a = self._plant.link_accelerations(at, np.tile(v, (N + 1, 1)), torques)
+        a = self._plant.links.accelerations(at, np.tile(v, (N + 1, 1)), torques)
         M = np.linalg.inv((a[1:] - a[0]).T)
         return M + np.diag(self._rotors), -M @ a[0]
 

@@ -16,8 +16,9 @@ import numpy as np
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Integrator, Scene
 
 GAMMA = 1.0 - math.sqrt(0.5)  # of rosenbrock and extrapolated
@@ -62,8 +63,8 @@ class SmallMotions:
         holding = np.tile(torques, (N, 1))
         step = 1e-5  # rad: the difference is good to 1e-10 of the second derivative
         sag = (
-            plant.link_accelerations(at + step * unit, zero, holding)
-            - plant.link_accelerations(at - step * unit, zero, holding)
+            plant.links.accelerations(at + step * unit, zero, holding)
+            - plant.links.accelerations(at - step * unit, zero, holding)
         ).T / (2.0 * step)
 
         # D z' = F (z, q, v, u) and torque = G (z, q, v, u), all drives in one.
@@ -220,8 +221,8 @@ def at_rest(plant: Plant, q: Array) -> tuple[Array, Array]:
     """Return the inverse of the links' mass matrix at q (N, N), and what holds them there (N,)."""
     N = len(plant.scene.joints)
     zero, unit = np.zeros((N, N)), np.eye(N)
-    fall = plant.link_accelerations(q, zero[0], zero[0])
-    M_inverse: Array = (plant.link_accelerations(np.tile(q, (N, 1)), zero, unit) - fall).T
+    fall = plant.links.accelerations(q, zero[0], zero[0])
+    M_inverse: Array = (plant.links.accelerations(np.tile(q, (N, 1)), zero, unit) - fall).T
     return M_inverse, np.linalg.solve(M_inverse, -fall).astype(np.float64)
 
 

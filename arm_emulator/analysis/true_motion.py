@@ -20,7 +20,8 @@ import numpy as np
 
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Integrator, Scene
 
 # Differences that fall by less from a step to its half do not show where they lead to.

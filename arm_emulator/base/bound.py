@@ -14,9 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.given import FloatArray, as_numbers
 from arm_emulator.base.refusal import Refusal
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Bound:
@@ -73,13 +72,7 @@ class Bound:
         Raises:
             Refusal: something that is no number.
         """
-        if isinstance(values, np.ndarray) and values.dtype == np.float64:
-            return values
-        try:
-            return np.asarray(values).astype(np.float64, casting="same_kind")
-        except (TypeError, ValueError, OverflowError):
-            rule = f"be numbers{self._in_unit()}"
-            raise Refusal(where, self.quantity, rule, values) from None
+        return as_numbers(values, where, self.quantity, self.unit)
 
     def _in_unit(self) -> str:
         return f" [{self.unit}]" if self.unit else ""

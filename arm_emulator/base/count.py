@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
@@ -10,16 +12,21 @@ LARGEST = 2**63 - 1  # what the core counts with
 
 
 def check_count(
-    where: str, quantity: str, value: int, least: int = 0, largest: int = LARGEST
-) -> None:
-    """Raise unless a value is a whole number from `least` to `largest`.
+    where: str, quantity: str, value: object, least: int = 0, largest: int = LARGEST
+) -> int:
+    """Return a whole number from `least` to `largest`, of Python's or NumPy's, as Python's.
 
     Raises:
-        Refusal: see above.
+        Refusal: it is something else.
     """
-    if not isinstance(value, int | np.integer) or isinstance(value, bool):
-        raise Refusal(where, quantity, "be a whole number", repr(value))
-    if value < least:
-        raise Refusal(where, quantity, f"be >= {least}", value)
-    if value > largest:
-        raise Refusal(where, quantity, f"be at most {largest:g}", value)
+    try:
+        if isinstance(value, bool | np.bool_):
+            raise TypeError
+        count = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise Refusal(where, quantity, "be a whole number", repr(value)) from None
+    if count < least:
+        raise Refusal(where, quantity, f"be >= {least}", count)
+    if count > largest:
+        raise Refusal(where, quantity, f"be at most {largest:g}", count)
+    return count

@@ -1,5 +1,8 @@
 """Refusals: the one way in which every part of the emulator rejects an input."""
 
+import copyreg
+from typing import Any
+
 
 class Refusal(ValueError):
     """An input that is not taken, with the reason in one line.
@@ -26,6 +29,10 @@ class Refusal(ValueError):
         line = f"{_one_line(where, 120, of_end=True)}: {_one_line(quantity, 200)} must "
         line += f"{_one_line(rule, 300)}, got {_one_line(got, 80)}"
         super().__init__(line if valid is None else f"{line}; valid: {_one_line(valid, 500)}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # As it stands: a worker process hands it over, and `args` are not those of `__init__`.
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 def _one_line(value: object, longest: int, *, of_end: bool = False) -> str:

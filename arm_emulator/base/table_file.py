@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arm_emulator.base.bound import FloatArray
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_text
 

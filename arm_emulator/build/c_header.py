@@ -113,9 +113,9 @@ class Header:
             setattr(struct, name, value)
         return struct
 
-    def rows(self, kind: str, count: int) -> npt.NDArray[Any]:
+    def rows(self, kind: str, *shape: int) -> npt.NDArray[Any]:
         """Return a new array of structs, all zeros."""
-        return np.zeros(count, self.dtype(kind))
+        return np.zeros(shape, self.dtype(kind))
 
     def dtype(self, kind: str) -> np.dtype[Any]:
         """Return a struct as numpy has it."""

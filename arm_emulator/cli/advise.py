@@ -22,7 +22,7 @@ from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.recorded_commands import read_commands
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.design.integrator_text import write_integrator
-from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import load_gains

@@ -10,7 +10,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.check_bag import read_topics
 from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.identification.read_run import run_of
-from arm_emulator.machine.plant import link_angle_per_count
+from arm_emulator.machine.plant_state import link_angle_per_count
 from arm_emulator.machine.scene import Scene
 from arm_emulator.ros.bag import Bag
 

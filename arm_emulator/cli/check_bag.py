@@ -28,7 +28,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.checked import Tally
 from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.machine.plant import SET, Plant
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import SET
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
 from arm_emulator.ros.bag import Bag

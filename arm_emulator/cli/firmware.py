@@ -21,7 +21,7 @@ from arm_emulator.cli.run import ctrl_c_ends_at_once, tell, ticks_of
 from arm_emulator.doors.microcontroller.board import Board, load_board
 from arm_emulator.doors.microcontroller.elf_image import ElfImage
 from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
-from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.table_run import TableRun, off_target
 from arm_emulator.runs.target_table import load_target_table

@@ -19,7 +19,7 @@ from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
-from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import END_OF_TIME, Session
 from arm_emulator.motion.pose import Pose

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.parts.end_stops import EndStops
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 
 HOLD = 1.0  # s, for which the arm is left alone without power

@@ -79,8 +79,8 @@ def link_inertias(scenes: list[Scene]) -> list[Range]:
         zero, unit = np.zeros((N, N)), np.eye(N)
         for q in poses(scene, POSES):
             at = np.tile(q, (N, 1))
-            fall = plant.link_accelerations(q, zero[0], zero[0])
-            M_inverse = (plant.link_accelerations(at, zero, unit) - fall).T
+            fall = plant.links.accelerations(q, zero[0], zero[0])
+            M_inverse = (plant.links.accelerations(at, zero, unit) - fall).T
             least.append(1.0 / np.diag(M_inverse))
             most.append(np.diag(np.linalg.inv(M_inverse)))
     low, high = np.min(least, axis=0), np.max(most, axis=0)

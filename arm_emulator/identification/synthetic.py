@@ -82,8 +82,8 @@ def _gains(scene: Scene) -> tuple[Array, Array]:
     plant = Plant(scene)
     N, q = len(scene.joints), scene.start
     at_rest = np.zeros(N)
-    base = plant.link_accelerations(q, at_rest, at_rest)
-    inverse = [plant.link_accelerations(q, at_rest, row) - base for row in np.eye(N)]
+    base = plant.links.accelerations(q, at_rest, at_rest)
+    inverse = [plant.links.accelerations(q, at_rest, row) - base for row in np.eye(N)]
     carried = [getattr(joint.motor, "rotor_inertia", 0.0) / joint.gear.ratio**2
                for joint in scene.joints]  # fmt: skip
     inertia = np.diag(np.linalg.inv(np.array(inverse))) + np.array(carried)

@@ -25,5 +25,4 @@ PLACES = {
     "theta_m": "motor_angle",
     "omega_m": "motor_speed",
     "t": "time",
-    "encoder_counts": "encoder",
 }

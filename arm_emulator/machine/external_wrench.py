@@ -71,7 +71,7 @@ def on_moving_link(
 
 def _frame_of(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
     for index, joint in enumerate(scene.chain.joints):
-        if link in joint.links:
+        if isinstance(link, str) and link in joint.links:
             return index, joint.links[link]
     known = [name for joint in scene.chain.joints for name in joint.links]
     raise Refusal(where, "link", "be one that moves", link, ", ".join(known))

@@ -2,43 +2,47 @@
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.count import check_count
+from arm_emulator.base.given import as_flag, as_numbers
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import pointer
+from arm_emulator.build.c_header import CData, pointer
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import fleet_library_of
-from arm_emulator.machine.core_calls import FLEET, PLACES
+from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant import (
     LARGEST_STEPS,
     PIECE,
-    ROWS,
     Borrowed,
-    Diverged,
+    Commands,
     Plant,
-    as_numbers,
-    check_start,
+    by_joint,
+    commands_of,
     options_of,
+    refusal_of,
 )
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant_state import ROWS, check_start
+from arm_emulator.machine.scene import Scene, scene_of
+from arm_emulator.machine.shares import Shares
+from arm_emulator.machine.turns import Turns, in_turn
+from arm_emulator.machine.varied import varied_number
 
-SHARES_OF_WORKER = 4
-WORTH_A_THREAD = 5000  # steps of arms in one call; fewer take no longer than it takes to share them
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
 
 
 @dataclass(frozen=True)
 class FleetState:
-    """States of all arms: a row each, and in a row the joints, base to tool."""
+    """True states of all arms: a row each, and in a row the joints, base to tool."""
 
     t: Array  # (count,) s; arms that have diverged stay where they are
     energy: Array  # (count,) J
@@ -48,21 +52,23 @@ class FleetState:
     q: Array  # rad or m, link side
     v: Array  # rad/s or m/s, link side
     gear_torque: Array  # N m or N, on the link
-    encoder_counts: NDArray[np.int64]  # (count, N), at the motor, as the encoders tell them
 
 
-class Fleet:
+class Fleet(Turns):
     """Arms of one structure. They know nothing of each other: each moves as a `Plant` alone.
 
     In lanes of vector registers they take the same steps at the same time, which rounds otherwise
     than a single arm's: after a step they differ by some 1e-16 of their size.
+
+    `measured` is what the sensors give and a controller may know; `state` is the truth. Copies,
+    forks and threads: as of a `Plant`. ``fleet[k]`` is one of the arms, and a `Plant`.
 
     Attributes:
         scene: of all arms.
         lanes: arms that advance together; 1 for scenes with two threads or located events.
 
     Args:
-        scene: from `arm_emulator.machine.scene.load_scene`.
+        scene: from `load_scene`, or what that takes: a name or a file.
         count: of arms.
         varied: values of numbers that the scene lists as varied, by name: one for all arms, or one
             each (count,). The scene's own where none are given.
@@ -76,7 +82,7 @@ class Fleet:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | str | Path,
         count: int,
         *,
         varied: Mapping[str, ArrayLike] | None = None,
@@ -84,66 +90,114 @@ class Fleet:
         v: ArrayLike | None = None,
         workers: int | None = None,
     ) -> None:
-        check_count("Fleet", "count", count, 1, LARGEST_FLEET)
+        super().__init__()
+        self.scene = scene = scene_of(scene, "Fleet")
+        self._count = check_count("Fleet", "count", count, 1, LARGEST_FLEET)
+        self._N = N = len(scene.joints)
         if workers is None:
             workers = len(os.sched_getaffinity(0))
-        check_count("Fleet", "workers", workers, 1, 4096)
-        self.scene, self._count, self._N = scene, int(count), len(scene.joints)
+        workers = check_count("Fleet", "workers", workers, 1, 4096)
         self.core = fleet_library_of(scene)
         self.lanes = int(self.core.arm_fleet_lanes())
-        values = self._values(varied or {})
-        options = options_of(scene, values)
+        values = np.tile([one.value for one in scene.varied], (self._count, 1))
+        options = options_of(scene, np.ascontiguousarray(values, np.float64))
         self._fleet = self.core.arm_fleet_new(options, self._count)
-        groups = -(-self._count // self.lanes)
-        workers = min(workers, groups)
-        # More shares than workers: cores need not be equally fast.
-        shares = min(SHARES_OF_WORKER * workers if workers > 1 else 1, groups)
-        bounds = [groups * k // shares * self.lanes for k in range(shares + 1)]
-        self._shares = [
-            (first, min(end, self._count) - first) for first, end in itertools.pairwise(bounds)
-        ]
-        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
-        self.reset(q, v)
+        self._shares = Shares(self._count, self.lanes, workers)
+        self._commands = np.tile(commands_of(scene), (self._count, 1))
+        self._place = MeasuredPlace(scene, self._count)
+        self._powered = np.zeros(self._count, np.uint8)
+        self._measurement = FLEET.new(
+            "arm_fleet_measurement", powered=self._powered, **self._place.arrays
+        )
+        self._began = np.zeros((2, self._count, N))
+        self.reset(q=q, v=v, varied=varied)
 
     def __del__(self) -> None:
         fleet, self._fleet = getattr(self, "_fleet", None), None
         if fleet:
-            if self._pool:
-                self._pool.shutdown()
+            self._shares.end()
             self.core.arm_fleet_delete(fleet)
+
+    def __repr__(self) -> str:
+        return f"<Fleet of {self._count} {self.scene.name}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        with self._turn:
+            taken = self.save(), self._began.copy()
+        return _again, (self.scene, self._count, self._shares.workers, *taken)
+
+    def __copy__(self) -> Fleet:
+        make, arguments = self.__reduce__()
+        fleet: Fleet = make(*arguments)
+        return fleet
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Fleet:
+        return self.__copy__()
+
+    def _renew_threads(self) -> None:
+        self._shares.hire()
+        if self.scene.threads > 1:
+            for arm in range(self._count):
+                self.core.arm_begin_threads(self.core.arm_fleet_machine(self._fleet, arm))
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, arm: int) -> Plant:
         """Return one of the arms with all that a `Plant` can do; they share the state."""
-        check_count("Fleet", "arm", arm, -self._count, self._count - 1)
+        arm = check_count("Fleet", "arm", arm, -self._count, self._count - 1)
         machine = self.core.arm_fleet_machine(self._fleet, arm % self._count)
-        began = self._began[0][arm], self._began[1][arm]
+        began = self._began[0, arm].copy(), self._began[1, arm].copy()
         return Plant(self.scene, of=Borrowed(self, self.core, machine, began))
 
-    def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
-        """Put all arms at logical time 0, at rest behind their links; `q` and `v` as for `Fleet`.
+    def __iter__(self) -> Iterator[Plant]:
+        return (self[arm] for arm in range(self._count))
 
-        Raises:
-            Refusal: wrong shape, not finite, or too far away to be computed with; the states are as
-                before.
-        """
-        where = "Fleet.reset"
-        at = self._rows(self.scene.start if q is None else q, where, "q", "rad or m")
-        speed = self._rows(np.zeros(self._N) if v is None else v, where, "v", "rad/s or m/s")
-        check_start(where, self.scene, at, speed)
-        self._began = at.copy(), speed.copy()
-        for arm, (of_q, of_v) in enumerate(zip(at, speed, strict=True)):
-            machine = self.core.arm_fleet_machine(self._fleet, arm)
-            self.core.arm_reset(machine, pointer(of_q), pointer(of_v))
+    @in_turn
+    def reset(
+        self,
+        arms: ArrayLike | None = None,
+        *,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        varied: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        """Put arms at logical time 0, the motors along with the links.
 
-    def advance(self, voltage: ArrayLike, steps: int) -> Array:
-        """Take `steps` integration steps with the motor voltages held.
+        No current flows, and the gears carry no torque.
 
         Args:
-            voltage: (N,) for all arms or (count, N) [V], clamped to the supply; arms without
-                power get none of it.
+            arms: a mask (count,) or indices; None: all.
+            q: link positions, (N,) for all of these or a row each, or (count, N), of which the rows
+                of other arms are not read [rad or m]; the scene's start if None.
+            v: link speeds alike [rad/s or m/s]; zero if None.
+            varied: values of varied numbers by name, one for all of these or one each, or
+                (count,); those that are not named stay.
+
+        Raises:
+            Refusal: wrong shape, not finite, out of range or too far away to be computed with; the
+                arms are as before.
+        """
+        where, mask = "Fleet.reset", self._mask(arms, "Fleet.reset")
+        at = self._rows(self.scene.start if q is None else q, mask, where, "q", "rad or m")
+        speed = np.zeros(self._N) if v is None else v
+        speed = self._rows(speed, mask, where, "v", "rad/s or m/s")
+        check_start(where, self.scene, at[mask], speed[mask])
+        if not isinstance(varied, Mapping | None):
+            raise Refusal(where, "varied", "be values by name", varied)
+        columns = {n: self._column(where, n, values, mask) for n, values in (varied or {}).items()}
+        for name, column in columns.items():
+            self._set_parameter(name, column, mask)
+        self.core.arm_fleet_reset(self._fleet, _bytes(mask), pointer(at), pointer(speed))
+        self._began[0, mask], self._began[1, mask] = at[mask], speed[mask]
+
+    @in_turn
+    def advance(self, command: Commands, steps: int) -> Array:
+        """Take `steps` integration steps with the commands of the motors held.
+
+        Args:
+            command: (N,) for all arms or (count, N), or by names of all joints a number each or
+                (count,) [V, N m, A]; clamped as the drives do, and 0 without power.
             steps: of `scene.integrator.dt`, 0 to 1e15.
 
         Returns:
@@ -152,18 +206,46 @@ class Fleet:
         Raises:
             Refusal: wrong shape, not finite, or no such count; the states are as before.
         """
-        check_count("Fleet.advance", "steps", steps, 0, LARGEST_STEPS)
-        rows = self._rows(voltage, "Fleet.advance", "voltage", "V")[np.newaxis]
-        q: Array = self._run(rows, int(steps))[0]
+        where = "Fleet.advance"
+        steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
+        q: Array = self._run(self._as_commands(command, where)[np.newaxis], steps)[0]
         return q
 
-    def run(self, voltages: ArrayLike, steps: int) -> Array:
-        """Apply rows of voltages one after the other.
+    @in_turn
+    def exchange(
+        self, command: Commands, tick: int = -1, voltage_d: ArrayLike | None = None
+    ) -> None:
+        """Go through one servo period under commands that answer a tick, see `Plant.exchange`.
 
         An arm that diverges stays at its last sound state, and the others go on; see `diverged`.
 
         Args:
-            voltages: (K, N) for all arms or (K, count, N) [V].
+            command: as for `advance`.
+            tick: that they answer; -1: none.
+            voltage_d: (N,) or (count, N) [V], along the rotors' flux; 0 if None.
+
+        Raises:
+            Refusal: wrong shape or not finite; nothing has changed.
+        """
+        where = "Fleet.exchange"
+        rows, along = self._as_commands(command, where), None
+        tick = check_count(where, "tick", tick, -1)
+        if voltage_d is not None:
+            along = self._rows(voltage_d, None, where, "voltage_d", "V")
+        self._commands["value"] = rows
+        places = {"joint": self._commands} | ({} if along is None else {"value_d": along})
+        given, exchange = ARM.new("arm_command", tick=tick, **places), self.core.arm_fleet_exchange
+        worth = self._count * self.scene.steps_per_period
+        self._shares.do(worth, lambda *share: exchange(self._fleet, *share, given))
+
+    @in_turn
+    def run(self, commands: ArrayLike, steps: int) -> Array:
+        """Apply rows of commands one after the other.
+
+        An arm that diverges stays at its last sound state, and the others go on; see `diverged`.
+
+        Args:
+            commands: (K, N) for all arms or (K, count, N) [V, N m, A].
             steps: integration steps under each row, >= 0; with all rows at most 1e15.
 
         Returns:
@@ -173,38 +255,120 @@ class Fleet:
             Refusal: wrong shape, not finite, or no such count; the states are as before.
         """
         where, N = "Fleet.run", self._N
-        rows = as_numbers(voltages, where, "voltages", "V")
+        rows = as_numbers(commands, where, "commands", "V, N m or A")
         if rows.ndim == 2 and rows.shape[1] == N:
             rows = np.repeat(rows[:, np.newaxis], self._count, axis=1)
         if rows.ndim != 3 or rows.shape[1:] != (self._count, N):
             rule = f"have shape (K, {N}) or (K, {self._count}, {N})"
-            raise Refusal(where, "voltages", rule, rows.shape)
-        check_count(where, "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
-        return self._run(rows, int(steps))
+            raise Refusal(where, "commands", rule, rows.shape)
+        steps = check_count(where, "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
+        return self._run(rows, steps)
 
-    def set_parameter(self, name: str, values: ArrayLike) -> None:
-        """Set a varied number of all arms, to one value or one each (count,); see `Plant`.
+    @property
+    @in_turn
+    def powered(self) -> NDArray[np.bool_]:
+        """Whether the drives of each arm have power (count,); without it every command is 0.
+
+        It can be set, for all arms or for each.
+        """
+        self._measure()
+        return self._powered.astype(bool)
+
+    @powered.setter
+    def powered(self, on: bool | NDArray[np.bool_]) -> None:
+        if np.ndim(on) == 0:
+            on = np.full(self._count, as_flag(on, "Fleet", "powered"))
+        flags = np.asarray(on)
+        if flags.dtype != np.bool_ or flags.shape != (self._count,):
+            rule = f"be True or False, or ({self._count},) of them"
+            raise Refusal("Fleet", "powered", rule, on)
+        with self._turn:
+            self.core.arm_fleet_power(self._fleet, _bytes(flags))
+
+    @property
+    @in_turn
+    def measured(self) -> Measured:
+        """What the sensors of all arms measured at their newest ticks, as a copy.
+
+        As `Plant.measured`, with arrays (count, N).
+        """
+        self._measure()
+        return self._place.read()
+
+    def _measure(self) -> None:
+        self.core.arm_fleet_measure(self._fleet, self._measurement)
+
+    @property
+    @in_turn
+    def parameters(self) -> dict[str, Array]:
+        """The numbers that the scene lists as varied, by name, with each arm's value (count,)."""
+        values = {one.name: np.zeros(self._count) for one in self.scene.varied}
+        for name, column in values.items():
+            self.core.arm_fleet_get_parameter(self._fleet, name.encode(), pointer(column))
+        return values
+
+    @in_turn
+    def set_parameter(self, name: str, values: ArrayLike, *, arms: ArrayLike | None = None) -> None:
+        """Set a varied number; the motion goes on from where it is. A reset leaves it as it is.
+
+        Args:
+            name: of the number.
+            values: one for all of these arms, one each, or (count,).
+            arms: a mask (count,) or indices; None: all.
 
         Raises:
             Refusal: the scene does not list it as varied, wrong shape, or a value out of its range;
                 nothing has changed.
         """
-        column = self._column("Fleet.set_parameter", name, values)
-        for arm, value in enumerate(column):
+        where = "Fleet.set_parameter"
+        mask = self._mask(arms, where)
+        self._set_parameter(name, self._column(where, name, values, mask), mask)
+
+    def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
+        set_all = self.core.arm_fleet_set_parameter
+        set_all(self._fleet, _bytes(mask), name.encode(), pointer(column))
+
+    @in_turn
+    def save(self) -> bytes:
+        """Return all that decides how the arms go on, as bytes that may be kept."""
+        size = self._count * self.core.arm_saved_size()
+        saved = np.zeros(size, np.uint8)
+        self.core.arm_fleet_save(self._fleet, pointer(saved), size)
+        return saved.tobytes()
+
+    @in_turn
+    def restore(self, saved: bytes, *, arms: ArrayLike | None = None) -> None:
+        """Continue from what `save` of a fleet of as many arms has returned, to the last bit.
+
+        Args:
+            saved: of all arms.
+            arms: those that are restored: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: it is of another scene, core, count, step or servo period, or it was spoiled;
+                nothing has changed.
+        """
+        where, mask = "Fleet.restore", self._mask(arms, "Fleet.restore")
+        size = self._count * self.core.arm_saved_size()
+        if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
+            raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
+        if self.core.arm_fleet_restore(self._fleet, _bytes(mask), bytes(saved), size) == REFUSED:
+            arm = self.core.arm_fleet_refused(self._fleet)
             machine = self.core.arm_fleet_machine(self._fleet, arm)
-            self.core.arm_set_parameter(machine, name.encode(), float(value))
+            raise refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", "another one")
 
     @property
+    @in_turn
     def state(self) -> FleetState:
-        """The states now, as a copy. An arm's own can be set: ``fleet[k].state = ...``."""
-        count, N = self._count, self._N
-        counts = np.zeros((count, N), np.int64)
-        numbers = {name: np.zeros((count, N)) for name in ROWS}
-        of_arm = {name: np.zeros(count) for name in ("t", "energy")}
-        self._look(encoder_counts=counts, **numbers, **of_arm)
-        return FleetState(encoder_counts=counts, **numbers, **of_arm)
+        """The true states now, as a copy. An arm's own can be set: ``fleet[k].state = ...``."""
+        shape = self._count, self._N
+        numbers = {name: np.zeros(shape) for name in ROWS}
+        of_arm = {name: np.zeros(self._count) for name in ("t", "energy")}
+        self._look(**numbers, **of_arm)
+        return FleetState(**numbers, **of_arm)
 
     @property
+    @in_turn
     def faults(self) -> NDArray[np.int32]:
         """The joint at which each arm diverged (count,); -1: it goes on."""
         faults = np.zeros(self._count, np.int32)
@@ -212,6 +376,7 @@ class Fleet:
         return faults
 
     @property
+    @in_turn
     def diverged(self) -> dict[int, Diverged]:
         """Why arms stay where they are, by their index."""
         found = {int(arm): self[int(arm)].diverged for arm in np.flatnonzero(self.faults >= 0)}
@@ -224,7 +389,7 @@ class Fleet:
     def _run(self, rows: Array, steps: int) -> Array:
         # A sum is quick, and not finite if any of them is not.
         if not np.isfinite(rows.sum()) and not np.isfinite(rows).all():
-            raise Refusal("Fleet.run", "voltages", "be finite [V]", rows)
+            raise Refusal("Fleet.run", "commands", "be finite [V, N m or A]", rows)
         rows = np.ascontiguousarray(rows)
         q = np.empty_like(rows)
         longest = max(1, PIECE * self.lanes // self._count)  # steps after which Ctrl-C is heard
@@ -240,45 +405,83 @@ class Fleet:
         return q
 
     def _advance(self, rows: Array, steps: int, q: Array) -> None:
-        def share(of: tuple[int, int]) -> None:
-            run: Callable[..., int] = self.core.arm_fleet_run
-            run(self._fleet, *of, pointer(rows), len(rows), steps, pointer(q))
+        given = pointer(rows), len(rows), steps, pointer(q)
+        run = self.core.arm_fleet_run
+        worth = rows[..., 0].size * steps
+        self._shares.do(worth, lambda *share: run(self._fleet, *share, *given))
 
-        if self._pool and rows[..., 0].size * steps > WORTH_A_THREAD:
-            list(self._pool.map(share, self._shares))
-        else:
-            share((0, self._count))
+    def _mask(self, arms: ArrayLike | None, where: str) -> NDArray[np.bool_]:
+        """Return which arms are chosen (count,)."""
+        if arms is None:
+            return np.ones(self._count, bool)
+        try:
+            chosen = np.asarray(arms)
+        except Exception:  # whatever an object does that is asked for its numbers, it has none
+            chosen = np.asarray(None)
+        if chosen.dtype == np.bool_ and chosen.shape == (self._count,):
+            return chosen
+        mask = np.zeros(self._count, bool)
+        whole = chosen.dtype.kind in "iu" or chosen.size == 0
+        if not whole or chosen.ndim > 1 or (np.abs(chosen + 0.5) > self._count).any():
+            rule = f"be a mask of {self._count}, or indices of {self._count} arms"
+            raise Refusal(where, "arms", rule, arms)
+        mask[chosen.astype(np.int64)] = True
+        return mask
 
-    def _values(self, varied: Mapping[str, ArrayLike]) -> Array:
-        """Return the varied numbers' values, a row for each arm."""
-        names = [one.name for one in self.scene.varied]
-        values = np.tile([one.value for one in self.scene.varied], (self._count, 1))
-        for name, of_arms in varied.items():
-            column = self._column("Fleet", name, of_arms)
-            values[:, names.index(name)] = column
-        return np.ascontiguousarray(values, np.float64)
-
-    def _column(self, where: str, name: str, values: ArrayLike) -> Array:
-        """Return the values of a varied number (count,), checked."""
-        known = {one.name: one for one in self.scene.varied}
-        if name not in known:
-            listed = ", ".join(known) or "none, see `varied` in docs/reference/scene.md"
-            raise Refusal(where, "name", "be varied in the scene", name, listed)
-        column = as_numbers(values, where, name, "number")
-        if column.shape not in ((), (1,), (self._count,)):
-            raise Refusal(where, name, f"have shape ({self._count},) or ()", column.shape)
-        least, most = known[name].least, known[name].most
-        wrong = column[~((column >= least) & (column <= most))]
+    def _column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
+        """Return the values of a varied number (count,), checked for those of the mask."""
+        one = varied_number(self.scene.varied, name, where)
+        given = as_numbers(values, where, name)
+        column = np.full(self._count, one.value, np.float64)
+        many = int(mask.sum())
+        if given.shape not in ((), (many,), (self._count,)):
+            shapes = " or ".join(f"({n},)" for n in sorted({many, self._count}))
+            raise Refusal(where, name, f"have shape {shapes} or ()", given.shape)
+        column[mask] = given[mask] if given.shape == (self._count,) else given
+        wrong = column[~((column >= one.least) & (column <= one.most))]
         if wrong.size:
-            raise Refusal(where, name, f"be a number from {least:g} to {most:g}", wrong[0])
-        return np.broadcast_to(column, (self._count,))
+            rule = f"be a number from {one.least:g} to {one.most:g}"
+            raise Refusal(where, name, rule, wrong[0])
+        return column
 
-    def _rows(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
-        """Return a row for each arm, checked."""
-        rows = as_numbers(values, where, quantity, unit)
+    def _as_commands(self, command: Commands, where: str) -> Array:
+        given = by_joint(command, self.scene, where)
+        if given is not command:
+            columns = [as_numbers(one, where, "command", "V, N m or A") for one in given]  # type: ignore[attr-defined]
+            if any(one.shape not in ((), (self._count,)) for one in columns):
+                shapes = [one.shape for one in columns]
+                rule = f"have shape () or ({self._count},) for each joint"
+                raise Refusal(where, "command", rule, shapes)
+            given = np.column_stack([np.broadcast_to(one, self._count) for one in columns])
+        return self._rows(given, None, where, "command", "V, N m or A")
+
+    def _rows(
+        self, values: object, mask: NDArray[np.bool_] | None, where: str, quantity: str, unit: str
+    ) -> Array:
+        """Return a row for each arm, checked; those of other arms than the mask's are 0."""
+        given = as_numbers(values, where, quantity, unit)
         shape = (self._count, self._N)
-        if rows.shape not in ((self._N,), shape):
-            raise Refusal(where, quantity, f"have shape ({self._N},) or {shape}", rows.shape)
+        many = self._count if mask is None else int(mask.sum())
+        if given.shape not in ((self._N,), (many, self._N), shape):
+            shapes = " or ".join(f"({n}, {self._N})" for n in sorted({many, self._count}))
+            raise Refusal(where, quantity, f"have shape ({self._N},) or {shapes}", given.shape)
+        if mask is None or mask.all():
+            rows = np.ascontiguousarray(np.broadcast_to(given, shape))
+        else:
+            rows = np.zeros(shape)
+            rows[mask] = given[mask] if given.shape == shape else given
         if not np.isfinite(rows).all():
             raise Refusal(where, quantity, f"be finite [{unit}]", rows)
-        return np.ascontiguousarray(np.broadcast_to(rows, shape))
+        return rows
+
+
+def _again(scene: Scene, count: int, workers: int, saved: bytes, began: Array) -> Fleet:
+    """Return a fleet as one that was copied."""
+    fleet = Fleet(scene, count, workers=workers)
+    fleet.restore(saved)
+    fleet._began[:] = began
+    return fleet
+
+
+def _bytes(mask: NDArray[np.bool_]) -> CData:
+    return pointer(np.ascontiguousarray(mask).view(np.uint8))

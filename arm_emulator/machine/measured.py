@@ -19,7 +19,7 @@ class Measured:
     """What was measured at one tick: an attribute for each of `outputs.KNOWN`.
 
     Arrays are (N,), base to tool, 0 where a joint has no such sensor; those of inertial measurement
-    units are (M, 3).
+    units are (M, 3). Of a fleet they are (count, N) and (count, M, 3).
 
     Args:
         arrays: of ``arm_measurement``, by their names there.
@@ -35,9 +35,12 @@ class Measured:
             raise AttributeError(f"{name} is none of what is measured: {', '.join(KNOWN)}")
         array, _, field = output.symbol.partition(".")
         if array == READINGS and name not in self.rows:
-            return np.zeros(len(self.arrays["joint"]))
-        place = self.rows.index(name) if array == READINGS else field
-        values: NDArray[Any] = self.arrays[array][place] if place != "" else self.arrays[array]
+            return np.zeros(self.arrays["joint"].shape)
+        values = self.arrays[array]
+        if array == READINGS:
+            values = values[..., self.rows.index(name), :]
+        elif field:
+            values = values[field]
         return values.astype(np.int64) if output.kind in ("flag", "bits") else values
 
     def __dir__(self) -> list[str]:
@@ -49,18 +52,22 @@ class MeasuredPlace:
 
     Attributes:
         arrays: by their names in ``arm_measurement``.
+
+    Args:
+        scene: of the machine.
+        arms: how many of a fleet; nothing for one machine.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        N = len(scene.joints)
+    def __init__(self, scene: Scene, *arms: int) -> None:
+        N, M = len(scene.joints), len(scene.imus)
         self._rows = tuple(one.name for one in readings_of(scene))
-        self.joints = ARM.rows("arm_joint_measurement", N)
+        self.joints = ARM.rows("arm_joint_measurement", *arms, N)
         self.arrays: dict[str, NDArray[Any]] = {
             "joint": self.joints,
-            "sensors": ARM.rows("arm_joint_sensors", N),
-            "imu": ARM.rows("arm_imu_measurement", len(scene.imus)),
-            "current_d": np.zeros(N),
-            READINGS: np.zeros((len(self._rows), N)),
+            "sensors": ARM.rows("arm_joint_sensors", *arms, N),
+            "imu": ARM.rows("arm_imu_measurement", *arms, M),
+            "current_d": np.zeros((*arms, N)),
+            READINGS: np.zeros((*arms, len(self._rows), N)),
         }
 
     def read(self) -> Measured:

@@ -1,21 +1,21 @@
-"""The emulated machine as a plain object: voltages in, states out. Knows nothing of ROS."""
+"""The emulated machine as a plain object: commands in, states out. Knows nothing of ROS."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY, Bound
 from arm_emulator.base.count import check_count
+from arm_emulator.base.given import as_flag, as_number, as_numbers, as_row
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, CData, Library, pointer, text
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.compiler import library_of
+from arm_emulator.machine.compiler import fleet_library_of, library_of
 from arm_emulator.machine.core_calls import (
     ARM,
     DIVERGED,
@@ -25,121 +25,56 @@ from arm_emulator.machine.core_calls import (
     PLACES,
     REFUSED,
 )
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.energy_flow import EnergyFlow
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
+from arm_emulator.machine.linear_drive import LinearDrive
+from arm_emulator.machine.link_dynamics import LinkDynamics
 from arm_emulator.machine.measured import Measured, MeasuredPlace
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.plant_state import (
+    ROWS,
+    SET,
+    PlantState,
+    bounds_of,
+    check_start,
+    link_angle_per_count,
+)
+from arm_emulator.machine.scene import Scene, scene_of
+from arm_emulator.machine.turns import Turns, in_turn
+from arm_emulator.machine.varied import varied_number
 
 LARGEST_STEPS = 10**15  # of one call
 PIECE = 2**20  # steps after which a long call looks whether Ctrl-C was pressed
-SET = ("current", "theta_m", "omega_m", "q", "v")  # what decides on the others of `PlantState`
-ROWS = (*SET, "gear_torque")
-
-
-class Diverged(RuntimeError):
-    """The integration left the world of sound motions; the plant stays at the last state within.
-
-    Its text says which joint and when. `analysis.stability.explain` adds what would hold.
-
-    Attributes:
-        joint: the joint that left first, or that held the most of an energy from nowhere.
-        t: logical time of the last state within bounds [s].
-        scene: the machine.
-        q: its link positions then (N,) [rad or m].
-        v: its link speeds then (N,) [rad/s or m/s].
-        voltage: applied then (N,) [V].
-        began: positions and speeds to which it was reset before.
-        hint: what would hold, in words, where somebody has found it out; part of the text.
-    """
-
-    def __init__(
-        self,
-        joint: str,
-        t: float,
-        scene: Scene,
-        q: Array,
-        v: Array,
-        voltage: Array,
-        began: tuple[Array, Array],
-    ) -> None:
-        self.joint, self.t, self.scene = joint, t, scene
-        self.q, self.v, self.voltage, self.began = q, v, voltage, began
-        self.hint = ""
-        super().__init__(
-            f"Plant.advance: joint {joint} diverged after t = {t:.6g} s with scheme "
-            f"{scene.integrator.scheme} at dt = {scene.integrator.dt:g} s; the plant stays at the "
-            "last state before"
-        )
-
-    def __str__(self) -> str:
-        return super().__str__() + (f"; {self.hint}" if self.hint else "")
-
-
-@dataclass(frozen=True)
-class PlantState:
-    """State of the machine at one logical time. Arrays are (N,), base to tool."""
-
-    t: float  # s
-    current: Array  # A
-    theta_m: Array  # rad, motor angle
-    omega_m: Array  # rad/s, motor speed
-    q: Array  # rad or m, link side
-    v: Array  # rad/s or m/s, link side
-    gear_torque: Array  # N m or N, on the link
-    encoder_counts: NDArray[np.int64]  # at the motor, as the encoder tells them
-
-
-@dataclass(frozen=True)
-class EnergyFlow:
-    """What each joint is given and what it dissipates, (N,): W now, J over a time.
-
-    It is given by the supply, and by the external wrench as far as that turns this joint.
-    A motor whose torque constant differs from its back-EMF constant is given the difference, too.
-    """
-
-    given: Array
-    dissipated: Array  # in windings, gears and friction
-
-
-@dataclass(frozen=True)
-class LinearDrive:
-    """The linear part of one joint's drive, as the core states it (core/mechanics/drive.hpp).
-
-    Of a progressive gear it is the linearisation where that is not wound up.
-
-    With its n states z, D dz/dt = F (z, q, v, u), and the torque on the link is G (z, q, v, u) less
-    `carried` times the link's acceleration.
-    """
-
-    D: Array  # (n,), 0 where a state follows at once
-    F: Array  # (n, n + 3)
-    G: Array  # (n + 3,)
-    carried: float  # kg m2, of a rotor behind a rigid gear
-    current: Array  # (n + 3,), A of the motor by (z, q, v, u)
-    motor_angle: Array  # (n + 3,), rad
 
 
 @dataclass(frozen=True)
 class Borrowed:
     """A machine that belongs to somebody else, a `Fleet`."""
 
-    owner: object
+    owner: Turns
     core: Library
     machine: CData
     began: tuple[Array, Array]  # positions and speeds to which it was reset
 
 
-class Plant:
+class Plant(Turns):
     """Motors, gears and links of one scene, stepped by the compiled core.
 
+    `measured` is what its sensors give and a controller may know; `state`, `energy` and whatever
+    else is not measured is the truth, for judging. `copy.copy`, `copy.deepcopy` and `pickle` make
+    another machine in the same state. Threads may share a plant: their calls go one after the
+    other. A forked child has a plant of its own.
+
     Attributes:
-        core: the scene's compiled core (core/boundary/arm.h).
-        machine: the core's handle of this machine.
-        command, measurement: what `exchange` hands to the core.
+        scene: the machine.
         link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
         bounds: how large what is set may be, by its name in `PlantState`.
+        core: the compiled core (core/boundary/arm.h); this and the next two are for doors in C.
+        machine: the core's handle of this machine.
+        command, measurement: what `exchange` hands to the core.
 
     Args:
-        scene: from `arm_emulator.machine.scene.load_scene`.
+        scene: from `load_scene`, or what that takes: a name or a file.
         of: a machine of this scene that belongs to a fleet; None: a new one.
         core: its compiled core with something beside it, see `compiler.library_with`.
 
@@ -148,9 +83,15 @@ class Plant:
     """
 
     def __init__(
-        self, scene: Scene, *, of: Borrowed | None = None, core: Library | None = None
+        self,
+        scene: Scene | str | Path,
+        *,
+        of: Borrowed | None = None,
+        core: Library | None = None,
     ) -> None:
-        self.scene = scene
+        super().__init__(of.owner if of else None)
+        self.scene = scene = scene_of(scene, "Plant")
+        self._added = core is not None and of is None
         self.core = of.core if of else core or library_of(scene)
         self._N = N = len(scene.joints)
         self._shape = (N,)
@@ -172,22 +113,14 @@ class Plant:
         self._measured = self._place.joints
         self.measurement = ARM.new("arm_measurement", **self._place.arrays)
         self.link_angle_per_count = link_angle_per_count(scene)
-        at_most = largest_position(scene)
-        ratio = np.abs(scene.gear_ratios)
-        self.bounds = {
-            "current": CURRENT,
-            "theta_m": Bound("motor position", "rad", at_most / ratio),
-            "omega_m": Bound("motor velocity", "rad/s", VELOCITY.largest / ratio),
-            "q": Bound("position", "rad", at_most),
-            "v": VELOCITY,
-        }
+        self.bounds = bounds_of(scene)
         if of:
             self._reset_to = of.began
         else:
             self.reset()
 
     def _new(self) -> CData:
-        values = np.array([one.value for one in self.scene.varied])
+        values = np.array([one.value for one in self.scene.varied], np.float64)
         return self.core.arm_new(options_of(self.scene, values))
 
     def __del__(self) -> None:
@@ -195,6 +128,35 @@ class Plant:
         if machine and self._owner is None:
             self.core.arm_delete(machine)
 
+    def __repr__(self) -> str:
+        return f"<Plant {self.scene.name} at t = {self.t:g} s>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self._added:
+            rule = "be of its scene alone to be pickled"
+            raise Refusal("Plant", "the machine", rule, f"{self.scene.name} with code beside it")
+        return _again, (self.scene, self._owner is not None, *self._all())
+
+    def __copy__(self) -> Plant:
+        return _take(Plant(self.scene, core=self.core), self._added, *self._all())
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Plant:
+        return self.__copy__()
+
+    @in_turn
+    def _all(self) -> tuple[bytes, tuple[Array, Array], Array, Array]:
+        """Return what another machine has to take to be as this one, see `_take`."""
+        commands = np.array([self._commands["value"], self._commands_d])
+        return self.save(), self._reset_to, self._voltage.copy(), commands
+
+    def _renew_threads(self) -> None:
+        self.core.arm_begin_threads(self.machine)
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        with self._turn:
+            return getattr(self.core, name)(self.machine, *arguments)
+
+    @in_turn
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Put the machine at logical time 0, its motors along with the links.
 
@@ -208,20 +170,19 @@ class Plant:
             Refusal: wrong shape, not finite, or too far away to be computed with; the state is as
                 before.
         """
-        at = self.scene.start if q is None else self._vector(q, "Plant.reset", "q", "rad or m")
-        speed = (
-            np.zeros(self._N) if v is None else self._vector(v, "Plant.reset", "v", "rad/s or m/s")
-        )
-        check_start("Plant.reset", self.scene, at, speed)
+        where, N = "Plant.reset", self._N
+        at = self.scene.start if q is None else as_row(q, N, where, "q", "rad or m")
+        speed = np.zeros(N) if v is None else as_row(v, N, where, "v", "rad/s or m/s")
+        check_start(where, self.scene, at, speed)
         self._reset_to = at.copy(), speed.copy()
         self.core.arm_reset(self.machine, pointer(at), pointer(speed))
 
-    def advance(self, voltage: ArrayLike, steps: int) -> None:
-        """Take `steps` integration steps with the motor voltages held.
+    def advance(self, command: Commands, steps: int) -> None:
+        """Take `steps` integration steps with the commands of the motors held.
 
         Args:
-            voltage: (N,) [V], clamped to the supply voltage as the drives do, and 0 without power;
-                a joint without a motor takes no notice.
+            command: (N,) [V, N m, A], or by names of all joints; clamped as the drives do, and 0
+                without power; a joint without a motor takes no notice.
             steps: number of steps of `scene.integrator.dt`, 0 to 1e15.
 
         Raises:
@@ -230,42 +191,61 @@ class Plant:
         """
         # This is called often: what fits is not looked at twice.
         if type(steps) is not int or not 0 <= steps <= PIECE:
-            check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
-        if not (isinstance(voltage, np.ndarray) and voltage.shape == self._shape):
-            voltage = self._vector(voltage, "Plant.advance", "voltage", "V")
-        try:
-            np.copyto(self._voltage, voltage, casting="same_kind")
-        except TypeError:
-            raise Refusal("Plant.advance", "voltage", "be numbers [V]", voltage) from None
-        advance, machine, applied = self.core.arm_advance, self.machine, self._voltage_pointer
-        result = advance(machine, applied, min(steps, PIECE))
-        if result == REFUSED:
-            raise Refusal("Plant.advance", "voltage", "be finite [V]", voltage)
-        while result == OK and steps > PIECE:
-            steps -= PIECE
+            steps = check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
+        row = self._as_command(command, "Plant.advance")
+        with self._turn:
+            before = self._voltage.copy()
+            self._voltage[:] = row
+            advance, machine, applied = self.core.arm_advance, self.machine, self._voltage_pointer
             result = advance(machine, applied, min(steps, PIECE))
-        if result == DIVERGED:
-            raise self._diverged(self._voltage)
+            if result == REFUSED:
+                self._voltage[:] = before
+                raise self._refusal("Plant.advance", "a number")
+            while result == OK and steps > PIECE:
+                steps -= PIECE
+                result = advance(machine, applied, min(steps, PIECE))
+            if result == DIVERGED:
+                raise self._diverged(self._voltage)
 
-    def exchange(self, voltage: Array, tick: int = -1, voltage_d: ArrayLike | None = None) -> None:
-        """Go through one servo period under commands (N,) that answer a tick, -1: none.
+    def exchange(
+        self, command: Commands, tick: int = -1, voltage_d: ArrayLike | None = None
+    ) -> None:
+        """Go through one servo period under commands that answer a tick, -1: none.
 
-        A command is a voltage, torque or current [V, N m, A], as the joint's motor takes it; of a
-        motor in its rotor's frame it is the voltage across the flux, and `voltage_d` (N,) [V] that
-        along it, 0 if None. Without power every command is 0.
+        A command is a voltage, torque or current [V, N m, A], as the joint's motor takes it
+        (`scene.joints[k].command`); of a motor in its rotor's frame it is the voltage across the
+        flux, and `voltage_d` (N,) [V] that along it, 0 if None. Commands are (N,), or by names of
+        all joints. Without power every command is 0.
 
         Raises:
-            Refusal: not finite; nothing has changed.
+            Refusal: wrong shape or not finite; nothing has changed.
             Diverged: as `advance`.
         """
-        self._commands["value"] = voltage
-        self._commands_d[:] = 0.0 if voltage_d is None else voltage_d
-        self.command.tick = tick
-        result = self.core.arm_exchange(self.machine, self.command, self.measurement)
-        if result == REFUSED:
-            raise self._refusal("Plant.exchange", "a number")
-        if result == DIVERGED:
-            raise self._diverged(self._measured["voltage"])
+        where = "Plant.exchange"
+        row = self._as_command(command, where)
+        if type(tick) is not int or not -1 <= tick < 2**63:
+            tick = check_count(where, "tick", tick, -1)
+        along = 0.0 if voltage_d is None else as_row(voltage_d, self._N, where, "voltage_d", "V")
+        with self._turn:
+            self._commands["value"] = row
+            self._commands_d[:] = along
+            self.command.tick = tick
+            result = self.core.arm_exchange(self.machine, self.command, self.measurement)
+            if result == REFUSED:
+                raise self._refusal(where, "a number")
+            if result == DIVERGED:
+                raise self._diverged(self._measured["voltage"])
+
+    def _as_command(self, command: Commands, where: str) -> Array:
+        """Return commands (N,), however they are given."""
+        if isinstance(command, np.ndarray) and command.shape == self._shape:
+            if command.dtype == np.float64:
+                return command
+        given = by_joint(command, self.scene, where)
+        row = as_numbers(given, where, "command", "V, N m or A")
+        if row.shape != self._shape:
+            raise Refusal(where, "command", f"have shape {self._shape}", row.shape)
+        return row
 
     def exchange_in(self, loop: Callable[[], int]) -> None:
         """Go through servo periods in a loop in C, over `command` and `measurement`.
@@ -277,11 +257,12 @@ class Plant:
             Refusal: a command was refused; the machine is where it was then.
             Diverged: as `advance`.
         """
-        result = loop()
-        if result == REFUSED:
-            raise self._refusal("Plant.exchange_in", "a number")
-        if result == DIVERGED:
-            raise self._diverged(self._measured["voltage"])
+        with self._turn:
+            result = loop()
+            if result == REFUSED:
+                raise self._refusal("Plant.exchange_in", "a number")
+            if result == DIVERGED:
+                raise self._diverged(self._measured["voltage"])
 
     def measure_time(self) -> None:
         """Measure from now on the wall time that steps take, for `spent_ns`."""
@@ -293,16 +274,19 @@ class Plant:
         return int(self.core.arm_spent(self.machine))
 
     @property
+    @in_turn
     def commanded(self) -> Array:
         """The newest commands of `exchange` or `exchange_in`, (N,) [V, N m, A]."""
         return self._commands["value"].copy()
 
     @property
+    @in_turn
     def voltage(self) -> Array:
         """What the motors got in the servo period that has passed (N,) [V], within the supply."""
         return self._measured["voltage"].copy()
 
     @property
+    @in_turn
     def measured(self) -> Measured:
         """What the sensors told at the newest tick, as a copy.
 
@@ -312,11 +296,18 @@ class Plant:
         return self._place.read()
 
     @property
+    @in_turn
     def current_d(self) -> Array:
         """Currents along the rotors' flux (N,) [A], 0 of motors that have one current only."""
         return self.measured.current_d
 
     @property
+    def links(self) -> LinkDynamics:
+        """Dynamics of the links alone: M(q), nle(q, v), inverse and forward."""
+        return LinkDynamics(self._call, self._N)
+
+    @property
+    @in_turn
     def powered(self) -> bool:
         """Whether the drives have power; without it every command is 0."""
         self.core.arm_measure(self.machine, self.measurement)
@@ -324,9 +315,10 @@ class Plant:
 
     @powered.setter
     def powered(self, on: bool) -> None:
-        self.core.arm_power(self.machine, on)
+        self._call("arm_power", as_flag(on, "Plant", "powered"))
 
     @property
+    @in_turn
     def parameters(self) -> dict[str, float]:
         """The numbers that the scene lists as varied, by name, with this machine's values."""
         return {one.name: self._parameter(one.name) for one in self.scene.varied}
@@ -337,23 +329,17 @@ class Plant:
         Raises:
             Refusal: the scene does not list it as varied, or a value out of its range.
         """
-        known = {one.name: one for one in self.scene.varied}
-        if name not in known:
-            raise Refusal(
-                "Plant.set_parameter", "name", "be varied in the scene", name,
-                ", ".join(known) or "none, see `varied` in docs/reference/scene.md",
-            )  # fmt: skip
-        one = known[name]
-        if not isinstance(value, int | float) or not one.least <= value <= one.most:
-            rule = f"be a number from {one.least:g} to {one.most:g}"
-            raise Refusal("Plant.set_parameter", name, rule, value)
-        self.core.arm_set_parameter(self.machine, name.encode(), float(value))
+        where = "Plant.set_parameter"
+        one = varied_number(self.scene.varied, name, where)
+        number = as_number(value, where, one.name, one.least, one.most)
+        self._call("arm_set_parameter", one.name.encode(), number)
 
     def _parameter(self, name: str) -> float:
         value = np.zeros(1)
         self.core.arm_get_parameter(self.machine, name.encode(), pointer(value))
         return float(value[0])
 
+    @in_turn
     def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
         """Let a force and a moment act on a link, until set anew or reset.
 
@@ -368,6 +354,8 @@ class Plant:
                 finite or too large; nothing has changed.
         """
         where = "Plant.set_external_wrench"
+        if not isinstance(wrench, ExternalWrench):
+            raise Refusal(where, "wrench", "be an ExternalWrench", wrench)
         joint, wrench = on_moving_link(self.scene, where, link, wrench)
         vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
         one = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
@@ -375,6 +363,7 @@ class Plant:
             raise self._refusal(where, "another one")
 
     @property
+    @in_turn
     def external_wrenches(self) -> dict[str, ExternalWrench]:
         """What acts on the link of each joint, by its name; empty in a scene without."""
         wrenches = {}
@@ -386,6 +375,7 @@ class Plant:
                 wrenches[joint.link] = ExternalWrench(force, moment, point, AXES[one.axes])
         return wrenches
 
+    @in_turn
     def save(self) -> bytes:
         """Return all that decides how the machine goes on, as bytes that may be kept."""
         size = self.core.arm_saved_size()
@@ -393,6 +383,7 @@ class Plant:
         self.core.arm_save(self.machine, pointer(saved), size)
         return saved.tobytes()
 
+    @in_turn
     def restore(self, saved: bytes) -> None:
         """Continue from what `save` of a plant of the same scene has returned, to the last bit.
 
@@ -400,15 +391,20 @@ class Plant:
             Refusal: it is of another scene, core, step or servo period, or it was spoiled; nothing
                 has changed.
         """
+        if not isinstance(saved, bytes | bytearray | memoryview):
+            raise Refusal("Plant.restore", "saved machine", "be bytes of `save`", saved)
+        saved = bytes(saved)
         if self.core.arm_restore(self.machine, saved, len(saved)) == REFUSED:
             raise self._refusal("Plant.restore", "another one")
 
     @property
+    @in_turn
     def diverged(self) -> Diverged | None:
         """Why the machine stays where it is; None if it goes on."""
         diverged = self._look(self._clock).fault >= 0
         return self._diverged(self._measured["voltage"]) if diverged else None
 
+    @in_turn
     def run(self, voltages: ArrayLike, steps: int) -> Array:
         """Apply rows of voltages one after the other, without coming back to Python in between.
 
@@ -428,7 +424,7 @@ class Plant:
             raise Refusal("Plant.run", "voltages", f"have shape (K, {self._N})", rows.shape)
         if not np.isfinite(rows).all():
             raise Refusal("Plant.run", "voltages", "be finite [V]", rows)
-        check_count("Plant.run", "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
+        steps = check_count("Plant.run", "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
         q = np.zeros_like(rows)
         if steps > PIECE:
             for row, after in zip(rows, q, strict=True):
@@ -468,35 +464,34 @@ class Plant:
 
     def _refusal(self, where: str, otherwise: str) -> Refusal:
         """Return why the core has refused a call."""
-        why = ARM.new("arm_refusal")
-        self.core.arm_why(self.machine, why)
-        joint = f" of {self.scene.joint_names[why.joint]}" if why.joint >= 0 else ""
-        got = why.got if why.joint >= 0 else otherwise
-        quantity, rule = text(why.quantity), text(why.rule)
-        return Refusal(where, f"{quantity}{joint}", rule, got)
+        return refusal_of(self.core, self.machine, self.scene, where, otherwise)
 
     @property
+    @in_turn
     def t(self) -> float:
         """Logical time [s]."""
         return float(self._look(self._clock).time)
 
     @property
+    @in_turn
     def energy(self) -> float:
         """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
         self._look(self._energy_alone)
         return float(self._energy[0])
 
+    @in_turn
     def powers(self, voltage: ArrayLike) -> EnergyFlow:
         """Return what the joints are given and dissipate now, under voltages (N,) [V], in W.
 
         Raises:
             Refusal: wrong shape, not finite, or the scene has no `energy_flow`.
         """
-        V, out = self._vector(voltage, "Plant.powers", "voltage", "V"), np.zeros((2, self._N))
+        V, out = as_row(voltage, self._N, "Plant.powers", "voltage", "V"), np.zeros((2, self._N))
         if self.core.arm_powers(self.machine, pointer(V), pointer(out)) == REFUSED:
             raise self._refusal("Plant.powers", "false")
         return EnergyFlow(*out)
 
+    @in_turn
     def advance_metered(self, voltage: ArrayLike, steps: int) -> EnergyFlow:
         """Advance as `advance` does, and return what the joints were given and dissipated, in J.
 
@@ -508,8 +503,8 @@ class Plant:
             Diverged: as `advance`.
         """
         where = "Plant.advance_metered"
-        check_count(where, "steps", steps, 0, LARGEST_STEPS)
-        self._voltage[:] = self._vector(voltage, where, "voltage", "V")
+        steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
+        self._voltage[:] = as_row(voltage, self._N, where, "voltage", "V")
         total = np.zeros((2, self._N))
         for first in range(0, steps, PIECE):
             out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
@@ -523,8 +518,9 @@ class Plant:
         return EnergyFlow(*total)
 
     @property
+    @in_turn
     def state(self) -> PlantState:
-        """The state now, as a copy. It can be set: its time, torques and counts are not read.
+        """The true state now, as a copy. It can be set: its time and torques are not read.
 
         A motor behind a rigid gear turns with its link, and a joint without a motor has no current.
         The scheme begins with no past; time goes on.
@@ -534,16 +530,17 @@ class Plant:
                 nothing has changed.
         """
         self._look(self._truth)
-        self.core.arm_measure(self.machine, self.measurement)
         current, theta_m, omega_m, q, v, gear_torque = self._rows.copy()
-        counts = self._measured["encoder"].copy()
         t = self._truth.time
-        return PlantState(t, current, theta_m, omega_m, q, v, gear_torque, counts)
+        return PlantState(t, current, theta_m, omega_m, q, v, gear_torque)
 
     @state.setter
     def state(self, state: PlantState) -> None:
+        if not isinstance(state, PlantState):
+            raise Refusal("Plant.state", "state", "be a PlantState", state)
         self.put("Plant.state", {name: getattr(state, name) for name in SET})
 
+    @in_turn
     def put(self, where: str, given: Mapping[str, ArrayLike]) -> None:
         """Set some quantities of the state, see `state`; all others stay as they are.
 
@@ -563,6 +560,7 @@ class Plant:
             raise self._refusal(where, "another one")
 
     @property
+    @in_turn
     def winding_temperatures(self) -> Array:
         """Of the motors' windings (N,) [degC]; NaN where the scene tells of none."""
         temperatures = np.empty(self._N)
@@ -570,6 +568,7 @@ class Plant:
         return temperatures
 
     @property
+    @in_turn
     def overheated(self) -> NDArray[np.bool_]:
         """Whether each drive reports that its winding is beyond its limit (N,).
 
@@ -584,46 +583,14 @@ class Plant:
         self.core.arm_get_truth(self.machine, truth)
         return truth
 
-    def link_accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
-        """Return the accelerations of the links alone: M(q) a + nle(q, v) = tau.
-
-        Args:
-            q: (K, N) or (N,) positions [rad or m].
-            v: speeds, of the same shape.
-            tau: joint torques [N m or N], of the same shape.
-
-        Raises:
-            Refusal: different or wrong shapes, not finite, q too far away, or so large that a is
-                not finite.
-        """
-        where = "Plant.link_accelerations"
-        rows: list[Array] = []
-        for values, quantity, unit in (
-            (q, "q", "rad or m"), (v, "v", "rad/s or m/s"), (tau, "tau", "N m or N")
-        ):  # fmt: skip
-            array = as_numbers(values, where, quantity, unit)
-            if array.ndim not in (1, 2) or array.shape[-1] != self._N:
-                rule = f"have shape (K, {self._N}) or ({self._N},)"
-                raise Refusal(where, quantity, rule, array.shape)
-            if rows and array.shape != rows[0].shape:
-                raise Refusal(where, quantity, f"have the shape of q, {rows[0].shape}", array.shape)
-            if not np.isfinite(array).all():
-                raise Refusal(where, quantity, f"be finite [{unit}]", array)
-            rows.append(array)
-        if (np.abs(rows[0]) > POSITION.largest).any():
-            raise Refusal(where, "q", f"be at most {POSITION.largest:g} rad or m", rows[0])
-        a = np.empty_like(rows[0])
-        self.core.arm_forward_dynamics(self.machine, a.size // self._N, *map(pointer, (*rows, a)))
-        if not np.isfinite(a).all():
-            raise Refusal(where, "what v and tau lead to", "be finite [rad/s2 or m/s2]", a)
-        return a
-
+    @in_turn
     def linear_drives(self, loaded: bool = False) -> list[LinearDrive]:
         """Return what each joint's drive is for small motions, base to tool.
 
         Args:
             loaded: whether a tooth is in contact in gears with play.
         """
+        loaded = as_flag(loaded, "Plant.linear_drives", "loaded")
         K = self.core.arm_linear_drives(self.machine, loaded, NULL)
         numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
         self.core.arm_linear_drives(self.machine, loaded, pointer(numbers))
@@ -635,13 +602,62 @@ class Plant:
             drives.append(LinearDrive(D[:n], rows[:n], G, float(row[1]), current, motor_angle))
         return drives
 
-    def _vector(self, values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
-        array = as_numbers(values, where, quantity, unit)
-        if array.shape != (self._N,):
-            raise Refusal(where, quantity, f"have shape ({self._N},)", array.shape)
-        if not np.isfinite(array).all():
-            raise Refusal(where, quantity, f"be finite [{unit}]", array)
-        return array
+
+Commands = ArrayLike | Mapping[str, ArrayLike]
+
+
+def by_joint(given: object, scene: Scene, where: str) -> object:
+    """Return what is given by names of joints as columns, base to tool; all else as it is.
+
+    Raises:
+        Refusal: other names than those of all joints.
+    """
+    if not isinstance(given, Mapping):
+        return given
+    names = scene.joint_names
+    if set(given) != set(names):
+        got = ", ".join(map(str, given)) or "none"
+        raise Refusal(where, "joint names", "name every joint once", got, ", ".join(names))
+    return [given[name] for name in names]
+
+
+def _again(scene: Scene, of_fleet: bool, *taken: Any) -> Plant:
+    """Return a plant as one that was pickled."""
+    core = fleet_library_of(scene) if of_fleet else None
+    return _take(Plant(scene, core=core), False, *taken)
+
+
+def _take(
+    plant: Plant,
+    added: bool,
+    saved: bytes,
+    began: tuple[Array, Array],
+    voltage: Array,
+    commands: Array,
+) -> Plant:
+    """Let a new plant go on as another one would, see `Plant._all`."""
+    plant.restore(saved)
+    plant._added, plant._reset_to = added, began
+    plant._voltage[:] = voltage
+    plant._commands["value"], plant._commands_d[:] = commands
+    return plant
+
+
+def refusal_of(core: Library, machine: CData, scene: Scene, where: str, otherwise: str) -> Refusal:
+    """Return why the core has refused the newest call on a machine.
+
+    Args:
+        core: of the machine.
+        machine: its handle.
+        scene: of the machine.
+        where: name of the refusal.
+        otherwise: what was got, where no number of a joint was.
+    """
+    why = ARM.new("arm_refusal")
+    core.arm_why(machine, why)
+    joint = f" of {scene.joint_names[why.joint]}" if why.joint >= 0 else ""
+    got = why.got if why.joint >= 0 else otherwise
+    return Refusal(where, f"{text(why.quantity)}{joint}", text(why.rule), got)
 
 
 def truth_at(**places: NDArray[Any]) -> CData:
@@ -666,37 +682,3 @@ def options_of(scene: Scene, values: Array) -> CData:
         steps_per_period=scene.steps_per_period,
         parameters=values,
     )
-
-
-def link_angle_per_count(scene: Scene) -> Array:
-    """Return what one encoder count means at the link (N,) [rad or m]."""
-    return np.array(
-        [2.0 * math.pi / joint.counts_per_turn * joint.gear.ratio for joint in scene.joints]
-    )
-
-
-def largest_position(scene: Scene) -> Array:
-    """Return how far a link may be (N,) [rad or m], so that its encoder's counts are exact."""
-    return np.minimum(POSITION.largest, LARGEST_COUNT * np.abs(link_angle_per_count(scene)))
-
-
-def check_start(where: str, scene: Scene, q: Array, v: Array) -> None:
-    """Refuse positions and speeds, rows of (N,), at which no motion can begin.
-
-    Raises:
-        Refusal: see above.
-    """
-    largest = largest_position(scene)
-    if (np.abs(q) > largest).any():
-        raise Refusal(where, "q", f"be at most {largest.min():g} rad or m", q)
-    if (np.abs(v) > VELOCITY.largest).any():
-        raise Refusal(where, "v", f"be at most {VELOCITY.largest:g} rad/s or m/s", v)
-
-
-def as_numbers(values: ArrayLike, where: str, quantity: str, unit: str) -> Array:
-    """Return `values` as numbers, row by row; a copy only where they are something else."""
-    try:
-        array = np.asarray(values)
-        return array.astype(np.float64, order="C", casting="same_kind", copy=False)
-    except (TypeError, ValueError):
-        raise Refusal(where, quantity, f"be numbers [{unit}]", values) from None

@@ -16,7 +16,8 @@ from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.core_calls import ARM, PLACES, REAL_TIME
 from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.outputs import readings_of
-from arm_emulator.machine.plant import LARGEST_STEPS, ROWS, Plant, commands_of
+from arm_emulator.machine.plant import LARGEST_STEPS, Plant, commands_of
+from arm_emulator.machine.plant_state import ROWS
 
 LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023

@@ -19,7 +19,7 @@ import numpy as np
 
 from arm_emulator.base.config_files import BESIDE, find_config
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.section import LARGEST, LARGEST_COUNT, SMALLEST, Section
+from arm_emulator.base.section import LARGEST, LARGEST_COUNT, Section
 from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
 from arm_emulator.base.yaml_file import read_yaml
@@ -271,9 +271,29 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     """
     file = find_config(str(path), ".yaml")
     data = read_yaml(file)
+    if not isinstance(overrides, Mapping | None):
+        raise Refusal("load_scene", "overrides", "be values by dotted path", overrides)
     for dotted, value in (overrides or {}).items():
-        override(data, dotted, value, file.name)
+        if not isinstance(dotted, str):
+            raise Refusal("load_scene", "path of an override", "be text", repr(dotted))
+        override(data, dotted, _plain(value), file.name)
+    payload = data.get("payload")
+    if isinstance(payload, int | float) and not isinstance(payload, bool):
+        data["payload"] = {"mass": payload}
     return _build(Section(data, file.name), file)
+
+
+def scene_of(given: Scene | str | Path, where: str) -> Scene:
+    """Return a scene, loaded if it is given by its name or its file.
+
+    Raises:
+        Refusal: as `load_scene`, or it is given by something else.
+    """
+    if isinstance(given, Scene):
+        return given
+    if not isinstance(given, str | Path):
+        raise Refusal(where, "scene", "be a Scene, a name or a file", given)
+    return load_scene(given)
 
 
 def _build(root: Section, file: Path) -> Scene:
@@ -330,8 +350,8 @@ def _build(root: Section, file: Path) -> Scene:
     seed = root.integer("seed", default=0, at_least=0, at_most=LARGEST_SEED)
     possible = could_vary(joints, chain, imus)
     if payload_body is not None:
-        possible.append(Varied("payload.mass", payload_body.mass, SMALLEST, LARGEST))
-    if root.has("seed"):
+        possible.append(Varied("payload.mass", payload_body.mass, 0.0, LARGEST))
+    if root.has("seed") or "seed" in root.entries("varied"):
         possible.append(Varied("seed", seed, 0.0, LARGEST_SEED))
     by_name = {one.name: one for one in possible}
     varied = choose_varied(root.entries("varied"), by_name, where)
@@ -470,7 +490,7 @@ def _check_reflected(motor: Motor, ratio: float, one: Section) -> None:
 
 def _payload(section: Section, mass: float | None = None) -> Body:
     """Return the payload in the frame of the tool; `mass` takes the place of the scene's."""
-    given = section.number("mass", "kg", above=0.0)
+    given = section.number("mass", "kg", at_least=0.0)
     mass = given if mass is None else mass
     com = section.vector("com", "m", bound=100.0) or (0.0, 0.0, 0.0)
     entries = section.vector("inertia", "kg m2", size=6, bound=1e6)
@@ -595,6 +615,17 @@ def override(data: dict[str, Any], dotted: str, value: object, where: str) -> No
             place[key] = dict(child)
             below = [".".join(rest)] if key == "locked" and place is data else rest
             places.append((place[key], below))
+
+
+def _plain(value: object) -> object:
+    """Return a value as a file would give it: numbers of Python, sequences as lists."""
+    if isinstance(value, np.floating):
+        return float(str(value))  # the digits that it stands for, whatever its width
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def _keys(place: dict[str, Any], steps: list[str]) -> list[tuple[str, list[str]]]:

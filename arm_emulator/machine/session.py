@@ -18,10 +18,12 @@ from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Clock, RealTimeFigures
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.measured import Measured
-from arm_emulator.machine.plant import Diverged, Plant, PlantState
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import PlantState
 from arm_emulator.machine.scene import Scene
 
 CLOCKS = ("lockstep", "realtime")
@@ -413,8 +415,7 @@ class Session:
         self.voltage = reached.measured.applied
         t = reached.tick * self.scene.servo_period
         current, theta_m, omega_m, q, v, gear_torque = reached.rows
-        counts = reached.measured.encoder_counts
-        self._state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque, counts)
+        self._state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque)
         if reached.fault >= 0:
             self.fault = self.plant.fault(reached.fault, t, q, v, self.voltage)
         return True

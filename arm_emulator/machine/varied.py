@@ -40,3 +40,17 @@ def choose_varied(
             raise Refusal(where, "varied", rule, one, ", ".join(possible) or "none")
         chosen.update(found)
     return tuple(one for name, one in possible.items() if name in chosen)
+
+
+def varied_number(varied: Sequence[Varied], name: object, where: str) -> Varied:
+    """Return the one of a scene's varied numbers by its name.
+
+    Raises:
+        Refusal: the scene does not list it as varied.
+    """
+    for one in varied:
+        if one.name == name:
+            return one
+    known = ", ".join(one.name for one in varied)
+    valid = known or "none, see `varied` in docs/reference/scene.md"
+    raise Refusal(where, "name", "be varied in the scene", name, valid)

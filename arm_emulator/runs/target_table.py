@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.bound import POSITION, FloatArray
+from arm_emulator.base.bound import POSITION
+from arm_emulator.base.given import FloatArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.table_file import Table, read_table
 

@@ -24,8 +24,9 @@ import numpy as np
 from machines import moving_joints, random_chain_urdf, write_scene
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.loop_clock import real_time_session
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import DEEPEST_EXCHANGE, SCHEMES, Scene, load_scene
 from fuzz.line import FAILED, REFUSED, TAKEN, tell
 
@@ -199,7 +200,7 @@ def ask(rng: np.random.Generator, plant: Plant) -> None:
     elif what < 0.9:
         plant.reset()
     else:
-        plant.link_accelerations(*rng.normal(size=(3, int(rng.integers(1, 5)), N)))
+        plant.links.accelerations(*rng.normal(size=(3, int(rng.integers(1, 5)), N)))
 
 
 def drive(rng: np.random.Generator, scene: Scene) -> dict[str, int]:

@@ -115,7 +115,8 @@ def test_a_compiler_takes_everything_without_a_warning(
 RUN = """
 import json
 import numpy as np
-from arm_emulator.machine.plant import Diverged, Plant
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.servo.servo import Servo, load_servo_config
 from arm_emulator.base.refusal import Refusal
@@ -130,7 +131,7 @@ for tick in range(400):
     servo.observe(counts, 0.1 * np.cos(0.1 * tick * np.arange(1.0, 4.0)))
     given.append([float(v).hex() for v in servo.control(aim)])
     plant.advance(10.0 * np.sin(0.03 * tick * np.arange(1.0, 4.0)), scene.steps_per_period)
-    seen.append([int(count) for count in plant.state.encoder_counts])
+    seen.append([int(count) for count in plant.measured.encoder_counts])
 noticed = []
 coarse = {"integrator.scheme": "paper", "integrator.dt": 0.01, "servo_period": 0.01}
 rough = Plant(load_scene("three_axis", coarse))

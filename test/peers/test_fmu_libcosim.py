@@ -48,7 +48,7 @@ def test_two_arms_side_by_side_move_as_plants_do(
     references = [at[f"{what}.waist"] for what in ("truth.q", "truth.v", "encoder_counts")]
     for slave, plant in zip((one, other), plants, strict=True):
         state = plant.state
-        wanted = [state.q[0], state.v[0], float(state.encoder_counts[0])]
+        wanted = [state.q[0], state.v[0], float(plant.measured.encoder_counts[0])]
         assert list(observer.last_real_values(slave, references)) == wanted, "equal bits"
     said = capfd.readouterr()
     assert "[error]" not in said.out + said.err, "nothing is wrong with the description"

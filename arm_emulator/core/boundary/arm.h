@@ -129,6 +129,9 @@ int arm_reset(arm_machine* machine, const double* q, const double* v);
 
 /* Schedule the machine's own threads as the calling one; 0 if the system does not permit it. */
 int arm_join_schedule(arm_machine* machine);
+/* In a child of `fork`, which has none of its parent's threads: begin the machine's own anew. To be
+ * called once, before the machine is used. */
+void arm_begin_threads(arm_machine* machine);
 
 /* ------------------------------------------------------------------------------- the exchange */
 
@@ -311,6 +314,9 @@ int arm_linear_drives(const arm_machine* machine, int32_t loaded, double* out);
  * wrenches that act now. */
 void arm_forward_dynamics(const arm_machine* machine, int64_t count, const double* q,
                           const double* v, const double* tau, double* a);
+/* M (joints x joints, symmetric) and nle of the same, for each row of q and v. */
+void arm_link_dynamics(const arm_machine* machine, int64_t count, const double* q, const double* v,
+                       double* M, double* nle);
 
 #ifdef __cplusplus
 }

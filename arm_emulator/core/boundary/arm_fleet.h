@@ -34,6 +34,47 @@ arm_machine* arm_fleet_machine(arm_fleet* fleet, int32_t arm);
 int arm_fleet_run(arm_fleet* fleet, int32_t first, int32_t arms, const double* voltage,
                   int64_t rows, int64_t steps, double* q);
 
+/* ------------------------------------------------------------------------- all arms in one call
+ *
+ * A mask has a byte for each arm: 0 leaves it out; a null mask takes all. Rows are of the whole
+ * fleet, those of arms that are left out are not read. What is refused has changed nothing: the
+ * reason is with `arm_fleet_machine(fleet, arm_fleet_refused(fleet))`, see `arm_why`. */
+
+/* The arm that refused the newest of these calls; -1: none. */
+int32_t arm_fleet_refused(const arm_fleet* fleet);
+
+int arm_fleet_reset(arm_fleet* fleet, const uint8_t* mask, const double* q, const double* v);
+/* A varied number of each arm. */
+int arm_fleet_get_parameter(const arm_fleet* fleet, const char* name, double* values);
+int arm_fleet_set_parameter(arm_fleet* fleet, const uint8_t* mask, const char* name,
+                            const double* values);
+/* Power of all drives of each arm; `on` has a byte for each. */
+void arm_fleet_power(arm_fleet* fleet, const uint8_t* on);
+/* `arm_saved_size()` bytes for each arm of the fleet. */
+int arm_fleet_save(const arm_fleet* fleet, void* out, int64_t size);
+int arm_fleet_restore(arm_fleet* fleet, const uint8_t* mask, const void* saved, int64_t size);
+
+/* What the sensors of all arms give; every array may be null. */
+typedef struct arm_fleet_measurement {
+  uint32_t size;
+  uint32_t reserved;
+  uint8_t* powered;  /* of each arm */
+  int64_t* tick;     /* of each arm */
+  int64_t* answered; /* of each arm */
+  arm_joint_measurement* joint;
+  arm_joint_sensors* sensors;
+  arm_imu_measurement* imu;
+  double* current_d; /* A, along the rotors' flux */
+  double* readings;  /* of each arm as in arm_measurement */
+} arm_fleet_measurement;
+
+int arm_fleet_measure(const arm_fleet* fleet, arm_fleet_measurement* out);
+
+/* One servo period of `arms` arms from `first` on, as `arm_fleet_run`, each under its commands of
+ * the fleet's row, as `arm_exchange`. `arm_fleet_refused` does not know of it: its reason is with
+ * the arm. */
+int arm_fleet_exchange(arm_fleet* fleet, int32_t first, int32_t arms, const arm_command* command);
+
 /* Rows of all arms; every array may be null. */
 typedef struct arm_fleet_truth {
   uint32_t size;

@@ -189,6 +189,37 @@ struct arm_machine {
       sensors.begin(machine, tick(), false);
   }
 
+  // ARM_OK if a drive takes each of these; of `second` only that of a drive that is enabled counts.
+  int check_commands(const arm_joint_command* joint, const double* second) const {
+    for (int j = 0; j < N; ++j) {
+      if (!joint[j].enable) continue;
+      if (joint[j].mode != arm::kModes.at[j])
+        return refuse(j, "mode", "be one that the drive has", joint[j].mode);
+      if (!arm::is_finite(joint[j].value)) return refuse(j, "value", "be finite", joint[j].value);
+      if (second && !arm::is_finite(second[j])) return refuse(j, "value_d", "be finite", second[j]);
+    }
+    return ARM_OK;
+  }
+  // Hold them for the period that begins, in `voltage` what the motors get.
+  void take_commands(const arm_joint_command* joint, const double* second, std::int64_t tick) {
+    double along[N] = {};
+    bool hot[N] = {};  // a motor that is too hot is not enabled
+    if constexpr (Machine::heats) machine.too_hot(hot);
+    for (int j = 0; j < N; ++j) {
+      const bool on = powered && joint[j].enable && !hot[j];
+      voltage[j] = on ? joint[j].value : 0.0;
+      along[j] = on && second ? second[j] : 0.0;
+    }
+    for (int k = 0; k < Scene::brakes; ++k) {
+      const int j = Scene::braked[k];
+      const std::uint32_t enable = hot[j] ? 0 : joint[j].enable;
+      machine.want_brake(k, !powered || !enable || enable & ARM_CLOSE_BRAKE);
+    }
+    if constexpr (Machine::has_second) machine.put_second(along);
+    machine.bound(voltage);
+    answered = tick;
+  }
+
   void measure(arm_measurement* out) const {
     double current[N], angle[N], speed[N];
     machine.report(current, angle, speed);
@@ -397,39 +428,20 @@ int arm_join_schedule(arm_machine* machine) {
   return machine ? machine->machine.join_schedule() : 0;
 }
 
+void arm_begin_threads(arm_machine* machine) {
+  if (machine) machine->machine.begin_thread();
+}
+
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out) {
   if (!machine || machine->check_size(command, offsetof(arm_command, value_d)) ||
       machine->check_there(command->joint, "joint of the command") ||
       machine->check_measurement(out))
     return ARM_REFUSED;
-  double voltage[arm_machine::N], voltage_d[arm_machine::N] = {};
   const double* second = command->size >= sizeof *command ? command->value_d : nullptr;
-  bool hot[arm_machine::N] = {};  // a motor that is too hot is not enabled
-  if constexpr (arm_machine::Machine::heats) machine->machine.too_hot(hot);
-  for (int j = 0; j < arm_machine::N; ++j) {
-    const arm_joint_command& joint = command->joint[j];
-    if (joint.enable && joint.mode != arm::kModes.at[j])
-      return machine->refuse(j, "mode", "be one that the drive has", joint.mode);
-    if (joint.enable && !arm::is_finite(joint.value))
-      return machine->refuse(j, "value", "be finite", joint.value);
-    const bool on = machine->powered && joint.enable && !hot[j];
-    voltage[j] = on ? joint.value : 0.0;
-    if (!second) continue;
-    if (joint.enable && !arm::is_finite(second[j]))
-      return machine->refuse(j, "value_d", "be finite", second[j]);
-    voltage_d[j] = on ? second[j] : 0.0;
-  }
-  for (int k = 0; k < Scene::brakes; ++k) {
-    const int j = Scene::braked[k];
-    const std::uint32_t enable = hot[j] ? 0 : command->joint[j].enable;
-    machine->machine.want_brake(k, !machine->powered || !enable || enable & ARM_CLOSE_BRAKE);
-  }
-  if constexpr (arm_machine::Machine::has_second) machine->machine.put_second(voltage_d);
-  machine->machine.bound(voltage);
-  machine->answered = command->tick;
-  for (int j = 0; j < arm_machine::N; ++j) machine->voltage[j] = voltage[j];
+  if (machine->check_commands(command->joint, second)) return ARM_REFUSED;
+  machine->take_commands(command->joint, second, command->tick);
   machine->go(machine->steps_per_period,
-              [&](std::int64_t steps) { machine->machine.advance(voltage, steps); });
+              [&](std::int64_t steps) { machine->machine.advance(machine->voltage, steps); });
   machine->measure(out);
   return machine->result();
 }
@@ -587,18 +599,18 @@ ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) 
   return ARM_OK;
 }
 
-ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
-  if (!machine || machine->check_there(saved, "saved machine")) return ARM_REFUSED;
-  if (size != arm_saved_size())
-    return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
-  Words words = {const_cast<unsigned char*>(static_cast<const unsigned char*>(saved))};
-  std::uint64_t fingerprint = 0;
+namespace {
+
+// ARM_OK if a machine can go on from saved bytes.
+int check_saved(const arm_machine* machine, const void* saved) {
+  const auto* begin = static_cast<const unsigned char*>(saved);
+  Words words = {const_cast<unsigned char*>(begin)};
+  std::uint64_t fingerprint = 0, sum = 0;
   double step = 0.0;
   std::int64_t steps_per_period = 0;
   words.read(fingerprint);
-  Words ahead = words;
-  ahead.read(step);
-  ahead.read(steps_per_period);
+  words.read(step);
+  words.read(steps_per_period);
   if (fingerprint != ARM_FINGERPRINT)
     return machine->refuse(-1, "saved machine", "be of this library", 0.0);
   if (step != machine->step)
@@ -606,11 +618,14 @@ ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t s
   if (steps_per_period != machine->steps_per_period)
     return machine->refuse(-1, "saved machine", "have as many steps per period",
                            static_cast<double>(steps_per_period));
-  while (ahead.at != static_cast<const unsigned char*>(saved) + size - kWord) ahead.pass();
-  const std::uint64_t expected = ahead.sum;
-  std::uint64_t sum = 0;
-  ahead.read(sum);
-  if (sum != expected) return machine->refuse(-1, "saved machine", "be as it was saved", 0.0);
+  while (words.at != begin + arm_saved_size() - kWord) words.pass();
+  const std::uint64_t expected = words.sum;
+  words.read(sum);
+  return sum == expected ? ARM_OK : machine->refuse(-1, "saved machine", "be as it was saved", 0.0);
+}
+
+void take_saved(arm_machine* machine, const void* saved) {
+  Words words = {const_cast<unsigned char*>(static_cast<const unsigned char*>(saved)) + kWord};
   arm_machine::Machine::Whole whole = {};
   arm_machine::Values values = {};
   arm_machine::for_each_saved_number(*machine, whole, values,
@@ -619,6 +634,16 @@ ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t s
   if constexpr (Scene::external_wrench)
     for (int j = 0; j < arm_machine::N; ++j) machine->set_external_wrench(j, machine->given[j]);
   machine->machine.restore(whole);
+}
+
+}  // namespace
+
+ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
+  if (!machine || machine->check_there(saved, "saved machine")) return ARM_REFUSED;
+  if (size != arm_saved_size())
+    return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
+  if (check_saved(machine, saved)) return ARM_REFUSED;
+  take_saved(machine, saved);
   return ARM_OK;
 }
 
@@ -685,7 +710,7 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
 }
 
 int arm_advance(arm_machine* machine, const double* voltage, std::int64_t steps) {
-  if (!machine || machine->check_finite(voltage, "voltage") || machine->check_count(steps, "steps"))
+  if (!machine || machine->check_finite(voltage, "command") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
   const double* given = machine->with_power(voltage);
   machine->go(steps, [&](std::int64_t some) { machine->machine.advance(given, some); });
@@ -694,11 +719,11 @@ int arm_advance(arm_machine* machine, const double* voltage, std::int64_t steps)
 
 int arm_run(arm_machine* machine, const double* voltage, std::int64_t rows, std::int64_t steps,
             double* q) {
-  if (!machine || machine->check_there(voltage, "voltage") || machine->check_there(q, "q") ||
+  if (!machine || machine->check_there(voltage, "command") || machine->check_there(q, "q") ||
       machine->check_count(rows, "rows") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
   for (std::int64_t row = 0; row < rows; ++row)
-    if (machine->check_finite(voltage + row * arm_machine::N, "voltage")) return ARM_REFUSED;
+    if (machine->check_finite(voltage + row * arm_machine::N, "command")) return ARM_REFUSED;
   machine->follow(voltage, rows, steps, q);
   return machine->result();
 }
@@ -723,7 +748,7 @@ int arm_powers(const arm_machine* machine, const double* voltage, double* out) {
   if constexpr (!Scene::energy_flow) {
     return refuse_flow(machine);
   } else {
-    if (!machine || machine->check_finite(voltage, "voltage") || machine->check_there(out, "out"))
+    if (!machine || machine->check_finite(voltage, "command") || machine->check_there(out, "out"))
       return ARM_REFUSED;
     write_flow(machine->machine.powers(machine->with_power(voltage)), out);
     return ARM_OK;
@@ -735,7 +760,7 @@ int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_
   if constexpr (!Scene::energy_flow) {
     return refuse_flow(machine);
   } else {
-    if (!machine || machine->check_finite(voltage, "voltage") || machine->check_there(out, "out") ||
+    if (!machine || machine->check_finite(voltage, "command") || machine->check_there(out, "out") ||
         machine->check_count(steps, "steps"))
       return ARM_REFUSED;
     arm::EnergyFlow<Scene> flow;
@@ -787,6 +812,21 @@ void arm_forward_dynamics(const arm_machine* machine, std::int64_t count, const 
     factors.factor(links.M.at);
     factors.solve(x);
     for (int j = 0; j < N; ++j) a[j] = x[j];
+  }
+}
+
+void arm_link_dynamics(const arm_machine* machine, std::int64_t count, const double* q,
+                       const double* v, double* M, double* nle) {
+  constexpr int N = arm_machine::N;
+  using Links = arm::Links<Scene>;
+  if (!machine || !q || !v || !M || !nle) return;
+  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, M += N * N, nle += N) {
+    Links::Dynamics links;
+    Links::dynamics_apart(machine->machine.numbers_now(), q, v, links);
+    for (int i = 0; i < N; ++i) {
+      nle[i] = links.nle[i];
+      for (int j = 0; j < N; ++j) M[i * N + j] = links.M.at[i < j ? i : j][i < j ? j : i];
+    }
   }
 }
 

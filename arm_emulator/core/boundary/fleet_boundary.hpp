@@ -79,12 +79,39 @@ struct arm_fleet {
     }
   }
 
+  // One servo period under the commands that each has taken.
+  void exchange(int g) {
+    const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
+    double given[lanes * N] = {}, q[lanes * N];
+    for (int k = first; k < end; ++k)
+      for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->voltage[j];
+    follow_given(g, given, 0, 1, machine[first]->steps_per_period, q);
+  }
+
+  // OK if check(machine, arm) is for all arms of a mask.
+  template <class Check>
+  int check_all(const std::uint8_t* mask, Check&& check) const {
+    refused = -1;
+    for (int k = 0; k < arms; ++k)
+      if ((!mask || mask[k]) && check(machine[k], k) != ARM_OK) {
+        refused = k;
+        return ARM_REFUSED;
+      }
+    return ARM_OK;
+  }
+  template <class Do>
+  void for_all(const std::uint8_t* mask, Do&& act) {
+    for (int k = 0; k < arms; ++k)
+      if (!mask || mask[k]) act(machine[k], k);
+  }
+
   int groups() const { return (arms + lanes - 1) / lanes; }
 
   int arms;
   arm_machine** machine;
   Group** group = nullptr;
   bool sound = true;
+  mutable std::int32_t refused = -1;
 };
 
 #pragma GCC visibility push(default)
@@ -126,6 +153,107 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
   for (std::int32_t k = first; k < end; ++k)
     if (fleet->machine[k]->result() != ARM_OK) result = ARM_DIVERGED;
   return result;
+}
+
+std::int32_t arm_fleet_refused(const arm_fleet* fleet) { return fleet ? fleet->refused : -1; }
+
+int arm_fleet_reset(arm_fleet* fleet, const std::uint8_t* mask, const double* q, const double* v) {
+  constexpr int N = arm_fleet::N;
+  if (!fleet || !q || !v) return ARM_REFUSED;
+  const auto check = [&](const arm_machine* arm, int k) {
+    return arm->check_finite(q + k * N, "q") || arm->check_finite(v + k * N, "v") ? ARM_REFUSED
+                                                                                  : ARM_OK;
+  };
+  if (fleet->check_all(mask, check)) return ARM_REFUSED;
+  fleet->for_all(mask, [&](arm_machine* arm, int k) { arm_reset(arm, q + k * N, v + k * N); });
+  return ARM_OK;
+}
+
+int arm_fleet_get_parameter(const arm_fleet* fleet, const char* name, double* values) {
+  if (!fleet || !values) return ARM_REFUSED;
+  return fleet->check_all(nullptr, [&](const arm_machine* arm, int k) {
+    return arm_get_parameter(arm, name, values + k);
+  });
+}
+
+int arm_fleet_set_parameter(arm_fleet* fleet, const std::uint8_t* mask, const char* name,
+                            const double* values) {
+  if (!fleet || !values) return ARM_REFUSED;
+  const int place = place_of(name);
+  const auto check = [&](const arm_machine* arm, int k) {
+    if (place < 0) return arm->refuse(-1, "parameter", "be varied in this scene", 0.0);
+    if (within_bounds(place, values[k])) return int{ARM_OK};
+    return arm->refuse(-1, "parameter", "be within its bounds", values[k]);
+  };
+  if (fleet->check_all(mask, check)) return ARM_REFUSED;
+  fleet->for_all(mask,
+                 [&](arm_machine* arm, int k) { arm->machine.set_parameter(place, values[k]); });
+  return ARM_OK;
+}
+
+void arm_fleet_power(arm_fleet* fleet, const std::uint8_t* on) {
+  if (fleet && on)
+    fleet->for_all(nullptr, [&](arm_machine* arm, int k) { arm_power(arm, on[k] != 0); });
+}
+
+int arm_fleet_save(const arm_fleet* fleet, void* out, std::int64_t size) {
+  const std::int64_t each = arm_saved_size();
+  if (!fleet || !out || size != each * fleet->arms) return ARM_REFUSED;
+  return fleet->check_all(nullptr, [&](const arm_machine* arm, int k) {
+    return arm_save(arm, static_cast<unsigned char*>(out) + k * each, each);
+  });
+}
+
+int arm_fleet_restore(arm_fleet* fleet, const std::uint8_t* mask, const void* saved,
+                      std::int64_t size) {
+  const std::int64_t each = arm_saved_size();
+  if (!fleet || !saved || size != each * fleet->arms) return ARM_REFUSED;
+  const auto* bytes = static_cast<const unsigned char*>(saved);
+  if (fleet->check_all(
+          mask, [&](const arm_machine* arm, int k) { return check_saved(arm, bytes + k * each); }))
+    return ARM_REFUSED;
+  fleet->for_all(mask, [&](arm_machine* arm, int k) { take_saved(arm, bytes + k * each); });
+  return ARM_OK;
+}
+
+int arm_fleet_measure(const arm_fleet* fleet, arm_fleet_measurement* out) {
+  constexpr int N = arm_fleet::N, M = arm_machine::Sensors::M;
+  if (!fleet || !out || out->size < sizeof *out) return ARM_REFUSED;
+  const auto row = [](auto* rows, int first) { return rows ? rows + first : nullptr; };
+  for (int arm = 0; arm < fleet->arms; ++arm) {
+    arm_joint_measurement joint[N];
+    arm_measurement one = {};
+    one.size = sizeof one;
+    one.joint = out->joint ? out->joint + arm * N : joint;
+    one.sensors = row(out->sensors, arm * N);
+    one.imu = row(out->imu, arm * M);
+    one.current_d = row(out->current_d, arm * N);
+    one.readings = row(out->readings, arm * Scene::readings * N);
+    fleet->machine[arm]->measure(&one);
+    if (out->powered) out->powered[arm] = one.powered != 0;
+    if (out->tick) out->tick[arm] = one.tick;
+    if (out->answered) out->answered[arm] = one.answered;
+  }
+  return ARM_OK;
+}
+
+int arm_fleet_exchange(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
+                       const arm_command* command) {
+  constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
+  if (!fleet || !command || command->size < offsetof(arm_command, value_d) || !command->joint ||
+      first < 0 || first % lanes || arms < 0 || first > fleet->arms || arms > fleet->arms - first)
+    return ARM_REFUSED;
+  const double* second = command->size >= sizeof *command ? command->value_d : nullptr;
+  const std::int32_t end = first + arms;
+  const auto of = [&](std::int32_t k) { return second ? second + k * N : nullptr; };
+  for (std::int32_t k = first; k < end; ++k)
+    if (fleet->machine[k]->check_commands(command->joint + k * N, of(k))) return ARM_REFUSED;
+  for (std::int32_t k = first; k < end; ++k)
+    fleet->machine[k]->take_commands(command->joint + k * N, of(k), command->tick);
+  for (std::int32_t k = first; k < end; k += lanes) fleet->exchange(k / lanes);
+  for (std::int32_t k = first; k < end; ++k)
+    if (fleet->machine[k]->result() != ARM_OK) return ARM_DIVERGED;
+  return ARM_OK;
 }
 
 int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {

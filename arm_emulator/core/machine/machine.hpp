@@ -38,6 +38,8 @@ class Machine {
 
   // Schedule all threads as the calling one; false if the system does not permit it.
   bool join_schedule() { return threads.join_schedule(); }
+  // In a forked child: have the threads that the parent has.
+  void begin_thread() { threads.begin_thread(); }
 
   // All that decides how a machine goes on from one instant.
   struct Instant {

@@ -17,6 +17,7 @@ class OneThread {
 
   OneThread(double step, int, const Numbers<S, X>& numbers) : n(numbers), stepper(step, numbers) {}
   bool join_schedule() { return true; }
+  void begin_thread() {}
   // The numbers have changed.
   void renew() { stepper.renew(); }
   void reset(const State<S, X>& x) { stepper.reset(x); }

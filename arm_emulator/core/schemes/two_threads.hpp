@@ -28,6 +28,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <new>
 #include <thread>
 
 #include "mechanics/links.hpp"
@@ -58,15 +59,8 @@ class TwoThreads {
 
   // `core`: of the Newton-Euler thread; -1, and other systems than Linux: wherever these put it.
   TwoThreads(double step, int core, const Numbers<S>& numbers)
-      : h(step), n(numbers), stepper(step, numbers), newton_euler([this] { work(); }) {
-#ifdef __linux__
-    if (core >= 0) {
-      cpu_set_t cores;
-      CPU_ZERO(&cores);
-      CPU_SET(static_cast<unsigned>(core), &cores);
-      pthread_setaffinity_np(newton_euler.native_handle(), sizeof cores, &cores);
-    }
-#endif
+      : h(step), n(numbers), stepper(step, numbers), place(core), newton_euler([this] { work(); }) {
+    put_on_core();
   }
 
   ~TwoThreads() {
@@ -81,6 +75,13 @@ class TwoThreads {
     sched_param priority = {};
     pthread_getschedparam(pthread_self(), &policy, &priority);
     return pthread_setschedparam(newton_euler.native_handle(), policy, &priority) == 0;
+  }
+
+  // In a forked child, which has not got the Newton-Euler thread, between two bursts: begin one.
+  void begin_thread() {
+    // The handle is of a thread of the parent: nobody may wait for it.
+    new (&newton_euler) std::jthread([this] { work(); });
+    put_on_core();
   }
 
   // Where a links' part is taken.
@@ -230,9 +231,20 @@ class TwoThreads {
     Links<S>::dynamics(n, at.q, at.v, result);
   }
 
+  void put_on_core() {
+#ifdef __linux__
+    if (place < 0) return;
+    cpu_set_t cores;
+    CPU_ZERO(&cores);
+    CPU_SET(static_cast<unsigned>(place), &cores);
+    pthread_setaffinity_np(newton_euler.native_handle(), sizeof cores, &cores);
+#endif
+  }
+
   // The Newton-Euler thread.
   void work() {
-    std::int64_t k = 0, here = 0;  // samples that are worked on, that have been handed over
+    std::int64_t k = done.load(),
+                 here = k;  // samples that are worked on, that have been handed over
     for (;;) {
       const std::uint32_t seen = alarm.load();
       while (here > k || k < target.load(std::memory_order_relaxed)) {
@@ -276,6 +288,7 @@ class TwoThreads {
   std::atomic<std::uint32_t> alarm = 0;              // changes to wake the sleeper
   std::atomic<bool> stopping = false;
   alignas(64) Stepper stepper;
+  int place;                  // core of the thread; -1: any
   std::jthread newton_euler;  // last: it uses all of the above
 };
 

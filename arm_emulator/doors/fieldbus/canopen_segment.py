@@ -5,7 +5,7 @@ from __future__ import annotations
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.doors.fieldbus.canopen_node import LARGEST_NODE, Frame, Node
 from arm_emulator.doors.fieldbus.drives import Drives
-from arm_emulator.machine.plant import Diverged
+from arm_emulator.machine.diverged import Diverged
 
 _INTERPOLATION_TIME = bytes([0xC2, 0x60])  # in a request of SDO
 

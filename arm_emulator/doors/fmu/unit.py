@@ -18,7 +18,7 @@ from arm_emulator.machine.compiler import machine_unit
 from arm_emulator.machine.core_calls import MODES
 from arm_emulator.machine.cxx_literals import number
 from arm_emulator.machine.outputs import readings_of
-from arm_emulator.machine.plant import largest_position
+from arm_emulator.machine.plant_state import largest_position
 from arm_emulator.machine.scene import Scene
 
 FOLDER = Path(__file__).resolve().parent

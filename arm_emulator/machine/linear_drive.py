@@ -1,0 +1,25 @@
+"""The linear part of a joint's drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from arm_emulator.machine.chain import Array
+
+
+@dataclass(frozen=True)
+class LinearDrive:
+    """The linear part of one joint's drive, as the core states it (core/mechanics/drive.hpp).
+
+    Of a progressive gear it is the linearisation where that is not wound up.
+
+    With its n states z, D dz/dt = F (z, q, v, u), and the torque on the link is G (z, q, v, u) less
+    `carried` times the link's acceleration.
+    """
+
+    D: Array  # (n,), 0 where a state follows at once
+    F: Array  # (n, n + 3)
+    G: Array  # (n + 3,)
+    carried: float  # kg m2, of a rotor behind a rigid gear
+    current: Array  # (n + 3,), A of the motor by (z, q, v, u)
+    motor_angle: Array  # (n + 3,), rad

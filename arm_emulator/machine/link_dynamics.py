@@ -1,0 +1,104 @@
+"""The links of a machine alone, by the compiled core: M(q) a + nle(q, v) = tau."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arm_emulator.base.bound import POSITION
+from arm_emulator.base.given import as_numbers
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import pointer
+from arm_emulator.machine.chain import Array
+
+UNITS = {"q": "rad or m", "v": "rad/s or m/s", "a": "rad/s2 or m/s2", "tau": "N m or N"}
+
+
+class LinkDynamics:
+    """Dynamics of the links, without motors and gears, under the external wrenches that act now.
+
+    Arrays are (N,) or (K, N), base to tool; those of one call have the same shape. Whatever is
+    refused is of another shape, not finite, or so large that the answer would not be finite.
+
+    Args:
+        call: makes a call of the core, by its name, on the machine.
+        joints: N.
+    """
+
+    def __init__(self, call: Callable[..., Any], joints: int) -> None:
+        self._call, self._N = call, joints
+
+    def accelerations(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
+        """Return the accelerations a [rad/s2 or m/s2] under joint torques.
+
+        Raises:
+            Refusal: see `LinkDynamics`.
+        """
+        rows = self._rows("accelerations", {"q": q, "v": v, "tau": tau})
+        a = np.empty_like(rows[0])
+        self._call("arm_forward_dynamics", a.size // self._N, *map(pointer, (*rows, a)))
+        return _finite(a, "accelerations", "a")
+
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return the joint torques tau [N m or N] that give the links accelerations.
+
+        Raises:
+            Refusal: see `LinkDynamics`.
+        """
+        where = "inverse_dynamics"
+        *at, of_a = self._rows(where, {"q": q, "v": v, "a": a})
+        M, nle = self._dynamics(*at)
+        with np.errstate(over="ignore", invalid="ignore"):
+            tau = np.einsum("...ij,...j->...i", M, of_a) + nle
+        return _finite(tau, where, "tau")
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Return M(q), (N, N) or (K, N, N) [kg m2, kg m or kg].
+
+        Raises:
+            Refusal: see `LinkDynamics`.
+        """
+        (at,) = self._rows("mass_matrix", {"q": q})
+        return self._dynamics(at, np.zeros_like(at))[0]
+
+    def nle(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the nonlinear effects [N m or N]: gravity, centrifugal and Coriolis, wrenches.
+
+        Raises:
+            Refusal: see `LinkDynamics`.
+        """
+        at = self._rows("nle", {"q": q, "v": v})
+        return _finite(self._dynamics(*at)[1], "nle", "nle")
+
+    def _dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
+        M, nle = np.empty((*q.shape, self._N)), np.empty_like(q)
+        self._call("arm_link_dynamics", q.size // self._N, *map(pointer, (q, v, M, nle)))
+        return M, nle
+
+    def _rows(self, of: str, given: dict[str, ArrayLike]) -> Sequence[Array]:
+        where = f"LinkDynamics.{of}"
+        rows: list[Array] = []
+        for quantity, values in given.items():
+            array = as_numbers(values, where, quantity, UNITS[quantity])
+            if array.ndim not in (1, 2) or array.shape[-1] != self._N:
+                rule = f"have shape (K, {self._N}) or ({self._N},)"
+                raise Refusal(where, quantity, rule, array.shape)
+            if rows and array.shape != rows[0].shape:
+                raise Refusal(where, quantity, f"have the shape of q, {rows[0].shape}", array.shape)
+            if not np.isfinite(array).all():
+                raise Refusal(where, quantity, f"be finite [{UNITS[quantity]}]", array)
+            rows.append(array)
+        if (np.abs(rows[0]) > POSITION.largest).any():
+            raise Refusal(where, "q", f"be at most {POSITION.largest:g} rad or m", rows[0])
+        return rows
+
+
+def _finite(values: Array, of: str, quantity: str) -> Array:
+    if not np.isfinite(values).all():
+        where = f"LinkDynamics.{of}"
+        rule = f"be finite [{UNITS.get(quantity, UNITS['tau'])}]"
+        raise Refusal(where, f"what v, tau or a lead to, {quantity},", rule, values)
+    return values

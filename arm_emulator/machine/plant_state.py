@@ -1,0 +1,70 @@
+"""The true state of a machine: what it is made of, and how large it may be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY, Bound
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import Scene
+
+SET = ("current", "theta_m", "omega_m", "q", "v")  # what decides on the others of `PlantState`
+ROWS = (*SET, "gear_torque")
+
+
+@dataclass(frozen=True)
+class PlantState:
+    """True state of the machine at one logical time. Arrays are (N,), base to tool.
+
+    Nobody but the emulator knows it; what sensors give is in `Plant.measured`.
+    """
+
+    t: float  # s
+    current: Array  # A
+    theta_m: Array  # rad, motor angle
+    omega_m: Array  # rad/s, motor speed
+    q: Array  # rad or m, link side
+    v: Array  # rad/s or m/s, link side
+    gear_torque: Array  # N m or N, on the link
+
+
+def link_angle_per_count(scene: Scene) -> Array:
+    """Return what one encoder count means at the link (N,) [rad or m]."""
+    return np.array(
+        [2.0 * math.pi / joint.counts_per_turn * joint.gear.ratio for joint in scene.joints]
+    )
+
+
+def largest_position(scene: Scene) -> Array:
+    """Return how far a link may be (N,) [rad or m], so that its encoder's counts are exact."""
+    return np.minimum(POSITION.largest, LARGEST_COUNT * np.abs(link_angle_per_count(scene)))
+
+
+def check_start(where: str, scene: Scene, q: Array, v: Array) -> None:
+    """Refuse positions and speeds, rows of (N,), at which no motion can begin.
+
+    Raises:
+        Refusal: see above.
+    """
+    largest = largest_position(scene)
+    if (np.abs(q) > largest).any():
+        raise Refusal(where, "q", f"be at most {largest.min():g} rad or m", q)
+    if (np.abs(v) > VELOCITY.largest).any():
+        raise Refusal(where, "v", f"be at most {VELOCITY.largest:g} rad/s or m/s", v)
+
+
+def bounds_of(scene: Scene) -> dict[str, Bound]:
+    """Return how large what is set may be, by its name in `PlantState`."""
+    at_most = largest_position(scene)
+    ratio = np.abs(scene.gear_ratios)
+    return {
+        "current": CURRENT,
+        "theta_m": Bound("motor position", "rad", at_most / ratio),
+        "omega_m": Bound("motor velocity", "rad/s", VELOCITY.largest / ratio),
+        "q": Bound("position", "rad", at_most),
+        "v": VELOCITY,
+    }

@@ -1,0 +1,186 @@
+"""A fleet has what a plant has: every call on all arms is that call on each of them alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from oracles.random_machines import machine
+
+COUNT = 11  # more than one group, and none that is full
+NUMBER = "joints.elbow.friction.viscous"
+SENSED: dict[str, Any] = {
+    "varied": ["joints.*.friction.viscous", "seed"],
+    "seed": 3,
+    "joints.*.current_sensor": {"noise": 0.01},
+    "joints.shoulder.tachometer": {"noise": 0.001},
+    "joints.waist.brake": {"torque": 50.0, "close_delay": 0.004, "release_delay": 0.006},
+    "imus.hand": {"link": "forearm", "gyroscope": {"noise": 1e-3}},
+}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("three_axis", overrides=SENSED)
+
+
+def alone(fleet: Fleet, arm: int, **began: Any) -> Plant:
+    plant = Plant(fleet.scene)
+    for name, values in fleet.parameters.items():
+        plant.set_parameter(name, values[arm])
+    plant.reset(**began)
+    return plant
+
+
+def assert_alike(fleet: Fleet, plants: list[Plant]) -> None:
+    """Whatever a plant measures and its true state, for each arm."""
+    measured, state = fleet.measured, fleet.state
+    for arm, plant in enumerate(plants):
+        for name in KNOWN:
+            of_arm, of_plant = getattr(measured, name)[arm], getattr(plant.measured, name)
+            if of_plant.dtype.kind == "i":
+                assert np.array_equal(of_arm, of_plant), f"{name} of arm {arm}"
+            # Lanes are rounded otherwise, by some 1e-16 a step, and a gear's torque is a small
+            # difference of angles times 1e4 N m/rad.
+            np.testing.assert_allclose(of_arm, of_plant, rtol=1e-9, atol=1e-8, err_msg=name)
+        for name in ("t", "q", "v", "current", "theta_m", "omega_m"):
+            of_arm, of_plant = getattr(state, name)[arm], getattr(plant.state, name)
+            np.testing.assert_allclose(of_arm, of_plant, rtol=1e-9, atol=1e-9, err_msg=name)
+        assert fleet.powered[arm] == plant.powered
+
+
+@pytest.mark.parametrize("seed", some(range(5), 1))
+def test_exchanges_under_power_and_without(seed: int, scene: Scene) -> None:
+    """Brakes, sensors with noise of their own, an emergency stop of some arms on the way."""
+    rng = np.random.default_rng(seed)
+    varied = {NUMBER: rng.uniform(1.0, 5.0, COUNT), "seed": np.arange(COUNT)}
+    q = rng.uniform(-1.0, 1.0, (COUNT, 3))
+    fleet = Fleet(scene, COUNT, varied=varied, q=q, workers=2)
+    for name, values in varied.items():
+        assert np.array_equal(fleet.parameters[name], values), name
+    plants = [alone(fleet, arm, q=q[arm]) for arm in range(COUNT)]
+    commands = rng.uniform(-20.0, 20.0, (30, COUNT, 3))
+    for tick, rows in enumerate(commands):
+        if tick == 10:
+            on = rng.random(COUNT) < 0.5
+            assert on.any() and not on.all()
+            fleet.powered = on
+            for plant, one in zip(plants, on, strict=True):
+                plant.powered = bool(one)
+        if tick == 20:
+            fleet.powered = True
+            for plant in plants:
+                plant.powered = True
+        fleet.exchange(rows, tick)
+        for plant, row in zip(plants, rows, strict=True):
+            plant.exchange(row, tick)
+        if tick in (5, 13, 29):
+            assert_alike(fleet, plants)
+    assert np.ptp(fleet.measured.current[:, 1]) > 0.0
+
+
+def test_an_emergency_stop_stops_the_arms_that_it_is_for(scene: Scene) -> None:
+    fleet = Fleet(scene, COUNT)
+    on = np.arange(COUNT) % 2 == 0
+    fleet.powered = on
+    for _ in range(100):
+        fleet.exchange([0.0, 0.0, 10.0])
+    moved = np.abs(fleet.state.q[:, 2] - scene.start[2])
+    assert (moved[on] > 1e-3).all() and (moved[~on] < 1e-12).all()
+    assert fleet.measured.applied[:, 2].tolist() == [10.0 if one else 0.0 for one in on]
+
+
+@pytest.mark.parametrize("arms", [[2, 5], np.arange(COUNT) == 4, -1, slice, []], ids=range(5))
+def test_some_arms_are_reset_and_the_others_go_on(arms: Any, scene: Scene) -> None:
+    rng = np.random.default_rng(1)
+    arms = None if arms is slice else arms
+    mask = np.zeros(COUNT, bool)
+    mask[
+        slice(None) if arms is None else np.asarray(arms, None if len(np.atleast_1d(arms)) else int)
+    ] = True
+    fleet = Fleet(scene, COUNT)
+    fleet.run(rng.uniform(-9.0, 9.0, (5, COUNT, 3)), 20)
+    before, many = [arm.save() for arm in fleet], int(mask.sum())
+    q, v = rng.uniform(-1.0, 1.0, (2, COUNT, 3))
+    numbers = rng.uniform(2.0, 4.0, many)
+    fleet.reset(arms, q=q[mask], v=v, varied={NUMBER: numbers})
+    expected = Plant(scene)
+    which = iter(numbers)
+    for arm, plant in enumerate(fleet):
+        if not mask[arm]:
+            assert plant.save() == before[arm], f"arm {arm} was left out"
+            continue
+        number = next(which)
+        expected.set_parameter(NUMBER, number)
+        expected.reset(q[arm], v[arm])
+        assert fleet.parameters[NUMBER][arm] == number
+        assert np.array_equal(plant.state.q, q[arm]) and np.array_equal(plant.state.v, v[arm])
+        assert np.array_equal(plant.state.theta_m, expected.state.theta_m) and plant.t == 0.0
+
+
+def test_numbers_of_some_arms(scene: Scene) -> None:
+    fleet = Fleet(scene, COUNT)
+    fleet.set_parameter(NUMBER, 2.0)
+    fleet.set_parameter(NUMBER, [3.0, 4.0], arms=[7, 9])
+    fleet.set_parameter(NUMBER, np.arange(COUNT) + 10.0, arms=np.arange(COUNT) == 3)
+    expected = np.full(COUNT, 2.0)
+    expected[[7, 9, 3]] = 3.0, 4.0, 13.0
+    assert np.array_equal(fleet.parameters[NUMBER], expected)
+    assert [arm.parameters[NUMBER] for arm in fleet] == expected.tolist()
+
+
+def test_a_saved_fleet_goes_on_to_the_last_bit(scene: Scene) -> None:
+    rows = np.random.default_rng(2).uniform(-9.0, 9.0, (8, COUNT, 3))
+    fleet = Fleet(scene, COUNT, workers=2)
+    fleet.run(rows, 25)
+    saved = fleet.save()
+    assert saved == b"".join(arm.save() for arm in fleet)
+    end = fleet.run(rows, 25)
+    other = Fleet(scene, COUNT)
+    other.restore(saved)
+    assert other.run(rows, 25).tobytes() == end.tobytes()
+    after = fleet.save()
+    fleet.restore(saved, arms=[1, 2])
+    size = len(saved) // COUNT
+    for arm, plant in enumerate(fleet):
+        whole = saved if arm in (1, 2) else after
+        assert plant.save() == whole[arm * size : (arm + 1) * size]
+    spoiled = bytearray(saved)
+    spoiled[-20] ^= 1  # of the last arm: none of those before may change
+    before = fleet.save()
+    with pytest.raises(Refusal, match=r"arm 10: saved machine must be as it was saved"):
+        fleet.restore(spoiled)
+    assert fleet.save() == before
+
+
+def test_commands_by_names_of_joints(scene: Scene) -> None:
+    one, other = Fleet(scene, COUNT), Fleet(scene, COUNT)
+    rows = np.zeros((COUNT, 3))
+    rows[:, 2], rows[:, 0] = np.arange(COUNT), 5.0
+    one.exchange({"elbow": np.arange(COUNT), "waist": 5, "shoulder": 0.0})
+    other.exchange(rows)
+    assert one.save() == other.save()
+
+
+@pytest.mark.parametrize("keys", some([{"integrator.events": "located"}, {"threads": 2}], 0))
+def test_exchanges_without_lanes(keys: dict[str, Any], tmp_path: Path) -> None:
+    file, _ = machine(tmp_path, 23)
+    scene = load_scene(file, {"integrator.scheme": "extrapolated", "integrator.dt": 2e-4, **keys})
+    rows = np.random.default_rng(3).uniform(-9.0, 9.0, (10, 3, len(scene.joints)))
+    fleet, plants = Fleet(scene, 3), [Plant(scene) for _ in range(3)]
+    for row in rows:
+        fleet.exchange(row)
+        for plant, own in zip(plants, row, strict=True):
+            plant.exchange(own)
+    assert [arm.save() for arm in fleet] == [plant.save() for plant in plants] or all(
+        np.array_equal(arm.state.q, plant.state.q) for arm, plant in zip(fleet, plants, strict=True)
+    )
