@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import random
 import subprocess
 import sys
@@ -197,3 +198,27 @@ def test_bash_completes_a_command_and_an_option(tmp_path: Path) -> None:
 def no_signal() -> None:
     """Of another test."""
     CtrlC.signal = 0
+
+
+def test_programs_read_json_where_people_read_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from made_bags import synthetic
+
+    bag = synthetic(tmp_path / "bag", [True] * 8)
+    code, lines, _ = run("check-bag", str(bag), "--scene", "three_axis")
+    json_code, text, _ = run("check-bag", str(bag), "--scene", "three_axis", "--json")
+    facts = json.loads(text)
+    assert json_code == code == 0 and "equal to the last bit" in lines
+    assert facts["equal"] and facts["scene"] == "three_axis" and facts["counts"]["states"] > 0
+
+    folder = tmp_path / "cache"
+    folder.mkdir(mode=0o700)
+    library = folder / f"three_axis-{7:020x}.so"
+    library.write_bytes(b"library")
+    monkeypatch.setenv("ARM_EMULATOR_CACHE", str(folder))
+    assert library.name in run("cache")[1]
+    [one] = json.loads(run("cache", "--json")[1])["folders"]
+    assert one["folder"] == str(folder) and not one["not_trusted"]
+    assert [entry["file"] for entry in one["libraries"]] == [str(library)]
+    assert one["libraries"][0]["size"] == 7

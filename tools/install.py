@@ -35,9 +35,9 @@ OF_UV = {
 }
 # Options that decide nothing of what is installed into an environment, or from where.
 WITHOUT_EFFECT = {
-    "break-system-packages", "cache-dir", "disable-pip-version-check", "log", "no-color",
-    "no-input", "no-python-version-warning", "no-warn-script-location", "progress-bar", "quiet",
-    "require-virtualenv", "root-user-action", "verbose",
+    "break-system-packages", "cache-dir", "config-file", "disable-pip-version-check", "log",
+    "no-color", "no-input", "no-python-version-warning", "no-warn-script-location",
+    "progress-bar", "quiet", "require-virtualenv", "root-user-action", "verbose",
 }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 
 from arm_emulator.build.library_cache import (
@@ -14,22 +15,31 @@ from arm_emulator.build.library_cache import (
     why_not_trusted,
 )
 from arm_emulator.build.trusted import Untrusted, check_folder
+from arm_emulator.cli.output import Output
 
 
-def list_cache() -> int:
+def list_cache(json: bool) -> int:
     """Print each folder, whether it is trusted, and its libraries, the last used first."""
+    output, facts = Output(json), list[dict[str, object]]()
     for folder in named_folders():
         reason = why_not_trusted(folder)
         found = entries(folder)
         size = sum(entry.size for entry in found)
         state = f"not trusted, nothing of it is loaded: {reason}" if reason else "trusted"
-        print(f"{folder}: {state if folder.is_dir() else 'not there'}")
+        output.line(f"{folder}: {state if folder.is_dir() else 'not there'}")
         for entry in reversed(found):
             used = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry.used))
-            print(f"  {used}  {entry.size / 1e6:8.3f} MB  {entry.scene:20s}  {entry.file.name}")
+            output.line(
+                f"  {used}  {entry.size / 1e6:8.3f} MB  {entry.scene:20s}  {entry.file.name}"
+            )
         if found:
-            print(f"  {len(found)} libraries, {size / 1e6:.3f} of {largest_size() / 1e6:g} MB "
-                  f"({SIZE_VARIABLE})")  # fmt: skip
+            output.line(
+                f"  {len(found)} libraries, {size / 1e6:.3f} of {largest_size() / 1e6:g} MB "
+                f"({SIZE_VARIABLE})"
+            )
+        libraries = [dataclasses.asdict(entry) for entry in reversed(found)]
+        facts.append({"folder": folder, "not_trusted": reason, "libraries": libraries})
+    output.facts({"folders": facts})
     return 0
 
 

@@ -10,6 +10,7 @@ from tick 0 on.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.checked import Tally
+from arm_emulator.cli.output import Output
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import SET
@@ -62,7 +64,7 @@ class Difference(Exception):
     """The first bit that is not as recorded."""
 
 
-def check(path: Path, scene_name: str | None, strict: bool = False) -> int:
+def check(path: Path, scene_name: str | None, strict: bool = False, *, json: bool = False) -> int:
     """Compare, and print what was compared, what was not, and the outcome.
 
     The exit code is 0 if all is equal; 1 at a difference, and where states behind the beginning of
@@ -72,6 +74,7 @@ def check(path: Path, scene_name: str | None, strict: bool = False) -> int:
         path: the bag.
         scene_name: scene file or name; None: the one that the bag names.
         strict: let nothing be left out.
+        json: print one JSON object in the place of lines.
 
     Raises:
         Refusal: a bad bag, one of which nothing can be checked, or no scene.
@@ -94,26 +97,39 @@ def check(path: Path, scene_name: str | None, strict: bool = False) -> int:
     if difference is None and not tally.periods:
         rule, got = "hold a servo period of a run", f"{tally.states} states of tick 0"
         raise Refusal(str(path), "the bag", rule, got, "record while the machine runs")
+    output = Output(json)
     clock = "" if lockstep else " in real time"
-    print(f"scene {scene.name}{clock}: {tally.compared}")
+    output.line(f"scene {scene.name}{clock}: {tally.compared}")
     fields = [f"{name} ({of})" for name, of in checker.fields.items() if name in topics]
-    print(f"compared: {'; '.join(fields)}")
+    output.line(f"compared: {'; '.join(fields)}")
     left_out = [*tally.left_out, *_not_known(bag)]
     for line in left_out:
-        print(f"not compared: {line}")
+        output.line(f"not compared: {line}")
     others = sorted(set(bag.topics) - {topics[name] for name in COMPARED if name in topics})
     if others:
-        print(f"topics that are not compared: {', '.join(others)}")
+        output.line(f"topics that are not compared: {', '.join(others)}")
+    outcome = int(bool(difference or tally.after or (strict and left_out)))
+    output.facts(
+        {
+            "scene": scene.name,
+            "clock": "lockstep" if lockstep else "realtime",
+            "equal": difference is None,
+            "difference": None if difference is None else str(difference),
+            "counts": dataclasses.asdict(tally),
+            "not_compared": left_out,
+            "topics_not_compared": others,
+        }
+    )
     if difference is not None:
-        print(f"the first difference: {difference}")
+        output.line(f"the first difference: {difference}")
         for hint in _hints(bag, topics, scene):
-            print(f"note: {hint}")
-        return 1
+            output.line(f"note: {hint}")
+        return outcome
     if tally.after:
-        print("not checked to its end; what was compared is equal to the last bit")
+        output.line("not checked to its end; what was compared is equal to the last bit")
     else:
-        print(f"equal to the last bit{', as far as it was compared' if left_out else ''}")
-    return int(bool(tally.after or (strict and left_out)))
+        output.line(f"equal to the last bit{', as far as it was compared' if left_out else ''}")
+    return outcome
 
 
 class _Checker:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from arm_emulator.cli.command import command
+from arm_emulator.cli.options import Json
 
 
 @command()
-def cache(*, clear: bool = False) -> int:
+def cache(*, clear: bool = False, json: Json = False) -> int:
     """List the compiled scenes that are kept, or remove them.
 
     Args:
@@ -14,4 +15,4 @@ def cache(*, clear: bool = False) -> int:
     """
     from arm_emulator.cli.cache import clear_cache, list_cache
 
-    return clear_cache() if clear else list_cache()
+    return clear_cache() if clear else list_cache(json)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.options import Json, SceneName
 
 
 @command(of_ros=True)
-def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = False) -> int:
+def check_bag(
+    bag: Path, /, *, scene: SceneName | None = None, strict: bool = False, json: Json = False
+) -> int:
     """Drive the machine again with the commands of a bag, and compare every bit.
 
     Args:
@@ -19,4 +21,4 @@ def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = Fa
     """
     from arm_emulator.cli.check_bag import check
 
-    return check(bag, scene, strict)
+    return check(bag, scene, strict, json=json)
