@@ -201,3 +201,13 @@ def test_real_time_hands_over_the_same(scene: Scene) -> None:
         mine, its = getattr(session.measured, name), getattr(fresh.measured, name)
         assert mine.tobytes() == its.tobytes(), f"{name} by the loop at tick {ticks}"
     session.close()
+
+
+def test_a_faultless_sensor_has_the_bits_of_the_truth() -> None:
+    """However the compiler rounds where it folds the core into what asks."""
+    plant = Plant(load_scene("three_axis", {"joints.*.torque_sensor": {}}))
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        plant.exchange(rng.uniform(-20.0, 20.0, 3))
+        assert plant.measured.torque.tobytes() == plant.state.gear_torque.tobytes()
+        assert plant.measured.current.tobytes() == plant.state.current.tobytes()

@@ -6,10 +6,9 @@ from collections.abc import Iterable, Iterator
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
 from arm_emulator.machine.parts.imu import Imu
-from arm_emulator.machine.parts.known import MOTORS
+from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.output import COMMAND, FAULTS, READINGS, Output
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import ANALOG
@@ -40,7 +39,7 @@ KNOWN: dict[str, Output] = {
         *(_COUNTS, _CURRENT),
         *_declared(MOTORS),
         *(_APPLIED, FAULTS),
-        *_declared((Brake, Encoder, LinkEncoder, *ANALOG, Imu)),
+        *_declared((*PARTS, Encoder, LinkEncoder, *ANALOG, Imu)),
     )
 }
 

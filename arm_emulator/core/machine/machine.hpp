@@ -313,8 +313,8 @@ class Machine {
   }
 
   // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when
-  // the motor has accelerated its rotor.
-  void gear_torques(double* T) const {
+  // the motor has accelerated its rotor. Apart, so that truth and sensors have the same bits.
+  ARM_APART void gear_torques(double* T) const {
     double a[N] = {};
     if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; }))
       accelerations(a);
