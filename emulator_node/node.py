@@ -64,21 +64,21 @@ class EmulatorParameters:
         2.0,
         "wall time without an answer that is reported",
         unit="s",
-        minimum=0.1,
-        maximum=3600.0,
+        at_least=0.1,
+        at_most=3600.0,
         settable=True,
     )
     report_period: float = parameter(
         0.01,
         "logical time between messages on emulator/joint_states and clock, 0 for every tick",
         unit="s",
-        minimum=0.0,
-        maximum=10.0,
+        at_least=0.0,
+        at_most=10.0,
     )
     record: str = parameter("", "new bag of what the emulator publishes and takes, none if empty")
     rerun_file: str = parameter("", "Rerun recording to write, none if empty")
     rerun_port: int = parameter(
-        0, "local port where a Rerun viewer may connect, 0 for none", minimum=0, maximum=65535
+        0, "local port where a Rerun viewer may connect, 0 for none", at_least=0, at_most=65535
     )
 
 

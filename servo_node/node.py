@@ -69,7 +69,7 @@ class ServoNodeParameters:
         choices=("lockstep", "realtime"),
     )
     joint_states_period: float = parameter(
-        0.01, "logical time between joint_states", unit="s", minimum=1e-6, maximum=10.0
+        0.01, "logical time between joint_states", unit="s", at_least=1e-6, at_most=10.0
     )
 
 
@@ -107,14 +107,13 @@ class ServoNode(Node):
             )
         self._config = ServoConfig.from_mapping(given, PARAMETERS)
         for name in given:
-            about = describe(name)
+            words, one = describe(name)
             descriptor = ParameterDescriptor(
-                description=about.words,
+                description=words,
                 read_only=name.rsplit(".", 1)[-1] not in SETTABLE,
                 dynamic_typing=True,
             )
-            if about.low is not None:
-                set_range(descriptor, about.low, None, whole=about.whole)
+            set_range(descriptor, one)
             self.set_descriptor(name, descriptor)
         self._next_config: ServoConfig | None = None  # from the next tick on
         accept_changes(self, self._changed, self._take_parameters)

@@ -52,7 +52,7 @@ REFUSED_NODES = [
     ),
     (
         ("emulator_node.node", "-p", "timeout:=-1.0"),
-        "node emulator: parameter timeout must be a number from 0.1 to 3600.0, got -1.0",
+        "node emulator: parameter timeout must be a number from 0.1 to 3600.0 s, got -1.0",
     ),
     (
         ("emulator_node.node", "-p", "timout:=3.0"),
@@ -68,7 +68,7 @@ REFUSED_NODES = [
     ),
     (
         (*SERVO, "-p", "joints.elbow.resistance:=none"),
-        "parameters of node servo: joints.elbow.resistance must be a number > 0 ohm, got 'none'",
+        "parameters of node servo: joints.elbow.resistance must be a number >= 0 ohm, got 'none'",
     ),
     (
         (*SERVO, "-p", "joints.knee.resistance:=1.0"),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+from arm_emulator.base.number import Range
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 
@@ -23,8 +23,8 @@ def parameter(
     description: str,
     *,
     unit: str = "",
-    minimum: float | None = None,
-    maximum: float | None = None,
+    at_least: float | None = None,
+    at_most: float | None = None,
     choices: tuple[str, ...] = (),
     settable: bool = False,
 ) -> Any:
@@ -32,12 +32,14 @@ def parameter(
 
     `settable` ones can be set while the node runs, the others are read once at its start.
     """
+    one = None
+    if type(default) in (int, float):
+        one = Range(unit, at_least=at_least, at_most=at_most, whole=type(default) is int)
     return dataclasses.field(
         default=default,
         metadata={
             "description": f"{description} [{unit}]" if unit else description,
-            "minimum": minimum,
-            "maximum": maximum,
+            "range": one,
             "choices": choices,
             "settable": settable,
         },
@@ -107,21 +109,12 @@ def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:
         Refusal: a value of the wrong type, out of its range, or not among its choices.
     """
     what, kind = f"parameter {field.name}", type(field.default)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    if kind is float and type(value) is int:
         value = float(value)
-    low, high = field.metadata["minimum"], field.metadata["maximum"]
-    choices = field.metadata["choices"]
+    choices, one = field.metadata["choices"], field.metadata["range"]
     if choices and value not in choices:
         raise Refusal(where, what, "be known", repr(value), ", ".join(choices))
-    fits = type(value) is kind and not (isinstance(value, float) and not math.isfinite(value))
-    if not fits or (low is not None and value < low) or (high is not None and value > high):
-        raise Refusal(where, what, f"be {rule(field)}", repr(value))
+    if type(value) is not kind or (one is not None and not one.holds(value)):
+        words = {bool: "be true or false", str: "be a text"}
+        raise Refusal(where, what, one.rule if one else words[kind], repr(value))
     return value
-
-
-def rule(field: dataclasses.Field[Any]) -> str:
-    """Return in words what a parameter may be."""
-    kind = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
-    low, high = field.metadata["minimum"], field.metadata["maximum"]
-    bounds = "" if low is None and high is None else f" from {low} to {high}"
-    return f"{kind[type(field.default)]}{bounds}"

@@ -16,14 +16,14 @@ class MotionConfig:
 
     tool: str = parameter("tool", "link of the robot description that is the tool")
     period: float = parameter(
-        0.05, "logical time between joint targets", unit="s", minimum=1e-4, maximum=10.0
+        0.05, "logical time between joint targets", unit="s", at_least=1e-4, at_most=10.0
     )
     method: str = parameter(
         "auto",
         "control law: paper, eq. (6); qp, within all limits; auto: paper below 6 joints, else qp",
         choices=("auto", "paper", "qp"),
     )
-    weight: float = parameter(0.5, "w of eq. (6)", minimum=1e-6, maximum=1.0, settable=True)
+    weight: float = parameter(0.5, "w of eq. (6)", at_least=1e-6, at_most=1.0, settable=True)
     task: str = parameter(
         "auto",
         "what the target rules; auto: position below 6 joints, else pose",
@@ -33,31 +33,31 @@ class MotionConfig:
         0.2,
         "largest joint step per instruction",
         unit="rad",
-        minimum=1e-6,
-        maximum=100.0,
+        at_least=1e-6,
+        at_most=100.0,
         settable=True,
     )
     singular_below: float = parameter(
         0.02,
         "singular values of the Jacobian below this are damped",
-        minimum=1e-9,
-        maximum=1.0,
+        at_least=1e-9,
+        at_most=1.0,
         settable=True,
     )
     velocity_limit: float = parameter(
         3.0,
         "qp: largest joint speed, beside the robot description's",
         unit="rad/s",
-        minimum=1e-6,
-        maximum=1e3,
+        at_least=1e-6,
+        at_most=1e3,
         settable=True,
     )
     acceleration_limit: float = parameter(
         10.0,
         "qp: largest joint acceleration, beside the robot description's",
         unit="rad/s2",
-        minimum=1e-6,
-        maximum=1e5,
+        at_least=1e-6,
+        at_most=1e5,
         settable=True,
     )
     feedforward: str = parameter(
@@ -67,41 +67,41 @@ class MotionConfig:
         choices=("auto", "none", "speed", "torque"),
     )
     gravity_x: float = parameter(
-        0.0, "gravity in the world, for torques", unit="m/s2", minimum=-1e3, maximum=1e3
+        0.0, "gravity in the world, for torques", unit="m/s2", at_least=-1e3, at_most=1e3
     )
     gravity_y: float = parameter(
-        0.0, "gravity in the world, for torques", unit="m/s2", minimum=-1e3, maximum=1e3
+        0.0, "gravity in the world, for torques", unit="m/s2", at_least=-1e3, at_most=1e3
     )
     gravity_z: float = parameter(
-        -9.81, "gravity in the world, for torques", unit="m/s2", minimum=-1e3, maximum=1e3
+        -9.81, "gravity in the world, for torques", unit="m/s2", at_least=-1e3, at_most=1e3
     )
     reached_within: float = parameter(
         1e-3,
         "a tool no farther from its target has reached it",
         unit="m",
-        minimum=1e-9,
-        maximum=1e3,
+        at_least=1e-9,
+        at_most=1e3,
         settable=True,
     )
     reached_within_angle: float = parameter(
-        5e-3, "the same of its orientation", unit="rad", minimum=1e-9, maximum=10.0, settable=True
+        5e-3, "the same of its orientation", unit="rad", at_least=1e-9, at_most=10.0, settable=True
     )
     tool_speed: float = parameter(
-        0.25, "of the tool along paths", unit="m/s", minimum=1e-6, maximum=100.0, settable=True
+        0.25, "of the tool along paths", unit="m/s", at_least=1e-6, at_most=100.0, settable=True
     )
     tool_turn_speed: float = parameter(
-        1.0, "of its turning along paths", unit="rad/s", minimum=1e-6, maximum=100.0, settable=True
+        1.0, "of its turning along paths", unit="rad/s", at_least=1e-6, at_most=100.0, settable=True
     )
     tool_acceleration: float = parameter(
         1.0,
         "of the tool along paths, and across them",
         unit="m/s2",
-        minimum=1e-6,
-        maximum=1e4,
+        at_least=1e-6,
+        at_most=1e4,
         settable=True,
     )
     tool_jerk: float = parameter(
-        10.0, "of the tool along paths", unit="m/s3", minimum=1e-6, maximum=1e6, settable=True
+        10.0, "of the tool along paths", unit="m/s3", at_least=1e-6, at_most=1e6, settable=True
     )
     path_arcs: bool = parameter(
         False,
@@ -113,32 +113,32 @@ class MotionConfig:
         0.0,
         "where two lines of a path meet, an arc begins so far before the corner; 0: through it",
         unit="m",
-        minimum=0.0,
-        maximum=100.0,
+        at_least=0.0,
+        at_most=100.0,
         settable=True,
     )
     path_tolerance: float = parameter(
         0.0,
         "joints farther from a joint trajectory end it; 0: however far",
         unit="rad",
-        minimum=0.0,
-        maximum=1e3,
+        at_least=0.0,
+        at_most=1e3,
         settable=True,
     )
     goal_tolerance: float = parameter(
         0.0,
         "joints this near to the end of a joint trajectory have reached it; 0: however far",
         unit="rad",
-        minimum=0.0,
-        maximum=1e3,
+        at_least=0.0,
+        at_most=1e3,
         settable=True,
     )
     goal_time: float = parameter(
         0.0,
         "how long after its time a joint trajectory may take to reach its end; 0: for ever",
         unit="s",
-        minimum=0.0,
-        maximum=1e6,
+        at_least=0.0,
+        at_most=1e6,
         settable=True,
     )
     may_end_moving: bool = parameter(

@@ -28,6 +28,7 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from arm_emulator.base.memory import is_want_of_memory
+from arm_emulator.base.number import Range
 from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, parameters_of, perhaps
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
@@ -134,7 +135,7 @@ def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
             read_only=not field.metadata["settable"],
             dynamic_typing=True,
         )
-        _set_range(descriptor, field)
+        set_range(descriptor, field.metadata["range"])
         node.set_descriptor(field.name, descriptor)
     return kind(**values)
 
@@ -196,24 +197,16 @@ def replaced(node: Node, config: Parameters, changes: Mapping[str, Any]) -> Para
     return dataclasses.replace(config, **given)  # type: ignore[type-var]
 
 
-def _set_range(descriptor: ParameterDescriptor, field: dataclasses.Field[Any]) -> None:
-    low, high = field.metadata["minimum"], field.metadata["maximum"]
-    if low is not None or high is not None:
-        set_range(descriptor, low, high, whole=isinstance(field.default, int))
-
-
-def set_range(
-    descriptor: ParameterDescriptor, low: float | None, high: float | None, *, whole: bool
-) -> None:
-    """Set a descriptor's range for ROS tools; None: unbounded."""
-    if whole:
-        first = -(2**62) if low is None else int(low)
-        last = 2**62 if high is None else int(high)
+def set_range(descriptor: ParameterDescriptor, one: Range | None) -> None:
+    """Set a descriptor's range for ROS tools; None: it is no number."""
+    if one is None:
+        return
+    if one.whole:
+        first, last = (round(min(max(x, -(2.0**62)), 2.0**62)) for x in (one.least, one.most))
         descriptor.integer_range = [IntegerRange(from_value=first, to_value=last, step=1)]
     else:
-        lowest = -sys.float_info.max if low is None else float(low)
-        highest = sys.float_info.max if high is None else float(high)
-        descriptor.floating_point_range = [FloatingPointRange(from_value=lowest, to_value=highest)]
+        ends = {"from_value": float(one.least), "to_value": float(one.most)}
+        descriptor.floating_point_range = [FloatingPointRange(**ends)]
 
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:

@@ -11,45 +11,18 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.bound import Bound, encoder_counts
+from arm_emulator.base.number import Range
 from arm_emulator.base.parameters import ROS_PARAMETERS, perhaps, ros_parameters
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.servo.commanded import Commanded
 
 
-@dataclass(frozen=True)
-class _Rule:
-    """Range of a number, and its text for refusals."""
-
-    words: str
-    low: float
-    open: bool = True
-    integer: bool = False
-    high: float = math.inf
-    nonzero: bool = False
-
-    @property
-    def interval(self) -> str:
-        """The same in short: ``number in (0, inf)``."""
-        if self.nonzero:
-            return "number other than 0"
-        number, bracket = "whole number" if self.integer else "number", "[("[self.open]
-        end = "inf)" if self.high == math.inf else f"{self.high:g}]"
-        return f"{number} in {bracket}{self.low:g}, {end}"
-
-    def refuses(self, value: float) -> bool:
-        return (
-            (self.nonzero and value == 0.0)
-            or value > self.high
-            or (value <= self.low if self.open else value < self.low)
-        )
+def _positive(unit: str) -> dict[str, Range]:
+    return {"range": Range(unit, above=0)}
 
 
-def _positive(unit: str) -> dict[str, _Rule]:
-    return {"rule": _Rule(f"be a number > 0 {unit}".rstrip(), 0.0)}
-
-
-def _not_negative(unit: str) -> dict[str, _Rule]:
-    return {"rule": _Rule(f"be a number >= 0 {unit}".rstrip(), 0.0, open=False)}
+def _not_negative(unit: str) -> dict[str, Range]:
+    return {"range": Range(unit, at_least=0)}
 
 
 @dataclass(frozen=True)
@@ -61,13 +34,9 @@ class JointServo:
     """
 
     name: str
-    gear_ratio: float = field(
-        metadata={"rule": _Rule("be a number other than 0", -math.inf, nonzero=True)}
-    )
+    gear_ratio: float = field(metadata={"range": Range(nonzero=True)})
     """Link turns per motor turn; negative: the link turns the other way."""
-    counts_per_turn: int = field(
-        metadata={"rule": _Rule("be a whole number >= 1", 1.0, open=False, integer=True)}
-    )
+    counts_per_turn: int = field(metadata={"range": Range(at_least=1, whole=True)})
     """Encoder counts per motor turn."""
     resistance: float = field(metadata=_not_negative("ohm"))
     """Of the winding [ohm]; 0 only where the drive is commanded a current or a torque."""
@@ -103,12 +72,7 @@ class JointServo:
     """Largest voltage that the drive can give [V], for the amplitude of synchronous motors; left
     out: that of the supply."""
     encoder_bits: int = field(
-        default=0,
-        metadata={
-            "rule": _Rule(
-                "be a whole number from 0 to 48", 0.0, open=False, integer=True, high=48.0
-            )
-        },
+        default=0, metadata={"range": Range(at_least=0, at_most=48, whole=True)}
     )
     """Word length of an absolute encoder, whose counts begin anew at 0 after 2**bits; 0: counts
     that go on."""
@@ -235,7 +199,7 @@ class ServoConfig:
                 raise Refusal(where, f"joints.{name}", rule, name, "joints.NAME.gear_ratio: VALUE")
         _check_keys(tables, names, where, "joints")
         _check_keys(given, _SCALARS, where, "")
-        scalars = {name: _number(given[name], rule, where, name) for name, rule in _SCALARS.items()}
+        scalars = {name: _number(given[name], one, where, name) for name, one in _SCALARS.items()}
         _check_periods(scalars, where)
         joints = tuple(_joint(name, tables[name], where) for name in names)
         for joint in joints:
@@ -246,11 +210,11 @@ class ServoConfig:
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6  # s
 
 _SCALARS = {
-    "period": _positive("s")["rule"],
-    "motion_period": _not_negative("s")["rule"],
-    "hold_after": _positive("s")["rule"],
-    "cut_after": _positive("s")["rule"],
-    "supply_voltage": _positive("V")["rule"],
+    "period": _positive("s")["range"],
+    "motion_period": _not_negative("s")["range"],
+    "hold_after": _positive("s")["range"],
+    "cut_after": _positive("s")["range"],
+    "supply_voltage": _positive("V")["range"],
 }
 _FIELDS = {f.name: f for f in fields(JointServo) if f.name != "name"}
 
@@ -268,27 +232,12 @@ SETTABLE = (
 )
 
 
-@dataclass(frozen=True)
-class ParameterDescription:
-    """A parameter of the servo, for ROS tools."""
-
-    words: str
-    low: float | None = None
-    """Smallest value; None: not a number."""
-    whole: bool = False
-
-
-def describe(name: str) -> ParameterDescription:
-    """Return what the parameter of a dotted name may be."""
+def describe(name: str) -> tuple[str, Range | None]:
+    """Return what the parameter of a dotted name is, and its range if it is a number."""
     leaf = name.rsplit(".", 1)[-1]
     words = leaf.replace("_", " ")
-    rule = _FIELDS[leaf].metadata["rule"] if leaf in _FIELDS else _SCALARS.get(leaf)
-    if rule is None:
-        return ParameterDescription(words)
-    unit = "" if rule.high < math.inf else rule.words.partition(f" {rule.low:g}")[2].strip()
-    words = f"{words}: {rule.interval}" + (f" [{unit}]" if unit else "")
-    low = math.nextafter(rule.low, math.inf) if rule.open else rule.low
-    return ParameterDescription(words, low, rule.integer)
+    one = _FIELDS[leaf].metadata["range"] if leaf in _FIELDS else _SCALARS.get(leaf)
+    return (words, None) if one is None else (f"{words}: {one.interval}", one)
 
 
 def load_servo_config(path: str | Path) -> ServoConfig:
@@ -342,13 +291,11 @@ def _check_keys(table: object, allowed: Any, where: str, path: str) -> None:
             raise Refusal(where, f"{prefix}{key}", "be given", "nothing")
 
 
-def _number(value: object, rule: _Rule, where: str, path: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise Refusal(where, path, rule.words, repr(value))
-    whole = not rule.integer or float(value).is_integer()
-    if not math.isfinite(value) or rule.refuses(value) or not whole:
-        raise Refusal(where, path, rule.words, value)
-    return int(value) if rule.integer else float(value)
+def _number(value: Any, one: Range, where: str, path: str) -> float:
+    if not one.holds(value):
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        raise Refusal(where, path, one.rule, value if number else repr(value))
+    return int(value) if one.whole else float(value)
 
 
 def _joint(name: str, table: Any, where: str) -> JointServo:
@@ -364,7 +311,7 @@ def _joint(name: str, table: Any, where: str) -> JointServo:
     values: dict[str, Any] = {
         key: value
         if key in optional
-        else _number(value, _FIELDS[key].metadata["rule"], where, f"{path}.{key}")
+        else _number(value, _FIELDS[key].metadata["range"], where, f"{path}.{key}")
         for key, value in table.items()
     }
     return JointServo(name=name, **values)
