@@ -1,1 +1,78 @@
-"""An emulated industrial arm: a machine, its servo and its motion control."""
+"""An emulated industrial arm: a machine, its servo and its motion control.
+
+The names of `__all__` are what programs may rely on. They are found at their first use, so that
+``import arm_emulator`` takes no time. All other modules are the emulator's own, and may change with
+any version.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from arm_emulator import testing as testing
+    from arm_emulator.analysis.linearised import LinearMachine as LinearMachine
+    from arm_emulator.analysis.linearised import linearise as linearise
+    from arm_emulator.base.refusal import Refusal as Refusal
+    from arm_emulator.machine.diverged import Diverged as Diverged
+    from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
+    from arm_emulator.machine.fleet import Fleet as Fleet
+    from arm_emulator.machine.fleet import FleetState as FleetState
+    from arm_emulator.machine.measured import Measured as Measured
+    from arm_emulator.machine.plant import Plant as Plant
+    from arm_emulator.machine.plant_state import PlantState as PlantState
+    from arm_emulator.machine.scene import Scene as Scene
+    from arm_emulator.machine.scene import load_scene as load_scene
+    from arm_emulator.machine.session import Session as Session
+    from arm_emulator.motion.jacobian import JacobianController as JacobianController
+    from arm_emulator.motion.kinematics import Kinematics as Kinematics
+    from arm_emulator.motion.pose import Pose as Pose
+    from arm_emulator.runs.gains import load_gains as load_gains
+    from arm_emulator.runs.offline import OfflineRun as OfflineRun
+    from arm_emulator.runs.recording import Recording as Recording
+    from arm_emulator.servo.servo import Servo as Servo
+    from arm_emulator.servo.servo_config import load_servo_config as load_servo_config
+
+_MODULES = {
+    "Diverged": "machine.diverged",
+    "ExternalWrench": "machine.external_wrench",
+    "Fleet": "machine.fleet",
+    "FleetState": "machine.fleet",
+    "JacobianController": "motion.jacobian",
+    "Kinematics": "motion.kinematics",
+    "LinearMachine": "analysis.linearised",
+    "Measured": "machine.measured",
+    "OfflineRun": "runs.offline",
+    "Plant": "machine.plant",
+    "PlantState": "machine.plant_state",
+    "Pose": "motion.pose",
+    "Recording": "runs.recording",
+    "Refusal": "base.refusal",
+    "Scene": "machine.scene",
+    "Servo": "servo.servo",
+    "Session": "machine.session",
+    "linearise": "analysis.linearised",
+    "load_gains": "runs.gains",
+    "load_scene": "machine.scene",
+    "load_servo_config": "servo.servo_config",
+    "testing": "",
+}
+
+__all__ = [  # noqa: PLE0604  # found at their first use
+    *_MODULES
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if not _MODULES[name]:
+        return importlib.import_module(f"{__name__}.{name}")
+    value = getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

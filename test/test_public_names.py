@@ -1,0 +1,98 @@
+"""The names that programs may rely on: found late, documented, typed, and what they promise."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import arm_emulator
+from arm_emulator import Plant, Recording, Refusal, Servo, linearise, load_gains, testing
+from arm_emulator.base.config_files import find_config
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.parametrize("name", arm_emulator.__all__)
+def test_a_public_name_is_there_and_documented(name: str) -> None:
+    thing = getattr(arm_emulator, name)
+    assert inspect.getdoc(thing), f"{name} has no docstring"
+    assert name in dir(arm_emulator)
+    source = (ROOT / "arm_emulator" / "__init__.py").read_text()
+    assert re.search(rf"import {name} as {name}$", source, re.MULTILINE), "type checkers miss it"
+    page = (ROOT / "docs" / "reference" / "python.md").read_text()
+    place = thing.__name__ if inspect.ismodule(thing) else f"{thing.__module__}.{name}"
+    assert f"::: {place}\n" in page, "the reference misses it"
+
+
+def test_another_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'Arm'"):
+        arm_emulator.Arm  # noqa: B018
+
+
+def test_the_import_takes_nothing_along() -> None:
+    code = "import sys, arm_emulator; print('numpy' in sys.modules, 'rclpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False"]
+
+
+def test_a_linear_machine_is_the_derivative_of_the_machine() -> None:
+    """Central differences of the core's own steps, where the machine is smooth."""
+    keys = {"joints.*.friction.coulomb": None, "integrator.dt": 1e-6, "servo_period": 1e-3}
+    plant = testing.plant_of("three_axis", keys)
+    linear, N = linearise(plant), 3
+    dt, at = 1e-6, plant.scene.start
+    rest = plant.links.nle(at, np.zeros(N))
+    assert np.abs(rest).max() < 1e-9, "no weight acts: the pose holds itself"
+    change = {}
+    for joint in range(N):  # of the speeds, by the currents, after one step
+        for sign in (1.0, -1.0):
+            plant.reset(at)
+            state = plant.state
+            state.omega_m[joint] += sign * 1e-3
+            plant.state = state
+            plant.advance(np.zeros(N), 1)
+            change[sign] = plant.state
+        measured = (change[1.0].v - change[-1.0].v) / (2e-3 * dt)
+        # What a motor's speed does to the links: through the damping of the gear.
+        x, *_ = np.linalg.lstsq(
+            np.vstack([linear.theta_m @ linear.A, linear.theta_m, linear.current]),
+            np.concatenate([np.eye(N)[joint], np.zeros(2 * N)]),
+            rcond=None,
+        )
+        expected = (linear.A @ x)[linear.v]
+        np.testing.assert_allclose(measured, expected, rtol=2e-3, atol=1e-6)
+
+
+def test_a_recording_is_a_table(tmp_path: Path) -> None:
+    plant = Plant("three_axis")
+    with Recording(plant, tmp_path / "run.csv", names=("q", "energy", "measured.current")) as run:
+        for _ in range(20):
+            plant.exchange({"waist": 5.0, "shoulder": 0.0, "elbow": 1.0})
+            run.take()
+    rows = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True, deletechars="")
+    assert np.array_equal(rows["q.elbow"], run["q"][:, 2])
+    assert rows["t"][-1] == plant.t and rows["energy"][-1] == plant.energy
+    assert np.array_equal(rows["measured.current.waist"], run["measured.current"][:, 0])
+    for wrong in ({"names": ("speed",)}, {"file": "run.txt"}):
+        with pytest.raises(Refusal):
+            Recording(plant, **wrong)  # type: ignore[arg-type]
+    pa = pytest.importorskip("pyarrow")
+    table = run.table()
+    assert isinstance(table, pa.Table) and table["q.elbow"].to_pylist() == rows["q.elbow"].tolist()
+
+
+def test_what_users_test_with() -> None:
+    plant = testing.plant_of("three_axis")
+    servo, target = Servo(load_gains(find_config("three_axis", ".yaml")).servo), plant.scene.start
+    q = testing.drive(
+        plant, lambda _, seen: servo.update(seen.encoder_counts, seen.current, target), 500
+    )
+    testing.assert_settles(q, target, within=1e-3, last=100)
+    with pytest.raises(AssertionError, match=r"joint 1 is .* off"):
+        testing.assert_settles(q, target + np.array([0.0, 0.5, 0.0]), within=1e-3, last=100)
