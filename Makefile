@@ -20,6 +20,7 @@ help:
 	@echo 'make pages              measure the tables and draw the pictures of docs/ and README.md anew'
 	@echo 'make docs               build the site of the pages into out/site/'
 	@echo 'make lint               check style, types and what imports what'
+	@echo 'make tidy               check the names and habits of the C++ (clang-tidy)'
 	@echo 'make format             put the sources into shape'
 	@echo 'make clean              remove what was built; make distclean: also .venv/ and out/'
 	@echo 'More arguments: ARGS="...", for example make test ARGS="-k servo"'
@@ -210,6 +211,15 @@ lint: setup
 	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache
 	@.venv/bin/python test/banned_words.py
 	@$(if $(CORE),.venv/bin/clang-format --dry-run -Werror $(CORE))
+
+.venv/.tidy: requirements-tidy.txt .venv/.requirements
+	@echo 'setup: clang-tidy (149 MB) ...'
+	@$(call quietly,tidy,$(INSTALL) $<)
+	@touch $@
+
+# 10 s of processor time, and a wheel of that size: not a part of lint.
+tidy: setup .venv/.tidy
+	@$(RUN) && python test/cpp_style.py $(ARGS)
 
 format: setup
 	@$(RUN) && ruff format . && ruff check --fix .

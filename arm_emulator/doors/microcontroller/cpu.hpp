@@ -34,33 +34,33 @@ class Bus {
 class Cpu {
  public:
   enum class Stop {
-    BETWEEN,  // before a block, for whatever is due
-    SLEEP,    // after WFI
-    EVENT,    // after WFE
-    CALL,     // after SVC
-    RETURN,   // at an exception's return
-    STEPPED,  // within a block, by `step`
-    FAULT
+    between,   // before a block, for whatever is due
+    sleep,     // after WFI
+    event,     // after WFE
+    call,      // after SVC
+    returned,  // at an exception's return
+    stepped,   // within a block, by `step`
+    fault
   };
 
   // Why it cannot go on.
   struct Fault {
     enum class Kind {
-      NONE,  // of the emulator's own: no processor has a handler for it
-      BUS,
-      BUS_FETCH,
-      MEMORY_FETCH,
-      UNDEFINED,
-      STATE,
-      COPROCESSOR,
-      UNALIGNED,
-      BREAKPOINT,
-      ESCALATED  // a supervisor call that is masked
+      none,  // of the emulator's own: no processor has a handler for it
+      bus,
+      bus_fetch,
+      memory_fetch,
+      undefined,
+      state,
+      coprocessor,
+      unaligned,
+      breakpoint,
+      escalated  // a supervisor call that is masked
     };
     const char* what = nullptr;
     uint32_t address = 0;
     bool has_address = false;
-    Kind kind = Kind::NONE;
+    Kind kind = Kind::none;
   };
 
   Time now = 0;
@@ -172,7 +172,7 @@ class Cpu {
     const uint32_t before = pc;
     begun_ = inside();
     const Stop stop = start(1);
-    if (stop != Stop::STEPPED || pc <= before || pc >= inside_until_) inside_until_ = 0;
+    if (stop != Stop::stepped || pc <= before || pc >= inside_until_) inside_until_ = 0;
     return stop;
   }
 
@@ -281,7 +281,7 @@ class Cpu {
     set(UC_ARM_REG_XPSR_NZCVQG, (get(UC_ARM_REG_XPSR) & 0x07ffffffu) | (xpsr & 0xf8000000u));
   }
 
-  bool fail(const char* what, uint32_t address, Fault::Kind kind = Fault::Kind::NONE) {
+  bool fail(const char* what, uint32_t address, Fault::Kind kind = Fault::Kind::none) {
     fault = {what, address, true, kind};
     return false;
   }
@@ -289,7 +289,7 @@ class Cpu {
     fault = {what, 0, false, kind};
     return false;
   }
-  bool fail(const char* what) { return fail(Fault::Kind::NONE, what); }
+  bool fail(const char* what) { return fail(Fault::Kind::none, what); }
 
  private:
   static constexpr Time ALWAYS = std::numeric_limits<Time>::min();
@@ -315,7 +315,7 @@ class Cpu {
 
   Stop start(size_t count) {
     stop_near_ = false;
-    stop_ = Stop::FAULT;
+    stop_ = Stop::fault;
     description_ = false;
     fault = {};
     const uint32_t from = pc;
@@ -323,13 +323,13 @@ class Cpu {
     if (!description_) {
       pc = get(UC_ARM_REG_PC) & ~1u;
       if (error != UC_ERR_OK) {
-        stop_ = Stop::FAULT;
+        stop_ = Stop::fault;
         if (!fault.what) fault.what = uc_strerror(error);
       } else {
-        stop_ = !count || sleeps(from) ? Stop::SLEEP : Stop::STEPPED;
+        stop_ = !count || sleeps(from) ? Stop::sleep : Stop::stepped;
       }
     }
-    if (stop_ != Stop::STEPPED) block_ = nullptr;
+    if (stop_ != Stop::stepped) block_ = nullptr;
     return stop_;
   }
 
@@ -426,7 +426,7 @@ class Cpu {
         // It has stepped out of its block, or goes on within it.
         if (inside() && at < inside_until_ && at == pc) return false;
         pc = at;
-        report(Stop::STEPPED);
+        report(Stop::stepped);
         return false;
       }
       begun_ = true;
@@ -438,7 +438,7 @@ class Cpu {
     if (stop_near_ || now >= deadline_ || instructions >= awake_until ||
         (masked_wait && !still_masked())) {
       pc = at;
-      report(Stop::BETWEEN);
+      report(Stop::between);
       return false;
     }
     return true;
@@ -463,32 +463,32 @@ class Cpu {
   static void interrupted(uc_engine*, uint32_t number, void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);
     cpu.pc = cpu.get(UC_ARM_REG_PC);
-    if (number == 2) return cpu.report(Stop::CALL);
+    if (number == 2) return cpu.report(Stop::call);
     if (number == 8) {
       cpu.pc |= 1;
-      return cpu.report(Stop::RETURN);
+      return cpu.report(Stop::returned);
     }
     cpu.fail(kind_of(number), reason_of(number));
-    cpu.report(Stop::FAULT);
+    cpu.report(Stop::fault);
   }
 
   static Fault::Kind kind_of(uint32_t number) {
     switch (number) {  // of Unicorn's
       case 3:
-        return Fault::Kind::BUS_FETCH;
+        return Fault::Kind::bus_fetch;
       case 4:
       case 20:
-        return Fault::Kind::BUS;
+        return Fault::Kind::bus;
       case 7:
-        return Fault::Kind::BREAKPOINT;
+        return Fault::Kind::breakpoint;
       case 17:
-        return Fault::Kind::COPROCESSOR;
+        return Fault::Kind::coprocessor;
       case 18:
-        return Fault::Kind::STATE;
+        return Fault::Kind::state;
       case 22:
-        return Fault::Kind::UNALIGNED;
+        return Fault::Kind::unaligned;
       default:
-        return Fault::Kind::NONE;
+        return Fault::Kind::none;
     }
   }
 
@@ -519,12 +519,12 @@ class Cpu {
     uint16_t before = 0;
     cpu.memory_.read(cpu.pc - 2, &before, 2);
     if (before == 0xbf20) {  // WFE
-      cpu.report(Stop::EVENT);
+      cpu.report(Stop::event);
       return true;
     }
     if (before == 0xbf10) return true;  // YIELD
-    cpu.fail(Fault::Kind::UNDEFINED, "an undefined instruction");
-    cpu.report(Stop::FAULT);
+    cpu.fail(Fault::Kind::undefined, "an undefined instruction");
+    cpu.report(Stop::fault);
     return true;
   }
 
@@ -537,7 +537,7 @@ class Cpu {
       what = "instructions from an address where none are";
     const bool fetch = type == UC_MEM_FETCH_UNMAPPED || type == UC_MEM_FETCH_PROT;
     cpu.fail(what, static_cast<uint32_t>(address),
-             fetch ? Fault::Kind::BUS_FETCH : Fault::Kind::BUS);
+             fetch ? Fault::Kind::bus_fetch : Fault::Kind::bus);
     return false;
   }
 
@@ -552,7 +552,7 @@ class Cpu {
     out->perms = static_cast<uc_prot>(UC_PROT_READ | UC_PROT_WRITE);
     if (type == UC_MEM_FETCH)
       cpu.fail("instructions from RAM that is not of kind code_ram", static_cast<uint32_t>(address),
-               Fault::Kind::MEMORY_FETCH);
+               Fault::Kind::memory_fetch);
     return true;
   }
 
@@ -591,7 +591,7 @@ class Cpu {
   uint32_t at_ = NOWHERE;  // of the instruction that runs, as far as that is known
   Time until_ = 0, deadline_ = 0;
   Masks waited_{};
-  Stop stop_ = Stop::FAULT;
+  Stop stop_ = Stop::fault;
   bool description_ = false, stepping_ = false, begun_ = false, stop_near_ = false;
   uint32_t inside_until_ = 0;  // end of the block within which it stands; 0: it stands between
 };

@@ -317,26 +317,26 @@ class Runner : public Bus, public Debugged {
       cpu_.awake_until = awake_from_ + LONGEST_AWAKE;
     const bool steps = debugger_ && (debugger_->steps() || cpu_.inside() || near_);
     const Cpu::Stop stop = steps ? cpu_.step() : cpu_.run(deadline);
-    near_ = !steps && stop == Cpu::Stop::BETWEEN && cpu_.stop_near();
+    near_ = !steps && stop == Cpu::Stop::between && cpu_.stop_near();
     if (debugger_ && !near_) debugger_->moved();
     if (system_.reset_asked) return restart();  // whatever came behind it in its line
     switch (stop) {
-      case Cpu::Stop::CALL:
+      case Cpu::Stop::call:
         return call();
-      case Cpu::Stop::RETURN:
+      case Cpu::Stop::returned:
         return leave();
-      case Cpu::Stop::FAULT:
+      case Cpu::Stop::fault:
         return faulted();
-      case Cpu::Stop::SLEEP:
+      case Cpu::Stop::sleep:
         asleep_ = true;
         break;
-      case Cpu::Stop::EVENT:
+      case Cpu::Stop::event:
         asleep_ = !std::exchange(event_, false);
         break;
       default:
         break;
     }
-    if (system_.active == Nvic::HARD_FAULT && stop == Cpu::Stop::BETWEEN && stands_still(cpu_.pc)) {
+    if (system_.active == Nvic::HARD_FAULT && stop == Cpu::Stop::between && stands_still(cpu_.pc)) {
       cpu_.fault = first_fault_;
       cpu_.pc = first_fault_pc_;
       return failed();
@@ -353,7 +353,7 @@ class Runner : public Bus, public Debugged {
     if (nvic_.may_enter(Nvic::SVCALL, cpu_.masks())) return true;
     nvic_.pend(Nvic::SVCALL, false);
     cpu_.pc -= 2;  // of a fault it is the instruction that made it
-    cpu_.fail(Kind::ESCALATED, "hard fault: a supervisor call where its priority is masked");
+    cpu_.fail(Kind::escalated, "hard fault: a supervisor call where its priority is masked");
     return faulted();
   }
 
@@ -375,7 +375,7 @@ class Runner : public Bus, public Debugged {
   // Go on in the handler of the fault; false: the run has ended, since none handles it.
   bool faulted() {
     const Cpu::Fault fault = cpu_.fault;
-    if (fault.kind == Kind::NONE || debugger_halts(fault)) return failed();
+    if (fault.kind == Kind::none || debugger_halts(fault)) return failed();
     system_.record(fault);
     const Masks masks = cpu_.masks();
     int handler = SystemControl::handler_of(fault.kind);
@@ -398,7 +398,7 @@ class Runner : public Bus, public Debugged {
   }
   // A breakpoint instruction is the debugger's, if there is one.
   bool debugger_halts(const Cpu::Fault& fault) const {
-    return debugger_ && fault.kind == Kind::BREAKPOINT;
+    return debugger_ && fault.kind == Kind::breakpoint;
   }
   // Whether there is nothing but a branch to itself.
   bool stands_still(uint32_t at) const {

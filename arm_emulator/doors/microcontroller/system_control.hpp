@@ -66,13 +66,13 @@ class SystemControl {
   static int handler_of(Cpu::Fault::Kind kind) {
     using Kind = Cpu::Fault::Kind;
     switch (kind) {
-      case Kind::BUS:
-      case Kind::BUS_FETCH:
+      case Kind::bus:
+      case Kind::bus_fetch:
         return Nvic::BUS_FAULT;
-      case Kind::MEMORY_FETCH:
+      case Kind::memory_fetch:
         return Nvic::MEMORY_FAULT;
-      case Kind::BREAKPOINT:
-      case Kind::ESCALATED:
+      case Kind::breakpoint:
+      case Kind::escalated:
         return Nvic::HARD_FAULT;
       default:
         return Nvic::USAGE_FAULT;
@@ -82,35 +82,35 @@ class SystemControl {
   void record(const Cpu::Fault& fault) {
     using Kind = Cpu::Fault::Kind;
     switch (fault.kind) {
-      case Kind::MEMORY_FETCH:
+      case Kind::memory_fetch:
         words_[CFSR] |= 1u << 0;
         break;
-      case Kind::BUS_FETCH:
+      case Kind::bus_fetch:
         words_[CFSR] |= 1u << 8;
         break;
-      case Kind::BUS:
+      case Kind::bus:
         words_[CFSR] |= 1u << 9;
         if (fault.has_address) words_[CFSR] |= 1u << 15, words_[BFAR] = fault.address;
         break;
-      case Kind::UNDEFINED:
+      case Kind::undefined:
         words_[CFSR] |= 1u << 16;
         break;
-      case Kind::STATE:
+      case Kind::state:
         words_[CFSR] |= 1u << 17;
         break;
-      case Kind::COPROCESSOR:
+      case Kind::coprocessor:
         words_[CFSR] |= 1u << 19;
         break;
-      case Kind::UNALIGNED:
+      case Kind::unaligned:
         words_[CFSR] |= 1u << 24;
         break;
-      case Kind::BREAKPOINT:
+      case Kind::breakpoint:
         words_[HFSR] |= 1u << 31;
         break;
-      case Kind::ESCALATED:
+      case Kind::escalated:
         escalate();
         break;
-      case Kind::NONE:
+      case Kind::none:
         break;
     }
   }

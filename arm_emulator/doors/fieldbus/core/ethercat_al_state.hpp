@@ -9,66 +9,66 @@
 
 namespace ethercat {
 
-enum class State : std::uint8_t { INIT = 1, PREOP = 2, BOOT = 3, SAFEOP = 4, OP = 8 };
+enum class State : std::uint8_t { init = 1, preop = 2, boot = 3, safeop = 4, op = 8 };
 
 // ETG.1000.6, table 11.
 enum class AlCode : std::uint16_t {
-  NONE = 0x0000,
-  INVALID_CHANGE = 0x0011,
-  UNKNOWN_STATE = 0x0012,
-  NO_BOOTSTRAP = 0x0013,
-  MAILBOX = 0x0016,
-  WATCHDOG = 0x001b,
-  OUTPUTS = 0x001d,
-  INPUTS = 0x001e,
-  SYNC0_CYCLE = 0x0036
+  none = 0x0000,
+  invalid_change = 0x0011,
+  unknown_state = 0x0012,
+  no_bootstrap = 0x0013,
+  mailbox = 0x0016,
+  watchdog = 0x001b,
+  outputs = 0x001d,
+  inputs = 0x001e,
+  syn_c0_cycle = 0x0036
 };
 
 class AlState {
  public:
-  explicit AlState(Memory& memory) : memory(memory) { tell(); }
+  explicit AlState(Memory& memory) : memory_(memory) { tell(); }
 
   State state() const { return state_; }
-  bool error() const { return code != AlCode::NONE; }
+  bool error() const { return code_ != AlCode::none; }
 
   // The master has written to AL control. `enter(to)` does and checks a step from `state()`.
   template <class Enter>
   void request(Enter enter) {
-    const std::uint16_t control = memory.get16(reg::kAlControl);
+    const std::uint16_t control = memory_.get16(reg::kAlControl);
     const bool acknowledges = control & 0x10;
     if (error() && !acknowledges) return;
-    code = AlCode::NONE;
+    code_ = AlCode::none;
     const auto wanted = static_cast<State>(control & 0x0f);
     const auto now = static_cast<int>(state_), then = control & 0x0f;
-    if (wanted == State::BOOT)
-      code = AlCode::NO_BOOTSTRAP;
+    if (wanted == State::boot)
+      code_ = AlCode::no_bootstrap;
     else if (then != 1 && then != 2 && then != 4 && then != 8)
-      code = AlCode::UNKNOWN_STATE;
+      code_ = AlCode::unknown_state;
     else if (then > 2 * now)
-      code = AlCode::INVALID_CHANGE;
+      code_ = AlCode::invalid_change;
     else if (then != now)
-      code = enter(wanted);
-    if (code == AlCode::NONE) state_ = wanted;
+      code_ = enter(wanted);
+    if (code_ == AlCode::none) state_ = wanted;
     tell();
   }
   // Something went wrong.
   void set(State to, AlCode why) {
     state_ = to;
-    code = why;
+    code_ = why;
     tell();
   }
 
  private:
   void tell() {
     const unsigned flag = error() ? 0x10u : 0;
-    memory.put16(reg::kAlStatus, static_cast<std::uint16_t>(static_cast<unsigned>(state_) | flag));
-    memory.put16(reg::kAlCode, static_cast<std::uint16_t>(code));
-    memory.put16(reg::kEvents, memory.get16(reg::kEvents) | event::kAlStatus);
+    memory_.put16(reg::kAlStatus, static_cast<std::uint16_t>(static_cast<unsigned>(state_) | flag));
+    memory_.put16(reg::kAlCode, static_cast<std::uint16_t>(code_));
+    memory_.put16(reg::kEvents, memory_.get16(reg::kEvents) | event::kAlStatus);
   }
 
-  Memory& memory;
-  State state_ = State::INIT;
-  AlCode code = AlCode::NONE;
+  Memory& memory_;
+  State state_ = State::init;
+  AlCode code_ = AlCode::none;
 };
 
 }  // namespace ethercat

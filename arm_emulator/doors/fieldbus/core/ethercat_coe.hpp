@@ -16,47 +16,47 @@ namespace ethercat {
 
 // Details of a mailbox error, ETG.1000.4, table 30.
 enum class MailboxError : std::uint16_t {
-  NONE = 0,
-  PROTOCOL = 2,
-  SERVICE = 4,
-  TOO_SHORT = 6,
-  SIZE = 8
+  none = 0,
+  protocol = 2,
+  service = 4,
+  too_short = 6,
+  size = 8
 };
 
 class Coe {
  public:
   Coe(const Objects& objects, const Door& door)
-      : objects(objects), door(door), dictionary(objects, door) {}
+      : objects_(objects), door_(door), dictionary_(objects, door) {}
 
   // Forget a transfer that is under way.
-  void begin() { server.begin(); }
+  void begin() { server_.begin(); }
 
   // Serve a request: CoE header and what follows it. `room`: how long a reply may be. Replies are
   // appended to `out`.
   MailboxError serve(std::span<const std::uint8_t> request, std::size_t room,
                      std::vector<Bytes>& out) {
-    if (request.size() < 2) return MailboxError::TOO_SHORT;
+    if (request.size() < 2) return MailboxError::too_short;
     const int service = request[1] >> 4;
     if (service == kSdoRequest) {
-      if (request.size() < 10) return MailboxError::TOO_SHORT;
+      if (request.size() < 10) return MailboxError::too_short;
       std::vector<Bytes> replies;
-      server.answer(request.subspan(2), room - 2, replies);
+      server_.answer(request.subspan(2), room - 2, replies);
       for (const Bytes& one : replies)
         out.push_back(
             with_header(fieldbus::SdoServer::aborts(one) ? kSdoRequest : kSdoResponse, one));
-      return MailboxError::NONE;
+      return MailboxError::none;
     }
     if (service == kSdoInformation) {
-      if (request.size() < 6) return MailboxError::TOO_SHORT;
+      if (request.size() < 6) return MailboxError::too_short;
       const std::uint32_t abort = information(request.subspan(2), room - 2, out);
       if (abort != 0) {
         Bytes error = {kInformationError, 0, 0, 0, 0, 0, 0, 0};
         put32(&error[4], abort);
         out.push_back(with_header(kSdoInformation, error));
       }
-      return MailboxError::NONE;
+      return MailboxError::none;
     }
-    return MailboxError::SERVICE;
+    return MailboxError::service;
   }
 
   // The message that reports an error to a master (0x603F, 0x1001).
@@ -119,9 +119,9 @@ class Coe {
   // 1: all objects, 2 and 3: those that can be mapped to receive and to transmit, 4 and 5: none.
   Bytes objects_of(std::uint16_t kind) const {
     Bytes out;
-    for (const std::uint16_t index : objects.all()) {
+    for (const std::uint16_t index : objects_.all()) {
       bool there = kind == 1;
-      for (const drives_entry& entry : objects.object(index))
+      for (const drives_entry& entry : objects_.object(index))
         there = there || (kind == 2 && entry.pdo & 1) || (kind == 3 && entry.pdo & 2);
       if (there) append16(out, index);
     }
@@ -142,7 +142,7 @@ class Coe {
     return 0;
   }
   std::uint32_t describe(std::uint16_t index, std::size_t room, std::vector<Bytes>& out) const {
-    const auto object = objects.object(index);
+    const auto object = objects_.object(index);
     if (object.empty()) return abort_code::no_object;
     const drives_entry& first = object[0];
     Bytes body;
@@ -156,7 +156,7 @@ class Coe {
   }
   std::uint32_t describe_entry(std::uint16_t index, std::uint8_t sub, std::uint8_t wanted,
                                std::size_t room, std::vector<Bytes>& out) const {
-    const auto object = objects.object(index);
+    const auto object = objects_.object(index);
     if (object.empty()) return abort_code::no_object;
     if (sub >= object.size()) return abort_code::no_sub;
     const drives_entry& entry = object[sub];
@@ -166,7 +166,7 @@ class Coe {
     std::uint32_t length = 0;
     if (size == 0) {
       std::uint8_t value[512];
-      door.read(index, sub, value, length);
+      door_.read(index, sub, value, length);
     }
     Bytes body;
     append16(body, index);
@@ -196,10 +196,10 @@ class Coe {
     return static_cast<std::uint16_t>(out);
   }
 
-  const Objects& objects;
-  const Door& door;
-  Dictionary dictionary;
-  fieldbus::SdoServer server{dictionary, fieldbus::SdoServer::Carrier::mailbox};
+  const Objects& objects_;
+  const Door& door_;
+  Dictionary dictionary_;
+  fieldbus::SdoServer server_{dictionary_, fieldbus::SdoServer::Carrier::mailbox};
 };
 
 }  // namespace ethercat

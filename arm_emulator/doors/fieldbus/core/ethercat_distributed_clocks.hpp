@@ -26,35 +26,35 @@ class DistributedClock {
 
   // `ahead`: what this clock shows when the segment's time is 0 [ns], as if it were switched on
   // earlier.
-  DistributedClock(Memory& memory, std::int64_t ahead) : memory(memory) { begin(ahead); }
+  DistributedClock(Memory& memory, std::int64_t ahead) : memory_(memory) { begin(ahead); }
 
   // As after switching on.
   void begin(std::int64_t shown) {
-    ahead = shown;
-    start = 0;
-    memory.put16(kSpeedStart, 0x1000);
-    memory.put16(0x0934, 0x0c04);  // depths of the filters
-    memory.put16(0x0982, 1000);    // length of a pulse, 10 ns
+    ahead_ = shown;
+    start_ = 0;
+    memory_.put16(kSpeedStart, 0x1000);
+    memory_.put16(0x0934, 0x0c04);  // depths of the filters
+    memory_.put16(0x0982, 1000);    // length of a pulse, 10 ns
   }
 
   // A frame comes by.
-  void pass(const Passage& now) { passage = now; }
+  void pass(const Passage& now) { passage_ = now; }
 
   // Puts the time into the registers that a master is about to read.
   void before_read(std::size_t address, std::size_t size) {
     if (!overlap(address, size, kSystemTime, 0x09b0 - kSystemTime)) return;
     const std::uint64_t now = system_time();
-    memory.put64(kSystemTime, now);
-    const bool pending = sync0() && static_cast<std::int64_t>(start - now) > 0;
-    memory.put8(kFirstPending, pending ? 1 : 0);
-    if (sync0() && overlap(address, size, kStart, 8)) memory.put64(kStart, next_pulse(now));
+    memory_.put64(kSystemTime, now);
+    const bool pending = sync0() && static_cast<std::int64_t>(start_ - now) > 0;
+    memory_.put8(kFirstPending, pending ? 1 : 0);
+    if (sync0() && overlap(address, size, kStart, 8)) memory_.put64(kStart, next_pulse(now));
   }
 
   void after_write(std::size_t address, std::size_t size) {
     if (overlap(address, size, kReceived, 4)) latch();
     if (overlap(address, size, kSystemTime, 4)) steer(size);
-    if (overlap(address, size, kStart, 8)) start = memory.get64(kStart);
-    if (overlap(address, size, kSpeedStart, 2)) memory.put32(kDifference, 0);
+    if (overlap(address, size, kStart, 8)) start_ = memory_.get64(kStart);
+    if (overlap(address, size, kSpeedStart, 2)) memory_.put32(kDifference, 0);
   }
 
   // Read-only registers of the block, and those that a running pulse generator locks.
@@ -62,26 +62,26 @@ class DistributedClock {
     return (address >= 0x0904 && address < kSystemTime) ||
            (address >= kUnitReceived && address < kOffset) ||
            (address >= kDifference && address < kSpeedStart) ||
-           (address >= kStart && address < kStart + 8 && memory.get8(kActivation) & 1);
+           (address >= kStart && address < kStart + 8 && memory_.get8(kActivation) & 1);
   }
 
   // Whether a write concerns what SYNC0 does.
   static bool sets_pulses(std::size_t address, std::size_t size) {
     return overlap(address, size, kActivation, 1) || overlap(address, size, kCycle, 4);
   }
-  bool sync0() const { return (memory.get8(kActivation) & 3) == 3; }
-  std::uint32_t sync0_cycle() const { return memory.get32(kCycle); }  // ns
+  bool sync0() const { return (memory_.get8(kActivation) & 3) == 3; }
+  std::uint32_t sync0_cycle() const { return memory_.get32(kCycle); }  // ns
 
  private:
-  std::uint64_t local(std::int64_t time) const { return static_cast<std::uint64_t>(time + ahead); }
-  std::uint64_t system_time() const { return local(passage.there) + memory.get64(kOffset); }
+  std::uint64_t local(std::int64_t time) const { return static_cast<std::uint64_t>(time + ahead_); }
+  std::uint64_t system_time() const { return local(passage_.there) + memory_.get64(kOffset); }
 
   void latch() {
-    memory.put32(kReceived, static_cast<std::uint32_t>(local(passage.there)));
-    const std::int64_t back = passage.last ? 0 : passage.back;
-    memory.put32(kReceived + 4, back ? static_cast<std::uint32_t>(local(back)) : 0);
-    memory.put64(kReceived + 8, 0);  // no such ports
-    memory.put64(kUnitReceived, local(passage.there));
+    memory_.put32(kReceived, static_cast<std::uint32_t>(local(passage_.there)));
+    const std::int64_t back = passage_.last ? 0 : passage_.back;
+    memory_.put32(kReceived + 4, back ? static_cast<std::uint32_t>(local(back)) : 0);
+    memory_.put64(kReceived + 8, 0);  // no such ports
+    memory_.put64(kUnitReceived, local(passage_.there));
   }
 
   // The reference clock's time has come: go faster or slower, which here takes effect at once, by
@@ -89,28 +89,28 @@ class DistributedClock {
   void steer(std::size_t size) {
     constexpr std::int64_t kMost = 1000;  // ns
     const std::uint64_t here = system_time();
-    std::uint64_t reference = memory.get64(kSystemTime) + memory.get32(kDelay);
+    std::uint64_t reference = memory_.get64(kSystemTime) + memory_.get32(kDelay);
     if (size < 8) reference = (here & ~0xffffffffull) | (reference & 0xffffffffull);
     auto difference = static_cast<std::int64_t>(here - reference);
     if (size < 8) difference = static_cast<std::int32_t>(difference);
     const std::uint64_t much =
         static_cast<std::uint64_t>(difference < 0 ? -difference : difference);
     const auto magnitude = static_cast<std::uint32_t>(std::min<std::uint64_t>(much, 0x7fffffff));
-    memory.put32(kDifference, magnitude | (difference < 0 ? 0x80000000u : 0));
-    ahead -= std::clamp(difference, -kMost, kMost);
+    memory_.put32(kDifference, magnitude | (difference < 0 ? 0x80000000u : 0));
+    ahead_ -= std::clamp(difference, -kMost, kMost);
   }
 
   std::uint64_t next_pulse(std::uint64_t now) const {
     const std::uint32_t cycle = sync0_cycle();
-    const auto since = static_cast<std::int64_t>(now - start);
-    if (since < 0 || cycle == 0) return start;
-    return start + (static_cast<std::uint64_t>(since) / cycle + 1) * cycle;
+    const auto since = static_cast<std::int64_t>(now - start_);
+    if (since < 0 || cycle == 0) return start_;
+    return start_ + (static_cast<std::uint64_t>(since) / cycle + 1) * cycle;
   }
 
-  Memory& memory;
-  std::int64_t ahead = 0;
-  Passage passage;
-  std::uint64_t start = 0;
+  Memory& memory_;
+  std::int64_t ahead_ = 0;
+  Passage passage_;
+  std::uint64_t start_ = 0;
 };
 
 }  // namespace ethercat

@@ -18,51 +18,51 @@ struct Mapped {
 class Fmmu {
  public:
   explicit Fmmu(const std::uint8_t* at)
-      : logical(get32(at)),
-        length(get16(at + 4)),
-        first_bit(at[6] & 7),
-        last_bit(at[7] & 7),
-        physical(get16(at + 8)),
-        physical_bit(at[10] & 7),
-        type(at[11]),
-        active(at[12] & 1) {}
+      : logical_(get32(at)),
+        length_(get16(at + 4)),
+        first_bit_(at[6] & 7),
+        last_bit_(at[7] & 7),
+        physical_(get16(at + 8)),
+        physical_bit_(at[10] & 7),
+        type_(at[11]),
+        active_(at[12] & 1) {}
 
-  bool reads() const { return active && length > 0 && type & 1; }
-  bool writes() const { return active && length > 0 && type & 2; }
-  bool whole_bytes() const { return first_bit == 0 && last_bit == 7 && physical_bit == 0; }
+  bool reads() const { return active_ && length_ > 0 && type_ & 1; }
+  bool writes() const { return active_ && length_ > 0 && type_ & 2; }
+  bool whole_bytes() const { return first_bit_ == 0 && last_bit_ == 7 && physical_bit_ == 0; }
 
   // The share of a datagram at `address` with `size` bytes, for whole bytes; size 0 if there is
   // none.
   Mapped overlapping(std::uint32_t address, std::size_t size) const {
-    const std::uint64_t begin = std::max<std::uint64_t>(address, logical);
+    const std::uint64_t begin = std::max<std::uint64_t>(address, logical_);
     const std::uint64_t end =
-        std::min(std::uint64_t{address} + size, std::uint64_t{logical} + length);
+        std::min(std::uint64_t{address} + size, std::uint64_t{logical_} + length_);
     if (begin >= end) return {0, 0, 0};
     return {static_cast<std::size_t>(begin - address),
-            physical + static_cast<std::size_t>(begin - logical),
+            physical_ + static_cast<std::size_t>(begin - logical_),
             static_cast<std::size_t>(end - begin)};
   }
 
   // The same in bits.
   Mapped overlapping_bits(std::uint32_t address, std::size_t size) const {
-    const std::uint64_t first = std::uint64_t{logical} * 8 + first_bit;
-    const std::uint64_t last = (std::uint64_t{logical} + length - 1) * 8 + last_bit;
+    const std::uint64_t first = std::uint64_t{logical_} * 8 + first_bit_;
+    const std::uint64_t last = (std::uint64_t{logical_} + length_ - 1) * 8 + last_bit_;
     const std::uint64_t begin = std::max(first, std::uint64_t{address} * 8);
     const std::uint64_t end = std::min(last + 1, (std::uint64_t{address} + size) * 8);
     if (begin >= end) return {0, 0, 0};
     return {static_cast<std::size_t>(begin - std::uint64_t{address} * 8),
-            static_cast<std::size_t>(std::uint64_t{physical} * 8 + physical_bit + begin - first),
+            static_cast<std::size_t>(std::uint64_t{physical_} * 8 + physical_bit_ + begin - first),
             static_cast<std::size_t>(end - begin)};
   }
 
  private:
-  std::uint32_t logical;
-  std::uint16_t length;
-  unsigned first_bit, last_bit;
-  std::uint16_t physical;
-  unsigned physical_bit;
-  std::uint8_t type;
-  bool active;
+  std::uint32_t logical_;
+  std::uint16_t length_;
+  unsigned first_bit_, last_bit_;
+  std::uint16_t physical_;
+  unsigned physical_bit_;
+  std::uint8_t type_;
+  bool active_;
 };
 
 inline void copy_bits(const std::uint8_t* from, std::size_t first, std::uint8_t* to, std::size_t at,

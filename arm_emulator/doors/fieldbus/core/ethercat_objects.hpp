@@ -21,15 +21,15 @@ class Objects {
     drives_entry one = {};
     for (std::int32_t slot = 0; drives_list(slot, &one); ++slot) {
       if (!(one.buses & DRIVES_ETHERCAT)) continue;
-      entries.push_back(one);
-      if (one.sub == 0) indices.push_back(one.index);
+      entries_.push_back(one);
+      if (one.sub == 0) indices_.push_back(one.index);
     }
   }
 
-  const std::vector<std::uint16_t>& all() const { return indices; }
+  const std::vector<std::uint16_t>& all() const { return indices_; }
   // The entries of an object, none if there is no such object.
   std::span<const drives_entry> object(std::uint16_t index) const {
-    const auto [first, last] = std::equal_range(entries.begin(), entries.end(), index, ByIndex{});
+    const auto [first, last] = std::equal_range(entries_.begin(), entries_.end(), index, ByIndex{});
     return {first, last};
   }
   const drives_entry* entry(std::uint16_t index, std::uint8_t sub) const {
@@ -43,8 +43,8 @@ class Objects {
     bool operator()(std::uint16_t a, const drives_entry& b) const { return a < b.index; }
   };
 
-  std::vector<drives_entry> entries;
-  std::vector<std::uint16_t> indices;
+  std::vector<drives_entry> entries_;
+  std::vector<std::uint16_t> indices_;
 };
 
 inline bool writable(const drives_entry& entry) { return entry.access >= 2; }
@@ -52,18 +52,18 @@ inline bool writable(const drives_entry& entry) { return entry.access >= 2; }
 // The values of one drive.
 class Door {
  public:
-  Door(drives* all, std::int32_t drive) : all(all), drive(drive) {}
+  Door(drives* all, std::int32_t drive) : all_(all), drive_(drive) {}
 
   // An abort code, 0 for none. `size` gets how many bytes there are.
   std::uint32_t read(std::uint16_t index, std::uint8_t sub, std::span<std::uint8_t> out,
                      std::uint32_t& size) const {
     size = 0;
-    return drives_read(all, drive, index, sub, out.data(), static_cast<std::uint32_t>(out.size()),
+    return drives_read(all_, drive_, index, sub, out.data(), static_cast<std::uint32_t>(out.size()),
                        &size);
   }
   std::uint32_t write(std::uint16_t index, std::uint8_t sub,
                       std::span<const std::uint8_t> in) const {
-    return drives_write(all, drive, index, sub, in.data(), static_cast<std::uint32_t>(in.size()));
+    return drives_write(all_, drive_, index, sub, in.data(), static_cast<std::uint32_t>(in.size()));
   }
   // The value of a number, 0 where there is none.
   std::uint32_t number(std::uint16_t index, std::uint8_t sub) const {
@@ -81,8 +81,8 @@ class Door {
   }
 
  private:
-  drives* all;
-  std::int32_t drive;
+  drives* all_;
+  std::int32_t drive_;
 };
 
 }  // namespace ethercat

@@ -65,36 +65,36 @@ inline std::int64_t monotonic() {
 // Carries frames between an interface and a segment.
 class Port {
  public:
-  explicit Port(Segment& segment) : segment(segment) {}
+  explicit Port(Segment& segment) : segment_(segment) {}
 
   int serve(int descriptor, std::int64_t duration) {
     const std::int64_t end = monotonic() + duration;
-    if (due == 0) due = monotonic() + segment.period_ns();
+    if (due_ == 0) due_ = monotonic() + segment_.period_ns();
     for (std::int64_t now; (now = monotonic()) < end;) {
-      if (segment.diverged()) return 0;
-      const bool paced = !segment.lockstep() || (!up && segment.exchanges());
-      if (!paced) due = now + segment.period_ns();
-      if (paced && now >= due) {
-        const std::int64_t late = (now - due) / segment.period_ns();
-        segment.count_late(late);
-        due += (late + 1) * segment.period_ns();
-        segment.period(now);
+      if (segment_.diverged()) return 0;
+      const bool paced = !segment_.lockstep() || (!up_ && segment_.exchanges());
+      if (!paced) due_ = now + segment_.period_ns();
+      if (paced && now >= due_) {
+        const std::int64_t late = (now - due_) / segment_.period_ns();
+        segment_.count_late(late);
+        due_ += (late + 1) * segment_.period_ns();
+        segment_.period(now);
         continue;
       }
       pollfd wait = {descriptor, POLLIN, 0};
-      const std::int64_t left = std::min(end, paced ? due : now + 20'000'000) - now;
+      const std::int64_t left = std::min(end, paced ? due_ : now + 20'000'000) - now;
       const timespec limit = {left / 1'000'000'000, left % 1'000'000'000};
       const int found = ppoll(&wait, 1, &limit, nullptr);
       if (found < 0) return errno == EINTR ? 0 : -errno;
-      if (found == 0 && !segment.lockstep()) continue;  // a period is over
+      if (found == 0 && !segment_.lockstep()) continue;  // a period is over
       if (found == 0 || wait.revents & (POLLERR | POLLHUP)) {
         clear_error(descriptor);
         const int link = has_link(descriptor);
         if (link < 0) return link;
-        up = link > 0;
+        up_ = link > 0;
         continue;
       }
-      up = true;
+      up_ = true;
       if (const int result = receive(descriptor); result < 0) return result;
     }
     return 0;
@@ -102,14 +102,14 @@ class Port {
 
  private:
   int receive(int descriptor) {
-    const ssize_t size = recv(descriptor, buffer, sizeof buffer, MSG_TRUNC);
+    const ssize_t size = recv(descriptor, buffer_, sizeof buffer_, MSG_TRUNC);
     if (size < 0) return errno == EAGAIN || errno == EINTR || errno == ENETDOWN ? 0 : -errno;
-    const auto length = std::min(static_cast<std::size_t>(size), sizeof buffer);
-    const std::size_t back = segment.pass({buffer, length}, monotonic());
-    if (back > 0 && send(descriptor, buffer, back, 0) < 0 && errno != ENETDOWN && errno != EAGAIN &&
-        errno != ENOBUFS && errno != EINTR && errno != EMSGSIZE)
+    const auto length = std::min(static_cast<std::size_t>(size), sizeof buffer_);
+    const std::size_t back = segment_.pass({buffer_, length}, monotonic());
+    if (back > 0 && send(descriptor, buffer_, back, 0) < 0 && errno != ENETDOWN &&
+        errno != EAGAIN && errno != ENOBUFS && errno != EINTR && errno != EMSGSIZE)
       return -errno;
-    segment.finish_exchange();  // the frame is on its way back meanwhile
+    segment_.finish_exchange();  // the frame is on its way back meanwhile
     return 0;
   }
 
@@ -135,10 +135,10 @@ class Port {
     return flags & IFF_UP && flags & IFF_RUNNING;
   }
 
-  Segment& segment;
-  std::int64_t due = 0;  // when the next servo period by the clock ends, ns
-  bool up = true;
-  std::uint8_t buffer[2048];
+  Segment& segment_;
+  std::int64_t due_ = 0;  // when the next servo period by the clock ends, ns
+  bool up_ = true;
+  std::uint8_t buffer_[2048];
 };
 
 }  // namespace ethercat

@@ -13,43 +13,44 @@ namespace ethercat {
 // One way of process data.
 class ProcessData {
  public:
-  enum class Way : std::uint16_t { OUTPUTS = 0x1c12, INPUTS = 0x1c13 };
+  enum class Way : std::uint16_t { outputs = 0x1c12, inputs = 0x1c13 };
 
   ProcessData(const Objects& objects, const Door& door, Way way)
-      : objects(objects), door(door), way(way) {}
+      : objects_(objects), door_(door), way_(way) {}
 
   // Takes over the mapping as it is now. The dictionary has seen to it that all of it can be
   // mapped, in whole bytes.
   void compile() {
-    items.clear();
-    bytes = 0;
+    items_.clear();
+    bytes_ = 0;
     for (const Pdo& pdo : assigned())
       for (const PdoEntry& entry : pdo.entries) {
         const std::size_t here = entry.bits / 8u;
         if (entry.index != 0)
-          items.push_back({entry.index, entry.subindex, bytes, here});  // no gap
-        bytes += here;
+          items_.push_back({entry.index, entry.subindex, bytes_, here});  // no gap
+        bytes_ += here;
       }
   }
-  std::size_t size() const { return bytes; }
+  std::size_t size() const { return bytes_; }
 
   void to_drive(const std::uint8_t* buffer) const {
-    for (const Item& item : items) door.write(item.index, item.sub, {buffer + item.at, item.size});
+    for (const Item& item : items_)
+      door_.write(item.index, item.sub, {buffer + item.at, item.size});
   }
   void from_drive(std::uint8_t* buffer) const {
     std::uint32_t size = 0;
-    for (const Item& item : items)
-      door.read(item.index, item.sub, {buffer + item.at, item.size}, size);
+    for (const Item& item : items_)
+      door_.read(item.index, item.sub, {buffer + item.at, item.size}, size);
   }
 
   // The process data objects that are assigned now, with what is mapped into them.
   std::vector<Pdo> assigned() const {
     std::vector<Pdo> out;
-    const auto assignment = static_cast<std::uint16_t>(way);
-    const std::uint32_t count = door.number(assignment, 0);
+    const auto assignment = static_cast<std::uint16_t>(way_);
+    const std::uint32_t count = door_.number(assignment, 0);
     for (std::uint32_t k = 1; k <= count; ++k) {
       const auto index =
-          static_cast<std::uint16_t>(door.number(assignment, static_cast<std::uint8_t>(k)));
+          static_cast<std::uint16_t>(door_.number(assignment, static_cast<std::uint8_t>(k)));
       if (index != 0) out.push_back(object(index));
     }
     return out;
@@ -58,8 +59,8 @@ class ProcessData {
   std::vector<Pdo> all() const {
     std::vector<Pdo> out;
     const std::vector<Pdo> now = assigned();
-    const std::uint16_t from = way == Way::OUTPUTS ? 0x1600 : 0x1a00;
-    for (const std::uint16_t index : objects.all()) {
+    const std::uint16_t from = way_ == Way::outputs ? 0x1600 : 0x1a00;
+    for (const std::uint16_t index : objects_.all()) {
       if (index < from || index >= from + 0x200) continue;
       Pdo pdo = object(index);
       if (pdo.entries.empty()) continue;
@@ -79,14 +80,14 @@ class ProcessData {
   };
 
   Pdo object(std::uint16_t index) const {
-    const auto its = objects.object(index);
-    Pdo pdo = {index, way == Way::OUTPUTS ? 2 : 3, {}, its.empty() ? "" : its[0].object};
-    const std::uint32_t count = door.number(index, 0);
+    const auto its = objects_.object(index);
+    Pdo pdo = {index, way_ == Way::outputs ? 2 : 3, {}, its.empty() ? "" : its[0].object};
+    const std::uint32_t count = door_.number(index, 0);
     for (std::uint32_t k = 1; k <= count; ++k) {
-      const std::uint32_t mapped = door.number(index, static_cast<std::uint8_t>(k));
+      const std::uint32_t mapped = door_.number(index, static_cast<std::uint8_t>(k));
       const auto at = static_cast<std::uint16_t>(mapped >> 16);
       const auto sub = static_cast<std::uint8_t>(mapped >> 8);
-      const drives_entry* const entry = objects.entry(at, sub);
+      const drives_entry* const entry = objects_.entry(at, sub);
       pdo.entries.push_back({at, sub, static_cast<std::uint8_t>(mapped),
                              static_cast<std::uint8_t>(entry ? entry->type : 0),
                              entry ? entry->name : ""});
@@ -94,11 +95,11 @@ class ProcessData {
     return pdo;
   }
 
-  const Objects& objects;
-  const Door& door;
-  Way way;
-  std::vector<Item> items;
-  std::size_t bytes = 0;
+  const Objects& objects_;
+  const Door& door_;
+  Way way_;
+  std::vector<Item> items_;
+  std::size_t bytes_ = 0;
 };
 
 }  // namespace ethercat

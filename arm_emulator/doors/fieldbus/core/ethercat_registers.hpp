@@ -32,22 +32,22 @@ constexpr std::size_t kRamBegin = 0x1000, kMemory = 0x3000;
 
 class Memory {
  public:
-  std::uint8_t* at(std::size_t address) { return bytes.data() + address; }
-  const std::uint8_t* at(std::size_t address) const { return bytes.data() + address; }
-  std::uint8_t get8(std::size_t address) const { return bytes[address]; }
+  std::uint8_t* at(std::size_t address) { return bytes_.data() + address; }
+  const std::uint8_t* at(std::size_t address) const { return bytes_.data() + address; }
+  std::uint8_t get8(std::size_t address) const { return bytes_[address]; }
   std::uint16_t get16(std::size_t address) const { return ethercat::get16(at(address)); }
   std::uint32_t get32(std::size_t address) const { return ethercat::get32(at(address)); }
   std::uint64_t get64(std::size_t address) const { return ethercat::get64(at(address)); }
-  void put8(std::size_t address, std::uint8_t value) { bytes[address] = value; }
+  void put8(std::size_t address, std::uint8_t value) { bytes_[address] = value; }
   void put16(std::size_t address, std::uint16_t v) { ethercat::put16(at(address), v); }
   void put32(std::size_t address, std::uint32_t v) { ethercat::put32(at(address), v); }
   void put64(std::size_t address, std::uint64_t v) { ethercat::put64(at(address), v); }
   void fill(std::size_t address, std::size_t size) {
-    std::fill_n(bytes.begin() + static_cast<std::ptrdiff_t>(address), size, std::uint8_t{0});
+    std::fill_n(bytes_.begin() + static_cast<std::ptrdiff_t>(address), size, std::uint8_t{0});
   }
 
  private:
-  std::array<std::uint8_t, kMemory> bytes = {};
+  std::array<std::uint8_t, kMemory> bytes_ = {};
 };
 
 struct Range {

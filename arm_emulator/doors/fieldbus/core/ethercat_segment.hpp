@@ -11,36 +11,36 @@ namespace ethercat {
 
 class Segment {
  public:
-  explicit Segment(const ethercat_options& options) : arm(options) {
-    for (std::int32_t k = 0; k < drives_count(arm.all); ++k)
-      slaves.push_back(std::make_unique<Slave>(arm.all, objects, k, arm.period));
+  explicit Segment(const ethercat_options& options) : arm_(options) {
+    for (std::int32_t k = 0; k < drives_count(arm_.all); ++k)
+      slaves_.push_back(std::make_unique<Slave>(arm_.all, objects_, k, arm_.period));
   }
 
   // Lets a frame through, in place, where the clock is `now` [ns]; returns how long it comes back,
   // 0: it does not. Clocks and watchdogs of slaves go by logical time in lock-step.
   std::size_t pass(std::span<std::uint8_t> frame, std::int64_t now) {
-    const std::int64_t time = arm.lockstep ? logical : now;
+    const std::int64_t time = arm_.lockstep ? logical_ : now;
     switch (check(frame)) {
-      case FrameCheck::FOREIGN:
+      case FrameCheck::foreign:
         ++figures_.foreign;
         return 0;
-      case FrameCheck::CIRCULATING:
+      case FrameCheck::circulating:
         ++figures_.circulating;
         return 0;
-      case FrameCheck::MALFORMED:
+      case FrameCheck::malformed:
         ++figures_.malformed;
-        slaves[0]->count_error();
+        slaves_[0]->count_error();
         return 0;
-      case FrameCheck::SOUND:
+      case FrameCheck::sound:
         break;
     }
     ++figures_.frames;
     std::size_t reached = 0;  // slaves that the frame passes
-    Slave::Onward onward = Slave::Onward::NEXT;
-    for (const auto& slave : slaves) {
-      slave->pass({}, ++reached < slaves.size(), time);
+    Slave::Onward onward = Slave::Onward::next;
+    for (const auto& slave : slaves_) {
+      slave->pass({}, ++reached < slaves_.size(), time);
       onward = slave->onward();
-      if (onward != Slave::Onward::NEXT) break;
+      if (onward != Slave::Onward::next) break;
     }
     for (std::size_t k = 0; k < reached; ++k) {
       const auto hops = [](std::size_t count) {
@@ -48,14 +48,14 @@ class Segment {
       };
       const Passage passage = {time + hops(k), time + hops(2 * (reached - 1) - k),
                                k + 1 == reached};
-      slaves[k]->pass(passage, k + 1 < slaves.size(), time);
+      slaves_[k]->pass(passage, k + 1 < slaves_.size(), time);
     }
     for (Datagrams datagrams(frame); datagrams.left();) {
       Datagram datagram = datagrams.next();
       if (!datagram.known()) ++figures_.unknown;
-      for (std::size_t k = 0; k < reached; ++k) visit(*slaves[k], datagram);
+      for (std::size_t k = 0; k < reached; ++k) visit(*slaves_[k], datagram);
     }
-    if (onward == Slave::Onward::LOST) return 0;
+    if (onward == Slave::Onward::lost) return 0;
     frame[6] |= 2;  // it has been processed, as the first slave tells in the sender's address
     return frame.size();
   }
@@ -63,27 +63,27 @@ class Segment {
   // In lock-step: lets the servo period pass that a frame has set off, if it completed an exchange
   // with all drives.
   void finish_exchange() {
-    if (!arm.lockstep || !exchanged()) return;
+    if (!arm_.lockstep || !exchanged()) return;
     ++figures_.exchanges;
     for (std::int64_t k = periods_per_exchange(); k > 0 && !figures_.diverged; --k) {
-      logical += arm.period;
-      step(logical);
+      logical_ += arm_.period;
+      step(logical_);
     }
   }
   // Lets a servo period pass by the clock, where it is `now` [ns].
   int period(std::int64_t now) {
     bool operational = false;
-    for (const auto& slave : slaves) operational = operational || slave->operational();
+    for (const auto& slave : slaves_) operational = operational || slave->operational();
     if (exchanged())
       ++figures_.exchanges;
     else if (operational)
       ++figures_.lost_cycles;
-    logical += arm.period;
-    return step(arm.lockstep ? logical : now);
+    logical_ += arm_.period;
+    return step(arm_.lockstep ? logical_ : now);
   }
   // Whether process data are exchanged, or were before an error.
   bool exchanges() const {
-    for (const auto& slave : slaves)
+    for (const auto& slave : slaves_)
       if (slave->exchanges()) return true;
     return false;
   }
@@ -92,23 +92,23 @@ class Segment {
 
   ethercat_figures figures() const {
     ethercat_figures out = figures_;
-    for (const auto& slave : slaves) {
+    for (const auto& slave : slaves_) {
       out.watchdogs += slave->expired();
       out.operational += slave->operational();
     }
     return out;
   }
-  const Slave& slave(std::size_t k) const { return *slaves[k]; }
-  std::int32_t count() const { return static_cast<std::int32_t>(slaves.size()); }
-  bool lockstep() const { return arm.lockstep; }
+  const Slave& slave(std::size_t k) const { return *slaves_[k]; }
+  std::int32_t count() const { return static_cast<std::int32_t>(slaves_.size()); }
+  bool lockstep() const { return arm_.lockstep; }
   bool diverged() const { return figures_.diverged; }
-  std::int64_t period_ns() const { return arm.period; }
+  std::int64_t period_ns() const { return arm_.period; }
 
  private:
   // Whether all drives that exchange process data have done so since the last servo period.
   bool exchanged() const {
     bool any = false;
-    for (const auto& slave : slaves) {
+    for (const auto& slave : slaves_) {
       if (!slave->exchanges()) continue;
       if (!slave->exchanged()) return false;
       any = true;
@@ -119,21 +119,21 @@ class Segment {
   // has set.
   std::int64_t periods_per_exchange() const {
     std::int64_t shortest = 0;
-    for (const auto& slave : slaves) {
+    for (const auto& slave : slaves_) {
       const DistributedClock& clock = slave->distributed_clock();
       if (!slave->exchanges() || !clock.sync0()) continue;
-      const std::int64_t its = clock.sync0_cycle() / arm.period;
+      const std::int64_t its = clock.sync0_cycle() / arm_.period;
       shortest = shortest == 0 ? its : std::min(shortest, its);
     }
     return shortest == 0 ? 1 : shortest;
   }
   // A machine that has diverged stays where it is.
   int step(std::int64_t time) {
-    for (const auto& slave : slaves) slave->before_period(time);
-    const int result = drives_period(arm.all);
+    for (const auto& slave : slaves_) slave->before_period(time);
+    const int result = drives_period(arm_.all);
     figures_.diverged = result != ARM_OK;
     ++figures_.periods;
-    for (const auto& slave : slaves) slave->after_period();
+    for (const auto& slave : slaves_) slave->after_period();
     return result;
   }
 
@@ -143,53 +143,53 @@ class Segment {
     const auto here = [&slave, &datagram] { return slave.has_address(datagram.position()); };
     datagram.add_interrupts(slave.events());
     switch (datagram.command()) {
-      case Command::APRD:
-      case Command::APWR:
-      case Command::APRW:
-      case Command::ARMW: {
+      case Command::aprd:
+      case Command::apwr:
+      case Command::aprw:
+      case Command::armw: {
         const bool ours = datagram.position() == 0;
         datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
-        if (datagram.command() == Command::APRD && ours) read(slave, datagram);
-        if (datagram.command() == Command::APWR && ours) write(slave, datagram);
-        if (datagram.command() == Command::APRW && ours) read_write(slave, datagram, false);
-        if (datagram.command() == Command::ARMW)
+        if (datagram.command() == Command::aprd && ours) read(slave, datagram);
+        if (datagram.command() == Command::apwr && ours) write(slave, datagram);
+        if (datagram.command() == Command::aprw && ours) read_write(slave, datagram, false);
+        if (datagram.command() == Command::armw)
           ours ? read(slave, datagram) : write(slave, datagram);
         return;
       }
-      case Command::FPRD:
+      case Command::fprd:
         if (here()) read(slave, datagram);
         return;
-      case Command::FPWR:
+      case Command::fpwr:
         if (here()) write(slave, datagram);
         return;
-      case Command::FPRW:
+      case Command::fprw:
         if (here()) read_write(slave, datagram, false);
         return;
-      case Command::FRMW:
+      case Command::frmw:
         here() ? read(slave, datagram) : write(slave, datagram);
         return;
-      case Command::BRD:
+      case Command::brd:
         datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
         datagram.count(slave.read(offset, data, true));
         return;
-      case Command::BWR:
+      case Command::bwr:
         datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
         write(slave, datagram);
         return;
-      case Command::BRW:
+      case Command::brw:
         datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
         read_write(slave, datagram, true);
         return;
-      case Command::LRD:
+      case Command::lrd:
         datagram.count(slave.logical(datagram.logical(), data, true, false));
         return;
-      case Command::LWR:
+      case Command::lwr:
         datagram.count(slave.logical(datagram.logical(), data, false, true));
         return;
-      case Command::LRW:
+      case Command::lrw:
         datagram.count(slave.logical(datagram.logical(), data, true, true));
         return;
-      case Command::NOP:
+      case Command::nop:
         return;
     }
   }
@@ -209,11 +209,11 @@ class Segment {
     datagram.count((was_read ? 1u : 0) + (was_written ? 2u : 0));
   }
 
-  const ethercat_options arm;
-  const Objects objects;
-  std::vector<std::unique_ptr<Slave>> slaves;
+  const ethercat_options arm_;
+  const Objects objects_;
+  std::vector<std::unique_ptr<Slave>> slaves_;
   ethercat_figures figures_ = {};
-  std::int64_t logical = 0;  // ns
+  std::int64_t logical_ = 0;  // ns
 };
 
 }  // namespace ethercat

@@ -161,44 +161,44 @@ inline std::vector<std::uint8_t> sii_image(const Identity& identity, const std::
 class Sii {
  public:
   Sii(Memory& memory, std::vector<std::uint8_t> contents)
-      : memory(memory), image(std::move(contents)) {
+      : memory_(memory), image_(std::move(contents)) {
     reload();
   }
 
   // As after switching on.
   void reload() {
-    memory.fill(reg::kEeprom, 16);
-    memory.put16(kControl, kEightBytes | kTwoAddressBytes);
-    memory.put16(reg::kPdi, word(0));
-    memory.put16(reg::kAlias, word(4));
+    memory_.fill(reg::kEeprom, 16);
+    memory_.put16(kControl, kEightBytes | kTwoAddressBytes);
+    memory_.put16(reg::kPdi, word(0));
+    memory_.put16(reg::kAlias, word(4));
   }
 
   // The master has written to the registers: carry out the command that may be among it.
   void after_write(std::size_t address, std::size_t size) {
     if (!overlap(address, size, kControl, 2)) return;
-    const std::uint16_t control = memory.get16(kControl);
+    const std::uint16_t control = memory_.get16(kControl);
     const unsigned command = (control >> 8) & 7u;
-    const std::uint32_t at = memory.get32(kAddress);
+    const std::uint32_t at = memory_.get32(kAddress);
     std::uint16_t status = kEightBytes | kTwoAddressBytes;
-    const bool ours = memory.get8(reg::kEeprom) & 1;  // the drive has the EEPROM
+    const bool ours = memory_.get8(reg::kEeprom) & 1;  // the drive has the EEPROM
     if (ours) {
       if (command != 0) status |= kRefused;
     } else if (command == 1) {
       for (std::uint32_t k = 0; k < 4; ++k)
-        memory.put16(kData + 2 * k, word(std::uint64_t{at} + k));
+        memory_.put16(kData + 2 * k, word(std::uint64_t{at} + k));
     } else if (command == 2) {
       if (!(control & 1))
         status |= kNotEnabled;
-      else if (at < image.size() / 2)
-        put16(&image[2 * at], memory.get16(kData));
+      else if (at < image_.size() / 2)
+        put16(&image_[2 * at], memory_.get16(kData));
       else
         status |= kRefused;
     } else if (command == 4) {
-      memory.put16(reg::kAlias, word(4));
+      memory_.put16(reg::kAlias, word(4));
     } else if (command != 0) {
       status |= kRefused;
     }
-    memory.put16(kControl, status);
+    memory_.put16(kControl, status);
   }
 
  private:
@@ -207,11 +207,11 @@ class Sii {
                                  kNotEnabled = 0x4000;
 
   std::uint16_t word(std::uint64_t at) const {
-    return at < image.size() / 2 ? get16(&image[static_cast<std::size_t>(2 * at)]) : 0xffff;
+    return at < image_.size() / 2 ? get16(&image_[static_cast<std::size_t>(2 * at)]) : 0xffff;
   }
 
-  Memory& memory;
-  std::vector<std::uint8_t> image;
+  Memory& memory_;
+  std::vector<std::uint8_t> image_;
 };
 
 }  // namespace ethercat

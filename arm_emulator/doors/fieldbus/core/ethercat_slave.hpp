@@ -23,21 +23,21 @@ class Slave {
 
   // `period`: of the servo [ns].
   Slave(drives* all, const Objects& objects, std::int32_t drive, std::int64_t period)
-      : all(all),
-        drive(drive),
-        period(period),
-        door(all, drive),
-        managers(memory),
-        outputs(objects, door, ProcessData::Way::OUTPUTS),
-        inputs(objects, door, ProcessData::Way::INPUTS),
-        sii(memory, image()),
-        clock(memory, ahead()),
-        watchdog(memory),
-        mailbox(managers, objects, door),
-        al(memory) {
+      : all_(all),
+        drive_(drive),
+        period_(period),
+        door_(all, drive),
+        managers_(memory_),
+        outputs_(objects, door_, ProcessData::Way::outputs),
+        inputs_(objects, door_, ProcessData::Way::inputs),
+        sii_(memory_, image()),
+        clock_(memory_, ahead()),
+        watchdog_(memory_),
+        mailbox_(managers_, objects, door_),
+        al_(memory_) {
     describe_controller();
     serve_areas();
-    errors_told = error_code();
+    errors_told_ = error_code();
   }
   Slave(const Slave&) = delete;
 
@@ -45,33 +45,33 @@ class Slave {
 
   // A frame comes by; `connected`: another slave is behind this one.
   void pass(const Passage& passage, bool connected, std::int64_t time) {
-    clock.pass(passage);
-    now = time;
-    next = connected;
+    clock_.pass(passage);
+    now_ = time;
+    next_ = connected;
   }
   // Whether a frame goes on to the next slave, comes back from here, or is lost.
-  enum class Onward { NEXT, BACK, LOST };
+  enum class Onward { next, back, lost };
   Onward onward() const {
-    const int port1 = (memory.get8(reg::kDlControl + 1) >> 2) & 3;
-    if (port1 == 3) return Onward::BACK;
-    if (next) return Onward::NEXT;
-    return port1 == 2 ? Onward::LOST : Onward::BACK;
+    const int port1 = (memory_.get8(reg::kDlControl + 1) >> 2) & 3;
+    if (port1 == 3) return Onward::back;
+    if (next_) return Onward::next;
+    return port1 == 2 ? Onward::lost : Onward::back;
   }
   bool has_address(std::uint16_t station) const {
-    const bool alias = memory.get8(reg::kDlControl + 3) & 1;
-    return memory.get16(reg::kStation) == station ||
-           (alias && memory.get16(reg::kAlias) == station);
+    const bool alias = memory_.get8(reg::kDlControl + 3) & 1;
+    return memory_.get16(reg::kStation) == station ||
+           (alias && memory_.get16(reg::kAlias) == station);
   }
   // Events that the master has asked to be told in each datagram.
-  std::uint16_t events() const { return all_events() & memory.get16(reg::kEventMask); }
+  std::uint16_t events() const { return all_events() & memory_.get16(reg::kEventMask); }
 
   // Read memory into `out`, by bits added to what is there if `add`; whether it was permitted.
   bool read(std::size_t address, std::span<std::uint8_t> out, bool add) {
-    if (address >= kMemory || !managers.permits(address, out.size(), false)) return false;
+    if (address >= kMemory || !managers_.permits(address, out.size(), false)) return false;
     before_read(address, out.size());
     const std::size_t size = std::min(out.size(), kMemory - address);
     for (std::size_t k = 0; k < size; ++k) {
-      const std::uint8_t byte = memory.get8(address + k);
+      const std::uint8_t byte = memory_.get8(address + k);
       out[k] = add ? static_cast<std::uint8_t>(out[k] | byte) : byte;
     }
     if (!add)
@@ -80,106 +80,107 @@ class Slave {
     return true;
   }
   bool write(std::size_t address, std::span<const std::uint8_t> in) {
-    if (address >= kMemory || !managers.permits(address, in.size(), true)) return false;
+    if (address >= kMemory || !managers_.permits(address, in.size(), true)) return false;
     const std::size_t size = std::min(in.size(), kMemory - address);
     bool any = false;
     std::array<std::uint8_t, 8 * kSyncManagers> guards;
-    std::copy_n(memory.at(reg::kSyncManager), guards.size(), guards.begin());
+    std::copy_n(memory_.at(reg::kSyncManager), guards.size(), guards.begin());
     for (std::size_t k = 0; k < size; ++k) {
       const std::size_t at = address + k;
       if (!kWritableBytes[at]) continue;
       any = true;
       if (at >= reg::kSyncManager && at < reg::kSyncManager + guards.size()) {
-        if (!managers.locked(at)) guards[at - reg::kSyncManager] = in[k];
-      } else if (at < reg::kDc || at >= 0x0a00 || !clock.locked(at)) {
-        memory.put8(at, in[k]);
+        if (!managers_.locked(at)) guards[at - reg::kSyncManager] = in[k];
+      } else if (at < reg::kDc || at >= 0x0a00 || !clock_.locked(at)) {
+        memory_.put8(at, in[k]);
       }
     }
-    std::copy(guards.begin(), guards.end(), memory.at(reg::kSyncManager));
+    std::copy(guards.begin(), guards.end(), memory_.at(reg::kSyncManager));
     if (any) after_write(address, in.first(size));
     return any;
   }
 
   // The parts of a logical datagram that this slave's units map; how much its counter goes up.
   unsigned logical(std::uint32_t address, std::span<std::uint8_t> data, bool reads, bool writes) {
-    unsigned written = 0, read_ = 0;
+    unsigned written = 0, read = 0;
     // Outputs are taken from the datagram before inputs are put into it.
     for (int k = 0; writes && k < kFmmus; ++k)
       if (const Fmmu unit = fmmu(k); unit.writes() && take(unit, address, data)) written = 1;
     for (int k = 0; reads && k < kFmmus; ++k)
-      if (const Fmmu unit = fmmu(k); unit.reads() && give(unit, address, data)) read_ = 1;
-    return reads && writes ? read_ + 2 * written : read_ + written;
+      if (const Fmmu unit = fmmu(k); unit.reads() && give(unit, address, data)) read = 1;
+    return reads && writes ? read + 2 * written : read + written;
   }
 
   // ---------------------------------------------------------------------------- servo periods
 
   // Whether it takes part in the exchange of process data.
   bool exchanges() const {
-    const bool any = outputs.size() + inputs.size() > 0;
-    return any && (al.state() == State::SAFEOP || operational());
+    const bool any = outputs_.size() + inputs_.size() > 0;
+    return any && (al_.state() == State::safeop || operational());
   }
-  bool operational() const { return al.state() == State::OP; }
+  bool operational() const { return al_.state() == State::op; }
   // Whether a frame has brought outputs and taken inputs since the last servo period.
   bool exchanged() const {
-    return (outputs.size() == 0 || written_) && (inputs.size() == 0 || read_);
+    return (outputs_.size() == 0 || written_) && (inputs_.size() == 0 || read_);
   }
   bool written() const { return written_; }
-  const DistributedClock& distributed_clock() const { return clock; }
+  const DistributedClock& distributed_clock() const { return clock_; }
 
   void before_period(std::int64_t time) {
-    now = time;
-    if (al.state() == State::OP && managers.triggers_watchdog(kOutputs) && watchdog.expires(time)) {
-      fall(State::SAFEOP, AlCode::WATCHDOG);
-      drives_lost(all, drive, kWatchdogError);
+    now_ = time;
+    if (al_.state() == State::op && managers_.triggers_watchdog(kOutputs) &&
+        watchdog_.expires(time)) {
+      fall(State::safeop, AlCode::watchdog);
+      drives_lost(all_, drive_, kWatchdogError);
       ++expired_;
     }
-    if (al.state() == State::OP && written_) outputs.to_drive(managers.area(kOutputs));
+    if (al_.state() == State::op && written_) outputs_.to_drive(managers_.area(kOutputs));
   }
   void after_period() {
     written_ = read_ = false;
-    if (exchanges() && inputs.size() > 0) {
-      inputs.from_drive(managers.area(kInputs));
-      managers.turn_buffer(kInputs);
+    if (exchanges() && inputs_.size() > 0) {
+      inputs_.from_drive(managers_.area(kInputs));
+      managers_.turn_buffer(kInputs);
     }
     const std::uint16_t error = error_code();
-    if (error == errors_told) return;
-    errors_told = error;
-    mailbox.emergency(error, static_cast<std::uint8_t>(door.number(0x1001, 0)));
+    if (error == errors_told_) return;
+    errors_told_ = error;
+    mailbox_.emergency(error, static_cast<std::uint8_t>(door_.number(0x1001, 0)));
   }
 
   // A frame had to be thrown away.
   void count_error() {
-    std::uint8_t& count = *memory.at(reg::kUnitErrors);
+    std::uint8_t& count = *memory_.at(reg::kUnitErrors);
     count = static_cast<std::uint8_t>(count + (count < 0xff));
   }
   std::int64_t expired() const { return expired_; }
-  const Memory& contents() const { return memory; }
+  const Memory& contents() const { return memory_; }
 
  private:
   std::vector<std::uint8_t> image() const {
-    const Identity identity = {door.number(0x1018, 1), door.number(0x1018, 2),
-                               door.number(0x1018, 3), door.number(0x1018, 4),
-                               "arm_emulator drive",   "Servo drives"};
-    std::vector<Pdo> pdos = outputs.all();
-    for (Pdo& pdo : inputs.all()) pdos.push_back(std::move(pdo));
+    const Identity identity = {door_.number(0x1018, 1), door_.number(0x1018, 2),
+                               door_.number(0x1018, 3), door_.number(0x1018, 4),
+                               "arm_emulator drive",    "Servo drives"};
+    std::vector<Pdo> pdos = outputs_.all();
+    for (Pdo& pdo : inputs_.all()) pdos.push_back(std::move(pdo));
     return sii_image(identity, pdos, 0);
   }
 
   // Slaves are switched on one after the other [ns].
-  std::int64_t ahead() const { return 1'000'000'007LL * (drive + 1); }
+  std::int64_t ahead() const { return 1'000'000'007LL * (drive_ + 1); }
 
   void describe_controller() {
-    memory.put8(reg::kType, 0x11);
-    memory.put16(reg::kType + 2, 2);
-    memory.put8(reg::kFmmus, ethercat::kFmmus);
-    memory.put8(reg::kSyncManagers, ethercat::kSyncManagers);
-    memory.put8(reg::kRam, (kMemory - kRamBegin) / 1024);
-    memory.put8(reg::kPorts, 0x0f);        // ports 0 and 1: MII
-    memory.put16(reg::kFeatures, 0x018c);  // distributed clocks of 64 bits, bits in FMMUs
-    memory.put32(reg::kDlControl, 1);
+    memory_.put8(reg::kType, 0x11);
+    memory_.put16(reg::kType + 2, 2);
+    memory_.put8(reg::kFmmus, ethercat::kFmmus);
+    memory_.put8(reg::kSyncManagers, ethercat::kSyncManagers);
+    memory_.put8(reg::kRam, (kMemory - kRamBegin) / 1024);
+    memory_.put8(reg::kPorts, 0x0f);        // ports 0 and 1: MII
+    memory_.put16(reg::kFeatures, 0x018c);  // distributed clocks of 64 bits, bits in FMMUs
+    memory_.put32(reg::kDlControl, 1);
   }
 
-  Fmmu fmmu(int k) const { return Fmmu(memory.at(reg::kFmmu + 16 * static_cast<std::size_t>(k))); }
+  Fmmu fmmu(int k) const { return Fmmu(memory_.at(reg::kFmmu + 16 * static_cast<std::size_t>(k))); }
 
   // Outputs: bytes of a datagram go to the memory. Single bits come with the rest of their bytes as
   // it is.
@@ -192,7 +193,7 @@ class Slave {
     const std::size_t first = bits.address / 8, last = (bits.address + bits.size - 1) / 8;
     if (bits.size == 0 || last >= kMemory) return false;
     std::array<std::uint8_t, 2049> bytes;
-    std::copy(memory.at(first), memory.at(last) + 1, bytes.begin());
+    std::copy(memory_.at(first), memory_.at(last) + 1, bytes.begin());
     copy_bits(data.data(), bits.in_datagram, bytes.data(), bits.address - 8 * first, bits.size);
     return write(first, std::span(bytes).first(last + 1 - first));
   }
@@ -213,202 +214,202 @@ class Slave {
 
   void before_read(std::size_t address, std::size_t size) {
     if (address >= kRamBegin) return;
-    clock.before_read(address, size);
+    clock_.before_read(address, size);
     if (overlap(address, size, reg::kDlStatus, 2)) {
-      const bool closed = onward() != Onward::NEXT;
+      const bool closed = onward() != Onward::next;
       // Ports 2 and 3 do not exist; port 0 leads to the master.
-      memory.put16(reg::kDlStatus, static_cast<std::uint16_t>(0x5217 | (next ? 0x20 : 0) |
-                                                              (closed ? 0x0400 : 0x0800)));
+      memory_.put16(reg::kDlStatus, static_cast<std::uint16_t>(0x5217 | (next_ ? 0x20 : 0) |
+                                                               (closed ? 0x0400 : 0x0800)));
     }
-    if (overlap(address, size, reg::kEvents, 2)) memory.put16(reg::kEvents, all_events());
+    if (overlap(address, size, reg::kEvents, 2)) memory_.put16(reg::kEvents, all_events());
   }
   std::uint16_t all_events() const {
-    unsigned events = memory.get16(reg::kEvents) & 0x000fu;
+    unsigned events = memory_.get16(reg::kEvents) & 0x000fu;
     for (int k = 0; k < ethercat::kSyncManagers; ++k)
-      if (managers.full(k)) events |= static_cast<unsigned>(event::kSyncManager0) << k;
+      if (managers_.full(k)) events |= static_cast<unsigned>(event::kSyncManager0) << k;
     return static_cast<std::uint16_t>(events);
   }
   void after_read(std::size_t address, std::size_t size) {
-    managers.close(address, size, [this](int k) {
-      if (managers.written_by_master(k)) return;
-      if (managers.mailbox(k)) {
+    managers_.close(address, size, [this](int k) {
+      if (managers_.written_by_master(k)) return;
+      if (managers_.mailbox(k)) {
         if (k == Mailbox::kIn)
-          mailbox.read();
+          mailbox_.read();
         else
-          managers.set_full(k, false);
+          managers_.set_full(k, false);
       }
       if (k == kInputs) read_ = true;
     });
     if (overlap(address, size, reg::kAlStatus, 2)) {
-      const unsigned rest = memory.get16(reg::kEvents) & ~unsigned{event::kAlStatus};
-      memory.put16(reg::kEvents, static_cast<std::uint16_t>(rest));
+      const unsigned rest = memory_.get16(reg::kEvents) & ~unsigned{event::kAlStatus};
+      memory_.put16(reg::kEvents, static_cast<std::uint16_t>(rest));
     }
   }
   void after_write(std::size_t address, std::span<const std::uint8_t> in) {
     const std::size_t size = in.size();
-    managers.close(address, size, [this](int k) {
-      if (!managers.written_by_master(k)) return;
-      if (k == Mailbox::kOut && managers.mailbox(k))
-        mailbox.written();
-      else if (managers.mailbox(k))
-        managers.set_full(k, true);
+    managers_.close(address, size, [this](int k) {
+      if (!managers_.written_by_master(k)) return;
+      if (k == Mailbox::kOut && managers_.mailbox(k))
+        mailbox_.written();
+      else if (managers_.mailbox(k))
+        managers_.set_full(k, true);
       else
-        managers.turn_buffer(k);
+        managers_.turn_buffer(k);
       if (k == kOutputs) outputs_came();
     });
     if (address >= kRamBegin) return;
     if (overlap(address, size, reg::kErrors, reg::kErrorsEnd - reg::kErrors))
-      memory.fill(reg::kErrors, reg::kErrorsEnd - reg::kErrors);  // any write clears them
-    if (overlap(address, size, reg::kWatchdogCount, 2)) memory.put16(reg::kWatchdogCount, 0);
-    sii.after_write(address, size);
+      memory_.fill(reg::kErrors, reg::kErrorsEnd - reg::kErrors);  // any write clears them
+    if (overlap(address, size, reg::kWatchdogCount, 2)) memory_.put16(reg::kWatchdogCount, 0);
+    sii_.after_write(address, size);
     if (overlap(address, size, reg::kSyncManager, 8 * ethercat::kSyncManagers)) {
-      managers.configure(address, size);
-      mailbox.after_write();
+      managers_.configure(address, size);
+      mailbox_.after_write();
       check_guards();
     }
-    clock.after_write(address, size);
-    if (clock.sets_pulses(address, size)) check_pulses();
+    clock_.after_write(address, size);
+    if (DistributedClock::sets_pulses(address, size)) check_pulses();
     if (overlap(address, size, reg::kReset, 1)) reset_asked(in[reg::kReset - address]);
     if (overlap(address, size, reg::kAlControl, 1)) {
-      al.request([this](State to) { return enter(to); });
+      al_.request([this](State to) { return enter(to); });
       serve_areas();
     }
   }
 
   void outputs_came() {
     written_ = true;
-    watchdog.trigger(now);
+    watchdog_.trigger(now_);
   }
 
   // ------------------------------------------------------------------------------------ states
 
   AlCode enter(State to) {
-    const State from = al.state();
-    if (to == State::OP) {
-      watchdog.trigger(now);
-      return AlCode::NONE;
+    const State from = al_.state();
+    if (to == State::op) {
+      watchdog_.trigger(now_);
+      return AlCode::none;
     }
-    if (to == State::SAFEOP && from == State::PREOP) return to_safeop();
-    if (to == State::PREOP && from == State::INIT) {
-      if (!mailboxes_fit()) return AlCode::MAILBOX;
-      mailbox.begin();
-      return AlCode::NONE;
+    if (to == State::safeop && from == State::preop) return to_safeop();
+    if (to == State::preop && from == State::init) {
+      if (!mailboxes_fit()) return AlCode::mailbox;
+      mailbox_.begin();
+      return AlCode::none;
     }
     leave(from, to);
-    return AlCode::NONE;
+    return AlCode::none;
   }
   AlCode to_safeop() {
-    outputs.compile();
-    inputs.compile();
-    if (!fits(kOutputs, area::kOutputs, area::kInputs, outputs.size(), true))
-      return AlCode::OUTPUTS;
-    if (!fits(kInputs, area::kInputs, 0x1800, inputs.size(), false)) return AlCode::INPUTS;
-    if (!pulses_fit()) return AlCode::SYNC0_CYCLE;
-    drives_lock_mapping(all, drive, 1);
+    outputs_.compile();
+    inputs_.compile();
+    if (!fits(kOutputs, area::kOutputs, area::kInputs, outputs_.size(), true))
+      return AlCode::outputs;
+    if (!fits(kInputs, area::kInputs, 0x1800, inputs_.size(), false)) return AlCode::inputs;
+    if (!pulses_fit()) return AlCode::syn_c0_cycle;
+    drives_lock_mapping(all_, drive_, 1);
     written_ = read_ = false;
-    if (inputs.size() > 0) inputs.from_drive(managers.area(kInputs));
-    return AlCode::NONE;
+    if (inputs_.size() > 0) inputs_.from_drive(managers_.area(kInputs));
+    return AlCode::none;
   }
   // One or more steps down.
   void leave(State from, State to) {
-    if (from == State::OP) drives_lost(all, drive, kLeftOpError);
-    if (to == State::SAFEOP) return;
-    if (from == State::SAFEOP || from == State::OP) drives_lock_mapping(all, drive, 0);
+    if (from == State::op) drives_lost(all_, drive_, kLeftOpError);
+    if (to == State::safeop) return;
+    if (from == State::safeop || from == State::op) drives_lock_mapping(all_, drive_, 0);
   }
   // An error takes it down.
   void fall(State to, AlCode why) {
-    al.set(to, why);
+    al_.set(to, why);
     serve_areas();
   }
   // Mailboxes are served from PREOP on, process data from SAFEOP on (outputs too, which the drive
   // takes in OP only), and other areas never.
   void serve_areas() {
-    const State state = al.state();
+    const State state = al_.state();
     for (int k = 0; k < ethercat::kSyncManagers; ++k) {
       const bool mail = k == Mailbox::kOut || k == Mailbox::kIn;
       const bool data = k == kOutputs || k == kInputs;
-      managers.serve(k, (mail && state != State::INIT) ||
-                            (data && (state == State::SAFEOP || state == State::OP)));
+      managers_.serve(k, (mail && state != State::init) ||
+                             (data && (state == State::safeop || state == State::op)));
     }
   }
 
   bool mailboxes_fit() const {
     const auto sound = [this](int k, std::size_t start, bool by_master) {
-      return managers.switched_on(k) && managers.mailbox(k) &&
-             managers.written_by_master(k) == by_master && managers.start(k) == start &&
-             managers.length(k) >= 34 && managers.length(k) <= area::kMailbox;
+      return managers_.switched_on(k) && managers_.mailbox(k) &&
+             managers_.written_by_master(k) == by_master && managers_.start(k) == start &&
+             managers_.length(k) >= 34 && managers_.length(k) <= area::kMailbox;
     };
     return sound(Mailbox::kOut, area::kMailboxOut, true) &&
            sound(Mailbox::kIn, area::kMailboxIn, false);
   }
   // Buffers of process data: three of them lie one after the other.
   bool fits(int k, std::size_t start, std::size_t end, std::size_t size, bool by_master) const {
-    if (size == 0) return !managers.switched_on(k) || managers.length(k) == 0;
-    return managers.switched_on(k) && !managers.mailbox(k) &&
-           managers.written_by_master(k) == by_master && managers.start(k) == start &&
-           managers.length(k) == size && start + 3 * size <= end;
+    if (size == 0) return !managers_.switched_on(k) || managers_.length(k) == 0;
+    return managers_.switched_on(k) && !managers_.mailbox(k) &&
+           managers_.written_by_master(k) == by_master && managers_.start(k) == start &&
+           managers_.length(k) == size && start + 3 * size <= end;
   }
   // A master that changes the guards of an area in use loses what depended on it.
   void check_guards() {
-    const State state = al.state();
-    if (state == State::INIT) return;
+    const State state = al_.state();
+    if (state == State::init) return;
     if (!mailboxes_fit()) {
-      leave(state, State::INIT);
-      fall(State::INIT, AlCode::MAILBOX);
+      leave(state, State::init);
+      fall(State::init, AlCode::mailbox);
       return;
     }
     if (!exchanges()) return;
-    const bool out = fits(kOutputs, area::kOutputs, area::kInputs, outputs.size(), true);
-    if (out && fits(kInputs, area::kInputs, 0x1800, inputs.size(), false)) return;
-    leave(state, State::PREOP);
-    fall(State::PREOP, out ? AlCode::INPUTS : AlCode::OUTPUTS);
+    const bool out = fits(kOutputs, area::kOutputs, area::kInputs, outputs_.size(), true);
+    if (out && fits(kInputs, area::kInputs, 0x1800, inputs_.size(), false)) return;
+    leave(state, State::preop);
+    fall(State::preop, out ? AlCode::inputs : AlCode::outputs);
   }
 
   // An exchange stands for whole servo periods.
   bool pulses_fit() const {
-    return !clock.sync0() || (clock.sync0_cycle() != 0 && clock.sync0_cycle() % period == 0);
+    return !clock_.sync0() || (clock_.sync0_cycle() != 0 && clock_.sync0_cycle() % period_ == 0);
   }
   // The same where a master sets SYNC0 late.
   void check_pulses() {
     if (!exchanges() || pulses_fit()) return;
-    leave(al.state(), State::PREOP);
-    fall(State::PREOP, AlCode::SYNC0_CYCLE);
+    leave(al_.state(), State::preop);
+    fall(State::preop, AlCode::syn_c0_cycle);
   }
 
   // "R", "E", "S" one after the other reset the controller.
   void reset_asked(std::uint8_t letter) {
     static constexpr std::uint8_t kWord[] = {'R', 'E', 'S'};
-    reset_letters = letter == kWord[reset_letters] ? reset_letters + 1 : letter == 'R' ? 1 : 0;
-    if (reset_letters < 3) return;
-    reset_letters = 0;
-    leave(al.state(), State::INIT);
-    memory = Memory();
+    reset_letters_ = letter == kWord[reset_letters_] ? reset_letters_ + 1 : letter == 'R' ? 1 : 0;
+    if (reset_letters_ < 3) return;
+    reset_letters_ = 0;
+    leave(al_.state(), State::init);
+    memory_ = Memory();
     describe_controller();
-    sii.reload();
-    clock.begin(ahead());
-    watchdog.begin();
-    fall(State::INIT, AlCode::NONE);
+    sii_.reload();
+    clock_.begin(ahead());
+    watchdog_.begin();
+    fall(State::init, AlCode::none);
   }
 
-  std::uint16_t error_code() const { return static_cast<std::uint16_t>(door.number(0x603f, 0)); }
+  std::uint16_t error_code() const { return static_cast<std::uint16_t>(door_.number(0x603f, 0)); }
 
-  drives* const all;
-  const std::int32_t drive;
-  const std::int64_t period;
-  const Door door;
-  Memory memory;
-  SyncManagers managers;
-  ProcessData outputs, inputs;
-  Sii sii;
-  DistributedClock clock;
-  Watchdog watchdog;
-  Mailbox mailbox;
-  AlState al;
-  std::int64_t now = 0;                  // ns, time of the segment
-  bool next = false;                     // a slave is connected behind this one
+  drives* const all_;
+  const std::int32_t drive_;
+  const std::int64_t period_;
+  const Door door_;
+  Memory memory_;
+  SyncManagers managers_;
+  ProcessData outputs_, inputs_;
+  Sii sii_;
+  DistributedClock clock_;
+  Watchdog watchdog_;
+  Mailbox mailbox_;
+  AlState al_;
+  std::int64_t now_ = 0;                 // ns, time of the segment
+  bool next_ = false;                    // a slave is connected behind this one
   bool written_ = false, read_ = false;  // since the last servo period
-  std::uint16_t errors_told = 0;
-  int reset_letters = 0;
+  std::uint16_t errors_told_ = 0;
+  int reset_letters_ = 0;
   std::int64_t expired_ = 0;
 };
 

@@ -9,46 +9,46 @@ namespace ethercat {
 
 class SyncManagers {
  public:
-  explicit SyncManagers(Memory& memory) : memory(memory) {}
+  explicit SyncManagers(Memory& memory) : memory_(memory) {}
 
   // Each side has a switch: the master switches an area on, the slave serves it in the states that
   // need it. An area that is on and not served is closed: it counts in no working counter.
-  bool switched_on(int k) const { return memory.get8(at(k) + 6) & 1; }
-  bool served(int k) const { return !(memory.get8(at(k) + 7) & 1); }
+  bool switched_on(int k) const { return memory_.get8(at(k) + 6) & 1; }
+  bool served(int k) const { return !(memory_.get8(at(k) + 7) & 1); }
   bool enabled(int k) const { return switched_on(k) && served(k); }
   void serve(int k, bool on) {
     if (on == served(k)) return;
-    const std::uint8_t rest = memory.get8(at(k) + 7) & 0xfe;
-    memory.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (on ? 0 : 1)));
+    const std::uint8_t rest = memory_.get8(at(k) + 7) & 0xfe;
+    memory_.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (on ? 0 : 1)));
     if (!on) empty(k);
   }
-  bool mailbox(int k) const { return (memory.get8(at(k) + 4) & 3) == 2; }
-  bool written_by_master(int k) const { return (memory.get8(at(k) + 4) & 0x0c) == 4; }
-  bool triggers_watchdog(int k) const { return memory.get8(at(k) + 4) & 0x40; }
-  bool repeat_requested(int k) const { return memory.get8(at(k) + 6) & 2; }
+  bool mailbox(int k) const { return (memory_.get8(at(k) + 4) & 3) == 2; }
+  bool written_by_master(int k) const { return (memory_.get8(at(k) + 4) & 0x0c) == 4; }
+  bool triggers_watchdog(int k) const { return memory_.get8(at(k) + 4) & 0x40; }
+  bool repeat_requested(int k) const { return memory_.get8(at(k) + 6) & 2; }
   void acknowledge_repeat(int k) {
-    const std::uint8_t rest = memory.get8(at(k) + 7) & 0xfd;
-    memory.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (repeat_requested(k) ? 2 : 0)));
+    const std::uint8_t rest = memory_.get8(at(k) + 7) & 0xfd;
+    memory_.put8(at(k) + 7, static_cast<std::uint8_t>(rest | (repeat_requested(k) ? 2 : 0)));
   }
-  std::size_t start(int k) const { return memory.get16(at(k)); }
-  std::size_t length(int k) const { return memory.get16(at(k) + 2); }
-  std::uint8_t* area(int k) { return memory.at(start(k)); }
+  std::size_t start(int k) const { return memory_.get16(at(k)); }
+  std::size_t length(int k) const { return memory_.get16(at(k) + 2); }
+  std::uint8_t* area(int k) { return memory_.at(start(k)); }
   // Whether the area lies in the RAM: nothing else may be guarded.
   bool placed(int k) const {
     return length(k) > 0 && start(k) >= kRamBegin && start(k) + length(k) <= kMemory;
   }
 
-  bool full(int k) const { return memory.get8(at(k) + 5) & 0x08; }
+  bool full(int k) const { return memory_.get8(at(k) + 5) & 0x08; }
   void set_full(int k, bool full) {
-    const std::uint8_t rest = memory.get8(at(k) + 5) & 0xf7;
-    memory.put8(at(k) + 5, static_cast<std::uint8_t>(rest | (full ? 0x08 : 0)));
-    if (!full) opened[k] = false;
+    const std::uint8_t rest = memory_.get8(at(k) + 5) & 0xf7;
+    memory_.put8(at(k) + 5, static_cast<std::uint8_t>(rest | (full ? 0x08 : 0)));
+    if (!full) opened_[k] = false;
   }
   // The next of the three buffers holds the newest data.
   void turn_buffer(int k) {
-    const std::uint8_t status = memory.get8(at(k) + 5);
+    const std::uint8_t status = memory_.get8(at(k) + 5);
     const unsigned buffer = (((status >> 4) & 3u) + 1) % 3;
-    memory.put8(at(k) + 5, static_cast<std::uint8_t>((status & 0xcf) | buffer << 4));
+    memory_.put8(at(k) + 5, static_cast<std::uint8_t>((status & 0xcf) | buffer << 4));
   }
 
   // Whether the master may read (write) these bytes now. A mailbox and a buffer are opened with
@@ -59,8 +59,8 @@ class SyncManagers {
       if (!served(k)) return false;
       if (written_by_master(k) != write) return false;
       if (mailbox(k) && full(k) == write) return false;
-      if (address <= start(k)) opened[k] = true;
-      if (!opened[k]) return false;
+      if (address <= start(k)) opened_[k] = true;
+      if (!opened_[k]) return false;
     }
     return true;
   }
@@ -71,7 +71,7 @@ class SyncManagers {
     for (int k = 0; k < kSyncManagers; ++k) {
       const std::size_t last = start(k) + length(k) - 1;
       if (!enabled(k) || length(k) == 0 || last < address || last >= address + size) continue;
-      opened[k] = false;
+      opened_[k] = false;
       done(k);
     }
   }
@@ -92,13 +92,13 @@ class SyncManagers {
 
  private:
   void empty(int k) {
-    memory.put8(at(k) + 5, memory.get8(at(k) + 5) & 0xc0);
-    opened[k] = false;
+    memory_.put8(at(k) + 5, memory_.get8(at(k) + 5) & 0xc0);
+    opened_[k] = false;
   }
   static std::size_t at(int k) { return reg::kSyncManager + 8 * static_cast<std::size_t>(k); }
 
-  Memory& memory;
-  std::array<bool, kSyncManagers> opened = {};
+  Memory& memory_;
+  std::array<bool, kSyncManagers> opened_ = {};
 };
 
 }  // namespace ethercat

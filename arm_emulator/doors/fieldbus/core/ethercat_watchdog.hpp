@@ -9,38 +9,38 @@ namespace ethercat {
 
 class Watchdog {
  public:
-  explicit Watchdog(Memory& memory) : memory(memory) { begin(); }
+  explicit Watchdog(Memory& memory) : memory_(memory) { begin(); }
 
   // As after switching on.
   void begin() {
-    memory.put16(reg::kWatchdogDivider, 0x09c2);  // 100 us
-    memory.put16(0x0410, 1000);                   // 100 ms
-    memory.put16(reg::kWatchdogTime, 1000);       // 100 ms
-    memory.put16(reg::kWatchdogStatus, 1);
+    memory_.put16(reg::kWatchdogDivider, 0x09c2);  // 100 us
+    memory_.put16(0x0410, 1000);                   // 100 ms
+    memory_.put16(reg::kWatchdogTime, 1000);       // 100 ms
+    memory_.put16(reg::kWatchdogStatus, 1);
   }
 
   void trigger(std::int64_t now) {
-    newest = now;
-    memory.put16(reg::kWatchdogStatus, 1);
+    newest_ = now;
+    memory_.put16(reg::kWatchdogStatus, 1);
   }
   // Whether it has run out just now.
   bool expires(std::int64_t now) {
-    if (!(memory.get16(reg::kWatchdogStatus) & 1) || limit() == 0 || now - newest <= limit())
+    if (!(memory_.get16(reg::kWatchdogStatus) & 1) || limit() == 0 || now - newest_ <= limit())
       return false;
-    memory.put16(reg::kWatchdogStatus, 0);
-    const std::uint8_t count = memory.get8(reg::kWatchdogCount);
-    memory.put8(reg::kWatchdogCount, static_cast<std::uint8_t>(count + (count < 0xff)));
+    memory_.put16(reg::kWatchdogStatus, 0);
+    const std::uint8_t count = memory_.get8(reg::kWatchdogCount);
+    memory_.put8(reg::kWatchdogCount, static_cast<std::uint8_t>(count + (count < 0xff)));
     return true;
   }
 
  private:
   std::int64_t limit() const {  // ns
-    return (memory.get16(reg::kWatchdogDivider) + 2) * std::int64_t{40} *
-           memory.get16(reg::kWatchdogTime);
+    return (memory_.get16(reg::kWatchdogDivider) + 2) * std::int64_t{40} *
+           memory_.get16(reg::kWatchdogTime);
   }
 
-  Memory& memory;
-  std::int64_t newest = 0;
+  Memory& memory_;
+  std::int64_t newest_ = 0;
 };
 
 }  // namespace ethercat

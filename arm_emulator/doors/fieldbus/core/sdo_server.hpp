@@ -183,7 +183,7 @@ class SdoServer {
     if (sized) size = get32(&request[4]);
     if (size && *size > largest()) return abort_code::memory;
     if (size && *size < data.size()) return abort_code::wrong_length;
-    if (in_mailbox() && *size == data.size()) return dictionary_.write(at_, data);
+    if (in_mailbox() && size && *size == data.size()) return dictionary_.write(at_, data);
     if (!dictionary_.has(at_.index)) return abort_code::no_object;
     transfer_ = Download{size, Bytes(data.begin(), data.end())};
     return abort_code::none;

@@ -1,0 +1,58 @@
+"""Names and habits of the C++: clang-tidy over every library that is compiled, by .clang-tidy.
+
+`make tidy` runs this file.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from arm_emulator.build.unit import Unit
+from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
+from arm_emulator.doors.fmu.unit import VERSIONS, unit_of
+from arm_emulator.doors.fmu.variables import variables
+from arm_emulator.doors.microcontroller.microcontroller import runner_unit
+from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
+from arm_emulator.machine.scene import load_scene
+
+ROOT = Path(__file__).resolve().parents[1]
+LANGUAGE = "-std=c++20"
+
+
+def units() -> Iterator[Unit]:
+    """Yield what has C++ in it, a scene's own code once."""
+    scene = load_scene("three_axis")
+    yield machine_unit(scene)
+    yield fleet_unit(scene)
+    yield real_time_unit()
+    yield ethercat_unit()
+    yield runner_unit()
+    for version in VERSIONS:
+        fmu, _ = unit_of(scene, variables(scene), version)
+        yield replace(fmu, source=fmu.beside)
+
+
+def main() -> int:
+    """Return how many units there is something against."""
+    bad = 0
+    folder = ROOT / "out" / "tidy"  # below .clang-tidy
+    folder.mkdir(parents=True, exist_ok=True)
+    for unit in units():
+        file = folder / f"unit_{unit.name}.cpp"  # units include files of their name
+        file.write_text(unit.source, encoding="utf-8")
+        command = [f"{ROOT}/.venv/bin/clang-tidy", "--quiet", *sys.argv[1:], str(file), "--"]
+        includes = [f"-I{one.resolve()}" for one in unit.folders]
+        done = subprocess.run([*command, LANGUAGE, *includes], capture_output=True, text=True)
+        if done.returncode:
+            bad += 1
+            print(done.stdout, end="")
+            print(f"clang-tidy: {unit.name} is not in the style of .clang-tidy", file=sys.stderr)
+    return bad
+
+
+if __name__ == "__main__":
+    sys.exit(main())
