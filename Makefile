@@ -232,4 +232,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench pages docs lint format clean distclean FORCE
+.PHONY: help setup robots demo test test-in-full test-peers test-under-load fuzz bench pages docs lint tidy format clean distclean FORCE
