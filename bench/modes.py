@@ -20,7 +20,7 @@ HEAD = """\
 # Eigenvalues of every mode
 
 ```sh
-python -m arm_emulator check-scene SCENE --modes
+arm_emulator check-scene SCENE --modes
 ```
 
 prints these tables. For each joint and each loop that a mode of its drive
