@@ -87,6 +87,17 @@ def test_a_recording_is_a_table(tmp_path: Path) -> None:
     assert isinstance(table, pa.Table) and table["q.elbow"].to_pylist() == rows["q.elbow"].tolist()
 
 
+def test_a_run_is_recorded_every_so_often() -> None:
+    rows = np.random.default_rng(4).uniform(-9.0, 9.0, (10, 3))
+    run, alone = Recording(Plant("three_axis")), Plant("three_axis")
+    run.run(rows, 7, every=4)
+    q = alone.run(rows, 7)
+    assert np.array_equal(run["q"], q[[3, 7, 9]])
+    assert np.array_equal(run["measured.encoder_counts"][-1], alone.measured.encoder_counts)
+    with pytest.raises(Refusal, match="every must be >= 1"):
+        run.run(rows, 7, every=0)
+
+
 def test_what_users_test_with() -> None:
     plant = testing.plant_of("three_axis")
     servo, target = Servo(load_gains(find_config("three_axis", ".yaml")).servo), plant.scene.start

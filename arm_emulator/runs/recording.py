@@ -7,8 +7,10 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.count import check_count
+from arm_emulator.base.given import as_numbers
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.outputs import KNOWN
@@ -77,6 +79,24 @@ class Recording:
                 rows.append(getattr(state, name))
             else:
                 rows.append(getattr(measured, name.removeprefix("measured.")))
+
+    def run(self, commands: ArrayLike, steps: int, *, every: int = 1) -> None:
+        """Apply rows of commands as `Plant.run` does, and take a row after each or some of them.
+
+        Args:
+            commands: (K, N) [V, N m, A].
+            steps: integration steps under each row.
+            every: rows of commands for each row that is taken.
+
+        Raises:
+            Refusal: see `Plant.run`; or no such count.
+            Diverged: see there; what was taken before is kept.
+        """
+        every = check_count("Recording.run", "every", every, 1)
+        rows = np.atleast_2d(as_numbers(commands, "Recording.run", "commands", "V, N m or A"))
+        for first in range(0, len(rows), every):
+            self._plant.run(rows[first : first + every], steps)
+            self.take()
 
     @property
     def t(self) -> Array:
