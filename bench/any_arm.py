@@ -45,7 +45,7 @@ def main() -> None:
             outcomes.append(job.result())
             tick(outcomes[-1].name)
     outcomes.sort(key=lambda one: one.name)
-    _tell(console, outcomes)
+    _report(console, outcomes)
     arguments.out.mkdir(parents=True, exist_ok=True)
     file = arguments.out / "any_arm.json"
     file.write_text(json.dumps([asdict(one) for one in outcomes], indent=1), encoding="utf-8")
@@ -56,7 +56,7 @@ def main() -> None:
     sys.exit(arrived < 0.99 * moves)
 
 
-def _tell(console: Console, outcomes: list[Outcome]) -> None:
+def _report(console: Console, outcomes: list[Outcome]) -> None:
     table = Table(box=None, pad_edge=False)
     for column in ("arm", "joints", "50 mm", "300 mm", "median s", "worst s", "speed / limit"):
         table.add_column(column, justify="left" if column == "arm" else "right")

@@ -16,7 +16,7 @@ def servo():
 @pytest.mark.parametrize("payload", [0, 2.0])
 @pytest.mark.parametrize("noise", [None, 0.05])  # A, of the current sensors
 def test_the_servo_reaches_its_target(servo, payload, noise):
-    sensor = None if noise is None else {"noise": noise}
+    sensor = noise and {"noise": noise}
     scene = {"payload": payload, "joints.*.current_sensor": sensor}
     plant = testing.plant_of("three_axis", scene)
     target = plant.scene.start + np.array([0.05, -0.05, 0.05])

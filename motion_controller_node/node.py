@@ -126,7 +126,7 @@ class MotionControllerNode(Node):
     def _start_over(self, reason: str) -> None:
         self._answer = None
         self._instructor.start_over(reason)
-        self._tell_status()
+        self._report_status()
 
     def _on_description(self, message: String) -> None:
         if self._controller is not None and message.data == self._urdf:
@@ -179,7 +179,7 @@ class MotionControllerNode(Node):
 
     def _on_cancel(self, number: int) -> None:
         self._instructor.cancel(number)
-        self._tell_status()
+        self._report_status()
 
     def _add_trajectory(
         self, message: JointTrajectory, tolerances: Callable[[Tolerances], Tolerances]
@@ -221,7 +221,7 @@ class MotionControllerNode(Node):
             assert isinstance(accepted, int)
             self._diagnostics.values[_plural(kind)] = accepted + 1
             self._diagnostics.publish()
-        self._tell_status()
+        self._report_status()
         return refusal
 
     def _check_frame(self, topic: str, header: Header) -> None:
@@ -250,8 +250,8 @@ class MotionControllerNode(Node):
             self._start_over("time began anew")
         self._now_ns = now
         instruction = self._instructor.instruct(controller, now, q, v)
-        self._tell()
-        self._tell_status()
+        self._report()
+        self._report_status()
         # What is published is within the bounds: the instructor sees to that.
         answer = JointState(name=controller.kinematics.joint_names)
         answer.header.stamp = message.header.stamp
@@ -275,7 +275,7 @@ class MotionControllerNode(Node):
             self._diagnostics.count("joint_states without sound speeds")
         return None
 
-    def _tell_status(self) -> None:
+    def _report_status(self) -> None:
         """Publish what became of targets, trajectories and paths since the last time."""
         for one in self._instructor.reports.take():
             if self._action is not None:
@@ -292,7 +292,7 @@ class MotionControllerNode(Node):
             message.header.stamp = stamp(self._now_ns)
             self._status.publish(message)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         restarts = self._instructor.restarts
         if restarts != self._diagnostics.values.get("began anew", 0):
             self._diagnostics.values["began anew"] = restarts

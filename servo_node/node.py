@@ -200,7 +200,7 @@ class ServoNode(Node):
         self._heard_at = time.monotonic()
         if self._newest is not None:
             if now.tick == self._newest.tick:
-                self._say_again()
+                self._report_again()
                 return
             # In lock-step no tick is left out, unless it runs free: then nothing is lost.
             if now.tick < self._newest.tick or (
@@ -218,7 +218,7 @@ class ServoNode(Node):
         if begins:
             self._waiting, self._cycle_ns = True, now.time_ns
         if now.tick % self._joint_states_ticks == 0 or begins:
-            self._say_joint_states(now.time_ns)
+            self._report_joint_states(now.time_ns)
         if not self._waiting:
             self._answer(now)
 
@@ -304,20 +304,20 @@ class ServoNode(Node):
 
     # Publishing
 
-    def _say_joint_states(self, time_ns: int) -> None:
+    def _report_joint_states(self, time_ns: int) -> None:
         message = self._joint_state
         message.header.stamp = stamp(time_ns)
         message.position = array("d", self._drives.servo.q_measured.tobytes())
         message.velocity = array("d", self._drives.servo.v_measured.tobytes())
         self._joint_states.publish(message)
 
-    def _say_again(self) -> None:
+    def _report_again(self) -> None:
         """The emulator asks again: a partner came late, or lost a message."""
         if self._newest is None:
             return
         if self._waiting:
             # As of the motion period's start, even if another servo has answered ticks since.
-            self._say_joint_states(self._cycle_ns)
+            self._report_joint_states(self._cycle_ns)
             self._diagnostics.warn(
                 f"waiting for the joint targets that answer t = {self._cycle_ns / NANOSECONDS:g} s"
             )

@@ -8,7 +8,7 @@ import pytest
 # other work mostly wait for each other, spinning.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# So that their bare assertions say what was compared, too.
+# So that their bare assertions state what was compared, too.
 pytest.register_assert_rewrite(
     "doors",
     "fuzz",

@@ -69,7 +69,7 @@ class Doors:
 def bits(value: Any, depth: int = 0) -> Any:
     """Return the numbers and texts in an object, to the bit."""
     if isinstance(value, Reports):
-        return None  # what was said is not what is known
+        return None  # what was reported is not what is known
     if isinstance(value, np.ndarray):
         return value.tobytes()
     if isinstance(value, float):

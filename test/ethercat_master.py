@@ -43,7 +43,7 @@ def answers(back: bytes) -> list[tuple[bytes, int]]:
 
 
 class Aborted(Exception):
-    """An SDO that the slave does not carry out; `code` says why."""
+    """An SDO that the slave does not carry out; `code` states why."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"{code:#010x}")
@@ -230,7 +230,7 @@ class Master:
             assert reply[0] & 0x7F == opcode + 1, "another service answers"
             out += reply[4:]
             left = struct.unpack_from("<H", reply, 2)[0]
-            assert bool(reply[0] & 0x80) == (left > 0), "fragments left are told wrongly"
+            assert bool(reply[0] & 0x80) == (left > 0), "fragments left are reported wrongly"
             if not left:
                 return out
             got = self.fetch(slave)

@@ -143,7 +143,7 @@ def abuse_2(rng: np.random.Generator, fmu: Fmu2, calls: int) -> dict[int, int]:
             for mode in ("Enter", "Exit") if rng.random() < 0.9 else ():
                 assert call(f"{mode}InitializationMode") == OK, "it begins again"
         here = ctypes.c_double()
-        assert call("GetRealStatus", 2, ctypes.byref(here)) == OK, "the time is told"
+        assert call("GetRealStatus", 2, ctypes.byref(here)) == OK, "the time is reported"
         time = here.value if rng.random() < 0.98 else strange_number(rng)
     fmu.binary.fmi2FreeInstance(handle)
     return statuses

@@ -90,7 +90,7 @@ class Instance:
     """An instance, ready to be initialised.
 
     Attributes:
-        said: what it has logged: status, category, text.
+        stated: what it has logged: status, category, text.
         handle: of it.
         early: whether the last step returned early.
 
@@ -110,7 +110,7 @@ class Instance:
         watch: Callable[[float], float | None] | None = None,
     ) -> None:
         self.fmu = fmu
-        self.said: list[tuple[int, str, str]] = []
+        self.printed: list[tuple[int, str, str]] = []
         self._log = LOG(self._hear)
         self._watch = WATCH(self._look) if watch else WATCH()
         self._watched = watch
@@ -126,7 +126,7 @@ class Instance:
         self.fmu.binary.fmi3FreeInstance(self.handle)
 
     def _hear(self, _: Any, status: int, category: bytes, text: bytes) -> None:
-        self.said.append((status, category.decode(), text.decode()))
+        self.printed.append((status, category.decode(), text.decode()))
 
     def _look(self, _: Any, time: float, wants: bool, may_get: bool, finished: bool, early: bool,
               requested: Any, until: Any) -> None:  # fmt: skip
@@ -145,8 +145,8 @@ class Instance:
         """Go to step mode."""
         given = stop is not None
         status = self.call("EnterInitializationMode", False, 0.0, start, given, stop or 0.0)
-        assert status == OK, self.said
-        assert self.call("ExitInitializationMode") == OK, self.said
+        assert status == OK, self.printed
+        assert self.call("ExitInitializationMode") == OK, self.printed
         self.time = start
 
     def set(self, name: str, values: Any) -> int:
@@ -164,7 +164,7 @@ class Instance:
         array = (KINDS[one.tag] * count)()
         reference = ctypes.c_uint32(int(one.attrib["valueReference"]))
         status = self.call(f"Get{one.tag}", ctypes.byref(reference), 1, array, count)
-        assert status == OK, self.said
+        assert status == OK, self.printed
         return np.array(array)
 
     def everything(self) -> dict[str, bytes]:
@@ -182,11 +182,11 @@ class Instance:
     def save(self) -> bytes:
         """Return the serialized state."""
         state, size = ctypes.c_void_p(), ctypes.c_size_t()
-        assert self.call("GetFMUState", ctypes.byref(state)) == OK, self.said
-        assert self.call("SerializedFMUStateSize", state, ctypes.byref(size)) == OK, self.said
+        assert self.call("GetFMUState", ctypes.byref(state)) == OK, self.printed
+        assert self.call("SerializedFMUStateSize", state, ctypes.byref(size)) == OK, self.printed
         array = ctypes.create_string_buffer(size.value)
-        assert self.call("SerializeFMUState", state, array, size) == OK, self.said
-        assert self.call("FreeFMUState", ctypes.byref(state)) == OK, self.said
+        assert self.call("SerializeFMUState", state, array, size) == OK, self.printed
+        assert self.call("FreeFMUState", ctypes.byref(state)) == OK, self.printed
         return array.raw
 
     def restore(self, saved: bytes) -> int:
@@ -277,7 +277,7 @@ def abuse(rng: np.random.Generator, fmu: Fmu, calls: int) -> dict[int, int]:
         if status == ERROR and name != "DoStep":  # a step may diverge
             assert after[24:-8] == before[24:-8], f"{name} failed, and yet a value changed"
         if status == ERROR and rng.random() < 0.8:
-            assert one.call("Reset") == OK, f"a reset helps: {one.said}"
+            assert one.call("Reset") == OK, f"a reset helps: {one.printed}"
             if rng.random() < 0.9:
                 one.start()
         if rng.random() < 0.1:
@@ -376,13 +376,13 @@ def _states(rng: np.random.Generator, one: Instance, other: Instance) -> tuple[s
     if rng.random() < 0.3:
         return "DeserializeFMUState", one.restore(bytes(saved[: int(rng.integers(len(saved)))]))
     state, foreign = ctypes.c_void_p(), ctypes.c_void_p()
-    assert other.call("GetFMUState", ctypes.byref(foreign)) == OK, other.said
+    assert other.call("GetFMUState", ctypes.byref(foreign)) == OK, other.printed
     name = str(rng.choice(["SetFMUState", "FreeFMUState", "GetFMUState", "SerializeFMUState"]))
     if rng.random() < 0.5:
-        assert one.call("GetFMUState", ctypes.byref(state)) == OK, one.said
+        assert one.call("GetFMUState", ctypes.byref(state)) == OK, one.printed
         if rng.random() < 0.3:
             gone = ctypes.c_void_p(state.value)
-            assert one.call("FreeFMUState", ctypes.byref(state)) == OK, one.said
+            assert one.call("FreeFMUState", ctypes.byref(state)) == OK, one.printed
             state = gone
     else:
         state = ctypes.c_void_p(rng.choice([None, foreign.value]))

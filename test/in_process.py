@@ -1,7 +1,7 @@
 """The three nodes in this process, their topics and services wired without a middleware.
 
 Nothing runs by itself but the threads of a machine in real time: a test delivers messages one by
-one, in the order in which they were said, and may put its own in between.
+one, in the order in which they were reported, and may put its own in between.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ class Wires:
     """Topics and services by name."""
 
     def __init__(self) -> None:
-        self.waiting: deque[tuple[str, type, bytes]] = deque()  # said, not delivered yet
+        self.waiting: deque[tuple[str, type, bytes]] = deque()  # stated, not delivered yet
         self.listeners: dict[str, list[Callable[[bytes], None]]] = defaultdict(list)
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
         self.timers: list[Timer] = []
-        self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was said last on each topic
-        self.record: list[tuple[str, type, bytes]] | None = None  # all that was said, if wanted
+        self.newest: dict[str, tuple[str, type, bytes]] = {}  # what was reported last on each topic
+        self.record: list[tuple[str, type, bytes]] | None = None  # all that was reported, if wanted
 
     def join(self, kind: type) -> Any:
         """Return a node of that kind on these wires."""
@@ -70,7 +70,7 @@ def _as_message(kind: type, callback: Callable[[Any], None]) -> Callable[[bytes]
 
 
 class Timer:
-    """Calls back when a test says so."""
+    """Calls back when a test reports it."""
 
     def __init__(self, wires: Wires, callback: Callable[[], None]) -> None:
         self.callback, self._canceled = callback, False
@@ -87,7 +87,7 @@ class Timer:
 
 
 class Publisher:
-    """Says messages onto the wires."""
+    """States messages onto the wires."""
 
     def __init__(self, wires: Wires, kind: type, topic: str) -> None:
         self._wires, self._kind, self._topic = wires, kind, topic
@@ -95,12 +95,12 @@ class Publisher:
 
     def publish(self, message: Any) -> None:
         data = message if isinstance(message, bytes) else serialize_message(message)
-        said = self._topic, self._kind, data
-        self._wires.newest[self._topic] = said
+        printed = self._topic, self._kind, data
+        self._wires.newest[self._topic] = printed
         if self._wires.record is not None:
-            self._wires.record.append(said)
+            self._wires.record.append(printed)
         if self._topic in self._wires.listeners:
-            self._wires.waiting.append(said)
+            self._wires.waiting.append(printed)
 
     def get_subscription_count(self) -> int:
         return len(self._wires.listeners[self._topic])
@@ -120,7 +120,7 @@ class InProcess:
         self.tick = -1
         self._heard = _as_message(MotorState, self._on_state)
         self._wires.listeners["motor_states"].append(self._heard)
-        # The emulator last: it says tick 0, and its description, at once.
+        # The emulator last: it states tick 0, and its description, at once.
         kinds = {"servo": ServoNode, "motion_controller": MotionControllerNode}
         self.nodes = {name: self._wires.join(kind) for name, kind in kinds.items()}
         self.nodes["emulator"] = self._wires.join(EmulatorNode)
@@ -131,7 +131,7 @@ class InProcess:
             node.destroy_node()
 
     def deliver(self) -> bool:
-        """Deliver the message that was said first; False if there is none."""
+        """Deliver the message that was reported first; False if there is none."""
         if not self._wires.waiting:
             return False
         topic, _, data = self._wires.waiting.popleft()
@@ -140,12 +140,12 @@ class InProcess:
         return True
 
     def run_to(self, tick: int, between: Callable[[], None] = lambda: None) -> None:
-        """Deliver until that tick was told; `between` any two messages do something else."""
+        """Deliver until that tick was reported; `between` any two messages do something else."""
         while self.tick < tick:
             between()
-            assert self.deliver(), f"nobody says anything any more at tick {self.tick} of {tick}"
+            assert self.deliver(), f"nobody states anything any more at tick {self.tick} of {tick}"
 
-    def say(self, topic: str, message: Any) -> None:
+    def send(self, topic: str, message: Any) -> None:
         """Deliver a message of one's own at once, to the nodes alone."""
         data = serialize_message(message)
         for listener in self._wires.listeners[topic]:
@@ -153,7 +153,7 @@ class InProcess:
                 listener(data)
 
     def listen_alone(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
-        """Hand what is said on a topic to nobody else."""
+        """Hand what is reported on a topic to nobody else."""
         self._wires.listeners[topic] = [_as_message(kind, callback)]
 
     def forget(self) -> None:
@@ -167,7 +167,7 @@ class InProcess:
         return self._wires.services[name](message, kind.Response())
 
     def begin_record(self) -> None:
-        """Keep all that is said from now on, for `write`."""
+        """Keep all that is reported from now on, for `write`."""
         self._wires.record = []
 
     def write(self, bag: Path) -> Path:
@@ -188,7 +188,7 @@ class InProcess:
                 timer.callback()
 
     def newest(self, topic: str) -> Any:
-        """Return what the nodes said last on a topic."""
+        """Return what the nodes stated last on a topic."""
         _, kind, data = self._wires.newest[topic]
         return deserialize_message(data, kind)
 

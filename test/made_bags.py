@@ -37,13 +37,13 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
             for topic, kind in TYPES.items()
         }
 
-        def say(topic: str, message: Any) -> None:
+        def send(topic: str, message: Any) -> None:
             nonlocal clock
             clock += 1000
             writer.write(numbers[topic], clock, clock, serialize_message(message))
 
-        def tell() -> None:
-            say(
+        def report() -> None:
+            send(
                 "/motor_states",
                 MotorState(
                     header=Header(stamp=stamp(session.logical_ns)),
@@ -59,25 +59,25 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
         for _ in range(runs):
             session.reset()
             session.powered = True
-            tell()
+            report()
             for powered in powers:
                 if session.tick >= first:
                     voltage = rng.uniform(-5.0, 5.0, len(names)).tolist()
-                    say(
+                    send(
                         "/motor_commands",
                         MotorCommand(tick=session.tick + 1000, joint_names=names, voltage=voltage),
                     )
-                    say(
+                    send(
                         "/motor_commands",
                         MotorCommand(tick=session.tick, joint_names=names, voltage=voltage),
                     )
                     session.offer(session.tick, names, voltage)
                 session.powered = powered
                 session.advance()
-                tell()
-                tell()  # as an unanswered state is told again
+                report()
+                report()  # as an unanswered state is reported again
             # In flight when the reset comes: refused.
-            say(
+            send(
                 "/motor_commands",
                 MotorCommand(tick=session.tick, joint_names=names, voltage=[1.0] * 3),
             )

@@ -36,7 +36,7 @@ JOINTS = ["waist", "shoulder", "elbow"]  # of three_axis
 PATIENCE = 120.0  # s, for what takes well below a second on an idle machine
 ASK_AGAIN = 5.0  # s, after which a service that has not answered is called once more
 ALL_THREE = ("emulator", "servo", "motion_controller")
-# Who acts on what a user says.
+# Who acts on what a user states.
 RECEIVER = {
     "motor_commands": "emulator",
     "joint_targets": "servo",
@@ -70,7 +70,7 @@ def question(request: Any) -> tuple[type, Any]:
 
 
 class User:
-    """Listens to everything that the nodes say, sends what a test asks for, calls services."""
+    """Listens to everything that the nodes state, sends what a test asks for, calls services."""
 
     def __init__(self, domain: int, namespace: str = "/", clock: str = "lockstep") -> None:
         self.joint_names = JOINTS
@@ -96,7 +96,7 @@ class User:
         self.joint_targets: JointState | None = None
         self.description = ""
         self.diagnostics: dict[str, Any] = {}  # newest of each node
-        self.words: dict[str, list[str]] = {name: [] for name in ALL_THREE}  # all that was said
+        self.words: dict[str, list[str]] = {name: [] for name in ALL_THREE}  # all that was reported
         listen = partial(self.node.create_subscription, event_callbacks=HEAR_ALONE)
         kept = RECORD_QOS if clock == "lockstep" else NEWEST_QOS
         listen(MotorState, "motor_states", self._on_state, kept, raw=True)
@@ -136,7 +136,7 @@ class User:
             if value:
                 return value
             assert time.monotonic() < deadline, (
-                f"waited {patience:g} s for {what}; status {self.status}; said {self.words}"
+                f"waited {patience:g} s for {what}; status {self.status}; stated {self.words}"
             )
             self.spin()
 
@@ -208,7 +208,7 @@ class User:
 
         def listens() -> bool:
             known = self._listeners(publisher.topic_name)
-            # Who is known is matched a moment later; the number says that all of them are.
+            # Who is known is matched a moment later; the number states that all of them are.
             return (
                 any(node == receiver and who not in self._gone for who, node in known)
                 and len(known) <= publisher.get_subscription_count()
@@ -219,7 +219,7 @@ class User:
     def await_start(self) -> None:
         """Wait until a paused network has met, and this user hears the machine's states.
 
-        Whoever the emulator has not found yet when it says tick 0 misses it, and what follows.
+        Whoever the emulator has not found yet when it states tick 0 misses it, and what follows.
         """
         self.wait(
             "the nodes to meet",
@@ -252,7 +252,7 @@ class User:
     def motor_states(self) -> dict[int, bytes]:
         """Return what was recorded of the newest run: tick -> the bits of counts and currents.
 
-        A state that was said again must say the same.
+        A state that was reported again must state the same.
         """
         recorded: dict[int, bytes] = {}
         for raw in self._raw_states:
@@ -264,7 +264,7 @@ class User:
             )
             bits = bits_of(message.encoder_counts, message.current)
             if recorded.setdefault(int(message.tick), bits) != bits:
-                raise AssertionError(f"tick {message.tick} was told twice, and differently")
+                raise AssertionError(f"tick {message.tick} was reported twice, and differently")
         return recorded
 
     def forget(self) -> None:
@@ -279,11 +279,11 @@ class User:
         return next((pair.value for pair in status.values if pair.key == key), "") if status else ""
 
     def refused(self, node: str, topic: str) -> int:
-        """Return how many messages of a topic a node says it refused."""
+        """Return how many messages of a topic a node states it refused."""
         return int(self.value(node, f"refused {topic}") or 0)
 
-    def said(self, node: str, words: str) -> list[str]:
-        """Return what a node said in its diagnostics that begins with these words."""
+    def printed(self, node: str, words: str) -> list[str]:
+        """Return what a node stated in its diagnostics that begins with these words."""
         return [message for message in self.words.get(node, []) if message.startswith(words)]
 
     def _on_state(self, raw: bytes) -> None:
@@ -308,9 +308,9 @@ class User:
         for status in array.status:
             self.stamps[status.name] = nanoseconds_of(array.header.stamp)
             self.diagnostics[status.name] = status
-            said = self.words.setdefault(status.name, [])
-            if not said or said[-1] != status.message:
-                said.append(status.message)
+            printed = self.words.setdefault(status.name, [])
+            if not printed or printed[-1] != status.message:
+                printed.append(status.message)
 
     def _keeper(self, attribute: str, topic: str) -> Callable[[JointState], None]:
         name = "truth" if topic.startswith("emulator") else attribute
@@ -339,8 +339,8 @@ def offline_states(run: OfflineRun, ticks: int) -> dict[int, bytes]:
 def assert_same_bits(one: dict[int, bytes], other: dict[int, bytes], ticks: int) -> None:
     """Compare two recordings from tick 1 to `ticks`.
 
-    Tick 0 may have been told, and answered, before somebody listened. On a busy machine a listener
-    may miss some later states, too: each one depends on all before it.
+    Tick 0 may have been reported, and answered, before somebody listened. On a busy machine a
+    listener may miss some later states, too: each one depends on all before it.
     """
     both = [tick for tick in range(1, ticks + 1) if tick in one and tick in other]
     assert len(both) > ticks // 2 and both[-1] > ticks - 10, f"of {ticks} ticks only {both}"
@@ -408,7 +408,7 @@ class SharedNetwork:
         except BaseException:
             self._running = None
             broken, self._stack = self._stack, ExitStack()
-            with suppress(AssertionError):  # the test has told already what is wrong
+            with suppress(AssertionError):  # the test has reported already what is wrong
                 broken.close()
             raise
 
@@ -418,7 +418,7 @@ class SharedNetwork:
         self._stack.close()
 
     def _return_to_start(self, user: User) -> None:
-        """Reset the nodes, with power and nothing left of what they said.
+        """Reset the nodes, with power and nothing left of what they stated.
 
         Counters of diagnostics go on: tests compare differences.
         """
@@ -435,8 +435,8 @@ class SharedNetwork:
             user.await_start()
         user.wait("tick 0", lambda: user.status and user.status.tick == 0 and user.tick == 0)
         assert user.status is not None and user.status.powered, "the power is off after a return"
-        for said in user.words.values():
-            said.clear()
+        for printed in user.words.values():
+            printed.clear()
         user.own_states.clear()
 
 

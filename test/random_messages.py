@@ -42,7 +42,7 @@ TOPICS = (
     "tool_path",
     "robot_description",
 )
-# Who acts on what is said there.
+# Who acts on what is reported there.
 RECEIVER = {
     "motor_commands": "emulator",
     "motor_states": "servo",

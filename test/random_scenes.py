@@ -111,7 +111,7 @@ def number(rng: Rng) -> float:
 
 
 def _value(rng: Rng, depth: int = 0) -> Any:
-    """Return anything that YAML can say."""
+    """Return anything that YAML can state."""
     kind = rng.integers(9 if depth < 4 else 6)
     if kind < 2:
         return number(rng)

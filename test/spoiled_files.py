@@ -65,7 +65,7 @@ class Kind:
         write: writes a sound one, and what it needs, into a folder; returns its path.
         words: of the command that reads it.
         odd: writes one that is wrong in a way of its kind, of a sound one.
-        taken: whether a sound one is; False: it is refused for what it tells of a machine.
+        taken: whether a sound one is; False: it is refused for what it has a machine.
     """
 
     write: Callable[[Rng, Path], Path]
@@ -110,15 +110,15 @@ def verdict(file: Path, words: list[object]) -> str:
             signal.signal(number, handler)
     seconds = max(time.process_time() - started, 0.1 * (time.monotonic() - began))
     assert seconds < PATIENCE, f"{words} took {seconds:.1f} s"
-    said = err.getvalue()
+    printed = err.getvalue()
     if code != 2:
-        assert code in (0, 1, None), f"{words}: exit code {code}, {said}"
-        assert "Traceback" not in said and "Warning" not in said, said
+        assert code in (0, 1, None), f"{words}: exit code {code}, {printed}"
+        assert "Traceback" not in printed and "Warning" not in printed, printed
         return ""
-    lines = said.splitlines()
-    assert len(lines) == 1 and lines[0].isprintable(), f"{words}: not one line: {said!r}"
+    lines = printed.splitlines()
+    assert len(lines) == 1 and lines[0].isprintable(), f"{words}: not one line: {printed!r}"
     named = file.name in lines[0] or str(file.parent) in lines[0]  # a bag is a folder
-    assert named, f"{words}: no file is named: {said!r}"
+    assert named, f"{words}: no file is named: {printed!r}"
     return lines[0]
 
 

@@ -86,13 +86,13 @@ def test_settings_keep_the_error_by_an_independent_solution(wanted: float) -> No
         true = true_error(one.method, steps)
         # Off by the truth's own error, of which the bound has a share.
         assert (1.0 - 2.0 * SHARE) * one.error <= true <= one.error <= wanted, f"{one}, {true}"
-        assert np.isinf(one.others), "one motion tells nothing of others"
+        assert np.isinf(one.others), "one motion reports nothing of others"
         for fewer in step_counts(max(1, steps // 2), steps):
             assert true_error(one.method, fewer) > (1.0 - 2.0 * SHARE) * wanted, f"{fewer} will do"
 
 
 @pytest.mark.parametrize("seed", some([31, 10, 381, 138, 1, 470, 3, 0, 2], 1))
-def test_truths_of_machines_that_stick_are_as_good_as_is_said(seed: int, tmp_path: Path) -> None:
+def test_truths_of_machines_that_stick_are_as_good_as_is_stated(seed: int, tmp_path: Path) -> None:
     """Dry friction and limits of currents, against SciPy from event to event."""
     file, rows = machine(tmp_path, seed)
     scene = load_scene(file, {"integrator.dt": 1e-3})
@@ -132,7 +132,7 @@ def test_a_truth_that_events_at_the_ends_of_steps_deny_is_none() -> None:
 
 # Every fifth scene is of the same class (bench/advice.py): these are one each.
 @pytest.mark.parametrize("seed", some(range(len(CLASSES)), 1))
-def test_what_is_said_holds_and_hardly_anything_is_cheaper(
+def test_what_is_stated_holds_and_hardly_anything_is_cheaper(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`python -m bench.advice` does the same for more scenes, longer motions and more errors."""
@@ -140,12 +140,12 @@ def test_what_is_said_holds_and_hardly_anything_is_cheaper(
     verdicts = judge_scene(seed, seconds=0.2 if FULL else 0.1, errors=some([1e-5, 1e-6], 1))
     for one in verdicts:
         assert not one.none, one
-        assert one.true, f"beyond what was said: {one}"
+        assert one.true, f"beyond what was reported: {one}"
         # 1.3 is what is claimed where nobody disturbs the clock.
         assert one.cost < 2.0, f"dear: {one}"
 
 
-def test_no_setting_is_told_of_where_none_keeps_the_error() -> None:
+def test_no_setting_is_reported_of_where_none_keeps_the_error() -> None:
     judge, _ = demo()
     found = advise(Judge(judge.scene, judge.motions), 1e-11)
     assert not found.settings, "of order 2 in doubles"
@@ -274,15 +274,15 @@ def test_a_table_and_a_bag_are_motions(tmp_path: Path) -> None:
 
 
 def diverged(plant: Plant, volts: np.ndarray) -> Diverged:
-    with pytest.raises(Diverged) as told:
+    with pytest.raises(Diverged) as reported:
         for row in volts:
             plant.advance(row, plant.scene.steps_per_period)
-    return told.value
+    return reported.value
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_advice_is_on_the_values_that_a_machine_has_of_varied_numbers(seed: int) -> None:
-    """Stiffer gears are set on an arm that holds: what is told is that of an arm made with them."""
+    """Stiffer gears are set on an arm that holds: advice is that for an arm made with them."""
     rng = np.random.default_rng([seed, 9])
     common = {"varied": ["joints.*"], "integrator.scheme": "paper", "integrator.dt": 1e-3}
     scene = load_scene("three_axis", overrides=common)
@@ -455,13 +455,13 @@ def test_command_shows_what_errors_are_worth_and_writes(
     with pytest.raises(SystemExit) as end:
         main()
     assert not end.value.code, "exit code"
-    said = capsys.readouterr().out
-    lines = said.splitlines()
+    printed = capsys.readouterr().out
+    lines = printed.splitlines()
     now = next(line.split() for line in lines if line.startswith("now  "))
     shipped = load_scene("three_axis").integrator
     assert now[1:3] == [shipped.scheme, f"{shipped.dt:g}"], "what the scene has, beside"
     words = "scene three_axis, 28 motions of 0.2 s and 0.4 s of its demo; wanted: error <= 1e-05"
-    assert lines[0].startswith(words), said
+    assert lines[0].startswith(words), printed
     cheapest = next(line.split() for line in lines if line.startswith("cheapest  "))
     _, scheme, dt, judged, others, _ = cheapest
     assert float(judged) <= 1e-5 and float(others) >= 5.0 * float(judged) * 0.98, cheapest
@@ -471,7 +471,7 @@ def test_command_shows_what_errors_are_worth_and_writes(
     off = float(checked.split(": ")[1].split()[0])
     assert off < 1e-6, "of the truth by an independent solution"
     integrator = load_scene(file).integrator
-    assert (integrator.scheme, f"{integrator.dt:.6g}") == (scheme, dt), "told, and written"
+    assert (integrator.scheme, f"{integrator.dt:.6g}") == (scheme, dt), "reported, and written"
 
 
 def test_a_motion_of_one_s_own_judges_alone(
@@ -480,9 +480,11 @@ def test_a_motion_of_one_s_own_judges_alone(
     table = tmp_path / "mine.csv"
     table.write_text("t,waist,shoulder,elbow\n0,1,2,3\n0.03,-4,5,-6\n0.05,0,0,0\n")
     assert advise_scene("three_axis", 1e-5, table, write=False) == 0
-    said = capsys.readouterr().out
-    assert "scene three_axis, 0.07 s of mine.csv; wanted" in said, said
-    assert "errors: a bound for what was judged; of other motions nothing is known" in said, said
+    printed = capsys.readouterr().out
+    assert "scene three_axis, 0.07 s of mine.csv; wanted" in printed, printed
+    assert "errors: a bound for what was judged; of other motions nothing is known" in printed, (
+        printed
+    )
     assert advise_scene("three_axis", 1e-11, table, write=False) == 1, "exit code"
     assert "no setting keeps it: " in capsys.readouterr().out
 

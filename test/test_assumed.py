@@ -1,4 +1,4 @@
-"""Every figure of a motor, a gear or friction says where it is from, and what it does is told."""
+"""Every figure of a motor, a gear or friction states its origin, and what it does is reported."""
 
 from __future__ import annotations
 
@@ -30,17 +30,19 @@ MARKED = sorted(
 def test_every_figure_has_a_source_or_a_range(file: Path) -> None:
     found = origins(file)
     names = [name for one in found for name in one.names()]
-    assert len(names) == len(set(names)), "a figure is told twice"
+    assert len(names) == len(set(names)), "a figure is reported twice"
     there = {
         f"joints.{joint.name}.{section}"
         for joint in load_scene(str(file)).joints
         for section in SECTIONS
         if joint.motor is not None or section == "friction"
     }
-    told = {name.rpartition(".")[0] for name in names}
+    reported = {name.rpartition(".")[0] for name in names}
     # A joint's friction stands at its link, at its rotor, or at both.
-    told |= {name.replace(".motor.", ".") for name in told if name.endswith(".motor.friction")}
-    assert there <= told, "sections of the scene without figures that tell their origin"
+    reported |= {
+        name.replace(".motor.", ".") for name in reported if name.endswith(".motor.friction")
+    }
+    assert there <= reported, "sections of the scene without figures that report their origin"
 
 
 def test_the_real_arms_are_among_them() -> None:
@@ -48,7 +50,9 @@ def test_the_real_arms_are_among_them() -> None:
 
 
 @pytest.mark.parametrize("file", MARKED, ids=lambda file: file.stem)
-def test_a_figure_that_does_not_say_where_it_is_from_is_refused(file: Path, tmp_path: Path) -> None:
+def test_a_figure_that_does_not_state_where_it_is_from_is_refused(
+    file: Path, tmp_path: Path
+) -> None:
     """Each of them in turn: without a mark, off its range, with a source that nobody names."""
     text, other = file.read_text(), tmp_path / file.name
     lines, rng = text.splitlines(), np.random.default_rng(1)
@@ -66,9 +70,9 @@ def test_a_figure_that_does_not_say_where_it_is_from_is_refused(file: Path, tmp_
         other.write_text("\n".join([*lines[:k], line, *lines[k + 1 :]]))
         with pytest.raises(Refusal) as refusal:
             origins(other)
-        said = str(refusal.value)
+        printed = str(refusal.value)
         expected = f"{file.name}, line {k + 1}: {figure} must {rule}"
-        assert said.startswith(expected) and "\n" not in said, said
+        assert printed.startswith(expected) and "\n" not in printed, printed
 
 
 def test_a_figure_may_have_a_source_that_the_head_names(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Gears with play: rotor and link fly freely, touch and bounce as the closed form says."""
+"""Gears with play: rotor and link fly freely, touch and bounce as the closed form states."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def span(joint: dict[str, Any], speed: float) -> float:
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "extrapolated"], 1))
 @pytest.mark.parametrize("seed", range(4))
-def test_teeth_bounce_as_the_closed_form_says_with_order_two(
+def test_teeth_bounce_as_the_closed_form_states_with_order_two(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
     joint, speed = drawn(np.random.default_rng([seed, 21]))

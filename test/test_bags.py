@@ -1,4 +1,4 @@
-"""Bags: what was said is kept to the byte, said again, and checked to the bit."""
+"""Bags: what was reported is kept to the byte, stated again, and checked to the bit."""
 
 from __future__ import annotations
 
@@ -61,25 +61,25 @@ def command_line(*arguments: object) -> Iterator[subprocess.Popen[str]]:
 
 
 def run(*arguments: object) -> tuple[int, str]:
-    """Run a command in this process; return its exit code and all that it says."""
-    said = io.StringIO()
+    """Run a command in this process; return its exit code and all that it states."""
+    printed = io.StringIO()
     before, sys.argv = sys.argv, ["arm_emulator", *map(str, arguments)]
     try:
-        with redirect_stdout(said), redirect_stderr(said), pytest.raises(SystemExit) as ended:
+        with redirect_stdout(printed), redirect_stderr(printed), pytest.raises(SystemExit) as ended:
             main()
     finally:
         sys.argv = before
-    return ended.value.code, said.getvalue()
+    return ended.value.code, printed.getvalue()
 
 
 def await_line(process: subprocess.Popen[str], line: str) -> None:
     assert process.stdout is not None
-    said = []
+    printed = []
     for one in process.stdout:
-        said.append(one)
+        printed.append(one)
         if one.strip() == line:
             return
-    raise AssertionError(f"ended without saying {line}: {said}")
+    raise AssertionError(f"ended without stating {line}: {printed}")
 
 
 def begin_anew(user: User, bag: Path) -> None:
@@ -96,11 +96,11 @@ def begin_anew(user: User, bag: Path) -> None:
         if time.monotonic() > reset_at:
             assert user.call("emulator/reset").success
             reset_at = time.monotonic() + 2.0  # s; the recorder flushes every half second
-        told = {
+        reported = {
             (m.topic, deserialize_message(m.data, TYPES[m.topic]).tick)
             for m in Bag(bag).messages(TYPES)
         }
-        return told >= {(topic, 0) for topic in TYPES}
+        return reported >= {(topic, 0) for topic in TYPES}
 
     user.wait("tick 0 to be recorded", begun)
     user.send_tool_target((0.1, 0.02, 0.8), at=0.05)
@@ -129,9 +129,9 @@ def record_one(folder: Path) -> tuple[Path, str]:
         user.wait("the rest", lambda: user.tick >= max(TICKS, at + 50))
         assert user.call("emulator/pause", True).success
         recorder.send_signal(signal.SIGINT)
-        said, _ = recorder.communicate(timeout=PATIENCE)
-        assert recorder.returncode == 0, said
-    return bag, said
+        printed, _ = recorder.communicate(timeout=PATIENCE)
+        assert recorder.returncode == 0, printed
+    return bag, printed
 
 
 def await_until_all_are_recorded(recorder: subprocess.Popen[str]) -> None:
@@ -147,8 +147,8 @@ def await_until_all_are_recorded(recorder: subprocess.Popen[str]) -> None:
 def test_a_recorded_run_is_equal_to_the_last_bit(
     recording: tuple[Path, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    bag, said = recording
-    assert re.search(r"bag: \d+ messages on \d+ topics in [\d.]+ s$", said.strip())
+    bag, printed = recording
+    assert re.search(r"bag: \d+ messages on \d+ topics in [\d.]+ s$", printed.strip())
     assert check(bag, None) == 0
     words = capfd.readouterr().out
     assert "equal to the last bit" in words
@@ -168,16 +168,16 @@ def rewrite(
     bag: Path,
     copy: Path,
     change: Callable[[BagMessage], bytes | None],
-    tells_changes: bool = False,
+    reports_changes: bool = False,
 ) -> Path:
     """Write a copy in which `change` gives each message's bytes, None to leave it out.
 
-    With `tells_changes` it has a topic of changes by hand, on which none came.
+    With `reports_changes` it has a topic of changes by hand, on which none came.
     """
     original = Bag(bag)
     with BagWriter(copy) as writer:
         numbers = {}
-        if tells_changes:
+        if reports_changes:
             writer.add_topic(Topic("/emulator/events", "arm_emulator_msgs/msg/MachineEvent"))
         for name, topic in original.topics.items():
             new = Topic(topic.name, topic.type, topic.definition, topic.offered, topic.type_hash)
@@ -192,7 +192,7 @@ def rewrite(
 def flip(
     topic: str, kind: Any, tick: int, quantity: str, bit: int = 0
 ) -> Callable[[BagMessage], bytes]:
-    """Flip a bit, the lowest if not told otherwise, of the elbow's value in a tick's messages."""
+    """Flip a bit, the lowest by default, of the elbow's value in a tick's messages."""
 
     def change(one: BagMessage) -> bytes:
         if one.topic != topic:
@@ -228,22 +228,22 @@ def test_one_bit_of_a_state_is_found(
     tick: int,
 ) -> None:
     copy = rewrite(recording[0], tmp_path / "copy", flip(topic, kind, tick, quantity))
-    code, said = run("check-bag", copy)
+    code, printed = run("check-bag", copy)
     assert code == 1
     place = rf"the first difference: run \d+, tick {tick}, joint elbow, {quantity}: recorded "
-    assert re.search(place, said)
-    recorded, computed = re.findall(r"(?:recorded|computed) (\S+?),? *(?=,|$)", said, re.M)
+    assert re.search(place, printed)
+    recorded, computed = re.findall(r"(?:recorded|computed) (\S+?),? *(?=,|$)", printed, re.M)
     assert recorded != computed
 
 
 def test_one_bit_of_a_command_is_found(recording: tuple[Path, str], tmp_path: Path) -> None:
     # Not its lowest bit, which the rounding of the motor's current may swallow.
     change = flip("/motor_commands", MotorCommand, 80, "voltage", bit=30)
-    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
+    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == 1
     assert re.search(
         r"the first difference: run \d+, tick 80, joint elbow, voltage: commanded \S+, applied ",
-        said,
+        printed,
     )
 
 
@@ -255,10 +255,12 @@ def test_one_bit_of_a_voltage_is_found(recording: tuple[Path, str], tmp_path: Pa
         tmp_path / "copy",
         lambda one: change(one) if one.topic != "/motor_commands" else None,
     )
-    code, said = run("check-bag", copy)
+    code, printed = run("check-bag", copy)
     assert code == 1
     # The links pass it on within the period: the first joint that differs may be another one.
-    assert re.search(r"the first difference: run \d+, tick 80, joint \w+, current: recorded ", said)
+    assert re.search(
+        r"the first difference: run \d+, tick 80, joint \w+, current: recorded ", printed
+    )
 
 
 def test_lost_commands_are_not_needed(recording: tuple[Path, str], tmp_path: Path) -> None:
@@ -269,9 +271,9 @@ def test_lost_commands_are_not_needed(recording: tuple[Path, str], tmp_path: Pat
         lost = one.topic == "/motor_commands" and rng.random() < 0.3
         return None if lost else one.data
 
-    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
-    assert code == 0, said
-    assert "equal to the last bit" in said
+    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
+    assert code == 0, printed
+    assert "equal to the last bit" in printed
 
 
 def test_a_gap_in_states_and_commands_is_refused(
@@ -281,11 +283,11 @@ def test_a_gap_in_states_and_commands_is_refused(
         lost = one.topic in TYPES and deserialize_message(one.data, TYPES[one.topic]).tick == 80
         return None if lost else one.data
 
-    with pytest.raises(Refusal, match="motor_states must tell tick 80, got nothing"):
+    with pytest.raises(Refusal, match="motor_states must report tick 80, got nothing"):
         check(rewrite(recording[0], tmp_path / "copy", change), None)
 
 
-def test_a_lost_state_is_told_and_the_others_are_compared(
+def test_a_lost_state_is_reported_and_the_others_are_compared(
     recording: tuple[Path, str], tmp_path: Path
 ) -> None:
     def change(one: BagMessage) -> bytes | None:
@@ -294,9 +296,9 @@ def test_a_lost_state_is_told_and_the_others_are_compared(
         )
         return None if lost else one.data
 
-    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
-    assert code == 0, said
-    assert "1 states are missing" in said
+    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
+    assert code == 0, printed
+    assert "1 states are missing" in printed
 
 
 def test_a_recording_that_began_late_is_refused(
@@ -306,9 +308,9 @@ def test_a_recording_that_began_late_is_refused(
         early = one.topic in TYPES and deserialize_message(one.data, TYPES[one.topic]).tick < 10
         return None if early else one.data
 
-    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
+    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == 2
-    assert "must hold a run from tick 0 on" in said
+    assert "must hold a run from tick 0 on" in printed
 
 
 def test_another_scene_differs_or_is_refused(recording: tuple[Path, str], tmp_path: Path) -> None:
@@ -318,23 +320,23 @@ def test_another_scene_differs_or_is_refused(recording: tuple[Path, str], tmp_pa
     assert "resistance: 1.0" in text
     other = tmp_path / "three_axis.yaml"
     other.write_text(text.replace("resistance: 1.0", "resistance: 1.01"))
-    code, said = run("check-bag", recording[0], "--scene", other)
+    code, printed = run("check-bag", recording[0], "--scene", other)
     assert code == 1
-    assert "the first difference: run " in said
+    assert "the first difference: run " in printed
 
 
 def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
     """An independent reader: metadata, QoS, definitions, and every byte."""
-    bag, said = recording
+    bag, printed = recording
     mine = list(Bag(bag).messages())
     with Reader(bag) as reader:
         assert reader.message_count == len(mine)
-        assert f": {len(mine)} messages" in said
+        assert f": {len(mine)} messages" in printed
         theirs = sorted((time, c.topic, bytes(data)) for c, time, data in reader.messages())
         store = get_typestore(Stores.ROS2_JAZZY)
         for connection in reader.connections:
             store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
-            # rosbags computes the hash of what the definition says, ROS hands out its own.
+            # rosbags computes the hash of what the definition states, ROS hands out its own.
             assert store.hash_rihs01(connection.msgtype) == connection.digest
         offered = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
         connection = next(c for c in reader.connections if c.topic == "/motor_states")
@@ -365,10 +367,10 @@ def test_what_is_replayed_is_the_same_bytes_in_the_same_order(recording: tuple[P
             while len(got) < len(expected):
                 assert time.monotonic() < deadline, f"{len(got)} of {len(expected)} messages"
                 spin()
-            said, _ = process.communicate(timeout=PATIENCE)
-            assert process.returncode == 0, said
+            printed, _ = process.communicate(timeout=PATIENCE)
+            assert process.returncode == 0, printed
     assert got == expected
-    assert f"{len(expected)} messages on 1 topics" in said
+    assert f"{len(expected)} messages on 1 topics" in printed
 
 
 @contextmanager
@@ -428,14 +430,14 @@ def test_a_killed_recorder_leaves_what_it_had_flushed(tmp_path: Path) -> None:
 
 def test_resets_power_and_a_free_run_are_followed(tmp_path: Path) -> None:
     powers = [True] * 7 + [False] * 5 + [True] * 6
-    code, said = run("check-bag", synthetic(tmp_path / "bag", powers))
-    assert code == 0, said
-    assert "2 runs, 74 motor states" in said
-    assert "26 commands" in said  # 13 ticks with power in each of the 2 runs
-    assert "36 commands answer no state" in said
-    code, said = run("check-bag", synthetic(tmp_path / "free", powers, first=4))
-    assert code == 0, said
-    assert "8 ticks at 0 V before the first command" in said
+    code, printed = run("check-bag", synthetic(tmp_path / "bag", powers))
+    assert code == 0, printed
+    assert "2 runs, 74 motor states" in printed
+    assert "26 commands" in printed  # 13 ticks with power in each of the 2 runs
+    assert "36 commands answer no state" in printed
+    code, printed = run("check-bag", synthetic(tmp_path / "free", powers, first=4))
+    assert code == 0, printed
+    assert "8 ticks at 0 V before the first command" in printed
 
 
 def changed_state(tick: int, change: Callable[[Any], None]) -> Callable[[BagMessage], bytes]:
@@ -460,7 +462,7 @@ def _set_stamp(message: Any) -> None:
     message.header.stamp.nanosec += 1
 
 
-# What is changed in the states of tick 7, whether the bag tells changes by hand, and the outcome.
+# What is changed in the states of tick 7, whether the bag reports changes by hand, and the outcome.
 EDITS: list[tuple[Callable[[Any], None], bool, int, str]] = [
     (_set("tick", 3), False, 1, "not compared: 18 motor states that belong to no run, from one of"),
     (_set("tick", 0), False, 1, "the first difference: run 2, tick 0"),
@@ -473,26 +475,26 @@ EDITS: list[tuple[Callable[[Any], None], bool, int, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("edit", "tells_changes", "exit_code", "words"), EDITS)
+@pytest.mark.parametrize(("edit", "reports_changes", "exit_code", "words"), EDITS)
 def test_nothing_of_a_state_is_passed_over_in_silence(
-    edit: Callable[[Any], None], tells_changes: bool, exit_code: int, words: str, tmp_path: Path
+    edit: Callable[[Any], None], reports_changes: bool, exit_code: int, words: str, tmp_path: Path
 ) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 15, runs=1)
-    copy = rewrite(bag, tmp_path / "copy", changed_state(7, edit), tells_changes)
-    code, said = run("check-bag", copy, "--scene", "three_axis")
-    assert code == exit_code and words in said, said
+    copy = rewrite(bag, tmp_path / "copy", changed_state(7, edit), reports_changes)
+    code, printed = run("check-bag", copy, "--scene", "three_axis")
+    assert code == exit_code and words in printed, printed
 
 
 def test_what_is_not_compared_is_published_and_strict_takes_it_for_a_failure(
     tmp_path: Path,
 ) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 15)
-    code, said = run("check-bag", bag)
-    assert code == 0 and "equal to the last bit, as far as it was compared" in said, said
+    code, printed = run("check-bag", bag)
+    assert code == 0 and "equal to the last bit, as far as it was compared" in printed, printed
     for what in ("the true state of the machine", "whether this was lock-step, as assumed"):
-        assert f"not compared: {what}" in said, said
+        assert f"not compared: {what}" in printed, printed
     code, strict = run("check-bag", bag, "--strict")
-    assert code == 1 and strict == said, "the same words, another exit code"
+    assert code == 1 and strict == printed, "the same words, another exit code"
 
     def later(one: BagMessage) -> bytes | None:
         """Without the beginning of the first run, which a recorder that came late lacks."""
@@ -500,8 +502,8 @@ def test_what_is_not_compared_is_published_and_strict_takes_it_for_a_failure(
         early = one.received < 10**18 + 30_000
         return None if early and deserialize_message(one.data, kind).tick < 5 else one.data
 
-    code, said = run("check-bag", rewrite(bag, tmp_path / "later", later))
-    assert code == 0 and "motor states of a run that began before the recording" in said, said
+    code, printed = run("check-bag", rewrite(bag, tmp_path / "later", later))
+    assert code == 0 and "motor states of a run that began before the recording" in printed, printed
 
 
 def test_a_check_that_compares_nothing_is_refused(tmp_path: Path) -> None:
@@ -510,13 +512,15 @@ def test_a_check_that_compares_nothing_is_refused(tmp_path: Path) -> None:
     def at_rest(one: BagMessage) -> bytes | None:
         return one.data if deserialize_message(one.data, TYPES[one.topic]).tick == 0 else None
 
-    code, said = run("check-bag", rewrite(bag, tmp_path / "rest", at_rest))
-    assert code == 2 and "must hold a servo period of a run, got 2 states of tick 0" in said, said
+    code, printed = run("check-bag", rewrite(bag, tmp_path / "rest", at_rest))
+    assert code == 2 and "must hold a servo period of a run, got 2 states of tick 0" in printed, (
+        printed
+    )
 
 
 def test_a_true_state_of_no_tick_is_counted(recording: tuple[Path, str], tmp_path: Path) -> None:
-    code, said = run("check-bag", recording[0], "--strict")
-    assert "true joint states of no tick" not in said, said
+    code, printed = run("check-bag", recording[0], "--strict")
+    assert "true joint states of no tick" not in printed, printed
 
     def other(one: BagMessage) -> bytes:
         if one.topic != "/emulator/joint_states":
@@ -525,9 +529,9 @@ def test_a_true_state_of_no_tick_is_counted(recording: tuple[Path, str], tmp_pat
         message.header.stamp.nanosec += 1
         return serialize_message(message)
 
-    code, said = run("check-bag", rewrite(recording[0], tmp_path / "copy", other), "--strict")
-    assert code == 1, said
-    assert "true joint states of no tick that the bag has" in said, said
+    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", other), "--strict")
+    assert code == 1, printed
+    assert "true joint states of no tick that the bag has" in printed, printed
 
 
 def damaged(folder: Path) -> Path:
@@ -594,15 +598,15 @@ def test_bad_bags_are_refused(make: Callable[[Path], Path], words: str, tmp_path
     ],
 )
 def test_refusals_are_one_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
-    code, said = run(*arguments)
+    code, printed = run(*arguments)
     assert code == 2
-    assert said.startswith(words) and said.count("\n") == 1
+    assert printed.startswith(words) and printed.count("\n") == 1
 
 
 def test_a_topic_that_is_not_in_the_bag_is_refused(tmp_path: Path) -> None:
-    code, said = run("replay", other_topics(tmp_path / "bag"), "--topics", "walk")
+    code, printed = run("replay", other_topics(tmp_path / "bag"), "--topics", "walk")
     assert code == 2
-    assert "--topics must be in the bag, got /walk; valid: /talk" in said
+    assert "--topics must be in the bag, got /walk; valid: /talk" in printed
 
 
 def test_unknown_message_types_are_refused() -> None:

@@ -296,7 +296,10 @@ def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pat
         (["nothing.yaml", "x.elf"], "nothing.yaml: file must be readable, got no such file"),
         ([str(EXAMPLE), "x.elf"], "board.yaml: encoders must name joints of the scene"),
         ([str(EXAMPLE), "x.elf", "--scene", "ur5", "--uart", "line=pty"], "--uart must name a"),
-        ([str(EXAMPLE), "x.elf", "--scene", "ur5", "--uart", "USART2=lp"], "--uart must say where"),
+        (
+            [str(EXAMPLE), "x.elf", "--scene", "ur5", "--uart", "USART2=lp"],
+            "--uart must state where",
+        ),
         ([str(EXAMPLE), "x.elf", "--scene", "ur5", "--seconds", "0"], "seconds must be at least"),
         ([str(EXAMPLE), "x.elf", "--scene", "ur5", "--gdb", "70000"], "--gdb must be a port"),
         ([str(EXAMPLE), "x.elf", "--scene", "ur5"], "x.elf: file must be readable"),
@@ -308,5 +311,5 @@ def test_the_command_refuses_in_one_line(
     monkeypatch.setattr("sys.argv", ["arm_emulator", "firmware", *words])
     with pytest.raises(SystemExit) as end:
         main()
-    said = capfd.readouterr().err
-    assert end.value.code == 2 and line in said and said.count("\n") == 1, said
+    printed = capfd.readouterr().err
+    assert end.value.code == 2 and line in printed and printed.count("\n") == 1, printed

@@ -34,7 +34,7 @@ from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo import Servo, ServoConfig, load_servo_config
 
-# A warning of NumPy's would be printed among what the nodes say.
+# A warning of NumPy's would be printed among what the nodes state.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
 SCENES = ("three_axis", "ur5")

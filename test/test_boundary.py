@@ -69,7 +69,7 @@ def test_a_motion_has_the_same_bits_in_any_pieces(
     scene, rng = drawn
     motion = random_motion(rng, len(scene.joints))
     one = Plant(scene)
-    told = move(one, motion, at_once)
+    reported = move(one, motion, at_once)
     for _ in range(4):
         cut = float(rng.choice([1.0, 0.5, 0.1, 0.02]))
 
@@ -84,7 +84,7 @@ def test_a_motion_has_the_same_bits_in_any_pieces(
                 steps -= some
 
         other = Plant(scene)
-        assert move(other, motion, in_pieces) == told, "how it ended"
+        assert move(other, motion, in_pieces) == reported, "how it ended"
         assert other.save() == one.save(), f"all that the machine is, in pieces of about {1 / cut}"
 
 
@@ -213,18 +213,18 @@ def test_a_client_in_c_gets_the_bits_of_python(tmp_path: Path) -> None:
     subprocess.run([compiler, *words, str(source), "-o", str(client), "-ldl"], check=True)
     scene = load_scene("three_axis", overrides={"integrator.dt": 1e-4})
     library = compile_ahead(scene, "native", None)[0]
-    told = subprocess.run(
+    reported = subprocess.run(
         [str(client), str(library), str(ticks)], capture_output=True, text=True, check=True
     ).stdout.splitlines()
     plant = Plant(scene)
     plant.reset(np.zeros(3))
     for k in range(ticks):
         plant.exchange(np.array([1.0, 2.0, 3.0]) * (k % 7 - 3), k)
-    for line, joint in zip(told, scene.joints, strict=False):
+    for line, joint in zip(reported, scene.joints, strict=False):
         assert line == f"{joint.name} {joint.counts_per_turn / (2 * math.pi):.17g}"
     pairs = zip(plant.measured.encoder_counts, plant.measured.current, strict=True)
     expected = f"{ticks} " + " ".join(f"{counts} {current:.17g}" for counts, current in pairs)
-    first, again = told[3:]
+    first, again = reported[3:]
     assert first == expected, "tick, counts, currents"
     # From half the way on, the same voltages from their beginning: another motion, further on.
     assert re.match(rf"{ticks // 2 + 1 + ticks} ", again), again

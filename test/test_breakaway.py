@@ -136,7 +136,7 @@ WAYS = [
     ("seed", "scheme", "events"),
     some([(seed, *WAYS[(seed + k) % 6]) for k in range(6) for seed in range(12)], 4),
 )
-def test_a_joint_breaks_away_where_the_balance_says(
+def test_a_joint_breaks_away_where_the_balance_states(
     tmp_path: Path, seed: int, scheme: str, events: str
 ) -> None:
     """Commands jump and creep within what holds, up to its ends, and then beyond one of them."""

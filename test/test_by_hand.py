@@ -1,4 +1,4 @@
-"""A machine that is changed by hand: what services do, what bags tell of it, what is refused."""
+"""A machine that is changed by hand: what services do, what bags has it, what is refused."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def go_on(one: InProcess, ticks: int, between: Callable[[], None] = lambda: None
     """Deliver until the machine has gone through so many ticks more, or has begun anew."""
     deadline, gone, newest = time.monotonic() + PATIENCE, 0, session_of(one).tick
     while gone < ticks:
-        assert time.monotonic() < deadline, f"nobody says anything any more at tick {newest}"
+        assert time.monotonic() < deadline, f"nobody states anything any more at tick {newest}"
         between()
         if not one.deliver():
             time.sleep(1e-4)  # in real time the next tick is to come
@@ -189,19 +189,19 @@ def test_a_run_with_changes_by_hand_is_equal_to_the_last_bit(
     clock: str, seed: int, tmp_path: Path, varied: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     kinds = recorded(clock, seed, tmp_path / "bag", varied)
-    code, said = check(tmp_path / "bag", str(varied)), capfd.readouterr().out
-    assert code == 0 and "equal to the last bit" in said, said
-    assert ("in real time" in said) == (clock == "realtime"), said
+    code, printed = check(tmp_path / "bag", str(varied)), capfd.readouterr().out
+    assert code == 0 and "equal to the last bit" in printed, printed
+    assert ("in real time" in printed) == (clock == "realtime"), printed
     # The test is of something: many changes, several of them at one tick.
-    told = re.search(r"(\d+) changes by hand", said)
-    assert told is not None and int(told[1]) > 5 and len(kinds) >= 3, (said, kinds)
+    reported = re.search(r"(\d+) changes by hand", printed)
+    assert reported is not None and int(reported[1]) > 5 and len(kinds) >= 3, (printed, kinds)
     ticks = [event.tick for event in events_of(tmp_path / "bag")]
     assert len(set(ticks)) < len(ticks), f"each change at a tick of its own: {ticks}"
 
 
 def events_of(bag: Path) -> list[MachineEvent]:
-    said = Bag(bag).messages(["/emulator/events"])
-    return [deserialize_message(one.data, MachineEvent) for one in said]
+    printed = Bag(bag).messages(["/emulator/events"])
+    return [deserialize_message(one.data, MachineEvent) for one in printed]
 
 
 def spoil(which: int, change: Callable[[MachineEvent], None]) -> Callable[[BagMessage], bytes]:
@@ -239,10 +239,10 @@ def test_a_spoiled_event_is_named(
             [e for e in events if change is not elsewhere or e.kind != e.KIND_RESET]
         )
         copy = rewrite(bag, tmp_path / f"copy{case}", spoil(event.number, change))
-        code, said = check(copy, str(varied)), capfd.readouterr().out
-        words = f"{change.__name__} of change {event.number} of kind {event.kind}: {said}"
+        code, printed = check(copy, str(varied)), capfd.readouterr().out
+        words = f"{change.__name__} of change {event.number} of kind {event.kind}: {printed}"
         assert code == 1, words
-        assert f"change {event.number} by hand" in said, words
+        assert f"change {event.number} by hand" in printed, words
 
 
 def test_a_missing_event_is_named(
@@ -261,7 +261,7 @@ def test_a_missing_event_is_named(
     try:
         assert check(rewrite(bag, tmp_path / "copy", without), str(varied)) == 1
     except Refusal as reason:
-        assert f"must tell change {missing} by hand" in str(reason)
+        assert f"must report change {missing} by hand" in str(reason)
     else:
         assert "the first difference" in capfd.readouterr().out
 
@@ -299,9 +299,9 @@ def test_what_is_set_is_set_and_all_else_stays(seed: int) -> None:
                     # Gears are elastic here: each quantity is one of its own, to the bit.
                     assert getattr(after, row)[j] == expected, f"{name} of {joint} after {request}"
             assert one.nodes["emulator"]._reports.changes == changes + 1, "events"
-            # And it is told at once, at the same tick.
-            told = one.newest("motor_states")
-            assert told.tick == tick and list(told.current) == list(after.current)
+            # And it is reported at once, at the same tick.
+            reported = one.newest("motor_states")
+            assert reported.tick == tick and list(reported.current) == list(after.current)
             assert list(one.newest("emulator/joint_states").position) == list(after.q)
             go_on(one, draw.randrange(1, 4))
 
@@ -508,8 +508,8 @@ def test_periods_in_which_the_loop_stands_still_are_lost_and_counted() -> None:
     # All time is either a tick or a lost period, but for the one that has begun, and for what the
     # loop was late for it.
     open_ns = 2 * period + figures.worst_lateness
-    assert least - passed < open_ns, f"{passed} of {least} ns are told of"
-    assert passed <= most, f"{passed} of {most} ns are told of"
+    assert least - passed < open_ns, f"{passed} of {least} ns are reported"
+    assert passed <= most, f"{passed} of {most} ns are reported"
 
 
 @contextmanager
@@ -522,8 +522,8 @@ def changed_network(one: User, folder: Path, clock: str) -> Iterator[None]:
         one.wait("the run", lambda: one.tick > 50)
         yield
         assert one.call("emulator/pause", True).success
-        code, said = end(process, signal.SIGINT)
-        assert clock == "realtime" or code == 0, said
+        code, printed = end(process, signal.SIGINT)
+        assert clock == "realtime" or code == 0, printed
 
 
 def listen(one: User, bag: Path) -> None:
@@ -557,8 +557,8 @@ def test_a_network_changed_by_hand_is_recorded_and_checked(clock: str, tmp_path:
     assert check(tmp_path / "own", "three_axis") == 0, "the emulator's own record"
     events = [bytes(event.state) for event in events_of(tmp_path / "own")]
     assert len(events) > 8, "changes"
-    # A recorder in real time may miss states, and says so; events come without a gap from where it
-    # listens to where it ends, which may be behind the machine.
+    # A recorder in real time may miss states, and reports it; events come without a gap from where
+    # it listens to where it ends, which may be behind the machine.
     heard = [bytes(event.state) for event in events_of(tmp_path / "recorder")]
     unheard = len(events) - len(heard)
     assert clock == "realtime" or not unheard, "lock-step waits for its recorder"

@@ -167,7 +167,7 @@ def test_whole_dictionary_is_read_and_written_as_the_drive_has_it(scene: Scene) 
 
 
 def drives_of_one(drives: Drives, index: int, sub: int, raw: bytes) -> int:
-    """What another drive of the machine says to the same write."""
+    """What another drive of the machine states to the same write."""
     try:
         drives.download(2, index, sub, raw)
     except Aborted as no:
@@ -364,8 +364,8 @@ def test_receive_pdos_hold_from_the_next_sync_or_at_once(scene: Scene) -> None:
     segment.receive(Frame(0x402, struct.pack("<Hi", 0, -5)))
     assert uploaded(segment, 2, 0x60FF, 0) == struct.pack("<i", -5), "at once"
     assert uploaded(segment, 1, 0x60FF, 0) == bytes(4), "the other node's stays"
-    (told,) = segment.receive(Frame(0x402, b"\1\2\3"))
-    assert told == Frame(0x82, struct.pack("<HB5x", 0x8210, 0)), "too short, and told"
+    (reported,) = segment.receive(Frame(0x402, b"\1\2\3"))
+    assert reported == Frame(0x82, struct.pack("<HB5x", 0x8210, 0)), "too short, and reported"
     assert uploaded(segment, 2, 0x60FF, 0) == struct.pack("<i", -5)
     segment.receive(Frame(0x302, struct.pack("<Hi", 0, 1)))
     put(segment, 2, 0x1017, 0, 0, 2)  # another setting
@@ -379,10 +379,10 @@ def test_transmit_pdos_come_with_every_nth_sync(scene: Scene, every: int) -> Non
     put(segment, 1, 0x1801, 2, every, 1)
     segment.receive(Frame(0, b"\1\0"))
     for k in range(1, 500):
-        told = uploaded(segment, 1, 0x6064, 0)
+        reported = uploaded(segment, 1, 0x6064, 0)
         (*data,) = sent(segment.receive(SYNC), 0x281)
         assert len(data) == (k % every == 0), k
-        assert not data or data[0][2:] == told, "as it was when SYNC came"
+        assert not data or data[0][2:] == reported, "as it was when SYNC came"
     assert segment.tick == 499, "one servo period per SYNC"
 
 
@@ -401,7 +401,7 @@ def test_transmit_pdos_on_event_on_request_and_by_timer(scene: Scene) -> None:
     assert not segment.receive(Frame(0x381, remote=True)), "switched off"
 
 
-def test_mapping_is_changed_as_the_standard_says(scene: Scene) -> None:
+def test_mapping_is_changed_as_the_standard_states(scene: Scene) -> None:
     segment = segment_of(scene, operational=True)
     assert refused(segment, 1, 0x1A01, 0, 0, 1) == 0x08000022, "operational, and in use"
     put(segment, 1, 0x1801, 1, 0x80000281, 4)
@@ -416,8 +416,8 @@ def test_mapping_is_changed_as_the_standard_says(scene: Scene) -> None:
     assert refused(segment, 1, 0x1A01, 0, 3, 1) == 0x06040042, "10 bytes"
     put(segment, 1, 0x1A01, 0, 2, 1)
     put(segment, 1, 0x1801, 1, 0x123 + 0x200, 4)
-    told = uploaded(segment, 1, 0x6064, 0) + uploaded(segment, 1, 0x606C, 0)
-    assert sent(segment.receive(SYNC), 0x323) == [told]
+    reported = uploaded(segment, 1, 0x6064, 0) + uploaded(segment, 1, 0x606C, 0)
+    assert sent(segment.receive(SYNC), 0x323) == [reported]
     fresh = dumped(segment_of(scene), 1)
     segment.receive(Frame(0, bytes((128, 1))))
     segment.receive(Frame(0, bytes((130, 1))))
@@ -443,7 +443,7 @@ def test_heartbeats_are_sent_and_watched(scene: Scene) -> None:
     assert [data[:2] for data in lost] == [b"\x30\x81"], "life guard error"
     assert [node.state for node in segment.nodes] == [5, State.PRE_OPERATIONAL, 5]
     for _ in range(10):
-        assert not sent(segment.receive(SYNC), 0x82), "told once"
+        assert not sent(segment.receive(SYNC), 0x82), "reported once"
 
 
 def enable(segment: Segment, mode: int) -> None:
@@ -493,8 +493,8 @@ def test_a_motion_by_frames_is_that_of_the_drives(
             segment.receive(Frame(rx + 3 + k, struct.pack(layout, 15, one)))
         frames = segment.receive(SYNC)
         for k, one in enumerate(targets):
-            told = struct.unpack(layout, sent(frames, tx + 3 + k)[0])
-            assert told == (drives.read(k, 0x6041), drives.read(k, actual)), f"at SYNC {tick}"
+            reported = struct.unpack(layout, sent(frames, tx + 3 + k)[0])
+            assert reported == (drives.read(k, 0x6041), drives.read(k, actual)), f"at SYNC {tick}"
             drives.write(k, 0x6040, 15)
             drives.write(k, target, one)
         drives.period()
@@ -527,23 +527,23 @@ def test_an_interpolation_time_that_is_rounded_is_noted(scene: Scene, value: int
         assert segment.uneven == [words + str(math.floor(value / 10 + 0.5))]
 
 
-def test_a_fault_is_told_with_its_code(scene: Scene) -> None:
-    """A target that jumps is a following error: EMCY, Fault; the reset tells that it is over."""
+def test_a_fault_is_reported_with_its_code(scene: Scene) -> None:
+    """A target that jumps is a following error: EMCY, Fault; the reset reports that it is over."""
     segment = segment_of(scene)
     enable(segment, CSP)
     put(segment, 2, 0x6065, 0, 100, 4)
     at = int.from_bytes(uploaded(segment, 2, 0x6064, 0), "little", signed=True)
-    told: list[bytes] = []
+    reported: list[bytes] = []
     for _ in range(100):
         segment.receive(Frame(0x302, struct.pack("<Hi", 15, at + 5000)))
-        told += sent(segment.receive(SYNC), 0x82)
-    assert [data[:2] for data in told] == [b"\x11\x86"], "following error, told once"
-    assert told[0][2] != 0, "the error register"
+        reported += sent(segment.receive(SYNC), 0x82)
+    assert [data[:2] for data in reported] == [b"\x11\x86"], "following error, reported once"
+    assert reported[0][2] != 0, "the error register"
     assert uploaded(segment, 2, 0x6041, 0)[0] & 0x4F == 0x08, "Fault"
     for word in (0, 0x80, 0):
         segment.receive(Frame(0x302, struct.pack("<Hi", word, at)))
-        told += sent(segment.receive(SYNC), 0x82)
-    assert told[1:] == [bytes(8)], "error reset"
+        reported += sent(segment.receive(SYNC), 0x82)
+    assert reported[1:] == [bytes(8)], "error reset"
 
 
 def test_a_stopped_node_and_a_lost_master_take_the_drives_off(scene: Scene) -> None:
@@ -558,11 +558,11 @@ def test_a_stopped_node_and_a_lost_master_take_the_drives_off(scene: Scene) -> N
         for _ in range(100):
             segment.receive(SYNC)
         node = segment.nodes[0]
-        assert node.upload(0x6041, 0)[0] & 0x4F == 0x08, "Fault, as 0x6007 says"
+        assert node.upload(0x6041, 0)[0] & 0x4F == 0x08, "Fault, as 0x6007 states"
         assert node.upload(0x603F, 0) == code
         assert segment.nodes[1].upload(0x6041, 0)[0] & 0x6F == 0x27, "the others go on"
         segment.receive(Frame(0, b"\x81\1"))
-        assert not sent(segment.receive(SYNC), 0x81), "a reset node has nothing to tell"
+        assert not sent(segment.receive(SYNC), 0x81), "a reset node has nothing to report"
         assert node.upload(0x6041, 0)[0] & 0x4F == 0x40, "Switch on disabled"
 
 
@@ -655,7 +655,7 @@ def whole(segment: Segment) -> tuple[object, ...]:
     return dumps, [node.state for node in segment.nodes], segment.drives.plant.save()
 
 
-def test_data_sheet_tells_every_entry(scene: Scene) -> None:
+def test_data_sheet_reports_every_entry(scene: Scene) -> None:
     node = segment_of(scene, 7).nodes[0]
     sheet = configparser.RawConfigParser()
     sheet.optionxform = str  # type: ignore[assignment,method-assign]

@@ -144,7 +144,7 @@ def test_units_are_those_of_the_scene() -> None:
 
 
 def expected_abort(one: Entry | None, known_object: bool, size: int, value: int) -> int:
-    """What CiA 301 says of a write."""
+    """What CiA 301 states of a write."""
     if one is None:
         return 0x06090011 if known_object else 0x06020000
     if one.access in ("const", "ro"):
@@ -156,7 +156,7 @@ def expected_abort(one: Entry | None, known_object: bool, size: int, value: int)
     return 0x06090032 if value < one.least else 0
 
 
-# What the drive has a say in, beside the range: mappings, histories, stores, modes, methods.
+# What the drive has a state in, beside the range: mappings, histories, stores, modes, methods.
 SPECIAL = {0x1003, 0x1010, 0x1011, 0x1C12, 0x1C13, MODE, 0x6098, *range(0x1600, 0x1604)} | {
     *range(0x1A00, 0x1A04)
 }
@@ -303,7 +303,7 @@ def bring(drives: Drives, where: str) -> None:
     assert {state(drives, j) for j in range(N)} == {where}, "where the drives were brought"
 
 
-def test_every_state_takes_every_command_as_the_table_says() -> None:
+def test_every_state_takes_every_command_as_the_table_states() -> None:
     """All 32 words of bits 0 to 3 and 7, bit 7 with and without an edge, in every state."""
     drives = make()
     seen = set()
@@ -318,17 +318,17 @@ def test_every_state_takes_every_command_as_the_table_says() -> None:
                         command(drives, before | step)
                     drives.lost()
                     drives.period(2)
-            told = command_of(word, before, where)
+            reported = command_of(word, before, where)
             drives.write(0, CONTROL, word)
             drives.period()
-            transition, after = TABLE.get((where, told), (0, where))
+            transition, after = TABLE.get((where, reported), (0, where))
             assert state(drives) == after, f"from {where} by 0x{word:02x} after 0x{before:02x}"
             seen.add(transition)
     assert seen == {0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15, 16}, "transitions that were taken"
 
 
 class Model:
-    """The state machine as CiA 402 tells it, of a drive that stands still, for random walks."""
+    """The state machine as CiA 402 reports it, of a drive that stands still, for random walks."""
 
     def __init__(self) -> None:
         self.state, self.word, self.powered = "switch on disabled", 0, True
@@ -337,9 +337,9 @@ class Model:
     def take(self, word: int) -> None:
         """Go on under one word until nothing changes any more."""
         for _ in range(4):
-            told = command_of(word, self.word, self.state)
+            reported = command_of(word, self.word, self.state)
             self.word = word
-            transition, after = TABLE.get((self.state, told), (0, self.state))
+            transition, after = TABLE.get((self.state, reported), (0, self.state))
             if transition == 3 and not self.powered:
                 after = "ready"
             if self.state == "switched on" and not self.powered and transition in (0, 4):
@@ -366,7 +366,7 @@ class Model:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_random_commands_options_and_losses_lead_where_a_model_says(seed: int) -> None:
+def test_random_commands_options_and_losses_lead_where_a_model_states(seed: int) -> None:
     """3000 words and events on a drive that stands still: every stop is over in a few periods."""
     rng = random.Random(seed)
     drives, model, seen = make(), Model(), set()
@@ -509,8 +509,8 @@ def test_cyclic_velocity_turns_the_motor_at_the_speed() -> None:
     # Over a second the arm's elasticity swings by less than a hundredth of the speed.
     np.testing.assert_allclose(mean, [9000, -6000, 3000], rtol=0.01, err_msg="mean speeds")
     for j, speed in enumerate((9000, -6000, 3000)):
-        told = np.mean([drives.read(j, 0x606C) for _ in range(50) if not drives.period()])
-        assert told == pytest.approx(speed, rel=0.02), "velocity actual value, a mean of 50"
+        reported = np.mean([drives.read(j, 0x606C) for _ in range(50) if not drives.period()])
+        assert reported == pytest.approx(speed, rel=0.02), "velocity actual value, a mean of 50"
         assert drives.read(j, STATUS) & BIT12, "the drive follows"
 
 
@@ -529,8 +529,8 @@ def test_cyclic_torque_gives_that_torque() -> None:
         # Speeds are observed through a coarse encoder: 1 rad/s of the motor is 0.05 V, 0.05 A.
         np.testing.assert_allclose(at, torque, atol=12.0, err_msg="current in 0.1 %")
         off.append(at - torque)
-        told = [drives.read(j, 0x6077) for j in range(N)]
-        np.testing.assert_allclose(told, at, atol=0.51, err_msg="torque actual value")
+        reported = [drives.read(j, 0x6077) for j in range(N)]
+        np.testing.assert_allclose(reported, at, atol=0.51, err_msg="torque actual value")
     np.testing.assert_allclose(np.mean(off, axis=0), 0.0, atol=1.0, err_msg="mean of what is off")
 
 
@@ -562,7 +562,7 @@ def set_point(drives: Drives, target: int, bits: int = 0, j: int = 0) -> None:
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_a_profile_arrives_when_its_trapezoid_says(seed: int) -> None:
+def test_a_profile_arrives_when_its_trapezoid_states(seed: int) -> None:
     """From rest, and from a random moment of its speeding up: on, back, or by less than it needs
     to stop."""
     rng = np.random.default_rng([seed, 1])
@@ -614,7 +614,7 @@ def test_a_profile_arrives_when_its_trapezoid_says(seed: int) -> None:
     periods = spent + until(
         drives, lambda: drives.read(0, 0x6062) == end and drives.read(0, 0x606B) == 0, 60000
     )
-    # The first one that is whole, or one before: speeds are told to half a count/s.
+    # The first one that is whole, or one before: speeds are asked to half a count/s.
     assert predicted / T - 1 <= periods <= predicted / T + 1, "periods on the way"
     until(drives, lambda: bool(drives.read(0, STATUS) & REACHED))
     assert abs(drives.read(0, ACTUAL) - start - sign * way) <= 10, "position, within its window"
@@ -759,7 +759,7 @@ def test_modes_change_without_a_jump_of_the_arm(seed: int) -> None:
 # -------------------------------------------------------------------------- limits, stops, faults
 
 
-def test_torque_and_speed_stay_within_their_limits_and_say_so() -> None:
+def test_torque_and_speed_stay_within_their_limits_and_state_so() -> None:
     drives = make()
     enable(drives, CSP)
     drives.write(0, 0x6065, 0xFFFFFFFF)
@@ -856,7 +856,7 @@ def test_a_following_error_is_a_fault_after_its_time() -> None:
 
 @pytest.mark.parametrize("option", range(9))
 @pytest.mark.parametrize("mode", [PP, CSP, CSV, CST])
-def test_a_quick_stop_ends_as_its_option_says(option: int, mode: int) -> None:
+def test_a_quick_stop_ends_as_its_option_states(option: int, mode: int) -> None:
     drives = make()
     for j in range(N):
         drives.write(j, 0x605A, option)
@@ -902,7 +902,7 @@ def test_a_quick_stop_ends_as_its_option_says(option: int, mode: int) -> None:
 
 
 @pytest.mark.parametrize("reaction", range(4))
-def test_a_lost_master_leads_where_0x6007_says(reaction: int) -> None:
+def test_a_lost_master_leads_where_0x6007_states(reaction: int) -> None:
     drives = make()
     for j in range(N):
         drives.write(j, 0x6007, reaction)
@@ -1060,7 +1060,7 @@ def test_homing_finds_index_pulses_and_stops(method: int) -> None:
             assert home % 1024 in (0, 1023), "an index pulse"
 
 
-def test_homing_that_finds_nothing_or_is_broken_off_says_so() -> None:
+def test_homing_that_finds_nothing_or_is_broken_off_states_so() -> None:
     drives = make(RICH)
     enable(drives, HM)
     drives.write(0, 0x6098, 34)
@@ -1159,7 +1159,7 @@ def test_the_same_words_give_the_same_bits() -> None:
     def run() -> tuple[bytes, list[bytes]]:
         rng, drives = random.Random(5), make()
         enable(drives, CSP)
-        told = []
+        reported = []
         for _ in range(500):
             for j in range(N):
                 drives.write(j, MODE, rng.choice((CSP, CSP, CSV, CST)))
@@ -1167,10 +1167,10 @@ def test_the_same_words_give_the_same_bits() -> None:
                 drives.write(j, 0x60FF, rng.randrange(-2000, 2000))
                 drives.write(j, 0x6071, rng.randrange(-50, 50))
             drives.period()
-            told.append(drives.upload(0, ACTUAL) + drives.upload(1, STATUS))
-        return drives.plant.save(), told
+            reported.append(drives.upload(0, ACTUAL) + drives.upload(1, STATUS))
+        return drives.plant.save(), reported
 
-    assert run() == run(), "the whole machine and what the drives tell"
+    assert run() == run(), "the whole machine and what the drives report"
 
 
 # ---------------------------------------------------------------------------------- documentation

@@ -91,6 +91,9 @@ BAD: list[tuple[object, str]] = [
 def test_bad_waves_are_refused_in_one_line(waves: object, words: str) -> None:
     with pytest.raises(Refusal) as refusal:
         load_scene("three_axis", {"joints.elbow.motor.cogging": {"waves": waves}})
-    said = str(refusal.value)
-    assert said.startswith("three_axis.yaml: joints.elbow.motor.cogging.waves ") and words in said
-    assert "\n" not in said
+    printed = str(refusal.value)
+    assert (
+        printed.startswith("three_axis.yaml: joints.elbow.motor.cogging.waves ")
+        and words in printed
+    )
+    assert "\n" not in printed

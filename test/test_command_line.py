@@ -152,9 +152,9 @@ def test_a_refusal_and_a_missing_package_are_a_line_and_exit_code_2(
 
 
 def test_the_version_is_that_of_the_packages() -> None:
-    code, said, _ = run("--version")
-    version = said.split()[-1]
-    assert code == 0 and said.startswith("arm_emulator ")
+    code, printed, _ = run("--version")
+    version = printed.split()[-1]
+    assert code == 0 and printed.startswith("arm_emulator ")
     for file in ("package.xml", "msg/package.xml"):
         assert f"<version>{version}</version>" in (ROOT / file).read_text(), file
 

@@ -72,15 +72,15 @@ def test_second_use_compiles_nothing(
     tmp_path: Path,
 ) -> None:
     library_of(load_scene("three_axis"))
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     using = identity(find_compiler())
-    assert f"compiling scene three_axis (3 joints) with {using} ... " in said, said
+    assert f"compiling scene three_axis (3 joints) with {using} ... " in printed, printed
     no_compiler(monkeypatch, tmp_path)
     library_of(load_scene("three_axis"))
-    assert capsys.readouterr().err == "", "what is said at the second use"
+    assert capsys.readouterr().err == "", "what is reported at the second use"
 
 
-def test_compilers_are_told_apart(
+def test_compilers_are_reported_apart(
     quick_compiler: None,
     cache: Path,
     capsys: pytest.CaptureFixture[str],
@@ -98,11 +98,10 @@ def test_compilers_are_told_apart(
     for command, expected in compiles.items():
         monkeypatch.setenv("CXX", command)
         library_of(scene)
-        said = capsys.readouterr().err
+        printed = capsys.readouterr().err
         using = identity(find_compiler())
-        assert said.startswith(f"compiling scene three_axis (3 joints) with {using}") == expected, (
-            command, said,
-        )  # fmt: skip
+        first = f"compiling scene three_axis (3 joints) with {using}"
+        assert printed.startswith(first) == expected, (command, printed)
     assert len(list(cache.glob("*.so"))) == 3, "libraries of one scene"
     monkeypatch.delenv("CXX")
     library_of(scene)
@@ -143,7 +142,7 @@ def test_the_core_compiles_without_a_warning(
     assert (built.returncode, built.stderr) == (0, ""), "exit code and words of the compiler"
 
 
-def test_without_a_compiler_it_says_what_to_do(
+def test_without_a_compiler_it_states_what_to_do(
     cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     no_compiler(monkeypatch, tmp_path)
@@ -162,11 +161,11 @@ def test_a_library_compiled_ahead_serves_a_machine_without_a_compiler(
         compile_ahead(scene, "z80", cache)
 
 
-# What compilers do, and the end of the one line that tells it.
+# What compilers do, and the end of the one line that reports it.
 MISCHIEF = {
     "CXX=false": "compile the scene's core, got exit code 1",
     "CXX=cat": "compile the scene's core, got exit code 1",  # waits for input if it is given any
-    "CXX=true": "make a library, though it says nothing is wrong, got there is none",
+    "CXX=true": "make a library, though it states nothing is wrong, got there is none",
     "CXX='unclosed": "be the words of a command, got 'unclosed (No closing quotation)",
     "CXX='' -O2": "be on the path, a scene is compiled when first used",
     "CXX=/nowhere/c++ -O2": "be on the path, a scene is compiled when first used",
@@ -205,8 +204,8 @@ def test_whatever_a_compiler_does_ends_in_one_line(
         library_of(load_scene("three_axis"))
     assert MISCHIEF[does] in str(refusal.value), refusal.value
     assert len(str(refusal.value).splitlines()) == 1, f"one line, got {refusal.value}"
-    said = capsys.readouterr().err
-    assert [line[-6:] for line in said.splitlines()] in ([], ["failed"]), said
+    printed = capsys.readouterr().err
+    assert [line[-6:] for line in printed.splitlines()] in ([], ["failed"]), printed
     assert not cache.exists() or list(cache.iterdir()) == [], "nothing half made stays"
 
 
@@ -232,7 +231,7 @@ def test_random_output_of_a_compiler_is_never_loaded(
             library[:18] + rng.bytes(2) + library[20:],
         ][case % 4]
         made.write_bytes(body)
-        with pytest.raises(Refusal, match="make a library, though it says nothing is wrong"):
+        with pytest.raises(Refusal, match="make a library, though it states nothing is wrong"):
             library_of(scene)
         assert list(cache.iterdir()) == [], case
 
@@ -249,7 +248,7 @@ def test_a_compiler_that_leaves_somebody_behind_is_not_waited_for(
     os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
 
 
-def test_a_full_disk_is_told(cache: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported(cache: Path, tmp_path: Path) -> None:
     """No file may grow beyond some bytes, as where a disk or a quota is full."""
     for most in (100, 10_000):
         code = f"""
@@ -275,9 +274,9 @@ def test_two_processes_at_once_share_one_compilation(quick_compiler: None, cache
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         for _ in range(3)
     ]
-    said = [process.communicate(timeout=600) for process in processes]
-    assert [out for out, _ in said] == ["0.0\n"] * 3, f"time of three new machines: {said}"
-    assert sum("compiling" in err for _, err in said) == 1, f"one of them compiles: {said}"
+    printed = [process.communicate(timeout=600) for process in processes]
+    assert [out for out, _ in printed] == ["0.0\n"] * 3, f"time of three new machines: {printed}"
+    assert sum("compiling" in err for _, err in printed) == 1, f"one of them compiles: {printed}"
     assert len(list(cache.glob("*.so"))) == 1, "libraries of one scene"
 
 
@@ -298,7 +297,7 @@ def test_a_read_only_cache_falls_back(
     assert len(list(folder.glob("*.so"))) == 1, f"libraries in {folder}"
 
 
-def test_no_place_for_a_cache_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_place_for_a_cache_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocked = tmp_path / "a_file"
     blocked.touch()
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
@@ -331,7 +330,7 @@ def test_a_compiler_ends_with_the_command_that_started_it(
         while not pid.exists() and time.monotonic() < until:
             time.sleep(0.01)
         process.send_signal(number)
-        said = process.communicate(timeout=60)[1]
-    assert (process.returncode, said.count("\n")) == (128 + number, 1), said
+        printed = process.communicate(timeout=60)[1]
+    assert (process.returncode, printed.count("\n")) == (128 + number, 1), printed
     assert running(int(pid.read_text())) == [], "of the compiler's group"
     assert compiled_in(cache) == [], "nothing half made stays"

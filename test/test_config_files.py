@@ -43,7 +43,7 @@ def own_scene(folder: Path, name: str, places: dict[str, str]) -> Path:
 
 
 def spellings(scene: Path, folder: Path) -> list[str]:
-    """Return paths of a scene as people say them, the working directory being `folder`."""
+    """Return paths of a scene as people state them, the working directory being `folder`."""
     link = folder / "a link"
     link.symlink_to(scene.parent)
     relative = os.path.relpath(scene, folder)
@@ -101,7 +101,7 @@ def test_shipped_scenes_find_theirs_installed_without_links(
 
 
 def test_a_scene_of_ones_own_never_gets_the_gains_of_another(tmp_path: Path) -> None:
-    """Also if it is called as one that comes along; the line says where they were looked for."""
+    """Also if it is called as one that comes along; the line states where they were looked for."""
     scene = own_scene(tmp_path, "three_axis", {})
     for kind in BESIDE:
         with pytest.raises(Refusal) as refusal:
@@ -111,8 +111,11 @@ def test_a_scene_of_ones_own_never_gets_the_gains_of_another(tmp_path: Path) -> 
             f"three_axis.yaml: {kind} parameters must be in {wanted}, got no such file; "
             f"valid: write that file, or name one in the scene: `{kind}: FILE`"
         )
-    said = check_scene(str(scene))
-    assert "valid, 3 joints" in said and f"no servo parameters: they must be in {tmp_path}" in said
+    printed = check_scene(str(scene))
+    assert (
+        "valid, 3 joints" in printed
+        and f"no servo parameters: they must be in {tmp_path}" in printed
+    )
 
 
 CHANGES: list[tuple[Callable[[str], str], str, str]] = [
@@ -145,5 +148,5 @@ def test_check_scene_holds_gains_against_the_scene(
     monkeypatch.setattr(sys, "argv", ["arm_emulator", "check-scene", str(scene)])
     with pytest.raises(SystemExit) as ended:
         main()
-    said = capsys.readouterr().err
-    assert ended.value.code == 2 and words in said and said.count("\n") == 1, said
+    printed = capsys.readouterr().err
+    assert ended.value.code == 2 and words in printed and printed.count("\n") == 1, printed

@@ -75,11 +75,11 @@ def test_links_swing_in_their_springs_with_order_2_and_keep_their_energy(tmp_pat
 
 
 def test_a_spring_that_could_vanish_is_refused() -> None:
-    for bad, says in (
+    for bad, answer in (
         (PUSHES | {"link_distance": 0.401}, r"link_distance must differ by 0\.004 m"),
         (GAS | {"force": -9.0, "gas_column": 0.15}, r"gas_column must be >= 0\.1515 m"),
         (GAS | {"force": 9.0, "gas_column": 0.15}, r"gas_column must be >= 0\.1515 m"),
         (GAS | {"force": 9.0, "stiffness": 1.0}, "stiffness must be absent with gas_column"),
     ):
-        with pytest.raises(Refusal, match=rf"counterbalance\.{says}"):
+        with pytest.raises(Refusal, match=rf"counterbalance\.{answer}"):
             load_scene("three_axis", {"joints.elbow.counterbalance": bad})

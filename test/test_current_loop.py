@@ -101,7 +101,7 @@ def in_closed_form(commands: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("scheme", "order"), some([("rosenbrock", 2), ("paper", 1), ("implicit", 1)], 2)
 )
-def test_small_commands_move_it_as_matrix_exponentials_say(
+def test_small_commands_move_it_as_matrix_exponentials_state(
     scheme: str, order: int, tmp_path: Path
 ) -> None:
     commands = np.random.default_rng(3).uniform(-1.0, 1.0, (12, 3))
@@ -158,7 +158,7 @@ def test_it_saturates_and_recovers_as_an_independent_solution_does(
     file = write(tmp_path, events=events)
     assert 0.1 < at_the_supply(file, rows) < 0.9, "commands that saturate, and some that do not"
     solved = reference_states(load_scene(file), rows, PERIOD, 1e-10, method="DOP853")
-    truth, errors = solved[:, [0, 3, 4]], []  # what both tell of behind any gear
+    truth, errors = solved[:, [0, 3, 4]], []  # what both has behind any gear
     size = np.abs(truth).max(axis=0)
     for dt in (1e-4, 5e-5, 2.5e-5, 1.25e-5):
         plant = Plant(load_scene(file, {"integrator.dt": dt}))

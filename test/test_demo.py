@@ -1,4 +1,4 @@
-"""The demo: three processes make the paper's experiment, and tell the truth about it."""
+"""The demo: three processes make the paper's experiment, and report the truth about it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "demo.json").read_text())
     deviations = np.array(summary["deviations_m"])
 
-    # Three processes say to the last bit what one process says.
+    # Three processes state to the last bit what one process states.
     assert np.array_equal(deviations, expected_deviations(scene))
 
     assert summary["scene"] == scene and summary["clock"] == "lockstep"
@@ -75,9 +75,11 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     off = float(np.linalg.norm(deviations[-1] * 1e3 - summary["predicted_mm"]))
     assert (off <= summary["predicted_radius_mm"]) == summary["residual_within_prediction"]
     assert summary["residual_within_prediction"] and summary["target"] == "reached"
-    said = done.stdout
-    assert "the residual is within the prediction" in said
-    assert said.index("predicted residual (mm)") < said.index("instruction "), "before the run"
+    printed = done.stdout
+    assert "the residual is within the prediction" in printed
+    assert printed.index("predicted residual (mm)") < printed.index("instruction "), (
+        "before the run"
+    )
     if scene == "three_axis":  # as the paper's arm does
         assert below[0] <= 20
         assert f"after {below[0]} instructions" in done.stdout

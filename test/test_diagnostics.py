@@ -16,30 +16,30 @@ def nodes() -> Iterator[InProcess]:
 
 
 @pytest.fixture
-def said(nodes: InProcess, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def printed(nodes: InProcess, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What the servo's health publishes, nothing else running."""
-    said: list[str] = []
+    printed: list[str] = []
 
     def hear(message: DiagnosticArray) -> None:
-        said.extend(one.message for one in message.status)
+        printed.extend(one.message for one in message.status)
 
     monkeypatch.setattr(nodes.nodes["servo"]._diagnostics, "send", hear)
-    return said
+    return printed
 
 
 def test_a_message_whose_figures_change_waits_for_its_second(
-    nodes: InProcess, said: list[str]
+    nodes: InProcess, printed: list[str]
 ) -> None:
     health = nodes.nodes["servo"]._diagnostics
     for tick in range(1000):  # what a servo that holds reports at each tick
         health.warn(f"holding: no joint target for {1e-3 * tick:.3g} s, more than hold_after")
     health.publish()  # as once in a second
-    assert len(said) == 2, "the first at once, and the newest when its second has come"
-    assert "for 0 s" in said[0] and "for 0.999 s" in said[1]
+    assert len(printed) == 2, "the first at once, and the newest when its second has come"
+    assert "for 0 s" in printed[0] and "for 0.999 s" in printed[1]
 
 
 def test_other_words_or_another_level_are_published_at_once(
-    nodes: InProcess, said: list[str]
+    nodes: InProcess, printed: list[str]
 ) -> None:
     health = nodes.nodes["servo"]._diagnostics
     health.ok("following")
@@ -47,4 +47,4 @@ def test_other_words_or_another_level_are_published_at_once(
     health.warn("holding: 1e-5 rad")
     health.warn("holding: -2.5e+3 rad")
     health.error("holding: 7 rad")
-    assert said == ["following", "following", "holding: 1e-5 rad", "holding: 7 rad"]
+    assert printed == ["following", "following", "holding: 1e-5 rad", "holding: 7 rad"]

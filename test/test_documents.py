@@ -1,4 +1,4 @@
-"""What README.md, CONTRIBUTING.md and docs/ say agrees with the code."""
+"""What README.md, CONTRIBUTING.md and docs/ state agrees with the code."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_no_page_neglects_what_has_a_page_of_its_own() -> None:
     for page in (DOCS / "reference" / "parts").glob("*.md"):
         words = page.stem.replace("_gear", "").replace("_", " ")
         if page.stem not in ("README", "friction"):
-            assert words not in neglected, f"{page.name} says how a scene has it"
+            assert words not in neglected, f"{page.name} states how a scene has it"
 
 
 def test_the_depths_of_queues_are_those_of_the_nodes() -> None:
@@ -218,7 +218,7 @@ def test_a_servo_has_the_data_sheet_of_its_scene(name: str) -> None:
             assert drive["current_limit"] <= motor["current_limit"], f"{joint}: current_limit"
 
 
-TOLD = """#include <stdio.h>
+REPORTED = """#include <stdio.h>
 #include "board.h"
 #include "converters.h"
 #define AT(name) (unsigned)(uintptr_t)&name
@@ -236,11 +236,20 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
     folder = ROOT / "arm_emulator/doors/microcontroller/examples/stm32f4_like"
     board = yaml.safe_load((folder / "board.yaml").read_text())
     scene = yaml.safe_load((ROOT / "config" / "ur5.yaml").read_text())
-    (tmp_path / "told.c").write_text(TOLD)
+    (tmp_path / "reported.c").write_text(REPORTED)
     include = [f"-I{folder}", f"-I{ROOT / 'arm_emulator/servo/c'}"]
-    command = [*find_compiler(), "-x", "c", "-w", *include, str(tmp_path / "told.c"), "-o", "told"]
+    command = [
+        *find_compiler(),
+        "-x",
+        "c",
+        "-w",
+        *include,
+        str(tmp_path / "reported.c"),
+        "-o",
+        "reported",
+    ]
     subprocess.run(command, check=True, cwd=tmp_path)
-    words = subprocess.run(tmp_path / "told", capture_output=True, text=True, check=True).stdout
+    words = subprocess.run(tmp_path / "reported", capture_output=True, text=True, check=True).stdout
     *rows, top, middle, supply = map(float, words.split())
     channels = {name: one for adc in board["adc"].values() for name, one in adc["channels"].items()}
     for joint, row in zip(scene["joints"], np.reshape(rows, (-1, 6)).tolist(), strict=True):

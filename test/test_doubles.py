@@ -34,8 +34,8 @@ def three_nodes(log: Path) -> Iterator[tuple[User, Bringup]]:
 
 
 def started(user: User, name: str) -> int:
-    """Return when a node was started, as it says itself [ns]."""
-    return int(user.wait(f"{name} to say it", lambda: user.value(name, "started [ns]")))
+    """Return when a node was started, as it states itself [ns]."""
+    return int(user.wait(f"{name} to state it", lambda: user.value(name, "started [ns]")))
 
 
 SILENT = "silent until it ends: another emulator was started before on /motor_states, "
@@ -56,8 +56,8 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
     user.machine = started(user, "emulator")
     first = nodes.process("emulator")
     with node("emulator_node.node", *second) as other:
-        user.wait("the silence", lambda: user.said("emulator_2", SILENT))
-        words = user.said("emulator_2", SILENT)[0]
+        user.wait("the silence", lambda: user.printed("emulator_2", SILENT))
+        words = user.printed("emulator_2", SILENT)[0]
         assert f"node /emulator on host {os.uname().nodename}, process {first.pid}" in words
         assert user.value("emulator_2", "another emulator").endswith(f"process {first.pid}")
         user.wait("the first to know", lambda: user.value("emulator", "another emulator"))
@@ -65,15 +65,15 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
         assert named == f"node /emulator_2 on host {os.uname().nodename}, process {other.pid}"
         tick = user.tick
         user.wait("the run to go on", lambda: user.tick >= tick + TICKS)
-        assert not user.said("servo", "the emulator began anew"), user.words["servo"]
+        assert not user.printed("servo", "the emulator began anew"), user.words["servo"]
         end = pause_at(user, user.tick)
         # Neither its states nor its commands are others': not a bit has changed.
         run = load_offline_run("three_axis")
         assert_same_bits(user.motor_states(), offline_states(run, end), end)
-        said = (log / "emulator.log").read_text()
+        printed = (log / "emulator.log").read_text()
         # Once; twice if it had to begin again.
-        named = said.count("another emulator is on /motor_states, started after")
-        assert named in (1, 2), said
+        named = printed.count("another emulator is on /motor_states, started after")
+        assert named in (1, 2), printed
 
         # The first ends; the second begins at tick 0 with the partners that are there.
         user.forget()
@@ -82,14 +82,14 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
         first.wait(PATIENCE)
         user.forget_listeners("emulator")
         user.wait("its run", lambda: user.tick >= TICKS)
-        assert user.said("servo", "the emulator began anew")
+        assert user.printed("servo", "the emulator began anew")
         if start == "first_answer":
             run = load_offline_run("three_axis")
             assert_same_bits(user.motor_states(), offline_states(run, TICKS), TICKS)
         assert user.call("emulator_2/pause", True).success
         user.wait("no more words", lambda: not user.value("emulator_2", "another emulator"))
         nodes.start("emulator")  # for the ending; now this one is second
-        user.wait("the third to be silent", lambda: user.said("emulator", SILENT))
+        user.wait("the third to be silent", lambda: user.printed("emulator", SILENT))
 
 
 def test_two_servos_and_two_motion_controllers_are_named(
@@ -133,7 +133,7 @@ def test_a_command_for_another_emulator_is_not_taken() -> None:
             foreign = MotorCommand(
                 tick=0, joint_names=JOINTS, voltage=[0.0] * 3, machine=rng.getrandbits(64) or 1
             )
-            one.say("motor_commands", foreign)
+            one.send("motor_commands", foreign)
             counted = emulator._diagnostics.values["motor_commands for another emulator"]
             assert counted == count, "commands that are counted as others'"
         emulator._status.report()
@@ -141,5 +141,5 @@ def test_a_command_for_another_emulator_is_not_taken() -> None:
         assert status.tick == one.newest("motor_states").tick == 0, "the machine has moved"
         assert status.phase == EmulatorStatus.PHASE_WAITING, "for its own command"
         assert status.commands_refused == one.refused("emulator") == 0, "they are no fault"
-        one.say("motor_commands", MotorCommand(tick=0, joint_names=JOINTS, voltage=[0.0] * 3))
+        one.send("motor_commands", MotorCommand(tick=0, joint_names=JOINTS, voltage=[0.0] * 3))
         assert one.newest("motor_states").tick == 1, "a command for any emulator is taken"

@@ -46,7 +46,7 @@ def test_a_spoiled_record_is_refused_or_doubted_with_the_cause(kind: str, seed: 
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
-def test_of_a_sound_record_nothing_is_said(seed: int) -> None:
+def test_of_a_sound_record_nothing_is_stated(seed: int) -> None:
     scene, run = record(seed)
     assert answer_to(scene, run) == ("", False)
 
@@ -70,13 +70,13 @@ def test_a_few_spikes_are_found_one_by_one() -> None:
     rng = np.random.default_rng(4)
     driven, values = changed(MACHINES["three_axis"](), rng)
     run = make_record(driven, 5, 4.0, 2e-6, 0.03, values)
-    clean, told = without_outliers(run)
-    assert not told
+    clean, reported = without_outliers(run)
+    assert not reported
     np.testing.assert_array_equal(clean.tau, run.tau)
     at = rng.choice(np.arange(10, len(run.t) - 10), 12, replace=False)
     run.tau[at, 1] += 4.0 * run.tau[:, 1].std() * rng.choice([-1.0, 1.0], 12)
-    found, told = without_outliers(run)
-    assert len(told) == 1
-    assert told[0].startswith(f"torque of {run.joints[1]}: 12 outliers"), told
+    found, reported = without_outliers(run)
+    assert len(reported) == 1
+    assert reported[0].startswith(f"torque of {run.joints[1]}: 12 outliers"), reported
     left = np.abs(found.tau - clean.tau)[:, 1]
     assert left.max() < 0.5 * run.tau[:, 1].std(), "neighbours stand in their place"

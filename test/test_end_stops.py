@@ -178,7 +178,7 @@ def test_every_bad_section_is_refused_in_one_line() -> None:
             continue
         with pytest.raises(Refusal) as refusal:
             load_scene("three_axis", {"joints.elbow.end_stops": bad})
-        said = str(refusal.value)
-        assert f"joints.elbow.end_stops.{key} must" in said and "\n" not in said, said
+        printed = str(refusal.value)
+        assert f"joints.elbow.end_stops.{key} must" in printed and "\n" not in printed, printed
     with pytest.raises(Refusal, match=r"upper must be > 0\.5 rad, the lower one"):
         load_scene("three_axis", {"joints.elbow.end_stops": STOPS | {"lower": 0.5}})

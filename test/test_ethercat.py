@@ -105,8 +105,8 @@ def test_working_counters_and_positions_are_those_of_the_standard(master: Master
         assert answers(back)[0][1] == counter, (
             f"working counter of command {command} at {address:#x}"
         )
-        told = struct.unpack_from("<H", back, 18)[0]
-        assert told == position & 0xFFFF, f"position after command {command}"
+        reported = struct.unpack_from("<H", back, 18)[0]
+        assert reported == position & 0xFFFF, f"position after command {command}"
     assert master.segment.figures.unknown == 1, "one unknown command"
 
 
@@ -139,7 +139,7 @@ def test_the_line_ends_at_its_last_slave_and_where_a_port_is_closed(master: Mast
     assert master.segment.frame(frame((NOP, 0, b""))) == b"", "the frame is lost there"
 
 
-def test_a_slave_has_an_alias_once_it_is_told_so(master: Master) -> None:
+def test_a_slave_has_an_alias_once_it_is_reported_so(master: Master) -> None:
     write_eeprom(master, 1, 4, 0x0777)
     master.write(1, 0x0502, struct.pack("<HI", 0x0400, 0))  # reload
     assert master.word(1, 0x0012) == 0x0777, "the alias as the EEPROM has it"
@@ -163,7 +163,7 @@ def write_eeprom(master: Master, slave: int, word: int, value: int) -> int:
     return master.word(slave, 0x0502)
 
 
-def test_the_eeprom_tells_what_a_slave_is(master: Master) -> None:
+def test_the_eeprom_reports_what_a_slave_is(master: Master) -> None:
     image = b"".join(eeprom(master, 0, word) for word in range(0, 1024, 4))
     crc = 0xFF
     for byte in image[:14]:
@@ -405,11 +405,13 @@ def test_the_dictionary_describes_itself(master: Master) -> None:
         if not one.buses & ETHERCAT:
             continue
         if one.sub == 0:
-            told = master.information(0, 3, struct.pack("<H", one.index))
-            assert told[4] == one.last_sub and told[5] == one.code, f"{one.index:#x}: subs, code"
-            assert told[6:].decode() == one.object, "its name"
-        told = master.information(0, 5, struct.pack("<HBB", one.index, one.sub, 0x70))
-        at_, sub, _, kind, bits, rights = struct.unpack_from("<HBBHHH", told)
+            reported = master.information(0, 3, struct.pack("<H", one.index))
+            assert reported[4] == one.last_sub and reported[5] == one.code, (
+                f"{one.index:#x}: subs, code"
+            )
+            assert reported[6:].decode() == one.object, "its name"
+        reported = master.information(0, 5, struct.pack("<HBB", one.index, one.sub, 0x70))
+        at_, sub, _, kind, bits, rights = struct.unpack_from("<HBBHHH", reported)
         assert (at_, sub) == (one.index, one.sub), "the entry that was asked for"
         assert bool(rights & 0x08) == (one.access in ("rw", "wo")), f"{one.index:#x}: writable"
         assert bool(rights & 0x40) == one.rx and bool(rights & 0x80) == one.tx, "mappable"
@@ -418,16 +420,18 @@ def test_the_dictionary_describes_itself(master: Master) -> None:
             size = bits // 8
             signed = one.type.startswith("INTEGER")
             values = [
-                int.from_bytes(told[10 + k * size : 10 + (k + 1) * size], "little", signed=signed)
+                int.from_bytes(
+                    reported[10 + k * size : 10 + (k + 1) * size], "little", signed=signed
+                )
                 for k in range(3)
             ]
             assert values == [one.standard, one.least, one.most], f"{one.index:#x}: default, range"
             unit = f" [{one.unit}]" if one.unit else ""
-            assert told[10 + 3 * size :].decode() == one.name + unit, "name and unit"
+            assert reported[10 + 3 * size :].decode() == one.name + unit, "name and unit"
 
 
 @pytest.mark.parametrize("mailbox", [34, 35, 40, 41, 64, 256])
-def test_mailboxes_of_any_size_tell_the_same(mailbox: int) -> None:
+def test_mailboxes_of_any_size_report_the_same(mailbox: int) -> None:
     """The smaller they are, the more segments and fragments there are."""
     master = Master(segment(), mailbox)
     assert master.preop(0) == (PREOP, 0), "the slave takes the size"
@@ -545,7 +549,7 @@ def test_a_mailbox_holds_one_message_and_repeats_it(master: Master) -> None:
     assert master.fetch(0) is None, "is not carried out twice"
 
 
-def test_datagrams_tell_events_that_the_master_has_asked_for(master: Master) -> None:
+def test_datagrams_report_events_that_the_master_has_asked_for(master: Master) -> None:
     def events() -> int:
         back = master.segment.frame(frame((NOP, 0, b"")))
         return int(struct.unpack_from("<H", back, 24)[0])
@@ -555,7 +559,7 @@ def test_datagrams_tell_events_that_the_master_has_asked_for(master: Master) -> 
     assert events() == 0, "none as long as the mask is empty"
     master.write(0, 0x0200, struct.pack("<H", 0x0020))
     assert events() == 0x0020, "the mailbox has a message"
-    assert master.word(0, 0x0210) & 0x0020, "as the register says"
+    assert master.word(0, 0x0210) & 0x0020, "as the register demands"
     master.fetch(0)
     assert events() == 0, "until it is read"
 
@@ -565,7 +569,7 @@ def test_a_mailbox_keeps_what_it_has_no_room_to_answer(master: Master) -> None:
     sent = 0
     while master.mail(0, b"\0\x20" + bytes.fromhex("40 00 10 00") + bytes(4)):
         sent += 1
-        assert sent < 100, "the mailbox never says that it is full"
+        assert sent < 100, "the mailbox never states that it is full"
     got = 0
     while master.fetch(0):
         got += 1
@@ -684,10 +688,10 @@ def test_single_bits_are_mapped_where_they_shall_be(master: Master, shift: int) 
         "outputs"
     )
     expected = master.segment.memory(0)[0x1500 : 0x1500 + into]
-    # The frame tells inputs as they were before the servo period that it set off.
+    # The frame reports inputs as they were before the servo period that it set off.
     got = int.from_bytes(back[64:], "little") >> shift
-    told = got.to_bytes(into + 1, "little")[:into]
-    assert told[:2] == expected[:2], "the statusword, which has not changed"
+    reported = got.to_bytes(into + 1, "little")[:into]
+    assert reported[:2] == expected[:2], "the statusword, which has not changed"
 
 
 def test_a_watchdog_that_runs_out_takes_the_slave_to_safeop() -> None:
@@ -722,19 +726,19 @@ ON = {0x40: 6, 0x60: 6, 0x21: 7, 0x23: 15, 0x27: 15, 0x08: 0x80, 0x28: 0x80}  # 
 
 def enable(master: Master, mode: int = 8) -> list[tuple[int, int]]:
     """Exchange until all drives are in Operation enabled; their statuswords and positions."""
-    told = [(0, 0)] * master.slaves
+    reported = [(0, 0)] * master.slaves
     for _ in range(5000):
         outputs = [
             struct.pack("<HiihbB", ON.get(status & 0x6F, 0), position, 0, 0, mode, 0)
-            for status, position in told
+            for status, position in reported
         ]
-        told = [struct.unpack_from("<Hi", one) for one in master.exchange(outputs)]
+        reported = [struct.unpack_from("<Hi", one) for one in master.exchange(outputs)]
         if not master.segment.lockstep:
             master.now += PERIOD
             master.segment.period(master.now)
-        if all(status & 0x6F == 0x27 for status, _ in told):
-            return told
-    raise AssertionError(f"drives are not enabled: {[hex(status) for status, _ in told]}")
+        if all(status & 0x6F == 0x27 for status, _ in reported):
+            return reported
+    raise AssertionError(f"drives are not enabled: {[hex(status) for status, _ in reported]}")
 
 
 def test_a_lost_master_faults_the_drives_until_they_are_reset() -> None:
@@ -759,10 +763,12 @@ def test_a_lost_master_faults_the_drives_until_they_are_reset() -> None:
     assert [one.code for one in master.emergencies[master.slaves :]] == [0] * master.slaves, "over"
 
 
-def test_a_target_out_of_reach_is_a_following_error_that_is_told_and_reset(master: Master) -> None:
+def test_a_target_out_of_reach_is_a_following_error_that_is_reported_and_reset(
+    master: Master,
+) -> None:
     master.bring_up()
-    told = enable(master)
-    far = [position + (10_000_000 if k == 1 else 0) for k, (_, position) in enumerate(told)]
+    reported = enable(master)
+    far = [position + (10_000_000 if k == 1 else 0) for k, (_, position) in enumerate(reported)]
     words: list[int] = []
     for _ in range(2000):
         outputs = [struct.pack("<HiihbB", 15, one, 0, 0, 8, 0) for one in far]
@@ -813,8 +819,8 @@ def test_a_master_finds_delays_and_sets_clocks_alike() -> None:
         master.one(FRMW, at(STATION, 0x0910), bytes(8))
     for k in range(1, master.slaves):
         assert struct.unpack("<I", master.read(k, 0x092C, 4))[0] == 0, "no difference is left"
-    told = [struct.unpack("<Q", master.read(k, 0x0910, 8))[0] for k in range(master.slaves)]
-    assert told == [target + 20 * PERIOD + delay for delay in delays], (
+    reported = [struct.unpack("<Q", master.read(k, 0x0910, 8))[0] for k in range(master.slaves)]
+    assert reported == [target + 20 * PERIOD + delay for delay in delays], (
         "one time, as frames reach them"
     )
     # A clock that is set wrong by 5 us is steered back, 1 us a frame at most.
@@ -860,8 +866,8 @@ def test_sync0_that_is_set_late_is_checked_as_at_the_transition(
         assert master.word(k, 0x0130) == state, "a cycle alone does nothing"
         master.write(k, 0x0980, b"\0\3")
         sound = cycle > 0 and cycle % PERIOD == 0
-        told = master.word(k, 0x0130), master.word(k, 0x0134)
-        assert told == ((state, 0) if sound else (PREOP | ERROR, 0x36)), f"{cycle} ns"
+        reported = master.word(k, 0x0130), master.word(k, 0x0134)
+        assert reported == ((state, 0) if sound else (PREOP | ERROR, 0x36)), f"{cycle} ns"
     start = master.segment.drives.tick
     master.exchange([bytes(master.out)] * master.slaves)
     assert master.segment.drives.tick == start + (cycle // PERIOD if sound else 0), "periods"
@@ -926,7 +932,7 @@ def test_malformed_frames_change_nothing_and_are_counted(master: Master) -> None
         now = master.segment.memory(k)
         changed = {at_ for at_ in range(len(now)) if now[at_] != memory[at_]}
         assert changed <= {0x030C}, f"slave {k}: {sorted(map(hex, changed))}"
-    assert master.read(0, 0x030C, 1)[0] == min(figures.malformed, 255), "as the first slave tells"
+    assert master.read(0, 0x030C, 1)[0] == min(figures.malformed, 255), "as the first slave reports"
     assert master.segment.drives.tick == tick, "no time has passed"
     master.exchange([bytes(master.out)] * master.slaves)
     assert master.count == 3 * master.slaves, "and the segment goes on"
@@ -977,7 +983,7 @@ def test_a_million_frames_under_sanitizers(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr[-5000:]
 
 
-def test_the_description_agrees_with_what_the_slaves_tell(master: Master, tmp_path: Path) -> None:
+def test_the_description_agrees_with_what_the_slaves_report(master: Master, tmp_path: Path) -> None:
     import xml.etree.ElementTree as ET
 
     root = ET.fromstring(esi(master.segment.drives).partition("\n")[2])
@@ -986,9 +992,11 @@ def test_the_description_agrees_with_what_the_slaves_tell(master: Master, tmp_pa
     master.preop(0)
     sizes = [int(one.get("DefaultSize", "0")) for one in device.findall("Sm")]
     assert sizes == [256, 256, *master.sizes(0)], "sync managers"
-    told = {int(one.findtext("Index", "")[2:], 16) for one in device.findall(".//Objects/Object")}
+    reported = {
+        int(one.findtext("Index", "")[2:], 16) for one in device.findall(".//Objects/Object")
+    }
     raw = master.information(0, 1, struct.pack("<H", 1))
-    assert told == set(struct.unpack(f"<{len(raw) // 2}H", raw)[1:]), "objects"
+    assert reported == set(struct.unpack(f"<{len(raw) // 2}H", raw)[1:]), "objects"
     for tag, index in (("RxPdo", 0x1600), ("TxPdo", 0x1A00)):
         pdo = next(
             one for one in device.findall(tag) if int(one.findtext("Index", "")[2:], 16) == index

@@ -1,4 +1,4 @@
-"""The examples of README.md do what it says."""
+"""The examples of README.md do what it states."""
 
 from __future__ import annotations
 

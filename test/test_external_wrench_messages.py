@@ -31,12 +31,12 @@ def pushed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def message(link: str, *numbers: float) -> WrenchStamped:
-    said = WrenchStamped()
-    said.header.frame_id = link
-    said.wrench.force, said.wrench.torque = (
+    printed = WrenchStamped()
+    printed.header.frame_id = link
+    printed.wrench.force, printed.wrench.torque = (
         Vector3(x=x, y=y, z=z) for x, y, z in (numbers[:3], numbers[3:])
     )
-    return said
+    return printed
 
 
 def sound(draw: random.Random) -> tuple[str, WrenchStamped]:
@@ -53,27 +53,27 @@ def changes(one: InProcess) -> int:
 def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
     clock: str, pushed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    draw, said = random.Random(1), 0
+    draw, printed = random.Random(1), 0
     with in_process(clock, file=pushed) as one:
         one.begin_record()
         assert one.call("emulator/reset").success
 
         def between() -> None:
-            nonlocal said
+            nonlocal printed
             if draw.random() < 0.02:
                 one.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
-                one.say(*sound(draw))
-                said += 1
+                one.send(*sound(draw))
+                printed += 1
 
         go_on(one, 300, between)
-        while said < 6:  # a busy machine looks less often between its ticks
+        while printed < 6:  # a busy machine looks less often between its ticks
             go_on(one, 20, between)
-        assert one.refused("emulator") == 0, f"of {said} said"
+        assert one.refused("emulator") == 0, f"of {printed} stated"
         one.write(tmp_path / "bag")
     code, words = check(tmp_path / "bag", str(pushed)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in words, words
     kinds = [event.kind for event in events_of(tmp_path / "bag")]
-    assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == said, "each is told"
+    assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == printed, "each is reported"
 
 
 def test_a_wrench_acts_at_its_link_until_the_next_one(pushed: Path) -> None:
@@ -81,21 +81,23 @@ def test_a_wrench_acts_at_its_link_until_the_next_one(pushed: Path) -> None:
     with in_process(file=pushed) as one:
         go_on(one, 5)
         for _ in range(20):
-            topic, said = sound(draw)
-            one.say(topic, said)
+            topic, printed = sound(draw)
+            one.send(topic, printed)
             joint = next(
-                j for j in session_of(one).scene.chain.joints if said.header.frame_id in j.links
+                j for j in session_of(one).scene.chain.joints if printed.header.frame_id in j.links
             )
             acts = session_of(one).plant.external_wrenches[joint.link]
-            assert acts.axes == TOPICS[topic], said
-            given = said.wrench.force
-            size = math.hypot(said.wrench.force.x, said.wrench.force.y, said.wrench.force.z)
-            assert math.hypot(*acts.force) == pytest.approx(size, rel=1e-12), said
+            assert acts.axes == TOPICS[topic], printed
+            given = printed.wrench.force
+            size = math.hypot(
+                printed.wrench.force.x, printed.wrench.force.y, printed.wrench.force.z
+            )
+            assert math.hypot(*acts.force) == pytest.approx(size, rel=1e-12), printed
             if acts.axes == "world":
-                assert acts.force == (given.x, given.y, given.z), said
-            told = changes(one)
-            one.say(topic, said)
-            assert changes(one) == told, "what acts already is no change"
+                assert acts.force == (given.x, given.y, given.z), printed
+            reported = changes(one)
+            one.send(topic, printed)
+            assert changes(one) == reported, "what acts already is no change"
             go_on(one, 2)
         assert one.call("emulator/reset").success
         for wrench in session_of(one).plant.external_wrenches.values():
@@ -106,22 +108,22 @@ def test_bad_messages_are_refused_counted_and_change_nothing(pushed: Path) -> No
     draw = random.Random(3)
     with in_process(file=pushed) as one:
         go_on(one, 5)
-        one.say(*sound(draw))
+        one.send(*sound(draw))
         kept = session_of(one).plant.save()
         for count in range(1, 40):
-            topic, said = sound(draw)
+            topic, printed = sound(draw)
             if draw.random() < 0.5:
-                said.header.frame_id = draw.choice(
+                printed.header.frame_id = draw.choice(
                     ["", "base", "world", "elbow", "TOOL", "no", "é"]
                 )
             else:
-                vector = draw.choice([said.wrench.force, said.wrench.torque])
+                vector = draw.choice([printed.wrench.force, printed.wrench.torque])
                 bad = draw.choice([math.nan, math.inf, -math.inf, 1e300, -1e9])
                 setattr(vector, draw.choice("xyz"), bad)
-            one.say(topic, said)
-            assert one.refused("emulator") == count, said
-            assert session_of(one).plant.save() == kept, said
+            one.send(topic, printed)
+            assert one.refused("emulator") == count, printed
+            assert session_of(one).plant.save() == kept, printed
     with in_process() as one:  # a scene without
-        one.say(*sound(draw))
+        one.send(*sound(draw))
         assert one.refused("emulator") == 1, "a scene without external_wrench"
         assert "external_wrench must be true" in one.nodes["emulator"]._diagnostics._newest_refusal

@@ -22,7 +22,7 @@ from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator_msgs.msg import EmulatorStatus
 
-# A warning of NumPy's would be printed among what the nodes say.
+# A warning of NumPy's would be printed among what the nodes state.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
 TICKS = 400
@@ -49,12 +49,12 @@ def aim(nodes: InProcess) -> None:
     p.x, p.y, p.z = map(float, p_WT)
     target.pose.orientation.w = 1.0
     target.header.stamp.nanosec = AIM_NS
-    nodes.say("tool_target", target)
+    nodes.send("tool_target", target)
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
 def test_bad_messages_leave_every_bit_of_a_run(seed: int, reference: dict[int, bytes]) -> None:
-    rng, said = random.Random(seed), dict.fromkeys(RECEIVER.values(), 0)
+    rng, printed = random.Random(seed), dict.fromkeys(RECEIVER.values(), 0)
     with in_process() as nodes:
         nodes.run_to(1)  # the motion controller knows its robot
         aim(nodes)
@@ -63,18 +63,18 @@ def test_bad_messages_leave_every_bit_of_a_run(seed: int, reference: dict[int, b
             topic = rng.choice(TOPICS)
             name = RECEIVER[topic]
             message = bad_message(rng, topic, JOINTS, nodes.tick + rng.randrange(3))
-            nodes.say(topic, message)
-            said[name] += 1
-            assert nodes.refused(name) == said[name], f"not refused on {topic}: {message}"
+            nodes.send(topic, message)
+            printed[name] += 1
+            assert nodes.refused(name) == printed[name], f"not refused on {topic}: {message}"
 
         nodes.run_to(TICKS, abuse)
-        assert sum(said.values()) > TICKS
+        assert sum(printed.values()) > TICKS
         assert_same_bits(nodes.states, reference, TICKS)
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
 def test_bad_messages_do_not_stop_a_run_in_real_time(seed: int) -> None:
-    rng, said = random.Random(seed), dict.fromkeys(RECEIVER.values(), 0)
+    rng, printed = random.Random(seed), dict.fromkeys(RECEIVER.values(), 0)
     with in_process("realtime") as nodes:
         deadline = time.monotonic() + 30.0
         while nodes.tick < 1:
@@ -84,12 +84,12 @@ def test_bad_messages_do_not_stop_a_run_in_real_time(seed: int) -> None:
             topic = rng.choice(TOPICS)
             name = RECEIVER[topic]
             message = bad_message(rng, topic, JOINTS, 10**6 + nodes.tick)
-            nodes.say(topic, message)
-            said[name] += 1
-            assert nodes.refused(name) == said[name], f"not refused on {topic}: {message}"
+            nodes.send(topic, message)
+            printed[name] += 1
+            assert nodes.refused(name) == printed[name], f"not refused on {topic}: {message}"
             nodes.deliver()
         before = nodes.tick
-        assert before > 0 and min(said.values()) > 0
+        assert before > 0 and min(printed.values()) > 0
         deadline = time.monotonic() + 30.0
         while nodes.tick < before + 20 and time.monotonic() < deadline:
             nodes.deliver()
@@ -128,7 +128,7 @@ def test_the_viewer_is_shown_no_target_beyond_the_bound(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["servo", "motion_controller"])
-def test_a_controller_that_is_not_finite_says_so_and_begins_anew(
+def test_a_controller_that_is_not_finite_states_so_and_begins_anew(
     name: str, reference: dict[int, bytes]
 ) -> None:
     with in_process() as nodes:
@@ -137,11 +137,11 @@ def test_a_controller_that_is_not_finite_says_so_and_begins_anew(
             nodes.nodes["servo"]._drives.servo.state["integral"][0] = math.nan
         else:
             nodes.nodes[name]._instructor._hold = np.full(3, math.nan)
-        said = ""
-        while nodes.tick < 60 and "began anew" not in said:
+        printed = ""
+        while nodes.tick < 60 and "began anew" not in printed:
             nodes.deliver()
-            said = nodes.nodes[name]._diagnostics._message
-        assert "finite" in said and "began anew" in said and "\n" not in said
+            printed = nodes.nodes[name]._diagnostics._message
+        assert "finite" in printed and "began anew" in printed and "\n" not in printed
         nodes.run_to(120)
         assert nodes.nodes[name]._diagnostics.values["began anew"] == 1
         assert "began anew" not in nodes.nodes[name]._diagnostics._message, "it works again"
@@ -186,7 +186,7 @@ def test_after_any_messages_in_real_time_the_nodes_still_work() -> None:
         sound = "targets and states come"
         while nodes.tick < TICKS or drives.reason != sound:
             assert time.monotonic() < deadline, (
-                f"at tick {nodes.tick} the servo says {drives.reason}"
+                f"at tick {nodes.tick} the servo states {drives.reason}"
             )
             nodes.deliver()
 
@@ -194,7 +194,7 @@ def test_after_any_messages_in_real_time_the_nodes_still_work() -> None:
 def any_messages(nodes: InProcess, rng: random.Random, count: int) -> None:
     for turn in range(count):
         topic = rng.choice(TOPICS)
-        nodes.say(topic, random_message(rng, topic, JOINTS, max(0, nodes.tick + 1)))
+        nodes.send(topic, random_message(rng, topic, JOINTS, max(0, nodes.tick + 1)))
         nodes.deliver()
         if turn % 100 == 0:
             nodes.timers()
@@ -207,7 +207,7 @@ def begin_anew(nodes: InProcess) -> None:
     assert nodes.call("emulator/pause", True).success
     while nodes.deliver():
         pass
-    nodes.say("robot_description", nodes.newest("robot_description"))
+    nodes.send("robot_description", nodes.newest("robot_description"))
     for name in ("servo", "motion_controller"):
         assert nodes.call(f"{name}/reset").success
     aim(nodes)
@@ -249,7 +249,7 @@ def test_bad_messages_do_not_disturb_three_processes(
             message = bad_message(rng, topic, JOINTS, 10**6 + max(0, user.tick))
             user.publish(publish[topic], message)
             user.spin(0.005)
-        user.wait("the tool target to hold", lambda: user.said("motion_controller", "moving"))
+        user.wait("the tool target to hold", lambda: user.printed("motion_controller", "moving"))
         assert user.value("motion_controller", "tool targets") == "1"
         if clock == "lockstep":
             assert_same_bits(user.motor_states(), reference, TICKS)

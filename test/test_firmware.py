@@ -189,7 +189,7 @@ def node_states(rows: list[list[float]], ticks: int) -> dict[int, bytes]:
         def answer(states: JointState) -> None:
             tick = round(states.header.stamp.sec * 1e3 + states.header.stamp.nanosec * 1e-6)
             targets = JointState(header=states.header, name=NAMES, position=row_at(rows, tick))
-            nodes.say("joint_targets", targets)
+            nodes.send("joint_targets", targets)
 
         nodes.listen_alone("joint_states", JointState, answer)
         nodes.run_to(ticks)
@@ -221,14 +221,14 @@ def test_library_node_and_runs_without_a_network_give_the_same_bits(
     table = load_target_table(tmp_path / "table.csv", NAMES)
     ticks = round(1000 * rows[-1][0]) + 300
     of_library = TableRun(SCENE, table, Firmware(build()))
-    told = states_of(of_library, ticks)
+    reported = states_of(of_library, ticks)
     of_servo, _ = load_table_run("three_axis", tmp_path / "table.csv", None)
     for name, other in (
         ("our servo, no library", states_of(of_servo, ticks)),
         ("Python in every period", by_hand(rows, ticks)),
         ("nodes in lock-step", node_states(rows, ticks)),
     ):
-        wrong = [tick for tick in range(ticks + 1) if told[tick] != other[tick]]
+        wrong = [tick for tick in range(ticks + 1) if reported[tick] != other[tick]]
         assert not wrong, f"{name}: first difference at tick {wrong[0]} of {ticks}"
     # Once more in one call, and the library begins anew.
     again = TableRun(SCENE, table, Firmware(build()))
@@ -392,8 +392,8 @@ def command(
     monkeypatch.setattr(sys, "argv", ["arm_emulator", *map(str, words)])
     with pytest.raises(SystemExit) as end:
         main()
-    said = capfd.readouterr()
-    return int(end.value.code or 0), said.out, said.err
+    printed = capfd.readouterr()
+    return int(end.value.code or 0), printed.out, printed.err
 
 
 STEP = "out->joint[1].value = in->measured->tick"
@@ -446,9 +446,9 @@ def test_a_library_that_cannot_be_run_is_refused_in_a_line(
     elif made is not None:
         shutil.copy(build(made), library)
     arguments = ("run", "three_axis", "--servo", library, "--targets", table)
-    exit_code, out, said = command(monkeypatch, capfd, *arguments)
-    assert (exit_code, out) == (2, ""), said
-    assert said.startswith("mine.so") and words in said and said.count("\n") == 1, said
+    exit_code, out, printed = command(monkeypatch, capfd, *arguments)
+    assert (exit_code, out) == (2, ""), printed
+    assert printed.startswith("mine.so") and words in printed and printed.count("\n") == 1, printed
 
 
 # Ways in which a library ends the process, and what is reported of it.
@@ -527,8 +527,10 @@ def test_a_library_that_ends_the_process_is_reported_with_its_tick(
         list(map(str, words)),
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300, check=True,
     )  # fmt: skip
-    told = re.split(r"exit code (.*)\n", done.stdout)
-    for (place, how, tick), said, exit_code in zip(cases, told[::2], told[1::2], strict=False):
+    reported = re.split(r"exit code (.*)\n", done.stdout)
+    for (place, how, tick), printed, exit_code in zip(
+        cases, reported[::2], reported[1::2], strict=False
+    ):
         where = {
             "step": f", tick {tick}: step must return",
             "loading": ": file must be loaded by the system",
@@ -536,17 +538,17 @@ def test_a_library_that_ends_the_process_is_reported_with_its_tick(
             "atexit": ": what runs at its end must return",
         }.get(place, f": {place} must return")
         line = rf"mine_\d+\.so{where}, got {ENDS[how]}\n"
-        last = said.splitlines(keepends=True)[-1]
-        assert re.fullmatch(line, last) and exit_code == "2", (place, exit_code, said)
-        assert said == last or place in ("end", "atexit"), said
-    assert len(told) == 2 * len(cases) + 1, "every run has ended"
+        last = printed.splitlines(keepends=True)[-1]
+        assert re.fullmatch(line, last) and exit_code == "2", (place, exit_code, printed)
+        assert printed == last or place in ("end", "atexit"), printed
+    assert len(reported) == 2 * len(cases) + 1, "every run has ended"
 
 
 def test_a_library_that_does_not_return_is_reported_and_ends_with_ctrl_c(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(guarded, "LOOK", 0.05)
-    monkeypatch.setattr(guarded, "TELL_STALL", 0.1)
+    monkeypatch.setattr(guarded, "REPORT_STALL", 0.1)
 
     def work(progress: CData) -> int:
         progress.doing, progress.loop.tick = Doing.STEP, 12
@@ -556,8 +558,8 @@ def test_a_library_that_does_not_return_is_reported_and_ends_with_ctrl_c(
     threading.Timer(0.6, signal.raise_signal, [signal.SIGINT]).start()
     with pytest.raises(KeyboardInterrupt):
         guarded.guarded("mine.so", work)
-    said = capfd.readouterr().err
-    assert said == (
+    printed = capfd.readouterr().err
+    assert printed == (
         "mine.so, tick 12: step has not returned for 0.1 s; Ctrl-C ends it\n"
         "mine.so, tick 12: ended by a signal\n"
     )
@@ -580,15 +582,15 @@ def test_the_command_reports_and_lasts_as_long_as_its_table(
     table = tmp_path / "table.csv"
     table.write_text(NO_TABLE)
     arguments = ("run", "three_axis", "--targets", table)
-    said = []
+    printed = []
     for more in (("--servo", build()), ()):
         exit_code, out, err = command(monkeypatch, capfd, *arguments, *more)
         assert (exit_code, err) == (0, ""), err
         lines = out.splitlines()
         assert lines[0].startswith("scene three_axis: 2 s of logical time in "), out
         assert [line.split()[0] for line in lines[1:]] == ["real-time", "tool", "energy"], out
-        said.append(lines[2:])
-    assert said[0] == said[1], "tool and energy, of the library and of our servo"
+        printed.append(lines[2:])
+    assert printed[0] == printed[1], "tool and energy, of the library and of our servo"
     for words, more in (
         ("run: --servo must come with --targets", ["--servo", build()]),
         ("run: --displacement must stand without", ["--targets", table, "--displacement", 0, 0, 0]),
@@ -624,10 +626,12 @@ def test_a_debugger_changes_no_bit(stops: int, build: Callable[..., Path], tmp_p
     orders = ["set breakpoint pending on", "break step", "run", f"continue {stops}"]
     orders += ["print in->time", "delete", "continue"]
     gdb = ["gdb", "-batch", *(word for order in orders for word in ("-ex", order)), "--args"]
-    told = [
+    reported = [
         subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout
         for command in (words, [*gdb, *words])
     ]
-    assert f"= {stops * 1_000_000}" in told[1], "logical time in the step [ns]"
-    ends = [[line for line in text.splitlines() if line[:4] in ("tool", "ener")] for text in told]
+    assert f"= {stops * 1_000_000}" in reported[1], "logical time in the step [ns]"
+    ends = [
+        [line for line in text.splitlines() if line[:4] in ("tool", "ener")] for text in reported
+    ]
     assert len(ends[0]) == 2 and ends[0] == ends[1], "tool and energy at the end"

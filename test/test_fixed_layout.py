@@ -83,11 +83,11 @@ def test_numbers_are_written_and_read_where_rclpy_has_them(kind: type) -> None:
     draw = random.Random(kind.__name__)
     for _ in range(100):
         message = random_message(draw, kind)
-        said, heard = FixedLayout(message), FixedLayout(message)
+        printed, heard = FixedLayout(message), FixedLayout(message)
         for _ in range(3):
             renumber(draw, message)
-            fill(said.message, message)
-            assert deserialize_message(said.data(), kind) == message, "written"
+            fill(printed.message, message)
+            assert deserialize_message(printed.data(), kind) == message, "written"
             assert heard.take(serialize_message(message)), "the same names and lengths"
             assert_same(heard.message, message)
 

@@ -127,7 +127,9 @@ def test_limits_and_locks_are_met_in_lanes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("way", ["it turns too far in a step", "its gear is too stiff"])
-def test_an_arm_that_diverges_is_told_and_touches_no_neighbour(way: str, tmp_path: Path) -> None:
+def test_an_arm_that_diverges_is_reported_and_touches_no_neighbour(
+    way: str, tmp_path: Path
+) -> None:
     """It stays at the last sound state, as alone; the bits of all others are as without it."""
     rng = np.random.default_rng(8)
     stiff = "stiff" in way

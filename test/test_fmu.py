@@ -68,10 +68,10 @@ def plant(scene: Scene, fmu: Fmu) -> Plant:
 
 
 def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
-    """Compare all that the unit tells, bit by bit."""
+    """Compare all that the unit reports, bit by bit."""
     state, measured = plant.state, plant.measured
-    told: dict[str, Any] = {name: getattr(measured, name) for name in MEASURED}
-    told |= {
+    reported: dict[str, Any] = {name: getattr(measured, name) for name in MEASURED}
+    reported |= {
         "encoder_counts": measured.encoder_counts,
         "current_d": plant.current_d,
         "applied": plant.voltage,
@@ -89,8 +89,8 @@ def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
         "faults": measured.faults,
     }
     outputs = {n for n, v in one.fmu.variables.items() if v.attrib["causality"] == "output"}
-    assert outputs == set(told), "every output is compared"
-    for name, value in told.items():
+    assert outputs == set(reported), "every output is compared"
+    for name, value in reported.items():
         got = one.get(name)
         assert np.array_equal(got, np.atleast_1d(value)), (name, plant.t, got, value)
     # A product here, a sum there.
@@ -100,7 +100,7 @@ def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
 def set_all(one: Instance, values: dict[str, Any]) -> None:
     """Set variables; all are taken."""
     for name, value in values.items():
-        assert one.set(name, value) == OK, one.said
+        assert one.set(name, value) == OK, one.printed
 
 
 def random_inputs(rng: np.random.Generator) -> dict[str, Any]:
@@ -122,7 +122,7 @@ def moved(fmu: Fmu, seed: int, periods: int = 20) -> Instance:
     one = Instance(fmu)
     set_all(one, {"start.q": rng.normal(0.0, 0.3, len(NAMES)), **random_inputs(rng)})
     one.start()
-    assert one.step(periods * PERIOD) == OK, one.said
+    assert one.step(periods * PERIOD) == OK, one.printed
     return one
 
 
@@ -157,7 +157,7 @@ def test_a_unit_moves_as_plant_does_to_the_last_bit(fmu: Fmu, plant: Plant, seed
         if rng.random() < 0.2:
             vary()
         periods = int(rng.integers(1, 6))
-        assert one.step(periods * PERIOD) == OK, one.said
+        assert one.step(periods * PERIOD) == OK, one.printed
         for _ in range(periods):
             plant.exchange(inputs["command"], voltage_d=inputs["command_d"])
         compare(one, plant, start)
@@ -178,7 +178,7 @@ def test_a_state_that_was_kept_goes_on_with_equal_bits(fmu: Fmu, seed: int) -> N
             instance.start()
         if seed % 5 != 1:
             set_all(instance, inputs)
-            assert instance.step(7 * PERIOD) == OK, instance.said
+            assert instance.step(7 * PERIOD) == OK, instance.printed
         return instance.everything()
 
     inputs = random_inputs(rng)
@@ -186,7 +186,7 @@ def test_a_state_that_was_kept_goes_on_with_equal_bits(fmu: Fmu, seed: int) -> N
     others = [one, Instance(fmu), moved(fmu, seed + 100)]
     others[1].call("DoStep", 0.0, 1.0, True, None, None, None, None)  # an error; it is over
     for other in others:
-        assert other.restore(saved) == OK, other.said
+        assert other.restore(saved) == OK, other.printed
         assert other.save() == saved, "what comes back is what was kept"
         assert go_on(other) == wanted, "it goes on with equal bits"
 
@@ -206,14 +206,14 @@ def test_a_reset_makes_it_new(fmu: Fmu) -> None:
     rng = np.random.default_rng(3)
     one, new = moved(fmu, 3), Instance(fmu)
     set_all(one, {"power": False, MASS: 3.0})
-    assert one.step(PERIOD) == OK, one.said
-    assert one.call("Reset") == OK, one.said
+    assert one.step(PERIOD) == OK, one.printed
+    assert one.call("Reset") == OK, one.printed
     assert one.everything() == new.everything(), "all start values are there again"
     inputs = random_inputs(rng)
     for instance in (one, new):
         instance.start()
         set_all(instance, inputs)
-        assert instance.step(20 * PERIOD) == OK, instance.said
+        assert instance.step(20 * PERIOD) == OK, instance.printed
     assert one.everything() == new.everything(), "it moves as a new one"
 
 
@@ -233,7 +233,7 @@ def test_what_is_not_finite_is_discarded_and_nothing_changes(fmu: Fmu, bad: floa
             values = rng.normal(0.0, 1.0, fmu.size(name))
             values[int(rng.integers(len(values)))] = bad
             assert one.set(name, values) == DISCARD, name
-            assert "be finite" in one.said[-1][2], "the reason is told"
+            assert "be finite" in one.printed[-1][2], "the reason is reported"
             assert one.save() == before, f"{name} changed something"
 
 
@@ -247,12 +247,12 @@ def test_what_is_out_of_bounds_is_discarded(fmu: Fmu) -> None:
         ("external.force", [1e10] + [0.0] * 5, "at most 1e9"),
     ):
         assert one.set(name, value) == DISCARD, name
-        assert rule in one.said[-1][2], one.said[-1]
+        assert rule in one.printed[-1][2], one.printed[-1]
     assert one.save() == before, "nothing changed"
     assert one.set("start.q", [0.0, 0.0]) == ERROR, "it has begun"
     early = Instance(fmu)
-    assert early.set("start.q", [1e9, 0.0]) == DISCARD, early.said
-    assert early.set("start.v", [0.0, -1e7]) == DISCARD, early.said
+    assert early.set("start.q", [1e9, 0.0]) == DISCARD, early.printed
+    assert early.set("start.v", [0.0, -1e7]) == DISCARD, early.printed
 
 
 def random_lengths(seed: int) -> list[float]:
@@ -296,7 +296,7 @@ def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
         inputs = {"command": drawn["command"], "command_d": drawn["command_d"], MASS: mass}
         set_all(one, inputs)
         held = held or inputs
-        assert one.step(length) == OK, one.said
+        assert one.step(length) == OK, one.printed
         time += Fraction(length)
         while held and time >= (ticks + 1) * period - rounding:
             let_go_on(held)
@@ -316,8 +316,8 @@ def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
 def test_a_step_beyond_all_bounds_is_discarded(fmu: Fmu) -> None:
     one = moved(fmu, 6)
     before = one.save()
-    assert one.step(1e300) == DISCARD, one.said
-    assert "must be at most" in one.said[-1][2], one.said[-1]
+    assert one.step(1e300) == DISCARD, one.printed
+    assert "must be at most" in one.printed[-1][2], one.printed[-1]
     assert one.save() == before, "nothing changed"
     assert one.step(PERIOD) == OK, "it goes on"
 
@@ -335,8 +335,8 @@ def test_a_step_can_return_early(fmu: Fmu, plant: Plant, until: float) -> None:
     one.start()
     set_all(one, {"command": [3.0, 4.0]})
     end = (5.0 + until) * PERIOD
-    assert one.step(100.6 * PERIOD) == OK, one.said
-    assert one.early == (until < 95.0), "it tells that it came back early"
+    assert one.step(100.6 * PERIOD) == OK, one.printed
+    assert one.early == (until < 95.0), "it reports that it came back early"
     ended = one.get("time")[0]
     assert ended == pytest.approx(min(end, 100.6 * PERIOD), abs=1e-12), "where it ended"
     plant.reset(plant.scene.start)
@@ -344,11 +344,11 @@ def test_a_step_can_return_early(fmu: Fmu, plant: Plant, until: float) -> None:
         plant.exchange([3.0, 4.0])
         assert (time, q) == (pytest.approx(plant.t), plant.state.q[0]), "what was seen at a tick"
     one.time = ended
-    assert one.step(20.0 * PERIOD) == OK, one.said
+    assert one.step(20.0 * PERIOD) == OK, one.printed
     patient = Instance(fmu)
     patient.start()
     set_all(patient, {"command": [3.0, 4.0]})
-    assert patient.step(one.get("time")[0]) == OK, patient.said
+    assert patient.step(one.get("time")[0]) == OK, patient.printed
     assert np.array_equal(one.get("truth.q"), patient.get("truth.q")), "it goes on"
 
 
@@ -358,29 +358,29 @@ def test_a_step_can_be_ended_from_another_thread(fmu: Fmu) -> None:
     with ThreadPoolExecutor(1) as threads:
         step = threads.submit(one.step, 1e9)  # some weeks
         sleep(0.2)
-        assert one.call("Terminate") == OK, one.said
-        assert step.result(timeout=30.0) == DISCARD, one.said
+        assert one.call("Terminate") == OK, one.printed
+        assert step.result(timeout=30.0) == DISCARD, one.printed
     assert 0.0 < one.get("time")[0] < 1e9, "where it ended"
     assert one.step(PERIOD) == ERROR, "it is over"
-    assert one.call("Reset") == OK, one.said
+    assert one.call("Reset") == OK, one.printed
 
 
 def test_steps_are_taken_as_importers_compute_them(fmu: Fmu) -> None:
     """As a constant, as a difference of times, as times that are summed up."""
     wanted, start = Instance(fmu), 1e4 + 0.1
     wanted.start(start)
-    assert wanted.step(3000 * PERIOD) == OK, wanted.said
+    assert wanted.step(3000 * PERIOD) == OK, wanted.printed
     differences, summed = Instance(fmu), Instance(fmu)
     for one in (differences, summed):
         one.start(start)
     for k in range(3000):
         now, then = start + k * PERIOD, start + (k + 1) * PERIOD
         differences.time = now
-        assert differences.step(then - now) == OK, differences.said
+        assert differences.step(then - now) == OK, differences.printed
     time = start
     for _ in range(3000):
         summed.time = time
-        assert summed.step(PERIOD) == OK, summed.said
+        assert summed.step(PERIOD) == OK, summed.printed
         time += PERIOD
     assert differences.everything() == wanted.everything() == summed.everything(), "equal bits"
 
@@ -393,12 +393,12 @@ def test_a_step_that_cannot_be_is_an_error(fmu: Fmu, at: float, step: float) -> 
     one = Instance(fmu)
     one.start(stop=0.01)
     one.time = at
-    assert one.step(step) == ERROR, one.said
+    assert one.step(step) == ERROR, one.printed
     assert one.call("DoStep", 0.0, PERIOD, True, *[None] * 4) == ERROR, "it is over"
     assert one.call("Reset") == OK, "a reset helps"
 
 
-def test_a_divergence_is_told_and_hurts_nobody_else(fmu: Fmu) -> None:
+def test_a_divergence_is_reported_and_hurts_nobody_else(fmu: Fmu) -> None:
     other, wanted = moved(fmu, 7), moved(fmu, 7)
     one = Instance(fmu, logging=False)
     set_all(one, {"start.v": [9e5, 9e5], MASS: 1e15})
@@ -408,20 +408,20 @@ def test_a_divergence_is_told_and_hurts_nobody_else(fmu: Fmu) -> None:
     for _ in range(1000):
         status = status or one.step(PERIOD)
     assert status == ERROR, "it diverges"
-    last, category, text = one.said[-1]
-    assert (last, category) == (ERROR, "logStatusError"), "told, though logging is off"
+    last, category, text = one.printed[-1]
+    assert (last, category) == (ERROR, "logStatusError"), "reported, though logging is off"
     assert "diverged" in text, text
     for values in map(one.get, ("truth.q", "truth.v", "truth.energy")):
-        assert np.isfinite(values).all(), "the last sound state is told"
+        assert np.isfinite(values).all(), "the last sound state is reported"
     assert one.step(PERIOD) == ERROR, "it is over"
-    assert other.step(5 * PERIOD) == OK, other.said
-    assert wanted.step(5 * PERIOD) == OK, wanted.said
+    assert other.step(5 * PERIOD) == OK, other.printed
+    assert wanted.step(5 * PERIOD) == OK, wanted.printed
     assert other.everything() == wanted.everything(), "the others do not notice"
-    assert one.call("Reset") == OK, one.said
+    assert one.call("Reset") == OK, one.printed
     new = Instance(fmu)
     for instance in (one, new):
         instance.start()
-        assert instance.step(5 * PERIOD) == OK, instance.said
+        assert instance.step(5 * PERIOD) == OK, instance.printed
     assert one.everything() == new.everything(), "a reset makes it sound again"
 
 
@@ -433,7 +433,7 @@ def test_instances_in_threads_do_not_notice_each_other(fmu: Fmu) -> None:
         rng = np.random.default_rng(seed)
         for _ in range(20):
             set_all(one, random_inputs(rng))
-            assert one.step(50 * PERIOD) == OK, one.said
+            assert one.step(50 * PERIOD) == OK, one.printed
         return one.everything()
 
     alone = [drive(seed) for seed in range(4)]
@@ -446,15 +446,15 @@ def test_brakes_and_drives_obey(fmu: Fmu) -> None:
     one = Instance(fmu)
     one.start()
     set_all(one, {"command": [5.0, 5.0]})
-    assert one.step(10 * PERIOD) == OK, one.said
+    assert one.step(10 * PERIOD) == OK, one.printed
     assert one.get("applied").tolist() == [5.0, 5.0], "enabled"
     assert not one.get("brake_closed").any(), "a brake opens with its drive"
     set_all(one, {"close_brake": [True, False], "enable": [True, False]})
-    assert one.step(10 * PERIOD) == OK, one.said
+    assert one.step(10 * PERIOD) == OK, one.printed
     assert one.get("brake_closed").tolist() == [True, False], "a brake closes"
     assert one.get("applied").tolist() == [5.0, 0.0], "a drive is off"
     set_all(one, {"power": False})
-    assert one.step(PERIOD) == OK, one.said
+    assert one.step(PERIOD) == OK, one.printed
     assert not one.get("powered")[0] and not one.get("applied").any(), "no power"
 
 
@@ -478,11 +478,11 @@ def test_calls_in_the_wrong_mode_are_errors(fmu: Fmu, mode: str) -> None:
     for name, arguments in CALLS.items():
         one = Instance(fmu)
         for before in way[: list(ALLOWED).index(mode)]:
-            assert one.call(before, *CALLS[before]) == OK, one.said
+            assert one.call(before, *CALLS[before]) == OK, one.printed
         wanted = OK if name in ALLOWED[mode] else ERROR
         assert one.call(name, *arguments) == wanted, (mode, name)
         if wanted == ERROR:
-            assert mode[:4] in one.said[-1][2], "the message tells the mode"
+            assert mode[:4] in one.printed[-1][2], "the message reports the mode"
             assert one.set("command", [0.0, 0.0]) == ERROR, "after an error nothing can be set"
             assert len(one.get("truth.q")) == 2, "but looked at"
 
@@ -498,17 +498,17 @@ def test_null_instances_and_wrong_tokens_are_refused(fmu: Fmu) -> None:
 
 def test_messages_go_to_their_categories(fmu: Fmu) -> None:
     one = moved(fmu, 8)
-    assert {category for _, category, _ in one.said} == {"logEvents"}, one.said
+    assert {category for _, category, _ in one.printed} == {"logEvents"}, one.printed
     chosen = (ctypes.c_char_p * 1)(b"logStatusDiscard")
-    assert one.call("SetDebugLogging", False, 1, chosen) == OK, one.said
-    count = len(one.said)
-    assert one.step(1e300) == DISCARD, one.said
-    assert len(one.said) == count, "switched off"
-    assert one.call("SetDebugLogging", True, 0, None) == OK, one.said
-    assert one.step(1e300) == DISCARD, one.said
-    assert one.said[-1][1] == "logStatusDiscard", one.said
+    assert one.call("SetDebugLogging", False, 1, chosen) == OK, one.printed
+    count = len(one.printed)
+    assert one.step(1e300) == DISCARD, one.printed
+    assert len(one.printed) == count, "switched off"
+    assert one.call("SetDebugLogging", True, 0, None) == OK, one.printed
+    assert one.step(1e300) == DISCARD, one.printed
+    assert one.printed[-1][1] == "logStatusDiscard", one.printed
     unknown = (ctypes.c_char_p * 1)(b"logAnything")
-    assert one.call("SetDebugLogging", True, 1, unknown) == ERROR, one.said
+    assert one.call("SetDebugLogging", True, 1, unknown) == ERROR, one.printed
 
 
 def test_any_calls_in_any_order_hurt_nobody(fmu: Fmu) -> None:

@@ -120,7 +120,7 @@ def test_the_core_is_clean_under_its_sanitizers(tmp_path: Path) -> None:
     ids=["array", "last of a struct"],
 )
 def test_the_sanitizers_find_what_they_look_for(source: str, tmp_path: Path) -> None:
-    """The compiler that is used is one that would tell, of an array within a struct, too."""
+    """The compiler that is used is one that would report, of an array within a struct, too."""
     unit, library = tmp_path / "unit.cpp", tmp_path / "unit.so"
     unit.write_text(source)
     environment = cores.environment(tmp_path)

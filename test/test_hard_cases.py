@@ -1,4 +1,4 @@
-"""Machines that break integrators: held, or detected and told; never numbers past divergence."""
+"""Machines that break integrators: held, or detected and reported, no numbers past divergence."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ def test_report_shows_every_outcome() -> None:
         "verdict": DETECTED,
     }
     case = {"name": "a case", "truth": "a truth", "measured": "error", "outcomes": [outcome]}
-    told = report({"cases": [case]})
-    assert "| paper | detected, elbow after 2 s |" in told, told
+    reported = report({"cases": [case]})
+    assert "| paper | detected, elbow after 2 s |" in reported, reported
 
 
 # Bounded everywhere
@@ -193,7 +193,7 @@ def test_no_sound_motion_is_taken_for_a_divergence(scheme: str, overrides: dict[
         plant.advance(rng.uniform(-48.0, 48.0, 3), 300)
 
 
-def test_the_text_says_which_joint_when_and_what_holds() -> None:
+def test_the_text_states_which_joint_when_and_what_holds() -> None:
     plant = Plant(paper(1.25e-3))
     words = (
         r"joint (waist|shoulder|elbow) diverged after t = 0\.\d+ s with scheme paper at "
@@ -202,41 +202,41 @@ def test_the_text_says_which_joint_when_and_what_holds() -> None:
         r"this: paper at dt = (0\.00\d+) s held \([0-9.]+ s\), "
         r"rosenbrock at dt = 0\.00125 s held \([0-9.]+ s\)"
     )
-    with pytest.raises(Diverged) as told:
+    with pytest.raises(Diverged) as reported:
         drive(plant, 300)
-    told.value.hint = what_holds(told.value)
-    found = re.search(words, str(told.value))
-    assert found, told.value
+    reported.value.hint = what_holds(reported.value)
+    found = re.search(words, str(reported.value))
+    assert found, reported.value
     assert 1e-3 < float(found[2]) < 1.25e-3, "the largest step that holds"
     drive(Plant(paper(1e-2 / 9)), 300)  # 1.11 ms does hold
 
 
-def test_a_motion_too_fast_for_its_step_is_told_as_such() -> None:
+def test_a_motion_too_fast_for_its_step_is_reported_as_such() -> None:
     plant = Plant(paper(1e-3))
     plant.reset(v=[5000.0, 0.0, 0.0])
-    with pytest.raises(Diverged) as told:
+    with pytest.raises(Diverged) as reported:
         plant.advance([0.0, 0.0, 0.0], 10)
-    hint = what_holds(told.value)
+    hint = what_holds(reported.value)
     assert "the motion is too fast for the step, 5 rad or m per step" in hint, hint
 
 
 @pytest.mark.parametrize("seed", some(range(5), 1))
-def test_what_is_told_to_hold_holds_under_the_voltage_at_hand(seed: int) -> None:
+def test_what_is_reported_to_hold_holds_under_the_voltage_at_hand(seed: int) -> None:
     """Of 20 such cures by small motions alone, 5 ended as another divergence."""
     rng = np.random.default_rng([seed, 21])
     stiffness = {f"joints.{joint}.gear.stiffness": float(10 ** rng.uniform(4.0, 5.0))
                  for joint in ("waist", "shoulder", "elbow")}  # fmt: skip
     overrides = {"varied": ["joints.*.gear.stiffness"], **stiffness}
-    plant, told = Plant(paper(1e-3, **overrides)), []
+    plant, reported = Plant(paper(1e-3, **overrides)), []
     for _ in range(20):
         plant.reset(rng.uniform(-2.0, 2.0, 3))
         try:
             plant.advance(rng.uniform(-48.0, 48.0, 3), 5000)
         except Diverged as fault:
             fault.hint = what_holds(fault)
-            told.append(fault)
-    assert told, "none diverged"
-    for fault in told:
+            reported.append(fault)
+    assert reported, "none diverged"
+    for fault in reported:
         cures = re.findall(r"(\w+) at dt = ([-0-9.e]+) s held", fault.hint)
         assert {scheme for scheme, _ in cures} == {"paper", "rosenbrock"}, str(fault)
         for scheme, dt in cures:
@@ -276,7 +276,7 @@ def test_advice_is_what_was_tried() -> None:
         4,
     ),
 )
-def test_small_motions_hold_up_to_the_step_that_is_told(overrides: dict[str, Any]) -> None:
+def test_small_motions_hold_up_to_the_step_that_is_reported(overrides: dict[str, Any]) -> None:
     """A push of 1e-6 rad/s on a resting arm: it fades below the largest step and grows above."""
     plant = Plant(paper(1e-2, **overrides))
     motions = SmallMotions(plant, plant.scene.start)
@@ -287,7 +287,7 @@ def test_small_motions_hold_up_to_the_step_that_is_told(overrides: dict[str, Any
         low, high = (middle, high) if motions.holds("paper", middle) else (low, middle)
     assert low > 1e-6 and high < 1e-2, f"the largest step is looked for up to {low:.2g} s"
     largest = motions.largest_step("paper")
-    assert largest is not None and largest <= low, "the step that is told, and the largest"
+    assert largest is not None and largest <= low, "the step that is reported, and the largest"
     steps = round(1e-2 / largest)  # a divisor of the period, sought to 2 %
     assert 1e-2 / (0.98 * steps - 1.0) > low, "the next step, and the largest"
     speeds = []

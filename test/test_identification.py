@@ -53,8 +53,8 @@ def slips() -> dict[str, MeasuredRun]:
     """Every sign, every pair of axes, and units, in an order drawn at random."""
     q, tau = RUN_A.q_motor, RUN_A.tau
     made = {
-        "degrees told as radians": other(q_motor=np.degrees(q)),
-        "radians told as degrees": other(q_motor=np.radians(q)),
+        "degrees reported as radians": other(q_motor=np.degrees(q)),
+        "radians reported as degrees": other(q_motor=np.radians(q)),
         "torques at the links": other(tau=tau / RATIO),
         "torques in N mm": other(tau=1e3 * tau),
     }
@@ -82,16 +82,16 @@ SLIPS = slips()
 def test_a_record_with_a_slip_is_refused_by_its_name(slip: str) -> None:
     with pytest.raises(Refusal) as refusal:
         look_over(SLIPS[slip])
-    says = str(refusal.value)
+    answer = str(refusal.value)
     what = {"degrees": "angles", "radians": "angles", "torques": "torques", "torque": "axis"}
-    assert what.get(slip.split(maxsplit=1)[0], "axis") in says, f"{slip}: {says}"
+    assert what.get(slip.split(maxsplit=1)[0], "axis") in answer, f"{slip}: {answer}"
     if slip.endswith("swapped"):
         i, j = (int(number) + 1 for number in slip.split()[1:3])
-        assert f"axis_{i}" in says or f"axis_{j}" in says, f"{slip}: {says}"
+        assert f"axis_{i}" in answer or f"axis_{j}" in answer, f"{slip}: {answer}"
 
 
 def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
-    """Records that are no measurement, each at places drawn at random, and what must be said."""
+    """Records that are no measurement, each at places drawn at random, and what must be stated."""
     K, j = len(RUN_A.t), int(rng.integers(6))
     moving = np.flatnonzero(np.abs(np.gradient(RUN_A.q_motor[:, j], 0.004)) > 0.1)
     at = int(rng.choice(moving[(moving > 300) & (moving < K - 300)]))
@@ -125,8 +125,8 @@ def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
 @pytest.mark.parametrize("kind", broken(np.random.default_rng(0)))
 def test_a_record_that_is_none_is_refused_with_its_place(kind: str) -> None:
     for seed in some(range(20), 2):
-        run, says = broken(np.random.default_rng(seed))[kind]
-        with pytest.raises(Refusal, match=says):
+        run, answer = broken(np.random.default_rng(seed))[kind]
+        with pytest.raises(Refusal, match=answer):
             look_over(run)
 
 
@@ -185,7 +185,7 @@ def test_the_shipped_machine_is_what_identify_makes_of_run_a(
             assert one.body.mass == pytest.approx(same.body.mass, rel=0.03), one.name
 
 
-def test_truth_lies_within_the_confidence_told() -> None:
+def test_truth_lies_within_the_confidence_reported() -> None:
     """Of records that the emulator made; bench/identification.py takes 50 of them."""
     scene = truth()
     every = np.concatenate([off(scene, seed) for seed in some(range(50), 6)])
@@ -215,9 +215,9 @@ def test_free_runs_find_what_a_pendulum_is(tmp_path: Path) -> None:
     first = fit_torques(model, data, fitted)
     # As if the first stage had found a fifth less of what there is to find.
     begun = dataclasses.replace(first, values=0.8 * first.values + 0.2 * model.start)
-    said = list[str]()
-    found = fit_free_runs(begun, known, record, said.append)
-    ends = [float(line.split("end ")[1].split()[0]) for line in said]
+    printed = list[str]()
+    found = fit_free_runs(begun, known, record, printed.append)
+    ends = [float(line.split("end ")[1].split()[0]) for line in printed]
     assert ends[-1] < 0.5 * ends[0], f"free runs end {ends} % off"
     numbers = {one.name: one for one in numbers_found(known, found)}
     weight = numbers["links.joint_link.moment_x"]

@@ -156,7 +156,7 @@ def test_jacobians_of_published_robots_are_the_derivatives_of_their_forward_kine
         try:
             kinematics = Kinematics(read_urdf(file), names, tool, "pose")
         except Refusal:
-            continue  # no moving joint, or more than a chain: told in other tests
+            continue  # no moving joint, or more than a chain: reported in other tests
         robots += 1
         for _ in range(3):
             q = rng.uniform(np.maximum(kinematics.lower, -3.0), np.minimum(kinematics.upper, 3.0))
@@ -213,7 +213,7 @@ def test_base_and_reach() -> None:
 def test_one_instruction_halves_a_small_error(
     controller: JacobianController, q: np.ndarray
 ) -> None:
-    """With w = 1/2, and joints that stand where they are told to."""
+    """With w = 1/2, and joints that stand where they are asked to."""
     rng = np.random.default_rng(2)
     for _ in range(10):
         twist = 1e-6 * rng.normal(size=6)
@@ -303,7 +303,7 @@ def test_limits_that_are_none_are_refused(key: str, value: str) -> None:
 # Near singular poses, and limits
 
 
-def test_singular_pose_stays_finite_and_is_told() -> None:
+def test_singular_pose_stays_finite_and_is_reported() -> None:
     """Stretched, no joint moves the tool along the arm; above the waist, none moves it aside."""
     controller = three_axis(step_limit=10.0)
     for q in ([0.3, 0.5, 0.0], [0.3, 0.0, 0.0], [0.3, 0.4, math.pi]):
@@ -358,7 +358,7 @@ def test_long_step_is_shortened_as_a_whole() -> None:
     assert "shortened to 0.01 rad" in limited.notices[0]
 
 
-def test_joint_limits_hold_and_are_told_in_words() -> None:
+def test_joint_limits_hold_and_are_reported_in_words() -> None:
     controller = arm(6, singular_below=1e-6)  # the poses here are not far from singular ones
     q = bent(6)
     q[2] = 1.999
@@ -557,7 +557,7 @@ def test_fig_4_ten_millimetres(axis: int, sign: int) -> None:
     assert np.allclose(deviations[0], way, rtol=0, atol=1e-12)
     assert np.linalg.norm(deviations[20:], axis=1).max() < 0.01 * 0.010
     assert (np.abs(deviations[25:]) < bound.encoder).all()
-    assert bound.encoder.max() < 1e-4  # m; a bound that says something
+    assert bound.encoder.max() < 1e-4  # m; a bound that states something
 
 
 def test_residual_stays_within_the_bound_and_the_bound_is_tight() -> None:

@@ -116,7 +116,7 @@ def test_every_scheme_keeps_its_order(
 
 
 def test_a_slow_link_is_off_by_the_error(drawn_machine: tuple[Path, dict[str, Any]]) -> None:
-    """Without load the link is where ratio and error say, at any angle of the motor."""
+    """Without load the link is where ratio and error state, at any angle of the motor."""
     file, joint = drawn_machine
     plant = with_steps(file, 80)
     waves, Ng = joint["gear"]["kinematic_error"], joint["gear"]["ratio"]

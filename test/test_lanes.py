@@ -108,8 +108,8 @@ def test_lanes_move_as_single_arms(machine: Scene) -> None:
             assert ((lane.omega_m == 0.0) == (one.omega_m == 0.0)).all(), f"arm {arm} sticks"
             stuck[arm] += one.omega_m == 0.0
             hot = plant.winding_temperatures
-            told = fleet[arm].winding_temperatures
-            assert told == pytest.approx(hot, rel=1e-9, nan_ok=True), f"heat of arm {arm}"
+            reported = fleet[arm].winding_temperatures
+            assert reported == pytest.approx(hot, rel=1e-9, nan_ok=True), f"heat of arm {arm}"
             closed = plant.measured.brake_closed
             assert (fleet[arm].measured.brake_closed == closed).all(), f"brakes of arm {arm}"
     assert stuck[:, 0].any() and not stuck[:, 0].all(), "some rotors stick, others do not"

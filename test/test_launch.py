@@ -1,4 +1,4 @@
-"""How the nodes start, say no, and end: alone and together."""
+"""How the nodes start, state no, and end: alone and together."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ NODES = {
     "servo_node.node": ServoNode,
     "motion_controller_node.node": MotionControllerNode,
 }
-# Module and arguments after --ros-args, and what is said: first one of each node.
+# Module and arguments after --ros-args, and what is reported: first one of each node.
 REFUSED_NODES = [
     (("emulator_node.node", "-p", "scene:=nonesuch"), "arm_emulator: file nonesuch must exist"),
     (
@@ -79,7 +79,7 @@ REFUSED_NODES = [
         "node motion_controller: parameter weight must be a number from 1e-06 to 1.0, got 'half'",
     ),
 ]
-# What ROS itself does not take; it says a line of its own before.
+# What ROS itself does not take; it states a line of its own before.
 REFUSED_BY_ROS = [
     (
         ("servo_node.node", "--params-file", "nonesuch.yaml"),
@@ -130,11 +130,11 @@ def test_what_nodes_do_not_take_is_refused_in_these_words(monkeypatch: pytest.Mo
                     NODES[module]()
             finally:
                 rclpy.shutdown()
-            said = str(refusal.value)
-            assert said.startswith(words) and "\n" not in said, said
+            printed = str(refusal.value)
+            assert printed.startswith(words) and "\n" not in printed, printed
 
 
-def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
+def test_what_is_not_taken_is_reported_in_one_line_with_exit_code_2() -> None:
     file = find_config("three_axis", ".yaml", "servo")
     assert file.is_file(), f"{file} is what refusals name"
     nodes, ros, commands = some(REFUSED_NODES, 3), some(REFUSED_BY_ROS, 1), REFUSED_COMMANDS
@@ -144,9 +144,9 @@ def test_what_is_not_taken_is_told_in_one_line_with_exit_code_2() -> None:
     with own_domain():
         started = [(start(*command), command, words, lines) for command, words, lines in cases]
         for process, command, words, lines in started:
-            said, complaint = process.communicate(timeout=PATIENCE)
+            printed, complaint = process.communicate(timeout=PATIENCE)
             assert process.returncode == 2, (command, complaint)
-            assert said == "", command
+            assert printed == "", command
             *before, last = complaint.splitlines()
             assert last.startswith(words), complaint
             own = [line for line in before if not line.startswith("compiling ")]
@@ -195,21 +195,23 @@ def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(moment)
                 process.send_signal(stop)
-                said, complaint = process.communicate(timeout=PATIENCE)
+                printed, complaint = process.communicate(timeout=PATIENCE)
             finally:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
-            told = f"{command}, {stop.name} after {moment:.3f} s: {process.returncode} {complaint}"
+            reported = (
+                f"{command}, {stop.name} after {moment:.3f} s: {process.returncode} {complaint}"
+            )
             # What ends by itself may be done, or have left only Python's own end to do.
             ends_itself = command[1:] and command[1] in ("demo", "advise", "compile")
             finished = ends_itself and process.returncode in (0, -stop)
-            assert process.returncode == codes[stop] or finished, told
+            assert process.returncode == codes[stop] or finished, reported
             for word in ("Traceback", "Exception", "Error"):
-                assert word not in said + complaint, told
-            assert_nobody_left(process.pid, told)
+                assert word not in printed + complaint, reported
+            assert_nobody_left(process.pid, reported)
 
 
-def assert_nobody_left(session: int, told: str) -> None:
+def assert_nobody_left(session: int, reported: str) -> None:
     """Wait until no process of a session lives on."""
 
     def left() -> list[int]:
@@ -222,7 +224,7 @@ def assert_nobody_left(session: int, told: str) -> None:
 
     deadline = time.monotonic() + PATIENCE
     while found := left():
-        assert time.monotonic() < deadline, f"{told}; left: {found}"
+        assert time.monotonic() < deadline, f"{reported}; left: {found}"
         time.sleep(0.05)
 
 
@@ -322,7 +324,7 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(set_up: str, words: s
     command = [sys.executable, "-c", INTERRUPTED.format(set_up=set_up)]
     with own_domain():
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
-    assert (done.stdout, done.stderr) == (words, ""), "what it says"
+    assert (done.stdout, done.stderr) == (words, ""), "what it states"
 
 
 LOCKED_UP = """
@@ -340,7 +342,7 @@ def test_a_middleware_that_locks_up_does_not_keep_a_process(code: int) -> None:
     command = [sys.executable, "-c", LOCKED_UP.format(code=code)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == code, done.stderr
-    assert done.stdout == "ended, but for the middleware\n", "what it says"
+    assert done.stdout == "ended, but for the middleware\n", "what it states"
 
 
 # ---------------------------------------------------------------------------------- arm_emulator up
@@ -398,9 +400,9 @@ def wait(condition: Callable[[], bool], what: str) -> None:
 def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) -> None:
     with up(ignores_ctrl_c=True) as (launcher, _):
         launcher.send_signal(stop)
-        said, complaint = launcher.communicate(timeout=PATIENCE)
+        printed, complaint = launcher.communicate(timeout=PATIENCE)
         assert launcher.returncode == 0, complaint
-        assert said == "", "what it says"
+        assert printed == "", "what it states"
         assert "Traceback" not in complaint, complaint
 
 
@@ -408,9 +410,11 @@ def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) 
 def test_up_ends_all_when_one_ends(name: str) -> None:
     with up() as (launcher, children):
         next(child for child in children if node_of(child) == name).kill()
-        said, complaint = launcher.communicate(timeout=PATIENCE)
+        printed, complaint = launcher.communicate(timeout=PATIENCE)
         assert launcher.returncode == 128 + signal.SIGKILL, complaint
-        assert f"{name} ended with exit code {-signal.SIGKILL}; ending the others" in said, said
+        assert f"{name} ended with exit code {-signal.SIGKILL}; ending the others" in printed, (
+            printed
+        )
         assert "Traceback" not in complaint, complaint
 
 
@@ -420,13 +424,13 @@ def test_up_that_is_killed_leaves_no_node() -> None:
         launcher.wait(PATIENCE)
 
 
-def test_up_tells_of_a_node_that_cannot_start() -> None:
-    """The port of the Rerun stream is taken: the emulator says no, and the others end."""
+def test_up_reports_of_a_node_that_cannot_start() -> None:
+    """The port of the Rerun stream is taken: the emulator states no, and the others end."""
     with own_domain(), socket_on_a_port() as port:
         launcher = start("arm_emulator", "up", "three_axis", "--rerun-port", str(port))
-        said, complaint = launcher.communicate(timeout=PATIENCE)
+        printed, complaint = launcher.communicate(timeout=PATIENCE)
         assert launcher.returncode == 2, complaint
-        assert "emulator ended with exit code 2; ending the others" in said, said
+        assert "emulator ended with exit code 2; ending the others" in printed, printed
         assert f"{port}" in complaint and "Traceback" not in complaint, complaint
 
 

@@ -78,7 +78,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
 @pytest.fixture
 def cache(sound: Sound, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache, and the quick compiler."""
-    library_cache.say_once.cache_clear()
+    library_cache.report_once.cache_clear()
     folder = tmp_path / "cache"
     monkeypatch.setenv(CACHE_VARIABLE, str(folder))
     monkeypatch.setenv("CXX", sound.compiler)
@@ -154,10 +154,10 @@ def test_a_spoiled_library_is_never_loaded_but_made_anew(
         way = change(rng, file, sound)
         seen.add(way)
         assert library_of(sound.scene).arm_exchange, way
-        said = capsys.readouterr().err.splitlines()
-        assert len(said) == 2, (way, said)
-        assert said[0].startswith(f"arm_emulator: cached library {file} is not used: "), way
-        assert said[1].startswith("compiling scene one_link (1 joints) with "), way
+        printed = capsys.readouterr().err.splitlines()
+        assert len(printed) == 2, (way, printed)
+        assert printed[0].startswith(f"arm_emulator: cached library {file} is not used: "), way
+        assert printed[1].startswith("compiling scene one_link (1 joints) with "), way
         assert stat.S_ISREG(file.lstat().st_mode), way
         assert file.read_bytes() == sound.stored, way
         assert file.stat().st_uid == os.geteuid() and not file.stat().st_mode & 0o022, way
@@ -174,7 +174,7 @@ def test_every_cut_of_a_library_is_found_out(cache: Path, sound: Sound) -> None:
             library_cache.content(file)
 
 
-def test_a_folder_in_the_place_of_a_library_is_told(cache: Path, sound: Sound) -> None:
+def test_a_folder_in_the_place_of_a_library_is_reported(cache: Path, sound: Sound) -> None:
     cache.mkdir()
     (cache / sound.name / "precious").mkdir(parents=True)
     with pytest.raises(Refusal, match="take the compiled library, got Directory not empty"):
@@ -301,12 +301,14 @@ def test_only_a_folder_that_nobody_else_can_change_is_searched(
         planted.put(folder)
         monkeypatch.setenv(CACHE_VARIABLE, str(folder))
         core = library_of(sound.scene)
-        said = capsys.readouterr().err.splitlines()
+        printed = capsys.readouterr().err.splitlines()
         assert planted.ran() == (not wrong), (folder, wrong)
         assert (Path(core.file).parent == folder.resolve()) == (not wrong), (folder, wrong)
-        assert len(said) == bool(wrong), (folder, wrong, said)
+        assert len(printed) == bool(wrong), (folder, wrong, printed)
         if wrong:
-            assert said[0].startswith(f"arm_emulator: cache folder {folder} is passed over: "), said
+            assert printed[0].startswith(f"arm_emulator: cache folder {folder} is passed over: "), (
+                printed
+            )
         outcomes.append(wrong)
     assert len(set(outcomes)) >= (8 if ROOT else 5), set(outcomes)
 
@@ -359,10 +361,10 @@ def test_a_library_that_another_user_plants_in_the_temporary_folder_never_runs(
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert not planted.ran(), "what somebody else put there has run"
-    said = done.stderr.splitlines()
-    assert done.returncode == 1 and len(said) == 2, done.stderr
-    assert f"{folder} is passed over: {folder} belongs to user" in said[0], said
-    assert "cache folder must be writable" in said[1], said
+    printed = done.stderr.splitlines()
+    assert done.returncode == 1 and len(printed) == 2, done.stderr
+    assert f"{folder} is passed over: {folder} belongs to user" in printed[0], printed
+    assert "cache folder must be writable" in printed[1], printed
 
 
 @as_root
@@ -483,8 +485,8 @@ def test_a_library_compiled_into_a_folder_is_found_there(
         without.delenv("CXX")
         without.setenv("PATH", str(tmp_path / "a"))
         assert library_of(sound.scene).arm_exchange, "without a compiler"
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 2, f"a line for each compilation, got {said}"
+    printed = capsys.readouterr().err
+    assert len(printed.splitlines()) == 2, f"a line for each compilation, got {printed}"
 
     monkeypatch.setenv(CACHE_VARIABLE, str(cache))
     open_to_all = tmp_path / "open"
@@ -492,10 +494,10 @@ def test_a_library_compiled_into_a_folder_is_found_there(
     open_to_all.chmod(0o777)
     file = compile_ahead(sound.scene, "native", open_to_all / "c")[0]
     assert without_periods(file) == sound.stored[: -library_cache.SEAL_SIZE], "the library"
-    said = capsys.readouterr().err
-    assert f"no library is loaded from {file.parent} as it is: {open_to_all} can be wr" in said, (
-        said
-    )
+    printed = capsys.readouterr().err
+    assert (
+        f"no library is loaded from {file.parent} as it is: {open_to_all} can be wr" in printed
+    ), printed
     for nowhere in (file, file / "below"):
         with pytest.raises(Refusal, match=r"compile: the folder .* be writable, got (File|Not a)"):
             compile_ahead(sound.scene, "native", nowhere)
@@ -580,8 +582,8 @@ def test_the_command_lists_and_clears(cache: Path, sound: Sound) -> None:
         busy = arm_emulator("cache", "--clear")
         assert busy.returncode == 1 and f"{file.name} stays" in busy.stdout, busy.stdout
     cleared = arm_emulator("cache", "--clear").stdout
-    assert cleared == f"{cache}: 1 libraries removed\n", "what it says"
+    assert cleared == f"{cache}: 1 libraries removed\n", "what it states"
     assert [item.name for item in cache.iterdir()] == ["notes.txt"], "what stays"
     cache.chmod(0o777)
-    said = arm_emulator("cache").stdout
-    assert f"{cache}: not trusted" in said, said
+    printed = arm_emulator("cache").stdout
+    assert f"{cache}: not trusted" in printed, printed

@@ -41,7 +41,7 @@ def drawn_three_axis(
 
 
 @pytest.mark.parametrize("seed", some(range(1, 4), 2))
-def test_limited_motors_without_inductance_move_as_the_equations_say(seed: int) -> None:
+def test_limited_motors_without_inductance_move_as_the_equations_state(seed: int) -> None:
     """Rotors that start within a step: near at 1 ms, of second order where steps resolve them."""
     period = 0.02
     scene, voltages = drawn_three_axis(seed, "rosenbrock", 1e-3)

@@ -21,7 +21,7 @@ def test_little_memory_is_one_line(size: int) -> None:
         [sys.executable, "-m", "arm_emulator", "check-scene", "three_axis"],
         preexec_fn=limit, capture_output=True, text=True, timeout=120.0, check=False,
     )  # fmt: skip
-    said = done.stderr.splitlines()
-    assert done.returncode in (0, 1, 2) and len(said) == bool(done.returncode), done.stderr
+    printed = done.stderr.splitlines()
+    assert done.returncode in (0, 1, 2) and len(printed) == bool(done.returncode), done.stderr
     if done.returncode == 2:
-        assert said[0].startswith("arm_emulator: memory must suffice, got "), said
+        assert printed[0].startswith("arm_emulator: memory must suffice, got "), printed

@@ -72,7 +72,7 @@ def hoists(
 
 
 @pytest.mark.parametrize("scheme", some(SCHEMES, 1))
-def test_motors_need_what_the_efficiency_says_to_lift_and_to_lower(
+def test_motors_need_what_the_efficiency_states_to_lift_and_to_lower(
     tmp_path: Path, scheme: str
 ) -> None:
     """Behind an elastic gear (1 + mu) and (1 - mu) times the weight; behind a rigid one the load is
@@ -92,9 +92,11 @@ def test_motors_need_what_the_efficiency_says_to_lift_and_to_lower(
             before = plant.state.theta_m[:2]
             plant.advance([*(-10.0 * torque), 0.0], 10_000)
             moved = plant.state.theta_m[:2] - before
-            told = f"eta {eta}: elastic, rigid: {moved} rad under {torque / WEIGHTS} of the weights"
+            reported = (
+                f"eta {eta}: elastic, rigid: {moved} rad under {torque / WEIGHTS} of the weights"
+            )
             # A hundredth of the weight turns it by some rad; held, it yields as the link swings.
-            assert (np.abs(moved) < 0.05 if way == 0.0 else moved * way > 0.3).all(), told
+            assert (np.abs(moved) < 0.05 if way == 0.0 else moved * way > 0.3).all(), reported
 
 
 @pytest.mark.parametrize("mu", [0.1, 0.5])

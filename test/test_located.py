@@ -185,7 +185,7 @@ def test_the_balance_of_energy_closes_with_the_order_of_the_scheme() -> None:
     assert left[-1] < 1e-9, left
 
 
-def test_a_scene_without_energy_flow_tells_none() -> None:
+def test_a_scene_without_energy_flow_reports_none() -> None:
     plant = Plant(load_scene("three_axis"))
     for ask in (lambda: plant.powers(np.ones(3)), lambda: plant.advance_metered(np.ones(3), 10)):
         with pytest.raises(Refusal, match="energy_flow must be true in the scene, got false"):

@@ -127,7 +127,7 @@ def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
         p, o = aim.pose.position, aim.pose.orientation
         p.x, p.y, p.z = map(float, target.p_WT)
         o.x, o.y, o.z, o.w = map(float, target.quaternion())
-        one.say("tool_target", aim)
+        one.send("tool_target", aim)
         one.run_to(300)
         assert list(one.newest("joint_states").name) == ["elbow", "waist", "shoulder"]
         assert_same_bits(one.states, expected, 300)
@@ -169,12 +169,12 @@ def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(three_nodes: Shar
         user.wait("the run", lambda: user.tick >= 120)
         kill(user, nodes, "servo")
 
-        def told() -> bool:
+        def reported() -> bool:
             """Whether status and words agree; both may be of a tick that was waited for before."""
             words = f"waiting for the motor command that answers tick {user.status.tick}, for "
-            return user.status.waiting_time > 0.5 and bool(user.said("emulator", words))
+            return user.status.waiting_time > 0.5 and bool(user.printed("emulator", words))
 
-        user.wait("the wait to be told", told)
+        user.wait("the wait to be reported", reported)
         assert user.status.phase == EmulatorStatus.PHASE_WAITING and not user.status.answered
         tick = user.status.tick
         nodes.start("servo")
@@ -191,21 +191,23 @@ def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(
         user.wait("the run", lambda: user.tick >= 120)
         kill(user, nodes, "motion_controller")
 
-        def told() -> bool:
+        def reported() -> bool:
             words = f"waiting for the joint targets that answer t = {user.status.tick / 1000:g} s"
-            return user.status.waiting_time > 0.5 and bool(user.said("servo", words))
+            return user.status.waiting_time > 0.5 and bool(user.printed("servo", words))
 
-        user.wait("the wait to be told", told)
+        user.wait("the wait to be reported", reported)
         tick = user.status.tick
         assert tick % 50 == 0  # at the start of a motion period
         nodes.start("motion_controller")
         user.wait("the run to go on", lambda: user.tick >= tick + 150)
         assert_same_bits(user.motor_states(), offline("three_axis"), tick)
-        # The new one knows of no tool target and holds the arm, until it is told again.
-        user.wait("it to hold", lambda: user.said("motion_controller", "holding, no tool target"))
+        # The new one knows of no tool target and holds the arm, until it is reported again.
+        user.wait(
+            "it to hold", lambda: user.printed("motion_controller", "holding, no tool target")
+        )
         target = target_of("three_axis")
         user.send_tool_target(tuple(map(float, target.p_WT)))
-        user.wait("the tool", lambda: user.said("motion_controller", "moving the tool"))
+        user.wait("the tool", lambda: user.printed("motion_controller", "moving the tool"))
 
 
 def test_a_new_emulator_begins_anew_with_the_old_partners(three_nodes: SharedNetwork) -> None:
@@ -213,13 +215,13 @@ def test_a_new_emulator_begins_anew_with_the_old_partners(three_nodes: SharedNet
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 120)
         kill(user, nodes, "emulator")
-        user.wait("the servo to notice", lambda: user.said("servo", "no motor state for "))
+        user.wait("the servo to notice", lambda: user.printed("servo", "no motor state for "))
         assert nodes.process("servo").poll() is nodes.process("motion_controller").poll() is None
         user.forget()
         nodes.start("emulator")
         begin(user, target_of("three_axis"))
         user.wait("the new run", lambda: user.tick >= 300)
-        assert user.said("servo", "the emulator began anew")
+        assert user.printed("servo", "the emulator began anew")
         assert_same_bits(user.motor_states(), offline("three_axis"), 300)
 
 
@@ -252,7 +254,7 @@ def test_a_reset_while_the_servo_waits_for_targets(
 
         waiting = "waiting for the joint targets that answer t = "
         user.wait("t = 0", lambda: f"{waiting}0 s" in user.words["servo"])
-        user.wait("the first state, said again for late-comers", lambda: 0 in user.motor_states())
+        user.wait("the first state, stated again for late-comers", lambda: 0 in user.motor_states())
         answer(0.0)
         user.wait("t = 0.05", lambda: f"{waiting}0.05 s" in user.words["servo"])
         user.wait("tick 50", lambda: user.tick == 50)
@@ -326,9 +328,9 @@ def test_offline_refuses_periods_that_do_not_fit(change: dict[str, float], words
 
 def test_the_run_command_reports(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command("three_axis", 3.0, [0.0, 0.01, 0.0]) == 0
-    said = capsys.readouterr().out
-    assert "scene three_axis: 3 s of logical time in " in said
-    x, y, z = (float(mm) for mm in re.findall(r"[xyz] ([-+][\d.]+)", said))
+    printed = capsys.readouterr().out
+    assert "scene three_axis: 3 s of logical time in " in printed
+    x, y, z = (float(mm) for mm in re.findall(r"[xyz] ([-+][\d.]+)", printed))
     assert max(abs(x), abs(y), abs(z)) < 0.1  # of 10 mm; the encoders' residual is 0.07 mm
     with pytest.raises(Refusal, match="run: seconds must be at least"):
         run_command("three_axis", float("nan"), None)

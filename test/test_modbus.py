@@ -148,7 +148,7 @@ def test_registers_drive_the_machine_as_a_session_does(scene: Scene, seed: int) 
         count = 3 + 11 * N
         first = draw.randrange(N)
         new = [draw.randrange(0x10000) for _ in range(draw.randrange(1, N - first + 1))]
-        told = None
+        reported = None
         match draw.choice([6, 16, 23]):
             case 6:
                 new = new[:1]
@@ -157,21 +157,21 @@ def test_registers_drive_the_machine_as_a_session_does(scene: Scene, seed: int) 
             case 16:
                 master.write(2001 + first, *new)
             case 23:
-                told = master.exchange(1000, count, 2001 + first, new)
+                reported = master.exchange(1000, count, 2001 + first, new)
         words[first : first + len(new)] = new
         signed = np.array(words, np.uint16).astype(np.int16)
         truth.advance_under(signed * volt, tick)
-        told = told or master.read(1000, count)
+        reported = reported or master.read(1000, count)
         state = truth.measured
-        assert told[:3] == [registers.POWERED | registers.RUNNING, 0, tick + 1]
-        assert long_of(told[3 : 3 + 2 * N]) == state.encoder_counts.tolist()
-        assert long_of(told[3 + 2 * N : 3 + 4 * N]) == np.rint(state.current * 1e6).tolist()
-        assert told[3 + 4 * N : 3 + 5 * N] == words, "the command of the period that has passed"
+        assert reported[:3] == [registers.POWERED | registers.RUNNING, 0, tick + 1]
+        assert long_of(reported[3 : 3 + 2 * N]) == state.encoder_counts.tolist()
+        assert long_of(reported[3 + 2 * N : 3 + 4 * N]) == np.rint(state.current * 1e6).tolist()
+        assert reported[3 + 4 * N : 3 + 5 * N] == words, "the command of the period that has passed"
         assert master.read(2001, N, function=3) == words
     assert converter.session.plant.save() == truth.plant.save()
 
 
-def test_description_tells_scales(scene: Scene) -> None:
+def test_description_reports_scales(scene: Scene) -> None:
     master = Master(line_of(scene)[0])
     assert master.read(0, 4) == [1, 3, 15, 16960]  # 1 000 000 ns
     for joint, it in enumerate(scene.joints):
@@ -236,8 +236,10 @@ def test_only_what_is_for_this_station_is_answered(scene: Scene) -> None:
     assert converter.session.tick == 1 and converter.read(2001, 3) == [1, 2, 3]
     line.bring(sound(bytes.fromhex("01 03 0000 0001"))[:-1] + b"x")
     assert line.silence() == b"" and line.receiver.damaged == 1
-    told = {n: Master(line).ask(bytes.fromhex(f"08 {n:04x} 0000"))[3:] for n in (11, 12, 14, 15)}
-    assert {n: word[1] for n, word in told.items()} == {11: 4, 12: 1, 14: 5, 15: 2}
+    reported = {
+        n: Master(line).ask(bytes.fromhex(f"08 {n:04x} 0000"))[3:] for n in (11, 12, 14, 15)
+    }
+    assert {n: word[1] for n, word in reported.items()} == {11: 4, 12: 1, 14: 5, 15: 2}
     Master(line).ask(bytes.fromhex("08 000a 0000"))
     assert Master(line).ask(bytes.fromhex("08 000c 0000"))[3:] == b"\0\0", "cleared"
     assert Master(line).ask(bytes.fromhex("08 0000 1234")) == bytes.fromhex("08 0000 1234")
@@ -282,13 +284,13 @@ def test_line_takes_its_time(scene: Scene, seed: int) -> None:
     for _ in range(40):
         words = [draw.randrange(-9999, 9999) & 0xFFFF for _ in range(3)]
         count = draw.randrange(1, 10)
-        told = master.exchange(1000 + 1, 2 + count, 2001, words)
+        reported = master.exchange(1000 + 1, 2 + count, 2001, words)
         now += 19 * 11 / baud * 1e9 + silence  # 19 bytes ask
         while (truth.tick + 1) * period <= now:
             truth.advance_under(held, truth.tick)
             held = wanted
         wanted = np.array(words, np.uint16).astype(np.int16) * (48.0 / 32768)
-        assert told[:2] == [0, truth.tick], "the tick when the request was complete"
+        assert reported[:2] == [0, truth.tick], "the tick when the request was complete"
         now += (5 + 2 * (2 + count)) * 11 / baud * 1e9 + silence
         assert line.time == pytest.approx(now, abs=1.0)
     assert converter.session.plant.save() == truth.plant.save()
@@ -350,7 +352,7 @@ def test_reset_begins_anew(scene: Scene) -> None:
 
 
 class Recorder:
-    """Registers that tell what reached them."""
+    """Registers that report what reached them."""
 
     def __init__(self, converter: Converter) -> None:
         self._converter = converter
@@ -378,11 +380,11 @@ def test_no_wrong_value_is_accepted_from_a_line_with_errors(scene: Scene) -> Non
     answer = line.station.answer
     answered: list[bytes] = []
 
-    def answer_and_tell(request: bytes) -> bytes:
+    def answer_and_report(request: bytes) -> bytes:
         answered.append(answer(request))
         return answered[-1]
 
-    line.station.answer = answer_and_tell  # type: ignore[method-assign]
+    line.station.answer = answer_and_report  # type: ignore[method-assign]
     draw = random.Random(3)
     done = damaged_requests = damaged_replies = 0
     for _ in range(FRAMES):
@@ -567,8 +569,8 @@ def test_port_serves_in_lockstep_and_ends_on_ctrl_c(tmp_path: Path, scene: Scene
         termios.tcsetattr(port, termios.TCSANOW, settings)
         os.write(port, request)
         assert process.stderr is not None
-        told = "the master has set 9600 baud, this end has 115200: nothing gets through"
-        assert told in process.stderr.readline()
+        reported = "the master has set 9600 baud, this end has 115200: nothing gets through"
+        assert reported in process.stderr.readline()
         settings[4] = settings[5] = termios.B115200
         termios.tcsetattr(port, termios.TCSANOW, settings)
         expected = line.bring(request)

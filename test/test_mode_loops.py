@@ -116,8 +116,8 @@ def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
         ), line
 
 
-def test_it_swings_as_its_eigenvalues_say() -> None:
-    """What is withheld does swing, at the frequency and by the factor that the table tells."""
+def test_it_swings_as_its_eigenvalues_state() -> None:
+    """What is withheld does swing, at the frequency and by the factor that the table reports."""
     # Dry friction would hold small swings, which eigenvalues do not know.
     scene, servo = by_voltage({"joints.*.friction.coulomb": 0.0})
     loops = ModeLoops(scene, servo)
@@ -170,8 +170,8 @@ def drawn_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoCon
     )
     if not looped:  # a data sheet that is not this motor's: commands act more strongly, or less
         off = float(rng.choice([1.0, 0.8, 1.3, 1.7, 2.2]))
-        told = {key: off * numbers[key] for key in ("resistance", "inductance")}
-        servo = dataclasses.replace(servo, **told)
+        reported = {key: off * numbers[key] for key in ("resistance", "inductance")}
+        servo = dataclasses.replace(servo, **reported)
     loop = {"current_limit": 20.0, "current_loop": {"bandwidth": bandwidth}} if looped else {}
     joint = {"motor": numbers | loop, "gear": gear, "friction": {"viscous": 1.0}}
     keys = ["resistance", "inductance", "torque_constant", "back_emf_constant", "rotor_inertia"]
@@ -184,7 +184,7 @@ def drawn_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoCon
     return load_scene(file), ServoConfig(1e-3, 0.0, 1.0, 2.0, 48.0, (servo,))
 
 
-def test_drives_do_what_the_eigenvalues_say(tmp_path: Path) -> None:
+def test_drives_do_what_the_eigenvalues_state(tmp_path: Path) -> None:
     """In each loop, of motors slow and fast against the period: what grows does, nothing else."""
     rng = np.random.default_rng(4)
     held, grew = 0, 0

@@ -29,7 +29,7 @@ def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
         target.pose.position.x, target.pose.position.y, target.pose.position.z = map(float, p)
         target.pose.position.y += 0.01
         target.pose.orientation.w = 1.0
-        one.say("tool_path", ToolPath(poses=[target]))
+        one.send("tool_path", ToolPath(poses=[target]))
         one.run_to(150)
         one.write(bag)
     assert Bag(bag).topics["/motion/status"].definition, "the definition of its type is in the bag"

@@ -1,4 +1,4 @@
-"""Tool targets, joint trajectories and tool paths one after the other: what holds, what is told."""
+"""Tool targets, joint trajectories and tool paths in a row: what holds, what is reported."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SECOND = 1_000_000_000
 
 
 class Ideal:
-    """An arm that is where it was told to be, one motion period after the other."""
+    """An arm that is where it was asked to be, one motion period after the other."""
 
     def __init__(self, scene: str = "ur5") -> None:
         run = load_offline_run(scene)
@@ -48,12 +48,12 @@ class Ideal:
         self.instructor = Instructor(self.config)
         self.period_ns = round(self.config.period * SECOND)
         self.now_ns, self.q = 0, self.start
-        self.said: list[Instruction] = []
+        self.printed: list[Instruction] = []
 
     def advance(self, seconds: float) -> None:
         for _ in range(math.ceil(seconds * SECOND / self.period_ns)):
             one = self.instructor.instruct(self.controller, self.now_ns, self.q)
-            self.said.append(one)
+            self.printed.append(one)
             v = np.zeros_like(one.q) if one.v is None else one.v
             self.q = one.q + self.period_ns / SECOND * v
             self.now_ns += self.period_ns
@@ -96,7 +96,7 @@ def test_whatever_takes_over_whatever_nothing_jumps(seed: int) -> None:
             poses = [arm.pose(rng.uniform(-0.1, 0.1, 3)) for _ in range(2)]
             arm.instructor.add_path(arm.controller, poses)
         arm.advance(rng.uniform(0.1, 2.0))
-    for before, after in pairwise(arm.said):
+    for before, after in pairwise(arm.printed):
         assert before.v is not None or np.array_equal(before.q, after.q)
         v = 0.0 if before.v is None else before.v
         expected = before.q + arm.period_ns / SECOND * v
@@ -220,28 +220,28 @@ def test_no_request_is_lost_in_silence(seed: int) -> None:
     arm.instructor.start_over("test")
     for kind, count in asked.items():
         for number in range(1, count + 1):
-            told = [
+            reported = [
                 r.state
                 for r in arm.instructor.reports.waiting
                 if (r.kind, r.number) == (kind, number)
             ]
-            final = [state for state in told if state.final]
+            final = [state for state in reported if state.final]
             assert len(final) == 1 or final == [State.UNREACHABLE, State.REACHED], (
-                f"{kind.name} {number} was answered by {told}"
+                f"{kind.name} {number} was answered by {reported}"
             )
-            assert told[-1] is final[-1], "nothing comes after the last word"
-            assert told[0] in (State.ACCEPTED, State.REFUSED), "the first word"
+            assert reported[-1] is final[-1], "nothing comes after the last word"
+            assert reported[0] in (State.ACCEPTED, State.REFUSED), "the first word"
 
 
 @pytest.mark.parametrize("scene", ["ur5", "three_axis", "panda"])
-def test_targets_beyond_reach_are_told_as_such_with_the_distance(scene: str) -> None:
+def test_targets_beyond_reach_are_reported_as_such_with_the_distance(scene: str) -> None:
     arm = Ideal(scene)
     far = arm.pose((0.0, 0.0, 3.0))
     arm.instructor.add(0, far)
     arm.advance(15.0)
     last = arm.instructor.reports.waiting[-1]
     _, p_WT = arm.controller.kinematics.forward(arm.q)
-    assert last.state is State.UNREACHABLE, "it is told"
+    assert last.state is State.UNREACHABLE, "it is reported"
     if scene != "three_axis":  # eq. (6) goes to and fro there
         left = float(np.linalg.norm(far.p_WT - p_WT))
         assert last.distance == pytest.approx(left, rel=1e-3), "how far"
@@ -255,7 +255,7 @@ def test_a_trajectory_waits_for_its_stamp_and_then_keeps_its_times() -> None:
     points = [arm.point(0.5, 0.1), arm.point(1.0, 0.0)]
     arm.instructor.add_trajectory(arm.controller, arm.names, points, stamp_ns=SECOND)
     arm.advance(2.5)
-    at = {i * arm.period_ns: one.q for i, one in enumerate(arm.said)}
+    at = {i * arm.period_ns: one.q for i, one in enumerate(arm.printed)}
     np.testing.assert_allclose(at[SECOND], arm.start, atol=1e-12, err_msg="not before its stamp")
     np.testing.assert_allclose(at[3 * SECOND // 2], arm.start + 0.1, atol=1e-9)
     np.testing.assert_allclose(at[2 * SECOND], arm.start, atol=1e-9, err_msg="the end")
@@ -268,9 +268,9 @@ def test_a_trajectory_that_cannot_begin_is_refused_and_the_one_before_goes_on() 
     arm.advance(0.1)
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(0.02, 1.0)])
     arm.advance(4.0)
-    told = [r for r in arm.instructor.reports.waiting if r.kind is Kind.JOINT_TRAJECTORY]
-    assert [one.state for one in told] == [State.ACCEPTED, State.REFUSED]
-    assert "the way to the first point must keep the limits" in told[-1].reason
+    reported = [r for r in arm.instructor.reports.waiting if r.kind is Kind.JOINT_TRAJECTORY]
+    assert [one.state for one in reported] == [State.ACCEPTED, State.REFUSED]
+    assert "the way to the first point must keep the limits" in reported[-1].reason
     assert arm.states()[-1] == ("TOOL_TARGET", 1, "REACHED"), "it goes on"
 
 
@@ -278,10 +278,10 @@ def test_an_empty_trajectory_stops_a_path() -> None:
     arm = Ideal()
     arm.instructor.add_path(arm.controller, [arm.pose((0.0, 0.2, 0.0))])
     arm.advance(0.7)
-    assert np.abs(arm.said[-1].v).max() > 0.05, "it moves"
+    assert np.abs(arm.printed[-1].v).max() > 0.05, "it moves"
     arm.instructor.add_trajectory(arm.controller, (), ())
     arm.advance(1.0)
-    assert not arm.said[-1].v.any(), "it rests"
+    assert not arm.printed[-1].v.any(), "it rests"
     assert arm.states()[-1] == ("JOINT_TRAJECTORY", 1, "REACHED")
     assert ("TOOL_PATH", 1, "REPLACED") in arm.states()
 
@@ -294,12 +294,12 @@ def test_an_arm_that_does_not_follow_ends_the_trajectory_where_it_is(
     arm.instructor.retune(type(arm.config)(**{**vars(arm.config), "path_tolerance": allowed}))
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(1.0, 0.15)])
     for tick in range(150):  # the arm does not move at all
-        arm.said.append(arm.instructor.instruct(arm.controller, tick * arm.period_ns, arm.start))
+        arm.printed.append(arm.instructor.instruct(arm.controller, tick * arm.period_ns, arm.start))
     last = arm.instructor.reports.waiting[-1]
     assert last.state is state
     if state is State.ABORTED:
         assert "path tolerance: shoulder_pan_joint is off by" in last.reason
-        np.testing.assert_array_equal(arm.said[-1].q, arm.start, "held where it is")
+        np.testing.assert_array_equal(arm.printed[-1].q, arm.start, "held where it is")
 
 
 def test_the_goal_tolerance_is_waited_for_as_long_as_is_allowed() -> None:
@@ -354,10 +354,13 @@ def test_feedforward_is_given_as_it_is_configured() -> None:
         arm.instructor = Instructor(type(arm.config)(**{**vars(arm.config), "feedforward": given}))
         arm.advance(0.1)
         if torque:
-            np.testing.assert_allclose(arm.said[0].tau, gravity.at(arm.start, np.zeros(6)))
+            np.testing.assert_allclose(arm.printed[0].tau, gravity.at(arm.start, np.zeros(6)))
         arm.instructor.add(0, arm.pose((0.1, 0.0, 0.0)))
         arm.advance(0.2)
-        assert (arm.said[-1].v is not None, arm.said[-1].tau is not None) == (speed, torque), given
+        assert (arm.printed[-1].v is not None, arm.printed[-1].tau is not None) == (
+            speed,
+            torque,
+        ), given
 
 
 # The nodes
@@ -371,7 +374,7 @@ def nodes() -> Iterator[InProcess]:
 
 
 def statuses(nodes: InProcess) -> list[MotionStatus]:
-    """What the motion controller says on its status topic, from now on."""
+    """What the motion controller states on its status topic, from now on."""
     heard: list[MotionStatus] = []
     nodes.listen_alone("motion/status", MotionStatus, heard.append)
     return heard
@@ -420,8 +423,8 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
     ]
     heard = statuses(nodes)
     nodes.run_to(20)
-    nodes.say("joint_trajectory", trajectory(SECOND // 10, names, (0.3, goal)))
-    nodes.say("tool_path", path(SECOND // 2, poses))
+    nodes.send_("joint_trajectory", trajectory(SECOND // 10, names, (0.3, goal)))
+    nodes.send_("tool_path", path(SECOND // 2, poses))
     nodes.run_to(900)
     run.instructor.add_trajectory(
         run.controller, names, [TrajectoryPoint(3 * SECOND // 10, goal)], SECOND // 10
@@ -434,8 +437,8 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
         run.advance(1)
     for one, report in zip(heard, run.instructor.reports.waiting, strict=False):
         assert (one.kind, one.number, one.state) == (report.kind, report.number, report.state)
-    said = [(one.kind, one.state) for one in heard]
-    assert (2, MotionStatus.STATE_REACHED) in said and (3, MotionStatus.STATE_MOVING) in said
+    printed = [(one.kind, one.state) for one in heard]
+    assert (2, MotionStatus.STATE_REACHED) in printed and (3, MotionStatus.STATE_MOVING) in printed
     assert nodes.newest("joint_targets").velocity, "speeds reach the servo"
 
 
@@ -454,7 +457,7 @@ BAD: list[tuple[str, str, Any]] = [
 
 
 @pytest.mark.parametrize(("topic", "words", "what"), BAD, ids=[f"{t}: {w}" for t, w, _ in BAD])
-def test_what_is_refused_is_told_with_its_reason(
+def test_what_is_refused_is_reported_with_its_reason(
     nodes: InProcess, topic: str, words: str, what: Any
 ) -> None:
     controller = nodes.nodes["motion_controller"]._controller
@@ -483,7 +486,7 @@ def test_what_is_refused_is_told_with_its_reason(
             message.poses[2].header.stamp = stamp(9)
         else:
             message.poses = []
-    nodes.say(topic, message)
+    nodes.send_(topic, message)
     nodes.deliver()
     while nodes._wires.waiting and not heard:
         nodes.deliver()
@@ -493,15 +496,15 @@ def test_what_is_refused_is_told_with_its_reason(
     assert nodes.refused("motion_controller") == before + 1
 
 
-def test_a_reset_tells_what_it_has_forgotten(nodes: InProcess) -> None:
+def test_a_reset_reports_what_it_has_forgotten(nodes: InProcess) -> None:
     heard = statuses(nodes)
     pose = path(0, [Pose(np.array([0.3, 0.0, 0.5]), np.eye(3))]).poses[0]
     pose.header.stamp = stamp(1000 * SECOND)
-    nodes.say("tool_target", pose)
+    nodes.send_("tool_target", pose)
     nodes.call("motion_controller/reset")
     wanted = [MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_ABORTED]
     while [one.state for one in heard if one.kind == Kind.TOOL_TARGET] != wanted:
-        assert nodes.deliver(), f"nothing more is said after {heard}"
+        assert nodes.deliver(), f"nothing more is reported after {heard}"
     assert heard[-1].reason == "the motion controller was reset"
 
 
@@ -509,7 +512,7 @@ def test_a_reset_tells_what_it_has_forgotten(nodes: InProcess) -> None:
 
 
 def goal(**given: Any) -> Any:
-    """A goal of FollowJointTrajectory, as far as it says something."""
+    """A goal of FollowJointTrajectory, as far as it states something."""
     empty = {
         "path_tolerance": [],
         "goal_tolerance": [],
@@ -522,7 +525,7 @@ def tolerance(name: str, position: float = 0.0, velocity: float = 0.0) -> Any:
     return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=0.0)
 
 
-def test_a_goal_says_what_it_allows_beside_the_parameters() -> None:
+def test_a_goal_states_what_it_allows_beside_the_parameters() -> None:
     names = ("a", "b")
     default = Tolerances(Allowed.alike(2, 0.1), Allowed.alike(2, 0.2), 3.0)
     one = tolerances_of(
@@ -580,7 +583,7 @@ def test_a_cancelled_trajectory_stops_or_never_begins(waiting: bool) -> None:
     arm.advance(6.0)
     assert arm.states()[-1] == ("JOINT_TRAJECTORY", 1, "ABORTED")
     assert arm.instructor.reports.waiting[-1].reason == "cancelled"
-    assert not np.any(arm.said[-1].v), "it rests"
+    assert not np.any(arm.printed[-1].v), "it rests"
     far = np.abs(arm.q - arm.start).max()
     assert far == 0.0 if waiting else 0.1 < far < 0.2, "it stopped where it was"
 
@@ -597,8 +600,8 @@ def test_torques_for_another_gravity_than_the_scenes_are_warned_of(
 ) -> None:
     scene, motion = load_scene("ur5"), load_gains(find_scene("ur5")).motion
     warn_of_gravity(dataclasses.replace(scene, gravity=gravity), motion)
-    said = capsys.readouterr().err
-    assert ("gives torques for a gravity of (0.0, 0.0, -9.81)" in said) == (
+    printed = capsys.readouterr().err
+    assert ("gives torques for a gravity of (0.0, 0.0, -9.81)" in printed) == (
         gravity != (0.0, 0.0, -9.81)
     )
-    assert said.count("\n") <= 1, "one line"
+    assert printed.count("\n") <= 1, "one line"

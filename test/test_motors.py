@@ -121,8 +121,8 @@ def test_gear_torque_is_the_torque_on_the_link(tmp_path: Path) -> None:
         dv = (plant.state.v[0] - before.v[0]) / 1e-6
         T = LINK_INERTIA * dv + VISCOUS * before.v[0]
         # The motor moves on before the link does: one step of difference.
-        told = before.gear_torque[0]
-        assert told == pytest.approx(T, rel=1e-2), "gear torque, and what moves the link"
+        reported = before.gear_torque[0]
+        assert reported == pytest.approx(T, rel=1e-2), "gear torque, and what moves the link"
 
 
 def test_voltage_is_limited_by_the_supply(tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ BAD: dict[str, list[tuple[Maker, str]]] = {
 MAY_GET_LOST = ("motor_states", "joint_states")
 # Topics of different receivers.
 TOGETHER = [("motor_commands", "joint_targets", "tool_target"), ("motor_states", "joint_states")]
-# Of which a node tells every second what it has refused; in one process all are tried.
+# Of which a node reports every second what it has refused; in one process all are tried.
 SENT = {topic: some(bad, 2) for topic, bad in BAD.items()}
 
 
@@ -180,7 +180,7 @@ def assert_all_refused(user: User, bad: dict[str, tuple[Any, str]], tick: int) -
 
 
 def at_tick(words: str, tick: int) -> str:
-    """Return the beginning of a refusal with the ticks that it tells of."""
+    """Return the beginning of a refusal with the ticks that it has."""
     words = words.replace("{k}", f"{tick}")
     return words.replace("{k-1}", f"{tick - 1}").replace("{k+1}", f"{tick + 1}")
 
@@ -194,8 +194,8 @@ def await_refusal(user: User, topic: str, message: Any, before: int, words: str)
         if topic in MAY_GET_LOST and time.monotonic() > again_at:
             again_at = time.monotonic() + ASK_AGAIN
             user.publish(publishers(user)[topic], message)
-        said = user.value(name, "newest refusal")
-        return user.refused(name, topic) > before and said.startswith(words)
+        printed = user.value(name, "newest refusal")
+        return user.refused(name, topic) > before and printed.startswith(words)
 
     user.wait(f"the refusal {words}", refused)
     assert "\n" not in user.value(name, "newest refusal")
@@ -249,11 +249,11 @@ def test_every_bad_message_is_refused_in_its_words() -> None:
             node = one.nodes[RECEIVER[topic]]
             for make, words in bad:
                 before = one.refused(RECEIVER[topic])
-                one.say(topic, make(one.tick))
+                one.send(topic, make(one.tick))
                 assert one.refused(RECEIVER[topic]) == before + 1, f"{topic}: {words}"
-                told = node._diagnostics._newest_refusal
-                assert told.startswith(f"{topic}: {at_tick(words, one.tick)}"), told
-                assert "\n" not in told, told
+                reported = node._diagnostics._newest_refusal
+                assert reported.startswith(f"{topic}: {at_tick(words, one.tick)}"), reported
+                assert "\n" not in reported, reported
         one.run_to(TICKS)
         assert_same_bits(one.states, reference(), TICKS)
 
@@ -362,7 +362,7 @@ def test_services_in_lock_step(lockstep: SharedNetwork) -> None:
         off_at = tick + 3
         assert user.call("emulator/power", False).success
         assert user.call("emulator/pause", False).success
-        user.wait("the servo to notice", lambda: user.said("servo", "the drives' power is off"))
+        user.wait("the servo to notice", lambda: user.printed("servo", "the drives' power is off"))
         on_at = pause_at(user, off_at + 60)
         user.wait("the status", lambda: not user.status.powered)
         assert user.call("emulator/power", True).success
@@ -405,8 +405,8 @@ def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
         user.add(follower)
         go(user)
         tick = pause_at(user, 1100)
-        # The clock is said every 10 ticks, and nodes read it with best effort: 100 ms are left for
-        # what gets lost.
+        # The clock is reported every 10 ticks, and nodes read it with best effort: 100 ms are left
+        # for what gets lost.
         expected = tick // 10 * 10 * 1_000_000
 
         def now(node: Node = follower) -> int:
@@ -452,21 +452,23 @@ def test_services_in_real_time(real_time: SharedNetwork) -> None:
             if stepped.message == "not paused, pause first":  # it overtook: of two services
                 stepped = user.call("emulator/step")
             assert stepped.message == f"at tick {tick + 1}"
-        user.motor_states()  # no tick was told twice
+        user.motor_states()  # no tick was reported twice
         assert user.call("emulator/power", False).success
         assert user.call("emulator/pause", False).success
-        user.wait("the servo to notice", lambda: user.said("servo", "the drives' power is off"))
+        user.wait("the servo to notice", lambda: user.printed("servo", "the drives' power is off"))
         user.wait("the status", lambda: not user.status.powered and user.status.phase == running)
         assert user.call("emulator/power", True).success
         user.wait("the servo to go on", lambda: user.diagnostics["servo"].message == "following")
-        # All have been read, of those told so far.
+        # All have been read, of those reported so far.
         user.wait("the states", lambda: user.tick > tick + 1)
         before = user.tick
         assert user.call("emulator/reset").success
         go(user)
         user.wait("the new run", lambda: 0 < user.tick < before)
         user.motor_states()  # nor after the reset
-        user.wait("the servo to begin anew", lambda: user.said("servo", "the emulator began anew"))
+        user.wait(
+            "the servo to begin anew", lambda: user.printed("servo", "the emulator began anew")
+        )
 
 
 # --------------------------------------------------------------------------------------- real time
@@ -495,7 +497,7 @@ def test_real_time_is_real_time(real_time: SharedNetwork) -> None:
         last = user.status
         assert paused.message == f"paused at tick {last.tick}"
         user.wait("the last state", lambda: user.tick == last.tick)
-        assert max(user.motor_states()) == last.tick  # and no tick was told twice
+        assert max(user.motor_states()) == last.tick  # and no tick was reported twice
 
         # Logical time never runs ahead: each period takes its time, and so does each lost one.
         for at, status in (*heard, (time.monotonic(), last)):

@@ -76,7 +76,7 @@ def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_a_gripper_is_told_from_the_arm(seed: int) -> None:
+def test_a_gripper_is_reported_from_the_arm(seed: int) -> None:
     text, arm, fingers = robot_with_gripper(np.random.default_rng(seed))
     choice = choose_joints(ET.fromstring(text), "robot")
     assert list(choice.joints) == arm
@@ -106,7 +106,7 @@ def test_joints_that_are_not_in_a_row_are_refused() -> None:
 
 @pytest.mark.parametrize("seed", range(50))
 def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
-    """Whatever the description says or leaves out, and from a watch to a crane."""
+    """Whatever the description states or leaves out, and from a watch to a crane."""
     draw = np.random.default_rng(seed)
     demands = []
     for k in range(int(draw.integers(1, 8))):
@@ -148,7 +148,7 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
         rate = math.sqrt(gear.stiffness / demand.inertia[1])
         assert rate > 0.99 * LOWEST_RESONANCE[demand.kind]
         trusted = drive.notes["torque"] == "URDF"
-        assert trusted == (drive.peak_torque == demand.effort), "what is told is what is done"
+        assert trusted == (drive.peak_torque == demand.effort), "what is reported is what is done"
 
 
 @pytest.mark.parametrize("seed", some(range(2), 1))
@@ -207,7 +207,7 @@ def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "check-scene", "up", "compile"])
-def test_a_robot_in_the_place_of_a_scene_is_told_what_to_do(
+def test_a_robot_in_the_place_of_a_scene_is_reported_what_to_do(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -216,12 +216,12 @@ def test_a_robot_in_the_place_of_a_scene_is_told_what_to_do(
     monkeypatch.setattr(sys, "argv", ["arm_emulator", command, str(file)])
     with pytest.raises(SystemExit) as end:
         main()
-    said = capsys.readouterr().err.strip()
-    assert end.value.code == 2 and "\n" not in said
-    assert f"`python -m arm_emulator new {file}`" in said, said
+    printed = capsys.readouterr().err.strip()
+    assert end.value.code == 2 and "\n" not in printed
+    assert f"`python -m arm_emulator new {file}`" in printed, printed
 
 
-def test_the_description_tells_what_the_drives_can(tmp_path: Path) -> None:
+def test_the_description_reports_what_the_drives_can(tmp_path: Path) -> None:
     """The motion controller has its limits from there; meshes are still found."""
     text = OWN["gantry_with_turn"]().replace(
         '<link name="l1">',
@@ -293,9 +293,9 @@ def test_a_robot_that_cannot_be_emulated_is_refused_by_name(
     )
     with pytest.raises(SystemExit) as end:
         main()
-    said = capsys.readouterr().err.strip()
-    assert end.value.code == 2, said
-    assert words in said and "\n" not in said and said.startswith("arm.urdf"), said
+    printed = capsys.readouterr().err.strip()
+    assert end.value.code == 2, printed
+    assert words in printed and "\n" not in printed and printed.startswith("arm.urdf"), printed
     assert not (tmp_path / "o").exists()
 
 

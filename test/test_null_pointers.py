@@ -14,7 +14,7 @@ from arm_emulator.machine.compiler import library_of
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.scene import load_scene
 
-# Of these some pointers may be null, as their headers say.
+# Of these some pointers may be null, as their headers state.
 MAY = {
     "arm_linear_drives": "out",
     "arm_join_schedule": "machine",  # 0: not permitted

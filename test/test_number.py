@@ -24,7 +24,7 @@ def drawn(rng: np.random.Generator) -> Range:
     return Range(str(rng.choice(UNITS)), **bounds[rng.integers(len(bounds))], whole=whole)
 
 
-def as_words_say(words: str, value: float, whole: bool) -> bool:
+def as_words_report(words: str, value: float, whole: bool) -> bool:
     """Whether a value fits the words of a refusal, by reading them."""
     kept = not whole or float(value).is_integer()
     for sign, bound in re.findall(r"(>=|<=|>) (-?[\d.]+)", words):
@@ -42,7 +42,7 @@ def test_words_and_range_agree() -> None:
         near = [math.nextafter(x, to) for x in ends for to in (-math.inf, math.inf)]
         values = [*ends, *near, *rng.uniform(-15.0, 15.0, 5).tolist(), 0.0, 3, -4]
         for value in values:
-            assert one.holds(value) == as_words_say(one.rule, value, one.whole), (one, value)
+            assert one.holds(value) == as_words_report(one.rule, value, one.whole), (one, value)
             taken += one.holds(value)
             if one.holds(value):
                 assert one.least <= value <= one.most, (one, value)

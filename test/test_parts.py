@@ -1,4 +1,4 @@
-"""Parts of a drive: what follows from their declared numbers, and what the pages say of these."""
+"""Parts of a drive: what follows from their declared numbers, and what the pages state of these."""
 
 from __future__ import annotations
 
@@ -107,9 +107,9 @@ def test_a_number_out_of_bounds_is_refused_by_its_key_in_one_line(part: type[Par
         for bad in out_of_bounds(key, one, data):
             with pytest.raises(Refusal) as refusal:
                 read(part, data | {key: bad})
-            said = str(refusal.value)
+            printed = str(refusal.value)
             at = f"drawn.yaml: joints.elbow.{part.section}.{key} must "
-            assert said.startswith(at) and "\n" not in said, f"{bad!r}: {said}"
+            assert printed.startswith(at) and "\n" not in printed, f"{bad!r}: {printed}"
 
 
 @parts
@@ -195,7 +195,7 @@ def test_every_key_has_a_row_with_its_unit_range_and_default(part: type[Part]) -
         default = defaults(part)[key]
         if one.follows is not None:
             assert absent == f"`{one.follows}`", at
-        elif key in getattr(part, "told_by", ()):
+        elif key in getattr(part, "named_by", ()):
             assert absent not in ("", "refused"), at  # the gear is another one then
         elif default is dataclasses.MISSING:
             assert absent == "refused", at

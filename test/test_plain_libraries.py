@@ -111,9 +111,9 @@ def as_bytes(plant: Plant) -> bytes:
 
 
 def refused(call: Callable[..., object], *arguments: Any) -> None:
-    with pytest.raises(Refusal) as said:
+    with pytest.raises(Refusal) as printed:
         call(*arguments)
-    assert len(str(said.value).splitlines()) == 1, (call, arguments)
+    assert len(str(printed.value).splitlines()) == 1, (call, arguments)
 
 
 def test_counts_that_are_none_change_nothing(plant: Plant) -> None:
@@ -137,7 +137,7 @@ def test_counts_that_are_none_change_nothing(plant: Plant) -> None:
         refused(RealTimeLoop, plant, count, 10, -1)
         refused(RealTimeLoop, plant, 1_000_000, count, -1)
         refused(check_count, "here", "count", count, 0, 10**15)
-        if not isinstance(count, int) or count < 0:  # else it takes its time, as it was told
+        if not isinstance(count, int) or count < 0:  # else it takes its time, as it was reported
             refused(offline.advance, count)
         if count not in (0, -1):
             refused(session.offer, count, names, zero)

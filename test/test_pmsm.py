@@ -100,9 +100,9 @@ def solved(scene: Scene, ud: np.ndarray, uq: np.ndarray) -> np.ndarray:
     for row in zip(ud, uq, strict=True):
         end = solve_ivp(rates, (0.0, PERIOD), x.ravel(), "DOP853", rtol=1e-13, atol=1e-15, args=row)
         x = end.y[:, -1].reshape(6, 3)
-        told = x.copy()
-        told[2:4] = np.where(rigid, x[4:6] / Ng, x[2:4])
-        out.append(told)
+        reported = x.copy()
+        reported[2:4] = np.where(rigid, x[4:6] / Ng, x[2:4])
+        out.append(reported)
     return np.array(out)
 
 

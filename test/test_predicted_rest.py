@@ -42,7 +42,7 @@ def test_the_tool_rests_where_it_was_predicted(effect: str) -> None:
     assert all(one.arrival == Arrival.REACHED.value for one in found)
     outside = [one for one in found if not one.inside]
     assert not outside, f"{len(outside)} of 10 outside: {outside[0]}"
-    # A prediction that is wide enough for anything says nothing. (3 over 100 poses.)
+    # A prediction that is wide enough for anything states nothing. (3 over 100 poses.)
     median = float(np.median([one.residual for one in found]))
     assert np.median([one.bound for one in found]) < 4.0 * median
 
@@ -100,7 +100,7 @@ def test_a_part_that_states_none_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         predicted_rest(*given("three_axis", {}))
 
 
-def test_out_of_reach_and_not_yet_there_are_told_apart() -> None:
+def test_out_of_reach_and_not_yet_there_are_reported_apart() -> None:
     scene, gains, plan = given("three_axis", {})
     qp = dataclasses.replace(gains, motion=dataclasses.replace(gains.motion, method="qp"))
     far = dataclasses.replace(plan, displacement=np.array([5.0, 0.0, 0.0]), instructions=400)
@@ -141,7 +141,7 @@ def test_noise_of_sensors_moves_the_links_as_computed() -> None:
         if tick >= 1000:
             rows.append(session.state.q)
     measured = np.array(rows).std(axis=0)
-    # 5 s of noise that the loop makes slow tell the deviation to some 15 %.
+    # 5 s of noise that the loop makes slow report the deviation to some 15 %.
     np.testing.assert_allclose(measured, expected, rtol=0.35)
 
 

@@ -134,7 +134,7 @@ def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) 
 
 
 @pytest.mark.parametrize("scheme", some([scheme for scheme, _ in SCHEME_ORDERS], 2))
-def test_an_undamped_gear_swings_as_duffing_says(tmp_path: Path, scheme: str) -> None:
+def test_an_undamped_gear_swings_as_duffing_states(tmp_path: Path, scheme: str) -> None:
     """Rotor and link swing against each other: d2w/dt2 = -a w - b w^3, wound up by A at rest.
 
     w = A cn(W t) with W^2 = a + b A^2 and the elliptic parameter m = b A^2 / (2 W^2).
@@ -250,7 +250,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
 
 
 def test_what_calls_itself_linear_and_is_not_does_not_compile(tmp_path: Path) -> None:
-    """Nobody can forget to say that a part is not linear."""
+    """Nobody can forget to state that a part is not linear."""
     core = shutil.copytree(CORE, tmp_path / "core")
     gear = core / "parts/gear.hpp"
     text = gear.read_text()
@@ -269,7 +269,7 @@ def test_what_calls_itself_linear_and_is_not_does_not_compile(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 1))
-def test_limited_currents_move_the_gear_as_the_equations_say(tmp_path: Path, scheme: str) -> None:
+def test_limited_currents_move_the_gear_as_the_equations_state(tmp_path: Path, scheme: str) -> None:
     """A light rotor without inductance at and off its limit: the current is a clipped function."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 9])
     gear = drawn_gear(rng, torque=10.0) | {"damping": 2.0}

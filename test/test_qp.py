@@ -71,7 +71,7 @@ def run(
     seconds: float,
     seen: Callable[[np.ndarray], None] = lambda q: None,
 ) -> np.ndarray:
-    """Joints that stand where they are told to; return where they end."""
+    """Joints that stand where they are asked to; return where they end."""
     for _ in range(round(seconds / controller.period)):
         instruction = controller.update(q, target)
         assert instruction.v is not None
@@ -199,7 +199,7 @@ def test_an_arm_that_is_moved_by_others_is_met_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_beyond_reach_the_nearest_point_is_told_and_the_way_back_keeps_the_elbow(
+def test_beyond_reach_the_nearest_point_is_reported_and_the_way_back_keeps_the_elbow(
     seed: int,
 ) -> None:
     """The three-axis arm, whose reach is known: 0.6 m about the shoulder at 0.3 m."""
@@ -304,9 +304,9 @@ def test_half_turns_are_made(scene: str) -> None:
         controller.begin(loaded.start)
         q = run(controller, loaded.start, target, 8.0)
         error = arm.tool_error(q, target)
-        told = any("unreachable" in words for words in controller.notices)
-        assert np.linalg.norm(error) < 1e-6 or told, f"{error} about {axis}"
-        assert scene == "panda" or not told, "the ur5 can"
+        reported = any("unreachable" in words for words in controller.notices)
+        assert np.linalg.norm(error) < 1e-6 or reported, f"{error} about {axis}"
+        assert scene == "panda" or not reported, "the ur5 can"
 
 
 @pytest.mark.parametrize("seed", range(2))

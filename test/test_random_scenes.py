@@ -27,7 +27,7 @@ from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 @pytest.mark.parametrize("block", some(range(10), 5))
 def test_random_scenes_are_taken_or_refused(tmp_path: Path, block: int) -> None:
-    """40 draws a block; `verdict` says what else may not come of it."""
+    """40 draws a block; `verdict` states what else may not come of it."""
     taken = 0
     for seed in range(40 * block, 40 * block + 40):
         path = draw(np.random.default_rng(seed), tmp_path / str(seed))
@@ -48,11 +48,11 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
             main()
     finally:
         sys.argv = before
-    said = capsys.readouterr()
-    assert ended.value.code == 2 and said.out == "", (arguments, said)
-    assert said.err.count("\n") == 1, (arguments, said.err)
+    printed = capsys.readouterr()
+    assert ended.value.code == 2 and printed.out == "", (arguments, printed)
+    assert printed.err.count("\n") == 1, (arguments, printed.err)
     assert time.process_time() - started < 2.0, arguments
-    return said.err
+    return printed.err
 
 
 HOSTILE: dict[str, bytes] = {
@@ -93,12 +93,12 @@ def test_yaml_that_is_no_scene(
 
 def test_yaml_is_what_people_mean() -> None:
     """Numbers as in YAML 1.2, every key a text; a byte order mark does no harm."""
-    said = parse_yaml(
+    printed = parse_yaml(
         "\ufeffa: 010\nb: 1e-4\nc: 1:30\nd: 2001-01-01\n1: 2\ntrue: 3\n~: [.inf, null]".encode(),
         "f",
     )
     inf = float("inf")
-    assert said == {"a": 10, "b": 1e-4, "c": "1:30", "d": "2001-01-01", "1": 2, "true": 3,
+    assert printed == {"a": 10, "b": 1e-4, "c": "1:30", "d": "2001-01-01", "1": 2, "true": 3,
                     "~": [inf, None]}  # fmt: skip
     assert parse_yaml("x: " + "9" * 400, "f") == {"x": inf}
     assert len(parse_yaml("- a\n" * (MOST_VALUES - 1), "f")) == MOST_VALUES - 1

@@ -49,8 +49,8 @@ def recorder(out: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 def end(process: subprocess.Popen[str], how: signal.Signals = signal.SIGINT) -> tuple[int, str]:
     process.send_signal(how)
-    said, _ = process.communicate(timeout=PATIENCE)
-    return process.returncode, said
+    printed, _ = process.communicate(timeout=PATIENCE)
+    return process.returncode, printed
 
 
 def await_words(process: subprocess.Popen[str], words: str) -> str:
@@ -59,7 +59,7 @@ def await_words(process: subprocess.Popen[str], words: str) -> str:
     for line in process.stdout:
         if words in line:
             return line
-    raise AssertionError(f"ended without saying {words}")
+    raise AssertionError(f"ended without stating {words}")
 
 
 def ticks_in(bag: Path) -> list[int]:
@@ -94,7 +94,7 @@ def await_ticks(one: User, count: int) -> None:
 def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path, str]:
     """One run with three records: of a recorder that is often away, of one that is killed, its own.
 
-    Returns the three bags, and what the first recorder said.
+    Returns the three bags, and what the first recorder stated.
     """
     folder = tmp_path_factory.mktemp("lockstep")
     slow_bag, killed_bag, own_bag = (folder / name for name in ("slow", "killed", "own"))
@@ -118,11 +118,11 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
             await_ticks(one, 50)
         killed.kill()
         await_ticks(one, 300)
-        said = one.wait("word of it", lambda: one.value("emulator", "newest of recorders"))
-        assert "has ended; its bag may need `repair`" in said
+        printed = one.wait("word of it", lambda: one.value("emulator", "newest of recorders"))
+        assert "has ended; its bag may need `repair`" in printed
         assert one.call("emulator/pause", True).success
         code, words = end(slow)
-        assert code == 0, f"the recorder says that something is missing: {words}"
+        assert code == 0, f"the recorder states that something is missing: {words}"
     return slow_bag, killed_bag, own_bag, words
 
 
@@ -147,9 +147,9 @@ def network_of(one: User, log: Path, **options: Any) -> Iterator[None]:
 def test_a_recorder_that_is_often_away_misses_nothing(
     lockstep_bags: tuple[Path, Path, Path, str],
 ) -> None:
-    bag, _, _, said = lockstep_bags
+    bag, _, _, printed = lockstep_bags
     assert_every_tick(bag, at_least=500)
-    assert "lost" not in said
+    assert "lost" not in printed
 
 
 def test_a_killed_recorder_has_every_tick_before_it(
@@ -167,24 +167,24 @@ def test_the_emulators_own_record_is_complete(
     assert Bag(bag).complete
     assert_every_tick(bag, at_least=max(ticks_in(slow)))
     # Every voltage is compared with a command: those that were taken are all there.
-    told = re.search(
+    reported = re.search(
         r"(\d+) motor states, \d+ true joint states, (\d+) commands", capfd.readouterr().out
     )
-    assert told is not None and int(told[2]) > 400, told
+    assert reported is not None and int(reported[2]) > 400, reported
     for topic in ("/robot_description", "/diagnostics", "/emulator/status", "/clock"):
         assert Bag(bag).topics[topic].count > 0, topic
 
 
-def test_a_late_recorder_says_so_or_resets_on_request(tmp_path: Path) -> None:
+def test_a_late_recorder_states_so_or_resets_on_request(tmp_path: Path) -> None:
     with network(tmp_path / "log", start="first_answer") as (one, _):
         one.wait("the run", lambda: one.tick > 200)
         with recorder(tmp_path / "late") as late:
             await_words(late, "/motor_states: the first state has arrived, tick ")
-            said = await_words(late, "the machine is at tick")
+            printed = await_words(late, "the machine is at tick")
             assert re.search(
-                r"at tick \d+ already, and `check-bag` needs a run from tick 0 on", said
-            ), said
-            assert "--from-start" in said
+                r"at tick \d+ already, and `check-bag` needs a run from tick 0 on", printed
+            ), printed
+            assert "--from-start" in printed
             with recorder(tmp_path / "reset", "--from-start") as again:
                 one.wait("the reset", lambda: 0 <= one.tick < 100)
                 await_ticks(one, 300)
@@ -215,13 +215,13 @@ def test_what_is_lost_in_real_time_is_counted_and_its_own_record_is_complete(
         await_ticks(one, 3000)  # more than publishers keep
         process.send_signal(signal.SIGCONT)
         await_words(process, "ticks of /motor_states")  # while recording
-        code, said = end(process)
-    assert code == 1, said
-    told = re.search(r"; lost: .*?(\d+) ticks of /motor_states", said)
-    assert told is not None, said
+        code, printed = end(process)
+    assert code == 1, printed
+    reported = re.search(r"; lost: .*?(\d+) ticks of /motor_states", printed)
+    assert reported is not None, printed
     ticks = ticks_in(tmp_path / "away")
     span = range(min(ticks), max(ticks))
-    assert int(told[1]) == len(set(span) - set(ticks)) > 1000, said
+    assert int(reported[1]) == len(set(span) - set(ticks)) > 1000, printed
     assert_every_tick(tmp_path / "own", at_least=3000)
 
 
@@ -235,10 +235,10 @@ def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
                 moment = draw.uniform(0.0, 2.5)
                 time.sleep(moment)
                 how = draw.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-                code, said = end(process, how)
-            words = f"{how.name} after {moment:.2f} s: exit code {code}, {said}"
+                code, printed = end(process, how)
+            words = f"{how.name} after {moment:.2f} s: exit code {code}, {printed}"
             if bag.exists():  # before, nothing is recorded
-                assert code == 0 and "Traceback" not in said, words
+                assert code == 0 and "Traceback" not in printed, words
                 assert (bag / "metadata.yaml").exists() and Bag(bag).complete, words
 
 
@@ -321,9 +321,9 @@ def test_no_recorder_is_ever_further_behind_than_it_may_be(seed: int) -> None:
         kept = [w for name, w in written.items() if name in one.names]
         assert one.published - min(kept, default=one.published) <= AHEAD + 1
     assert one.names == [names[2]], "who is gone, or writes nothing, is let go"
-    said = " ".join(one.news)
-    assert f"recorder {gone} has ended" in said
-    assert f"recorder {asleep} has written nothing for {RECORDER_PATIENCE:g} s" in said
+    printed = " ".join(one.news)
+    assert f"recorder {gone} has ended" in printed
+    assert f"recorder {asleep} has written nothing for {RECORDER_PATIENCE:g} s" in printed
     assert tick > 1000, "the machine went on"
 
 
@@ -337,7 +337,7 @@ def test_reports_that_no_recorder_wrote_stop_nothing() -> None:
     assert one.names == []
 
 
-def test_recorders_are_known_before_the_network_tells_of_them(monkeypatch: Any) -> None:
+def test_recorders_are_known_before_the_network_reports_of_them(monkeypatch: Any) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "93")
     with RecorderPresence(None) as every, RecorderPresence(["cell1/motor_states", "clock"]) as some:
         with RecorderPresence(["clock"]):
@@ -378,7 +378,7 @@ def _slow_write(write: Callable[..., None]) -> Callable[..., None]:
     return slow
 
 
-def test_a_full_disk_stops_no_machine_and_is_told(
+def test_a_full_disk_stops_no_machine_and_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_record, "CAPACITY", 50)

@@ -87,9 +87,11 @@ def whole_chunks(file: Path) -> list[tuple[int, int]]:
 def assert_whole(bag: Path, words: list[str]) -> None:
     """Ask independent readers: rosbags by its metadata, mcap by the index at the end."""
     file = bag / f"{bag.name}_0.mcap"
-    told = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    assert told["message_count"] == len(words), "messages in the metadata"
-    assert told["files"][0]["message_count"] == len(words), "messages in the metadata of the file"
+    reported = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert reported["message_count"] == len(words), "messages in the metadata"
+    assert reported["files"][0]["message_count"] == len(words), (
+        "messages in the metadata of the file"
+    )
     with file.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -147,7 +149,7 @@ def test_zeros_that_a_lost_power_leaves_are_cut_off(tmp_path: Path) -> None:
     assert_whole(tmp_path / "bag", words[: sum(messages for _, messages in chunks[:-1])])
 
 
-def test_repair_says_what_it_did(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+def test_repair_states_what_it_did(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     talk(tmp_path / "bag", 50)
     (tmp_path / "bag" / "metadata.yaml").unlink()
     for expected in ("50 messages, mended", "50 messages, was whole already"):
@@ -224,7 +226,7 @@ def test_a_full_disk_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def record_until_full(
-    bag: BagWriter, seed: int, words: list[str], told: dict[Path, object]
+    bag: BagWriter, seed: int, words: list[str], reported: dict[Path, object]
 ) -> None:
     """Record words that hardly pack, as a recorder does: what fails ends it."""
     draw = random.Random(seed)
@@ -243,7 +245,7 @@ def record_until_full(
                     (bag.folder.parent / "other").unlink(missing_ok=True)
                     raise
     except OSError as error:
-        told[bag.folder] = error.errno, bag.whole, bag.topics[0].count
+        reported[bag.folder] = error.errno, bag.whole, bag.topics[0].count
 
 
 @pytest.mark.parametrize("seed", some(range(40), 6))
@@ -252,7 +254,7 @@ def test_recorders_on_a_disk_that_becomes_full_leave_whole_bags(
     recorders: int, seed: int, small_disk: Path
 ) -> None:
     """There is room again by then: what would be written behind a gap is not."""
-    told: dict[Path, object] = {}
+    reported: dict[Path, object] = {}
     words: dict[Path, list[str]] = {}
     threads = []
     with (small_disk / "other").open("wb") as other:
@@ -260,16 +262,16 @@ def test_recorders_on_a_disk_that_becomes_full_leave_whole_bags(
     for k in range(recorders):
         bag = small_disk / f"bag{k}"
         words[bag] = []
-        arguments = BagWriter(bag), 2 * seed + k, words[bag], told
+        arguments = BagWriter(bag), 2 * seed + k, words[bag], reported
         threads.append(threading.Thread(target=record_until_full, args=arguments))
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    for bag, said in words.items():
+    for bag, printed in words.items():
         kept = words_of(bag)
-        assert told[bag] == (errno.ENOSPC, True, len(kept)), f"{bag.name}: error, whole, count"
-        assert kept == said[: len(kept)], "what is kept"
+        assert reported[bag] == (errno.ENOSPC, True, len(kept)), f"{bag.name}: error, whole, count"
+        assert kept == printed[: len(kept)], "what is kept"
         assert_whole(bag, kept)
 
 
@@ -282,7 +284,7 @@ def test_after_the_first_failure_nothing_is_written_behind_it(
     draw = random.Random(f"{number} {heals}")
     for case in range(6):
         talk(tmp_path / f"whole{case}", 100, case)
-        said = words_of(tmp_path / f"whole{case}")
+        printed = words_of(tmp_path / f"whole{case}")
         size = (tmp_path / f"whole{case}" / f"whole{case}_0.mcap").stat().st_size
         writes = _Writes(draw, number, draw.randrange(200, size), heals)
         bag = tmp_path / f"{case}"
@@ -297,7 +299,7 @@ def test_after_the_first_failure_nothing_is_written_behind_it(
             assert not heals and number is not None, "the disk takes metadata again"
             assert repair(bag), "a bag without metadata"
         kept = words_of(bag)
-        assert kept == said[: len(kept)], "what is kept"
+        assert kept == printed[: len(kept)], "what is kept"
         assert len(kept) == 100 or number is not None, "what is lost"
         assert_whole(bag, kept)
 

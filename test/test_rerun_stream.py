@@ -94,7 +94,7 @@ def read(file, path, component):
 
     times, values = [], []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a file without its end is told so by a warning
+        warnings.simplefilter("ignore")  # a file without its end is reported so by a warning
         stream = RrdReader(file).stream()
     for chunk in stream.filter(content=path, is_static=False):
         batch = chunk.to_record_batch()
@@ -133,7 +133,7 @@ def test_every_sample_is_read_back_to_the_bit(tmp_path):
             assert np.array_equal(values, rows[:, index, column])
 
 
-def test_the_arm_moves_as_pinocchio_says(tmp_path, oracle):
+def test_the_arm_moves_as_pinocchio_states(tmp_path, oracle):
     file = tmp_path / "a.rrd"
     stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=50)
     times, rows = samples(500)

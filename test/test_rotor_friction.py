@@ -1,4 +1,4 @@
-"""Dry friction of rotors: they stick exactly, and slide as the closed form says."""
+"""Dry friction of rotors: they stick exactly, and slide as the closed form states."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def let_go(plant: Plant, angle: float) -> None:
          (0, "extrapolated"), (1, "extrapolated"), (2, "extrapolated"), (3, "rosenbrock")], 4,
     ),
 )  # fmt: skip
-def test_a_rotor_swings_and_sticks_as_the_closed_form_says_with_order_two(
+def test_a_rotor_swings_and_sticks_as_the_closed_form_states_with_order_two(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
     joint, begin = swinging(np.random.default_rng([seed, 11]))

@@ -19,7 +19,7 @@ from arm_emulator.machine.scene import example_robot_data, load_scene
 URDF = (CONFIG / "urdf" / "three_axis.urdf").read_text()
 SCENE = (CONFIG / "three_axis.yaml").read_text()
 
-# Overrides of three_axis.yaml, and what is said of them.
+# Overrides of three_axis.yaml, and what is reported of them.
 BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"joints.elbow.gear.stiffness": -3}, "joints.elbow.gear.stiffness must be > 0 N m/rad, got -3"),
     ({"joints.elbow.gear.stiffness": "stiff"}, "stiffness must be a number [N m/rad], got 'stiff'"),
@@ -73,7 +73,7 @@ EXTRA = LINK.format(
 )  # fmt: skip
 LOOP = '<joint name="loop" type="fixed"><parent link="forearm"/><child link="column"/></joint>'
 
-# Replacements in three_axis.urdf, and what is said of them.
+# Replacements in three_axis.urdf, and what is reported of them.
 BAD_URDFS: list[tuple[tuple[str, str], str]] = [
     (("</robot>", ""), "file must be well-formed XML"),
     (("<robot ", "<sdf "), "file must be well-formed XML"),
@@ -139,10 +139,10 @@ def test_bad_urdfs_are_refused(
     file = copy_scene(tmp_path)
     assert change[0] in URDF
     (tmp_path / "urdf" / "three_axis.urdf").write_text(URDF.replace(*change, 1))
-    code, said = exit_of(["check-scene", str(file)], capsys)
+    code, printed = exit_of(["check-scene", str(file)], capsys)
     assert code == 2
-    assert said.startswith("three_axis.urdf: ") and words in said
-    assert said.count("\n") == 1
+    assert printed.startswith("three_axis.urdf: ") and words in printed
+    assert printed.count("\n") == 1
 
 
 def test_massless_links_are_frames_but_cannot_be_moved_alone(tmp_path: Path) -> None:
@@ -173,13 +173,13 @@ def test_bad_files_are_refused(
 ) -> None:
     file = tmp_path / "scene.yaml"
     file.write_text(text)
-    code, said = exit_of(["check-scene", str(file)], capsys)
-    assert code == 2 and words in said and said.count("\n") == 1
+    code, printed = exit_of(["check-scene", str(file)], capsys)
+    assert code == 2 and words in printed and printed.count("\n") == 1
 
 
 def test_unknown_scene_names_those_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
-    code, said = exit_of(["check-scene", "four_axis"], capsys)
-    assert code == 2 and "file four_axis must exist" in said and "three_axis" in said
+    code, printed = exit_of(["check-scene", "four_axis"], capsys)
+    assert code == 2 and "file four_axis must exist" in printed and "three_axis" in printed
 
 
 @pytest.mark.parametrize("name", sorted(file.stem for file in CONFIG.glob("*.yaml")))

@@ -40,7 +40,7 @@ def test_a_joint_that_sticks_is_warned_of_by_name_unless_located(place: str, law
 
 
 def test_every_law_of_friction_is_tried() -> None:
-    keys = {key for kind in (*LINK_FRICTIONS, *ROTOR_FRICTIONS) for key in kind.told_by}
+    keys = {key for kind in (*LINK_FRICTIONS, *ROTOR_FRICTIONS) for key in kind.named_by}
     assert keys <= {key for section, _ in LAWS.values() for key in section}, keys
 
 

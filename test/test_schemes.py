@@ -165,11 +165,11 @@ def test_reference_equals_the_closed_form(tmp_path: Path, rigid: bool, L: float)
         assert state[3:, 0] == pytest.approx(exact[3:], abs=1e-11), f"link {at}"
 
 
-def test_reference_says_what_it_cannot_solve() -> None:
+def test_reference_states_what_it_cannot_solve() -> None:
     for overrides in (
         {"joints.*.friction.coulomb": 1.0},
         {"joints.*.motor.current_limit": 1.0},
-        {"payload": {"mass": 1.0}},  # a loaded scene does not say where its payload is
+        {"payload": {"mass": 1.0}},  # a loaded scene does not state where its payload is
     ):
         with pytest.raises(Refusal, match="reference: "):
             reference(scene("everything", "paper", 100, **overrides), voltages(3), PERIOD)
@@ -263,9 +263,9 @@ def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str,
         errors = np.array([np.abs(run(scheme, n) - fine).max() for n in (50, 400)])
         # Eight times the steps: an eighth of the error; a switch may fall well or badly into its
         # step, which for the second order is nearly all of the (small) error.
-        told = f"{scheme}, errors of coarse and fine steps [rad]: {errors}"
-        assert errors[0] / errors[1] > {1: 6.0, 2: 2.0}[ORDERS[scheme]], told
-        assert errors[1] < {1: 2e-4, 2: 2e-5}[ORDERS[scheme]], told
+        reported = f"{scheme}, errors of coarse and fine steps [rad]: {errors}"
+        assert errors[0] / errors[1] > {1: 6.0, 2: 2.0}[ORDERS[scheme]], reported
+        assert errors[1] < {1: 2e-4, 2: 2e-5}[ORDERS[scheme]], reported
 
 
 @pytest.mark.parametrize("machine", ["everything", "no inductance", "rigid gear"])

@@ -1,4 +1,4 @@
-"""Sensors: what they tell of a known motion, their noise, their faults, and the same bits always."""
+"""Sensors: what they has a known motion, their noise, their faults, and the same bits always."""
 
 from __future__ import annotations
 
@@ -120,26 +120,26 @@ def set_all(plant: Plant, numbers: dict[str, float]) -> None:
 
 def motion(plant: Plant, rng: np.random.Generator, ticks: int) -> list[tuple[Measured, PlantState]]:
     """What is measured and true at each tick, from the one where the machine is."""
-    told = [(plant.measured, plant.state)]
+    reported = [(plant.measured, plant.state)]
     for tick in range(ticks):
         if tick % 50 == 0:
             voltage = rng.choice([-1.0, 1.0], 3) * rng.uniform(35.0, 48.0, 3)
         plant.exchange(voltage)
-        told.append((plant.measured, plant.state))
-    return told
+        reported.append((plant.measured, plant.state))
+    return reported
 
 
-def rows(told: list[tuple[Measured, PlantState]], name: str) -> np.ndarray:
+def rows(reported: list[tuple[Measured, PlantState]], name: str) -> np.ndarray:
     """A quantity measured, a row per tick."""
-    return np.array([getattr(measured, name) for measured, _ in told])
+    return np.array([getattr(measured, name) for measured, _ in reported])
 
 
-def truth(told: list[tuple[Measured, PlantState]], name: str) -> np.ndarray:
-    return np.array([getattr(state, name) for _, state in told])
+def truth(reported: list[tuple[Measured, PlantState]], name: str) -> np.ndarray:
+    return np.array([getattr(state, name) for _, state in reported])
 
 
 def late(values: np.ndarray, ticks: int) -> np.ndarray:
-    """What a sensor tells that is late: at first what there was in the beginning."""
+    """What a sensor reports that is late: at first what there was in the beginning."""
     return np.concatenate([np.repeat(values[:1], ticks, axis=0), values[: len(values) - ticks]])
 
 
@@ -147,33 +147,33 @@ def same(one: Measured, other: Measured) -> bool:
     return all(getattr(one, f).tobytes() == getattr(other, f).tobytes() for f in FIELDS)
 
 
-def test_without_errors_sensors_tell_what_is_there(scene: Scene) -> None:
+def test_without_errors_sensors_report_what_is_there(scene: Scene) -> None:
     plant = Plant(scene)
-    told = motion(plant, np.random.default_rng(1), 400)
-    theta, q, current = truth(told, "theta_m"), truth(told, "q"), truth(told, "current")
-    counts = rows(told, "encoder_counts")
+    reported = motion(plant, np.random.default_rng(1), 400)
+    theta, q, current = truth(reported, "theta_m"), truth(reported, "q"), truth(reported, "current")
+    counts = rows(reported, "encoder_counts")
     disc = np.floor(theta * np.array([1000, 1024, 1000]) / TURN)
     assert np.ptp(disc, axis=0).min() > 1000, "the motors shall turn by several turns"
     np.testing.assert_array_equal(counts[:, :2], disc[:, :2], "incremental at the motor")
     np.testing.assert_array_equal(counts[:, 2], late(disc[:, 2] % 1024, 1), "a word, 1 tick late")
-    link = rows(told, "link_encoder_counts")
+    link = rows(reported, "link_encoder_counts")
     at_link = np.floor(q[:, 0] * 4096 / TURN) % 2**14
     np.testing.assert_array_equal(link[:, 0], at_link, "absolute at the link")
     scale = np.floor(q[:, 1] * 100_000)  # counts per m
     np.testing.assert_array_equal(link[:, 1], late(scale, 2), "along the slide, 2 ticks late")
     np.testing.assert_array_equal(link[:, 2], 0, "a joint without encoder at the link")
-    told_current = rows(told, "current")
-    np.testing.assert_allclose(told_current[:, 0], current[:, 0], rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(told_current[:, 1], current[:, 1], "without a current sensor")
-    np.testing.assert_array_equal(told_current[:, 2], late(current[:, 2], 2), "current, late")
-    torque, true = rows(told, "torque"), truth(told, "gear_torque")
+    reported_current = rows(reported, "current")
+    np.testing.assert_allclose(reported_current[:, 0], current[:, 0], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(reported_current[:, 1], current[:, 1], "without a current sensor")
+    np.testing.assert_array_equal(reported_current[:, 2], late(current[:, 2], 2), "current, late")
+    torque, true = rows(reported, "torque"), truth(reported, "gear_torque")
     np.testing.assert_array_equal(torque[:, 0], 0.0, "without a torque sensor")
     # Behind a rigid gear the torque follows from the accelerations, worked out twice.
     np.testing.assert_allclose(torque[:, 1], late(true[:, 1], 3), rtol=0, atol=1e-9)
     np.testing.assert_array_equal(torque[:, 2], true[:, 2], "torque")
-    rate = rows(told, "angular_rate")
+    rate = rows(reported, "angular_rate")
     np.testing.assert_allclose(
-        np.linalg.norm(rate[:, 1], axis=1), late(np.abs(truth(told, "v")[:, 0]), 1), atol=1e-12,
+        np.linalg.norm(rate[:, 1], axis=1), late(np.abs(truth(reported, "v")[:, 0]), 1), atol=1e-12,
         err_msg="rate of the first link, 1 tick late",
     )  # fmt: skip
 
@@ -182,13 +182,13 @@ def test_index_pulses_come_where_a_turn_is_full(scene: Scene) -> None:
     """As often as the disc passes a multiple of a turn between ticks; the newest is latched."""
     plant = Plant(scene)
     plant.reset(v=np.array([6.0, 6.0, 6.0]))
-    told = motion(plant, np.random.default_rng(2), 400)
+    reported = motion(plant, np.random.default_rng(2), 400)
     for joint, per_turn, delay, names in (
         (0, 1000, 0, ("encoder_counts", "index_counts", "index_pulses")),
         (1, 1024, 0, ("encoder_counts", "index_counts", "index_pulses")),
         (1, 100_000, 2, ("link_encoder_counts", "link_index_counts", "link_index_pulses")),
     ):
-        counts, index, pulses = (rows(told, name)[:, joint] for name in names)
+        counts, index, pulses = (rows(reported, name)[:, joint] for name in names)
         turns = counts // per_turn
         passed = np.abs(np.diff(turns)).cumsum()
         np.testing.assert_array_equal(pulses[1:], passed, f"pulses of {names[0]} {joint}")
@@ -211,7 +211,7 @@ def drawn_state(rng: np.random.Generator, plant: Plant) -> None:
     plant.put("drawn", given)
 
 
-def test_an_imu_feels_what_the_equations_of_motion_say(scene: Scene) -> None:
+def test_an_imu_feels_what_the_equations_of_motion_state(scene: Scene) -> None:
     """Against Pinocchio: classical acceleration of the unit's frame, less that of free fall."""
     rng = np.random.default_rng(3)
     oracle, plant = Oracle(scene), Plant(scene)
@@ -279,24 +279,24 @@ of_every_encoder = pytest.mark.parametrize("which", ENCODERS, ids=lambda e: f"{e
 
 
 @of_every_encoder
-def test_a_disc_that_sits_badly_shows_the_angle_that_its_errors_say(
+def test_a_disc_that_sits_badly_shows_the_angle_that_its_errors_state(
     scene: Scene, which: tuple[Any, ...]
 ) -> None:
-    joint, section, told_by, angle, per_turn, turn, word, delay = which
+    joint, section, named_by, angle, per_turn, turn, word, delay = which
     rng = np.random.default_rng(len(joint + section))
     plant, j = Plant(scene), scene.joint_names.index(joint)
     errors = {"offset": rng.normal(), "eccentricity": 0.02, "eccentricity_phase": rng.normal(),
               "ripple": 0.01, "ripple_phase": rng.normal()}  # fmt: skip
     set_all(plant, {f"joints.{joint}.{section}.{key}": float(x) for key, x in errors.items()})
     plant.reset()
-    told = motion(plant, rng, 300)
-    theta = truth(told, angle)[:, j]
+    reported = motion(plant, rng, 300)
+    theta = truth(reported, angle)[:, j]
     t = theta * TURN / turn
     alpha = theta + errors["offset"] + 0.02 * np.sin(t + errors["eccentricity_phase"])
     alpha += 0.01 * np.sin(5 * t + errors["ripple_phase"])
     exact = late(alpha * per_turn / turn, delay)
     disc = np.floor(exact)
-    counts = rows(told, told_by)[:, j]
+    counts = rows(reported, named_by)[:, j]
     off = counts - (disc % word if word else disc)
     near_edge = np.abs(exact - np.rint(exact)) < 1e-9 * np.abs(exact).max()
     assert np.ptp(disc) > 50, "it shall turn"
@@ -307,7 +307,7 @@ def test_a_disc_that_sits_badly_shows_the_angle_that_its_errors_say(
 @of_every_encoder
 def test_noise_of_an_encoder_has_its_deviation(scene: Scene, which: tuple[Any, ...]) -> None:
     """At rest: normal noise of the angle, rounded down to counts."""
-    joint, section, told_by, _, per_turn, turn, word, _ = which
+    joint, section, named_by, _, per_turn, turn, word, _ = which
     plant, j = Plant(scene), scene.joint_names.index(joint)
     sigma = 3.0 * turn / per_turn  # of three counts
     set_all(plant, {f"joints.{joint}.{section}.noise": sigma, "seed": 5.0})
@@ -316,7 +316,7 @@ def test_noise_of_an_encoder_has_its_deviation(scene: Scene, which: tuple[Any, .
     counts = np.empty(DRAWS)
     for k in range(DRAWS):
         plant.exchange(np.zeros(3))
-        counts[k] = getattr(plant.measured, told_by)[j]
+        counts[k] = getattr(plant.measured, named_by)[j]
     if word:
         counts = (counts - counts[0] + word // 2) % word
     # Rounding adds a twelfth of a count to the variance.
@@ -362,7 +362,9 @@ def test_noise_of_a_sensor_is_normal_white_and_its_own(scene: Scene, name: str) 
 
 
 @pytest.mark.parametrize("name", CHANNELS)
-def test_gain_offset_range_and_resolution_are_as_the_equation_says(scene: Scene, name: str) -> None:
+def test_gain_offset_range_and_resolution_are_as_the_equation_states(
+    scene: Scene, name: str
+) -> None:
     rng = np.random.default_rng(len(name))
     field, place = CHANNELS[name]
     one, other = Plant(scene), Plant(scene)  # with errors and without
@@ -385,29 +387,29 @@ def test_gain_offset_range_and_resolution_are_as_the_equation_says(scene: Scene,
     assert np.abs(y).max() <= limit + 0.5 * res, "limited"
 
 
-def test_edges_are_missed_as_often_as_is_said(scene: Scene) -> None:
-    """The counter lags by a binomial number; an index pulse tells, or sets it right."""
+def test_edges_are_missed_as_often_as_is_stated(scene: Scene) -> None:
+    """The counter lags by a binomial number; an index pulse reports, or sets it right."""
     for missed in (1e-3, 0.05):
         plant = Plant(scene)
         set_all(plant, {f"joints.{name}.encoder.missed": missed for name in ("turn", "slide")})
         set_all(plant, {"seed": 11.0})
         plant.reset(v=np.array([3.0, 3.0, 0.0]))
-        told = [(plant.measured, plant.state)]
+        reported = [(plant.measured, plant.state)]
         for _ in range(300):
             plant.exchange(np.array([24.0, 30.0, 0.0]))
-            told.append((plant.measured, plant.state))
+            reported.append((plant.measured, plant.state))
         per_turn = np.array([1000, 1024])
-        disc = np.floor(truth(told, "theta_m")[:, :2] * per_turn / TURN)
+        disc = np.floor(truth(reported, "theta_m")[:, :2] * per_turn / TURN)
         assert (np.diff(disc, axis=0) >= 0).all(), "one way only"
-        lag = disc - rows(told, "encoder_counts")[:, :2]
+        lag = disc - rows(reported, "encoder_counts")[:, :2]
         edges = disc[-1] - disc[0]
         assert (edges > 8_000).all(), f"{edges} edges"
         expected, spread = missed * edges, np.sqrt(edges * missed * (1 - missed))
         assert abs(lag[-1, 0] - expected[0]) < SIGMAS * spread[0], "missed and not made up for"
         assert (np.diff(lag[:, 0]) >= 0).all(), "a counter that nobody sets right"
-        index, pulses = rows(told, "index_counts")[:, :2], rows(told, "index_pulses")[:, :2]
+        index, pulses = rows(reported, "index_counts")[:, :2], rows(reported, "index_pulses")[:, :2]
         came = np.diff(pulses, axis=0) > 0
-        # The index tells by how much the counter lags.
+        # The index reports by how much the counter lags.
         latched = -index[1:, 0][came[:, 0]] % 1000
         assert (latched >= lag[:-1, 0][came[:, 0]]).all() and (
             latched <= lag[1:, 0][came[:, 0]]
@@ -424,12 +426,12 @@ def test_a_word_that_does_not_come_is_the_one_before(scene: Scene) -> None:
     plant = Plant(scene)
     set_all(plant, {"joints.turn.link_encoder.missed": 0.3, "seed": 3.0})
     plant.reset(v=np.array([4.0, 0.0, 0.0]))
-    told = [(plant.measured, plant.state)]
+    reported = [(plant.measured, plant.state)]
     for _ in range(2000):
         plant.exchange(np.array([30.0, 0.0, 0.0]))
-        told.append((plant.measured, plant.state))
-    word = np.floor(truth(told, "q")[:, 0] * 4096 / TURN) % 2**14
-    given = rows(told, "link_encoder_counts")[:, 0]
+        reported.append((plant.measured, plant.state))
+    word = np.floor(truth(reported, "q")[:, 0] * 4096 / TURN) % 2**14
+    given = rows(reported, "link_encoder_counts")[:, 0]
     moved = np.diff(word) != 0
     repeated = given[1:] == given[:-1]
     assert (repeated | (given[1:] == word[1:])).all(), "either the word or the one before"
@@ -485,7 +487,7 @@ def test_steps_in_any_pieces_give_the_same_bits(scene: Scene) -> None:
                 other.run([voltage], some)
             left -= some
         mine, its = one.measured, other.measured
-        for field in set(FIELDS) - {"applied"}:  # which only an exchange tells
+        for field in set(FIELDS) - {"applied"}:  # which only an exchange reports
             assert getattr(mine, field).tobytes() == getattr(its, field).tobytes(), field
 
 
@@ -537,8 +539,8 @@ def test_lanes_of_a_fleet_measure_as_single_arms(scene: Scene) -> None:
                 getattr(mine, field), getattr(alone, field), rtol=0, atol=atol, err_msg=field
             )
     for field in ("encoder_counts", "torque", "specific_force"):
-        told = [getattr(fleets[0][arm].measured, field).tobytes() for arm in range(count)]
-        assert len(set(told)) == count, f"each arm has noise of its own: {field}"
+        reported = [getattr(fleets[0][arm].measured, field).tobytes() for arm in range(count)]
+        assert len(set(reported)) == count, f"each arm has noise of its own: {field}"
     alike = Fleet(scene, 2, varied={**numbers, "seed": 3.0})
     alike.run(voltages[:, 0], steps)
     assert same(alike[0].measured, alike[1].measured), "equal arms with equal seeds"
@@ -618,14 +620,14 @@ def test_without_sensors_there_are_none_in_the_core(scene: Scene, tmp_path: Path
     assert [scene.sensed for scene in scenes] == [False, True]
     assert ["ensor" in unit for unit in units] == [False, True], units[0]
     kinds = {"kind": "incremental", "index": "none", "delay": 0, "counts_per_turn": 1000}
-    told = scene_unit(load_scene(file, bare | {"joints.*.encoder": kinds}))
-    assert told == units[0], "what is as it is anyway"
+    reported = scene_unit(load_scene(file, bare | {"joints.*.encoder": kinds}))
+    assert reported == units[0], "what is as it is anyway"
     plant = Plant(scenes[0])
-    told, untold = (
+    reported, untold = (
         motion(one, np.random.default_rng(3), 100) for one in (noisy(scene, 1.0), plant)
     )
     # Numbers that can be varied make another library, whose sums may be rounded otherwise.
-    np.testing.assert_allclose(truth(told, "q"), truth(untold, "q"), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(truth(reported, "q"), truth(untold, "q"), rtol=0, atol=1e-11)
     measured = plant.measured
     np.testing.assert_array_equal(measured.current, plant.state.current)
     for field in OF_SENSORS:
@@ -649,7 +651,7 @@ def test_a_client_of_version_1_is_served(scene: Scene) -> None:
 
 
 def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
-    """As with counts that go on; noise moves the links by no more than it says of them."""
+    """As with counts that go on; noise moves the links by no more than it states of them."""
     encoder = {"kind": "absolute", "counts_per_turn": 1024, "bits": 16, "noise": 0.0}
     numbers = {"joints.*.encoder": encoder, "joints.*.current_sensor": {"noise": 0.0}}
     scene = load_scene("three_axis", {**numbers, "varied": ["joints.*.*.noise"]})

@@ -232,27 +232,27 @@ def test_a_ramp_of_targets_with_speeds_is_followed_without_stairs(speed: float) 
     assert ripple["stairs"] > 5.0 * ripple["line"], f"{ripple}"
 
 
-def test_the_servo_is_told_what_voltage_was_applied() -> None:
+def test_the_servo_is_reported_what_voltage_was_applied() -> None:
     """A fast motor's speed follows from its voltage: another than was asked for, as of a drive
 
-    that answered late, is no surprise to a servo that is told.
+    that answered late, is no surprise to a servo that is reported.
     """
     fast = dataclasses.replace(JOINT, rotor_inertia=1e-6, inductance=0.0, counts_per_turn=2**20)
     rng = np.random.default_rng(0)
     error = {}
-    for told in (True, False):
+    for reported in (True, False):
         servo, machine = servo_of(fast), Drivetrain(fast, stiffness=1.0, damping=0.0)
         applied, off = 0.0, []
         for tick in range(400):
-            given = {"voltage": [applied]} if told else {}
+            given = {"voltage": [applied]} if reported else {}
             servo.observe([machine.counts], [machine.x[0]], **given)
             servo.control([0.0])
             applied = float(rng.uniform(-1.0, 1.0))
             if tick > 50:
                 off.append(servo.v_measured[0] - machine.x[2] * machine.Ng)
             machine.advance(applied)
-        error[told] = float(np.sqrt(np.mean(np.square(off))))
-    assert error[True] < 0.1 * error[False], f"rms error of the speed, told or not: {error}"
+        error[reported] = float(np.sqrt(np.mean(np.square(off))))
+    assert error[True] < 0.1 * error[False], f"rms error of the speed, reported or not: {error}"
 
 
 # Limits
@@ -616,8 +616,8 @@ def test_a_word_that_wraps_is_followed_as_counts_that_go_on() -> None:
                 counts = (counts + word // 2) % word - word // 2
             current, target = rng.normal(0.0, 1.0, N), rng.normal(0.0, 1.0, N)
             voltages = [
-                servo.update(told, current, target)
-                for servo, told in ((going_on, counts), (wrapping, counts % word))
+                servo.update(reported, current, target)
+                for servo, reported in ((going_on, counts), (wrapping, counts % word))
             ]
             np.testing.assert_array_equal(*voltages, err_msg=f"{bits} bits, period {k}")
             counts = counts + rng.integers(-largest, largest, N)

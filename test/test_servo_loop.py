@@ -142,7 +142,7 @@ def test_held_is_the_matrix_exponential(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_linear_servo_is_the_servo_that_runs(seed: int) -> None:
-    """Two runs of the servo differ by what its matrices say; counts too fine to matter."""
+    """Two runs of the servo differ by what its matrices state; counts too fine to matter."""
     rng = np.random.default_rng([seed, 3])
     axis = draw_axis(rng)
     gains = ServoGains(0.05 / axis.period, 1.0, 20 * axis.period, 0.3 / axis.period)
@@ -297,7 +297,7 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
     margins: Margins = loop.margins()[0]
     assert loop.stable
     if margins.gain_up < 1e3:
-        # The observer is told the voltage that was applied, as of a drive whose gain is off.
+        # The observer is reported the voltage that was applied, as of a drive whose gain is off.
         assert stable(0.97 * margins.gain_up), f"below the gain margin {margins.gain_up:g}"
         assert not stable(1.03 * margins.gain_up), f"beyond the gain margin {margins.gain_up:g}"
     whole = math.floor(min(margins.delay, 30.0) - 0.05)

@@ -27,7 +27,7 @@ def test_sticking_and_slipping_is_of_order_two_where_located(
 
 
 @pytest.mark.parametrize("scheme", some(["extrapolated", "implicit", "rosenbrock", "paper"], 1))
-def test_a_thrown_link_comes_to_rest_where_the_equation_says(tmp_path: Path, scheme: str) -> None:
+def test_a_thrown_link_comes_to_rest_where_the_equation_states(tmp_path: Path, scheme: str) -> None:
     """I dv/dt = -Dv v - sliding(v), to the end of the step in which it stops."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 32])
     friction, towed = drawn(rng)

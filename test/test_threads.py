@@ -86,7 +86,7 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
 
 
 @pytest.mark.parametrize(("exchange", "depth"), some([("lag", 2), ("predict", 2), ("lag", 4)], 2))
-def test_a_deeper_exchange_costs_what_it_says(exchange: str, depth: int) -> None:
+def test_a_deeper_exchange_costs_what_it_states(exchange: str, depth: int) -> None:
     """D steps late; or led on by D differences of v, which leaves D (D + 1) / 2 second ones."""
     exact = after_one_second(plant(1))
     once, deep = (after_one_second(plant(2, 1e-4, exchange, depth=d)) - exact for d in (1, depth))

@@ -182,7 +182,7 @@ def along(motion: ToolMotion, begin_ns: int, step_ns: int) -> tuple[np.ndarray, 
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_path_keeps_its_speeds_and_says_how_the_tool_moves(seed: int) -> None:
+def test_a_path_keeps_its_speeds_and_states_how_the_tool_moves(seed: int) -> None:
     rng = np.random.default_rng([seed, 4])
     poses = [random_pose(rng, 0.2) for _ in range(int(rng.integers(1, 6)))]
     path = ToolPath(poses, LIMITS, arcs=seed % 3 == 1, blend=0.02 * (seed % 3 == 2))

@@ -157,7 +157,7 @@ MANY = [0.01 * k for k in range(257)]
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "stated"),
     [
         ({"angles": None}, "angles must be a list"),
         ({"angles": [0.0, 1.0, 2.0]}, "angles must have 4 to 256 numbers [rad], got 3"),
@@ -176,11 +176,11 @@ MANY = [0.01 * k for k in range(257)]
         ({"periodic": 1}, "periodic must be true or false"),
     ],
 )
-def test_what_is_no_table_is_refused_in_one_line(change: dict[str, Any], said: str) -> None:
+def test_what_is_no_table_is_refused_in_one_line(change: dict[str, Any], printed: str) -> None:
     with pytest.raises(Refusal) as refusal:
         load_scene("three_axis", {"joints.elbow.torque_table": GOOD | change})
     line = str(refusal.value)
-    assert f"joints.elbow.torque_table.{said}" in line and "\n" not in line, line
+    assert f"joints.elbow.torque_table.{printed}" in line and "\n" not in line, line
 
 
 @pytest.mark.parametrize("key", ["angles", "torques"])

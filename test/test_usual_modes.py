@@ -1,4 +1,4 @@
-"""Where drives say at once that they are in their usual modes, their parts say so one by one."""
+"""Where drives report at once that they are in their usual modes, their parts do one by one."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ void ask(int joint, int open, int count, int* usual) {
 """
 
 
-def test_drives_that_say_they_are_in_usual_modes_are(tmp_path: Path) -> None:
+def test_drives_that_state_they_are_in_usual_modes_are(tmp_path: Path) -> None:
     joints = dict(zip(GANTRY, JOINTS, strict=True))
     scene = load_scene(write_scene(tmp_path, gantry_urdf(), joints))
     header = tmp_path / "c" / "ask.h"
@@ -70,7 +70,7 @@ def test_drives_that_say_they_are_in_usual_modes_are(tmp_path: Path) -> None:
         return counted.tolist()
 
     at_once, wrongly, usual = ask(0, True)
-    assert wrongly == 0, "a limit, a stop or a brake holds where nothing is said to"
+    assert wrongly == 0, "a limit, a stop or a brake holds where nothing is reported to"
     # The rest are links that leave their stop faster than it follows.
     assert 0.99 * usual < at_once <= usual, "usual modes that are not seen at once"
     for joint, brake_open in ((0, False), (1, True), (2, True)):

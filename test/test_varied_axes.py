@@ -225,11 +225,11 @@ def test_every_kind_of_varied_number_is_as_if_built_in(seed: int, tmp_path: Path
         with pytest.raises(Diverged):
             moved(scene, values, seed)
         return
-    got, told = moved(scene, values, seed)
+    got, reported = moved(scene, values, seed)
     size = np.abs(expected).max(axis=(0, 2), keepdims=True)
     # Rounding, which stick-slip and hard stops let grow in 0.2 s.
     assert (np.abs(got - expected) / (1.0 + size)).max() < 1e-8, "states"
-    for one, other in zip(told, measured, strict=True):
+    for one, other in zip(reported, measured, strict=True):
         for field in KNOWN:
             mine, its = (np.asarray(getattr(m, field), dtype=float) for m in (one, other))
             # A motion that is off by 1e-8 may be at the edge of a count.

@@ -69,7 +69,7 @@ def test_a_constant_current_heats_along_the_exponential(locked: Path) -> None:
     assert steady == pytest.approx(rise(np.inf), rel=1e-9), "steady state"
 
 
-def test_a_drive_beyond_its_limit_says_so_and_is_off_until_it_is_below(locked: Path) -> None:
+def test_a_drive_beyond_its_limit_states_so_and_is_off_until_it_is_below(locked: Path) -> None:
     scene = load_scene(locked)
     plant, other = Plant(scene), Plant(scene)
     seen, hot = np.zeros(3, int), np.zeros(3, bool)

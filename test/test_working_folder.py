@@ -26,14 +26,14 @@ EARLY = subprocess.run(
     capture_output=True, text=True, check=True,
 ).stdout.split()  # fmt: skip
 STANDARD = {name for name in sys.stdlib_module_names if not name.startswith("_")} - set(EARLY)
-SAYS = "imported from the working folder"
+ANSWERS = "imported from the working folder"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder of a user with files of every name that somebody imports."""
     for name in (*OURS, *OTHERS, *STANDARD):
-        (tmp_path / f"{name}.py").write_text(f"raise SystemExit('{name} {SAYS}')\n")
+        (tmp_path / f"{name}.py").write_text(f"raise SystemExit('{name} {ANSWERS}')\n")
     return tmp_path
 
 
@@ -53,7 +53,7 @@ def command(folder: Path, *words: str, path: str = "") -> None:
         cwd=folder, capture_output=True, text=True, timeout=120.0, check=False,
         env={**os.environ, "PYTHONPATH": f"{os.environ['PYTHONPATH']}{path}"},
     )  # fmt: skip
-    assert SAYS not in done.stdout + done.stderr, done.stderr
+    assert ANSWERS not in done.stdout + done.stderr, done.stderr
     assert done.returncode == (2 if words[1] == "nothing" else 0), done.stderr
 
 
@@ -80,7 +80,7 @@ def test_a_node_imports_nothing_of_the_working_folder(node: str, folder: Path) -
         [sys.executable, "-m", f"{node}.node", "--ros-args", "-p", "clock:=no_clock"],
         cwd=folder, capture_output=True, text=True, timeout=120.0, check=False,
     )  # fmt: skip
-    assert SAYS not in done.stdout + done.stderr, done.stderr
+    assert ANSWERS not in done.stdout + done.stderr, done.stderr
     assert done.returncode == 2 or "Refusal" not in done.stderr, done.stderr
 
 

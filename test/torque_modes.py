@@ -23,7 +23,7 @@ SLOPE = 4294967295  # as steep as a slope can be
 class TorqueRun:
     """Of one joint in a torque mode, per period."""
 
-    torque: np.ndarray  # % of rated, that the drive tells
+    torque: np.ndarray  # % of rated, that the drive reports
     current: np.ndarray  # % of rated, that flows
     limited: np.ndarray  # whether a limit was at work
 
@@ -83,14 +83,14 @@ def swings(torque: np.ndarray) -> float:
 
 
 def faults(scene: Scene, servo: ServoConfig) -> Iterator[str]:
-    """Tell of every joint in every torque mode that does not do what was asked of it."""
+    """Report of every joint in every torque mode that does not do what was asked of it."""
     for j, joint in enumerate(scene.joints):
         for braked in (False, True)[: 1 + (joint.brake is not None)]:
             for mode in (CYCLIC_TORQUE, PROFILE_TORQUE):
                 at = f"{scene.name}, {joint.name}, mode {mode}, brake closed {braked}"
                 rest = torque_run(scene, servo, j, mode, 0, braked)
                 flows = rest.current[: len(rest.free)]
-                for what, values in (("tells", rest.free), ("flows", flows)):
+                for what, values in (("reports", rest.free), ("flows", flows)):
                     if len(values) < 20 or values.std() > 1.0:
                         yield f"{at}: at 0 {what} {values.std():.3g} % over {len(values)} periods"
                 # At a limit of the speed a count of the encoder is some torque.

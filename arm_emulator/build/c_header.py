@@ -48,7 +48,7 @@ def pointer(numbers: npt.NDArray[Any]) -> CData:
 
 
 def text(characters: CData) -> str:
-    """Return what a string of C says, up to its end or the array's."""
+    """Return what a string of C states, up to its end or the array's."""
     return str(_ARRAYS.string(characters).decode(errors="replace"))
 
 

@@ -76,7 +76,7 @@ def cache_folders() -> list[Path]:
             try:
                 folders.append(check_folder(folder))
             except Untrusted as error:
-                _say_passed_over(folder, error)
+                _report_passed_over(folder, error)
     return folders
 
 
@@ -104,7 +104,7 @@ def writable_caches() -> Iterator[Path]:
             with tempfile.TemporaryFile(dir=found):
                 pass
         except Untrusted as error:
-            _say_passed_over(folder, error)
+            _report_passed_over(folder, error)
         except OSError as error:
             reasons.append(f"{folder}: {error.strerror}")
         else:
@@ -119,12 +119,12 @@ def writable_caches() -> Iterator[Path]:
     )
 
 
-def _say_passed_over(folder: Path, reason: Untrusted) -> None:
-    say_once(f"arm_emulator: cache folder {folder} is passed over: {reason}")
+def _report_passed_over(folder: Path, reason: Untrusted) -> None:
+    report_once(f"arm_emulator: cache folder {folder} is passed over: {reason}")
 
 
 @cache
-def say_once(line: str) -> None:
+def report_once(line: str) -> None:
     """Print a line on stderr, once per process."""
     print(line, file=sys.stderr, flush=True)
 

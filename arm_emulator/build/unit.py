@@ -78,13 +78,13 @@ def library(unit: Unit) -> Library:
                     except FileNotFoundError:
                         continue
                     except library_cache.Damaged as error:
-                        _say_damaged(file, error)
+                        _report_damaged(file, error)
     for folder in library_cache.writable_caches():
         with _compiled(unit, "native", folder) as file:
             try:
                 return _load(file, unit)
             except (library_cache.Damaged, FileNotFoundError) as error:
-                _say_damaged(file, error)
+                _report_damaged(file, error)
     raise AssertionError("writable_caches ends with a refusal")
 
 
@@ -144,7 +144,7 @@ def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
             try:
                 folder = check_folder(folder, make=0o755)
             except Untrusted as reason:  # it may be on its way to another place
-                library_cache.say_once(
+                library_cache.report_once(
                     f"arm_emulator: no library is loaded from {folder} as it is: {reason}"
                 )
                 folder.mkdir(parents=True, exist_ok=True)
@@ -247,8 +247,8 @@ def _candidates(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
     yield from (file for file in others if file != own)
 
 
-def _say_damaged(file: Path, error: Exception) -> None:
-    library_cache.say_once(f"arm_emulator: cached library {file} is not used: {error}")
+def _report_damaged(file: Path, error: Exception) -> None:
+    library_cache.report_once(f"arm_emulator: cached library {file} is not used: {error}")
 
 
 def _library_name(unit: Unit, target: str) -> str:

@@ -26,7 +26,7 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
     tick = -1
     for _, state in read_topics(Bag(path), ("motor_states",)):
         if state.tick == tick:
-            continue  # told once more, while nobody answered
+            continue  # reported once more, while nobody answered
         tick = state.tick
         names = list(state.joint_names)
         for joint in scene.joint_names:
@@ -45,7 +45,7 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
     units = np.array([joint.command == "N m" for joint in scene.joints])
     Kt = np.array([getattr(joint.motor, "torque_constant", np.nan) for joint in scene.joints])
     tau = np.array(current, np.float64) * np.nan_to_num(Kt)
-    # A command is told at the end of the period in which it held: here, half of it before.
+    # A command is reported at the end of the period in which it held: here, half of it before.
     applied = np.array(command, np.float64)
     later = np.vstack([applied[1:], applied[-1:]])
     tau = np.where(units, 0.5 * (applied + later), tau)

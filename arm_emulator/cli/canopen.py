@@ -94,7 +94,7 @@ def canopen(
 
 
 def write_eds(scene_name: str, folder: Path) -> int:
-    """Write the data sheet of each joint's drive, and tell the files.
+    """Write the data sheet of each joint's drive, and report the files.
 
     Raises:
         Refusal: see `load_segment`, or the folder cannot be written to.

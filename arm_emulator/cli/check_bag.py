@@ -1,11 +1,11 @@
 """`arm_emulator check-bag`: drive the machine again with a bag's voltages and compare all bits.
 
-A run depends on nothing but the voltages of each servo period, and every motor state tells those
+A run depends on nothing but the voltages of each servo period, and every motor state reports those
 of the period before it. So the machine, driven by these voltages, must come to the recorded states;
 and in lock-step the voltages must be those of the recorded commands. What was changed by hand is
 changed again: a reset or a switch of the power is computed, and a machine that was set or restored
-is put where its event tells. A run is what lies between two resets; it is checked if the bag has it
-from tick 0 on.
+is put where its event has it. A run is what lies between two resets; it is checked if the bag has
+it from tick 0 on.
 """
 
 from __future__ import annotations
@@ -141,13 +141,13 @@ class _Checker:
         self._where = str(bag.path)
         self._lockstep = lockstep
         # A recorder that takes up all topics knows of changes by hand, be it that none came.
-        self._tells_changes = any(name.endswith("/emulator/events") for name in bag.topics)
-        self._tells_commands = any(name.endswith("/motor_commands") for name in bag.topics)
+        self._reports_changes = any(name.endswith("/emulator/events") for name in bag.topics)
+        self._reports_commands = any(name.endswith("/motor_commands") for name in bag.topics)
         self._machine = 0  # whose states the run has
         self._commanded = JointOrder("motor_commands", session.scene.joint_names)
         self._inside = False  # a run that began at tick 0
         self._measured = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
-        self._told = Plant(session.scene)  # machines as events tell them
+        self._reported = Plant(session.scene)  # machines as events report them
         self._event = (0, 0)  # emulator and number of the newest one
         self._waiting: list[MachineEvent] = []  # at tick 0 of a run whose first state is to come
         self._begin()
@@ -215,7 +215,7 @@ class _Checker:
                 self._waiting.append(event)
             return
         if machine == event.machine and number != before + 1:
-            rule = f"tell change {before + 1} by hand"
+            rule = f"report change {before + 1} by hand"
             raise Refusal(self._where, "emulator/events", rule, f"{number}", "a bag without gaps")
         self._lead_past_a_lost_state(int(event.tick))
         if event.tick != session.tick or nanoseconds_of(event.header.stamp) != session.logical_ns:
@@ -234,35 +234,37 @@ class _Checker:
         )
         self.tally.changes += 1
         try:
-            self._told.restore(bytes(event.state))
+            self._reported.restore(bytes(event.state))
         except Refusal as reason:
             raise Difference(f"{place}: the state after it cannot be restored: {reason}") from None
-        if self._told.powered != event.powered or event.kind not in KINDS:
-            raise Difference(f"{place}: it does not tell one change of one machine")
+        if self._reported.powered != event.powered or event.kind not in KINDS:
+            raise Difference(f"{place}: it does not report one change of one machine")
         if event.kind == MachineEvent.KIND_RESET:
             session.powered = bool(event.powered)
             self._set_varied()
             session.reset()
-        elif event.kind == MachineEvent.KIND_SET_VARIED and self._told.diverged is None:
+        elif event.kind == MachineEvent.KIND_SET_VARIED and self._reported.diverged is None:
             self._set_varied()
-        elif event.kind == MachineEvent.KIND_EXTERNAL_WRENCH and self._told.diverged is None:
-            for link, wrench in self._told.external_wrenches.items():
+        elif event.kind == MachineEvent.KIND_EXTERNAL_WRENCH and self._reported.diverged is None:
+            for link, wrench in self._reported.external_wrenches.items():
                 if wrench != session.plant.external_wrenches[link]:
                     session.set_external_wrench(link, wrench)
-        elif event.kind == MachineEvent.KIND_POWER and self._told.diverged is None:
+        elif event.kind == MachineEvent.KIND_POWER and self._reported.diverged is None:
             session.powered = bool(event.powered)
         else:  # a machine that has diverged stands within a servo period
             session.restore(bytes(event.state))
-        if self._told.parameters != session.plant.parameters:
+        if self._reported.parameters != session.plant.parameters:
             raise Difference(f"{place}: varied numbers differ")
-        if self._told.external_wrenches != session.plant.external_wrenches:
+        if self._reported.external_wrenches != session.plant.external_wrenches:
             raise Difference(f"{place}: external wrenches differ")
-        told, now = self._told.state, session.state
+        reported, now = self._reported.state, session.state
         for name in SET:
-            self._same_bits(f"{name} after {what} by hand", getattr(told, name), getattr(now, name))
+            self._same_bits(
+                f"{name} after {what} by hand", getattr(reported, name), getattr(now, name)
+            )
 
     def _set_varied(self) -> None:
-        for name, value in self._told.parameters.items():
+        for name, value in self._reported.parameters.items():
             self._session.set_varied(name, value)
 
     def _on_state(self, state: MotorState) -> None:
@@ -285,7 +287,7 @@ class _Checker:
             return
         order = self._order(state.joint_names)
         if tick > session.tick + 1:
-            rule = f"tell tick {session.tick + 1}"
+            rule = f"report tick {session.tick + 1}"
             got = f"nothing, and the next state is that of tick {tick}"
             raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
         first = begins or tick == session.tick + 1
@@ -299,7 +301,7 @@ class _Checker:
                 f"recorded {stamp} ns, computed {session.logical_ns} ns"
             )
         now = session.measured
-        if first:  # one that diverges then, and is told again, has other ones
+        if first:  # one that diverges then, and is reported again, has other ones
             self._compare("voltage", order, np.array(state.voltage), session.voltage)
         per_joint = (one.name for one in self._measured.own if not one.per_unit)
         for name in (*self._measured.in_all, *per_joint):
@@ -317,7 +319,7 @@ class _Checker:
     def _end_run(self, state: MotorState) -> None:
         """Take a tick that goes back: without a reset only another machine's may."""
         self._inside = False
-        if self._tells_changes and state.machine == self._machine:
+        if self._reports_changes and state.machine == self._machine:
             raise Difference(
                 f"run {self.tally.runs}: tick {state.tick} comes after tick {self._session.tick}, "
                 "and no reset is recorded"
@@ -360,7 +362,7 @@ class _Checker:
         self._led = self._led or bool(applied.any())
         self.tally.free += not self._led and not commands
         led = self._led and session.powered
-        self.tally.uncommanded += led and self._lockstep and self._tells_commands and not commands
+        self.tally.uncommanded += led and self._lockstep and self._reports_commands and not commands
         self.tally.held += 0 if self._lockstep else len(commands)
         # In real time a command may answer any tick, and before the first one was taken it may
         # answer a tick that is past. Power may be switched while nothing moves.
@@ -522,7 +524,7 @@ def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
 
 
 def _not_known(bag: Bag) -> Iterator[str]:
-    """Yield what the bag does not tell of."""
+    """Yield what the bag does not has."""
     if not bag.complete:
         yield "what came after the bag's end: its recorder did not end it"
     for name, what in (

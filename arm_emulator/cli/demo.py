@@ -28,7 +28,7 @@ from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.demo.demo_safety import tell_safety
+from arm_emulator.demo.demo_safety import report_safety
 from arm_emulator.demo.fig4 import draw_fig4
 from arm_emulator.demo.predicted_rest import Arrival, PredictedRest, predicted_rest
 from arm_emulator.machine.scene import Scene, load_scene
@@ -93,7 +93,7 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
     unclean = {name: code for name, code in codes.items() if code != 0}
     if unclean:
         console.print(f"[red]not ended cleanly: {unclean}, see {out / 'log'}")
-    _tell(scene, clock, predicted, result, out, console)
+    _report(scene, clock, predicted, result, out, console)
     return 1 if unclean else 0
 
 
@@ -280,7 +280,7 @@ def verdict(predicted: PredictedRest, deviations: Array) -> str:
     return "the residual is [red]outside[/red] the prediction"
 
 
-def _tell(
+def _report(
     scene: Scene,
     clock: str,
     predicted: PredictedRest | Refusal,
@@ -327,6 +327,6 @@ def _tell(
     if len(below):
         console.print(f"below 1 % of {start * 1e3:.1f} mm    after {below[0]} instructions")
     console.print(f"real-time factor          {result.real_time_factor:.2f}")
-    for line in tell_safety(scene, result.arrived):
+    for line in report_safety(scene, result.arrived):
         console.print(line)
     console.print(f"look at  {out / 'fig4.png'}  and  rerun {out / 'demo.rrd'}")

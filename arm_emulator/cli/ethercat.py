@@ -53,7 +53,7 @@ def serve(scene_name: str, interface: str, lockstep: bool) -> int:
         return 1
     finally:
         os.close(descriptor)
-        _tell(segment.figures, lockstep)
+        _report(segment.figures, lockstep)
 
 
 def write_esi(scene_name: str, file: Path) -> int:
@@ -79,7 +79,7 @@ def _segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     return scene, Segment(scene, servo, lockstep)
 
 
-def _tell(figures: CData, lockstep: bool) -> None:
+def _report(figures: CData, lockstep: bool) -> None:
     print(f"frames            {figures.frames}, of which with all process data {figures.exchanges}")
     print(f"servo periods     {figures.periods}")
     if not lockstep:

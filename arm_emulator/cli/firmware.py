@@ -17,7 +17,7 @@ from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.run import ctrl_c_ends_at_once, tell, ticks_of
+from arm_emulator.cli.run import ctrl_c_ends_at_once, report, ticks_of
 from arm_emulator.doors.microcontroller.board import Board, load_board
 from arm_emulator.doors.microcontroller.elf_image import ElfImage
 from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
@@ -68,7 +68,7 @@ def run(
                 return 1
         wall = time.perf_counter() - started
     off = off_target(one.session, table, ticks) if table else None
-    tell(one.session, ticks, wall, off)
+    report(one.session, ticks, wall, off)
     figures = chip.figures
     awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
     each = figures.instructions / ticks
@@ -93,11 +93,11 @@ def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:
 
 
 @contextlib.contextmanager
-def _lines(board: Board, told: Sequence[str]) -> Iterator[dict[str, tuple[int, int]]]:
+def _lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tuple[int, int]]]:
     """Give file descriptors to write to and read from for serial lines, by their names."""
     names = [uart.name for uart in board.uarts]
     wanted = {name: "stdout" if place == 0 else "none" for place, name in enumerate(names)}
-    for text in told:
+    for text in reported:
         name, _, where = text.partition("=")
         if not where and len(names) == 1:
             name, where = names[0], name
@@ -106,7 +106,7 @@ def _lines(board: Board, told: Sequence[str]) -> Iterator[dict[str, tuple[int, i
             raise Refusal("firmware", "--uart", "name a serial line of the board", text, valid)
         if where not in _WHERE:
             valid = ", ".join(f"{name}={one}" for one in _WHERE)
-            raise Refusal("firmware", "--uart", "say where the line goes", text, valid)
+            raise Refusal("firmware", "--uart", "state where the line goes", text, valid)
         wanted[name] = where
     sys.stdout.flush()
     with contextlib.ExitStack() as open_:

@@ -18,7 +18,7 @@ def write_fmu(
     version: str,
     windows: bool = False,
 ) -> int:
-    """Write the unit, and say what it is.
+    """Write the unit, and state what it is.
 
     Args:
         scene_name: scene file or name.

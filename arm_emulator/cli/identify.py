@@ -56,7 +56,7 @@ def identify(
         hold: patterns of what to keep as it is.
         out: the scene to write.
         angles: unit of the record's angles.
-        side: of the gear on which motor angles are told.
+        side: of the gear on which motor angles are reported.
         delays: ``tau=0.002``: by how much signals come late [s].
         low_pass: what is faster is not looked at [Hz].
         trust: see above.
@@ -153,9 +153,9 @@ def _stiffness(scene: Scene, run: MeasuredRun, wanted: Sequence[str],
         name, before = f"joints.{joint.name}.gear.stiffness", joint.gear.stiffness
         if before is None or name not in wanted or matches(name, hold):
             continue
-        told = bool(np.isfinite(of.stiffness[j]))
-        value = float(of.stiffness[j]) if told else before
-        numbers.append(Found(name, "N m/rad", before, value, float(of.deviation[j]), told))
+        reported = bool(np.isfinite(of.stiffness[j]))
+        value = float(of.stiffness[j]) if reported else before
+        numbers.append(Found(name, "N m/rad", before, value, float(of.deviation[j]), reported))
     return numbers
 
 
@@ -168,7 +168,7 @@ def _heading(run: MeasuredRun, delays: dict[str, float], low_pass: float, t: Arr
         f"{late or 'no delays taken out'}; low-pass {low_pass:g} Hz both ways (Butterworth, order "
         f"4), {len(t)} rows used\n"
         f"torque explained in motion: {explained} %\n"
-        f"{int(fit.fitted.sum())} numbers looked for; the motion tells of {fit.directions} "
+        f"{int(fit.fitted.sum())} numbers looked for; the motion has {fit.directions} "
         "combinations of them, the rest is as uncertain as before"
     )
 
@@ -208,7 +208,7 @@ def _doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]
         if one.identified and one.far > FAR:
             doubts.append(
                 f"{one.name}: {one.value:.4g} {one.unit} is {one.far:.1f} of the deviations known "
-                f"before from {one.before:.4g}; is the record in the units and of the scale told?"
+                f"before from {one.before:.4g}; is the record in the units and scale given?"
             )
         if one.left:
             doubts.append(f"{one.name}: {one.left}")

@@ -62,7 +62,7 @@ def new(
     *,
     force: bool,
 ) -> int:
-    """Write a scene for a robot, and tell what was taken from it and what was guessed.
+    """Write a scene for a robot, and report what was taken from it and what was guessed.
 
     Raises:
         Refusal: see `write_new`.

@@ -30,7 +30,7 @@ from arm_emulator_msgs.msg import MotorState
 LOOK_PERIOD = 0.1  # s, wall: how often new topics are looked for
 FLUSH_PERIOD = 0.5  # s, wall: what a crash loses at most
 ENDING = 5.0  # s, wall: time that the middleware has to end
-TELL_PERIOD = 0.05  # s, wall: how often progress is reported to the emulators
+REPORT_PERIOD = 0.05  # s, wall: how often progress is reported to the emulators
 DEPTH = 10_000  # messages: some seconds of every topic, should the disk be busy
 
 
@@ -52,11 +52,11 @@ def record(
     Raises:
         Refusal: the folder exists, or the disk takes no more.
     """
-    told = threading.Event()  # to end
+    reported = threading.Event()  # to end
     # Not rclpy's handlers: they end publishing, and emulators wait for a recorder until it reports
     # that it ends. A signal interrupts nothing here: it is noticed between two messages.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: told.set())
+        signal.signal(number, lambda *_: reported.set())
     node: _Recorder | None = None
     bag = BagWriter(out)
     failure: Exception | None = None
@@ -64,18 +64,18 @@ def record(
         with bag, contextlib.suppress(_Ended):
             clear_left_over()
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-            node = _Recorder(bag, topics, presence.recorder, from_start, told)
+            node = _Recorder(bag, topics, presence.recorder, from_start, reported)
             LeanExecutor(node).spin()
     except (OSError, MemoryError) as error:
         failure = error
     finally:
         if node is not None:
             node.leave()
-    said = [topic for topic in bag.topics if topic.count]
-    count = sum(topic.count for topic in said)
+    printed = [topic for topic in bag.topics if topic.count]
+    count = sum(topic.count for topic in printed)
     lost = "" if node is None else node.lost
     print(
-        f"{out}: {count} messages on {len(said)} topics in {bag.seconds:.1f} s"
+        f"{out}: {count} messages on {len(printed)} topics in {bag.seconds:.1f} s"
         + (f"; lost: {lost}" if lost else "")
     )
     code = 2 if failure is not None else 1 if lost else 0
@@ -98,21 +98,21 @@ class _Recorder(Node):
         topics: Collection[str] | None,
         name: str,
         from_start: bool,
-        told_to_end: threading.Event,
+        asked_to_end: threading.Event,
     ) -> None:
         super().__init__("recorder", enable_rosout=False, start_parameter_services=False)
         self._bag = bag
         self._name = name
         self._from_start = from_start
-        self._told_to_end = told_to_end
+        self._asked_to_end = asked_to_end
         self._wanted = None if topics is None else {self.resolve_topic_name(t) for t in topics}
         self._known: set[str] = set()
         self._numbered: dict[str, Numbered] = {}  # by topic
         self._runs: list[RecordedRuns] = []
-        self._told_lost = ""
+        self._reported_lost = ""
         self.create_timer(LOOK_PERIOD, self._look)
         self.create_timer(FLUSH_PERIOD, bag.flush)
-        self.create_timer(TELL_PERIOD, self._tell)
+        self.create_timer(REPORT_PERIOD, self._report)
         self._look()
 
     @property
@@ -129,13 +129,13 @@ class _Recorder(Node):
         for run in self._runs:
             run.leave()
 
-    def _tell(self) -> None:
-        if self._told_to_end.is_set():
+    def _report(self) -> None:
+        if self._asked_to_end.is_set():
             raise _Ended
         for run in self._runs:
             run.report()
-        if self.lost != self._told_lost:
-            self._told_lost = self.lost
+        if self.lost != self._reported_lost:
+            self._reported_lost = self.lost
             print(f"lost so far: {self.lost}", flush=True)
 
     def _look(self) -> None:

@@ -102,12 +102,12 @@ def _chosen(bag: Bag, topics: Collection[str] | None) -> list[str]:
 
 def _wait_for_listeners(publishers: dict[str, Publisher]) -> None:
     for name, publisher in publishers.items():
-        told = False
+        reported = False
         while publisher.get_subscription_count() == 0:
             _go_on()
-            if not told:
+            if not reported:
                 print(f"waiting for a listener on {name}", flush=True)
-                told = True
+                reported = True
             time.sleep(NAP)
 
 

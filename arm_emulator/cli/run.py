@@ -58,7 +58,7 @@ def run(scene_name: str, seconds: float, displacement: Sequence[float] | None) -
         print(explain(fault), file=sys.stderr)
         return 1
     wall = time.perf_counter() - started
-    tell(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
+    report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
     return 0
 
 
@@ -106,7 +106,7 @@ def _report(one: TableRun, targets: TargetTable, seconds: float | None) -> int:
         print(explain(fault), file=sys.stderr)
         return 1
     wall = time.perf_counter() - started
-    tell(session, ticks, wall, off_target(session, targets, ticks))
+    report(session, ticks, wall, off_target(session, targets, ticks))
     return 0
 
 
@@ -135,7 +135,7 @@ def ticks_of(seconds: float, scene: Scene) -> int:
     return round(seconds / period)
 
 
-def tell(session: Session, ticks: int, wall: float, off: npt.NDArray[np.float64] | None) -> None:
+def report(session: Session, ticks: int, wall: float, off: npt.NDArray[np.float64] | None) -> None:
     """Print the outcome of a run.
 
     Args:

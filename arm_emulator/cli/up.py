@@ -73,7 +73,7 @@ def _check_loops(file: Path) -> None:
     try:
         scene, gains = load_scene(file), load_gains(file)
     except Refusal:
-        return  # the node whose file it is tells
+        return  # the node whose file it is reports
     check_fit(scene, gains.servo, gains.motion)
     warn_of_loops(scene, gains.servo)
     warn_of_gravity(scene, gains.motion)

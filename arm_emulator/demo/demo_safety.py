@@ -16,7 +16,7 @@ HOLD = 1.0  # s, for which the arm is left alone without power
 RUN_UP = 5.0  # s, within which a joint reaches its stop at full voltage
 
 
-def tell_safety(scene: Scene, q: Array) -> Iterator[str]:
+def report_safety(scene: Scene, q: Array) -> Iterator[str]:
     """Yield a line on the power cut at positions q (N,), and one on a stop, where there are any."""
     if any(joint.brake for joint in scene.joints):
         yield _power_cut(scene, q)

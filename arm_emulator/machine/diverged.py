@@ -12,7 +12,7 @@ from arm_emulator.machine.scene import Scene
 class Diverged(RuntimeError):
     """The integration left the world of sound motions; the plant stays at the last state within.
 
-    Its text says which joint and when. `analysis.stability.explain` adds what would hold.
+    Its text states which joint and when. `analysis.stability.explain` adds what would hold.
 
     Attributes:
         joint: the joint that left first, or that held the most of an energy from nowhere.

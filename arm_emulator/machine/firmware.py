@@ -98,10 +98,10 @@ class Firmware(ControlCode):
         self.struct = FIRMWARE_LOOP.ffi.addressof(self.progress, "loop")
 
     def start(self, plant: Plant, period_ns: int) -> None:
-        """Tell the code which machine it is to drive.
+        """Report to the code which machine it is to drive.
 
         Raises:
-            Refusal: it says that this machine is none for it.
+            Refusal: it states that this machine is none for it.
         """
         if not self._firmware.start:
             return

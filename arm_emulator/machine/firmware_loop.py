@@ -96,5 +96,5 @@ class FirmwareLoop:
         self._plant.exchange_in(lambda: int(self._calls.firmware_loop_run(self.pointer, ticks)))
 
     def begin(self, tick: int) -> None:
-        """Tell where the machine is."""
+        """Report where the machine is."""
         self.pointer.tick = tick

@@ -288,7 +288,7 @@ class Plant(Turns):
     @property
     @in_turn
     def measured(self) -> Measured:
-        """What the sensors told at the newest tick, as a copy.
+        """What the sensors reported at the newest tick, as a copy.
 
         Joints without sensors (docs/reference/parts/sensors.md) report their present values.
         """
@@ -562,7 +562,7 @@ class Plant(Turns):
     @property
     @in_turn
     def winding_temperatures(self) -> Array:
-        """Of the motors' windings (N,) [degC]; NaN where the scene tells of none."""
+        """Of the motors' windings (N,) [degC]; NaN where the scene has none."""
         temperatures = np.empty(self._N)
         self.core.arm_get_winding_temperatures(self.machine, pointer(temperatures))
         return temperatures

@@ -1,6 +1,6 @@
 """A scene: one YAML file and one URDF, checked once and frozen.
 
-What the file does not mention does not exist in the machine. Every refusal says where, which
+What the file does not mention does not exist in the machine. Every refusal states where, which
 quantity, which rule, which value.
 """
 
@@ -69,7 +69,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Joint:
-    """What the scene file says of one moving joint. A joint without a motor swings freely."""
+    """What the scene file states of one moving joint. A joint without a motor swings freely."""
 
     name: str
     start: float  # rad or m
@@ -189,7 +189,7 @@ class Scene:
     servo_period: float  # s
     external_wrench: bool  # whether there may be one, see core/mechanics/external_wrench.hpp
     energy_flow: (
-        bool  # whether what is given and dissipated is told, see core/mechanics/energy_flow.hpp
+        bool  # whether what is given and dissipated is reported, see core/mechanics/energy_flow.hpp
     )
     threads: int
     cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
@@ -200,7 +200,7 @@ class Scene:
 
     @property
     def sensed(self) -> bool:
-        """Whether there are sensors that do not tell what is there as it is."""
+        """Whether there are sensors that do not report what is there as it is."""
         return bool(self.imus) or not all(joint.sensors.plain for joint in self.joints)
 
     @property

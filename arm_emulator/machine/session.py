@@ -57,7 +57,7 @@ class EndOfTime(RuntimeError):
     """Logical time has come as far as the time stamps of messages go."""
 
     def __init__(self) -> None:
-        super().__init__("logical time ends at 2**31 s, the largest that a message can tell")
+        super().__init__("logical time ends at 2**31 s, the largest that a message can report")
 
 
 class Session:
@@ -273,7 +273,7 @@ class Session:
 
     @property
     def measured(self) -> Measured:
-        """What the sensors told at this tick."""
+        """What the sensors reported at this tick."""
         if self._measured is None:
             self._measured = self.plant.measured
         return self._measured

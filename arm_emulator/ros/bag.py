@@ -212,7 +212,7 @@ class BagWriter:
             return
         try:
             with self._noting_failure():
-                metadata = self._told()
+                metadata = self._reported()
                 self._mcap.flush()
                 text = yaml.safe_dump(metadata)
                 self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
@@ -238,14 +238,14 @@ class BagWriter:
             self._failure = error
             raise
 
-    def _told(self) -> dict[str, Any]:
+    def _reported(self) -> dict[str, Any]:
         count = sum(topic.count for topic in self.topics)
         span = Span(self._file.name, self._begin, self._end, count)
         return _metadata(self.topics, [span])
 
     def _keep_room(self) -> None:
         """Keep free what metadata will need, should the disk become full."""
-        needed = len(_text_of(self._told())) + 64 * (len(self._topics) + 4)  # as counts grow
+        needed = len(_text_of(self._reported())) + 64 * (len(self._topics) + 4)  # as counts grow
         if needed > self._room:
             self._room = needed + METADATA_ROOM
             with (self.folder / UNFINISHED).open("r+b") as stream:

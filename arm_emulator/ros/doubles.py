@@ -129,9 +129,9 @@ class Doubles:
             f"another {self._kind} is on {self._topic}, started {order} this one: {words}; "
             f"{self._consequence}"
         )
-        self._tell()
+        self._report()
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         self._diagnostics.doubles = (
             {f"another {self._kind}": "; ".join(one.words for one in self._known.values())}
             if self._known
@@ -156,4 +156,4 @@ class Doubles:
             if left or now - one.heard_at > SILENCE:
                 del self._known[started]
                 node.get_logger().info(f"the other {self._kind} is gone: {one.words}")
-                self._tell()
+                self._report()

@@ -268,15 +268,15 @@ class Diagnostics:
 
     def ok(self, message: str) -> None:
         """Report that all is well, and what is going on."""
-        self._say(DiagnosticStatus.OK, message)
+        self._report(DiagnosticStatus.OK, message)
 
     def warn(self, message: str) -> None:
         """Report what hinders the node, though it goes on."""
-        self._say(DiagnosticStatus.WARN, message)
+        self._report(DiagnosticStatus.WARN, message)
 
     def error(self, message: str) -> None:
         """Report what stopped the node's work."""
-        self._say(DiagnosticStatus.ERROR, message)
+        self._report(DiagnosticStatus.ERROR, message)
 
     def publish(self) -> None:
         """Publish now."""
@@ -300,7 +300,7 @@ class Diagnostics:
         array.header.stamp = self._clock.now().to_msg()
         self.send(array)
 
-    def _say(self, level: bytes, message: str) -> None:
+    def _report(self, level: bytes, message: str) -> None:
         changed = level != self._level or _words(message) != _words(self._message)
         self._level, self._message = level, message
         if changed:

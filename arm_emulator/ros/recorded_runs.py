@@ -51,7 +51,7 @@ class Numbered:
         self._chains: list[_Chain] = []  # in the order in which they began
         self._count = 0
         self._gaps = 0  # between chains that are one by now
-        self._told_lost = 0
+        self._reported_lost = 0
 
     @property
     def newest(self) -> int:
@@ -62,11 +62,11 @@ class Numbered:
     def lost(self) -> int:
         """Messages between others that did not come."""
         self._most_publishers = max(self._most_publishers, self._publishers())
-        return max(self._gaps + self._join(self._chains), self._told_lost)
+        return max(self._gaps + self._join(self._chains), self._reported_lost)
 
     def on_lost(self, event: Any) -> None:
         """Count messages that the middleware reports as lost."""
-        self._told_lost = int(event.total_count)
+        self._reported_lost = int(event.total_count)
 
     def take(self, number: int | None) -> None:
         """Count a message; None where the middleware gives no numbers."""

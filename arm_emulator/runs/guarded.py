@@ -23,7 +23,7 @@ from arm_emulator.machine.core_calls import FIRMWARE_LOOP
 from arm_emulator.machine.firmware import Doing, new_progress
 
 LOOK = 1.0  # s, after which a library that has not returned is looked at
-TELL_STALL = 5.0  # s
+REPORT_STALL = 5.0  # s
 _PR_SET_PDEATHSIG = 1
 
 
@@ -90,10 +90,10 @@ def _wait(child: int, name: str, progress: CData) -> int:
             while not select.select([end], [], [], LOOK)[0]:
                 stands = progress.doing != Doing.OURS and progress.loop.tick == tick
                 looks, tick = looks + 1 if stands else 0, progress.loop.tick
-                if looks == round(TELL_STALL / LOOK):
+                if looks == round(REPORT_STALL / LOOK):
                     quantity = Doing(progress.doing).must[0]
                     print(
-                        f"{name}, tick {tick}: {quantity} has not returned for {TELL_STALL:g} s; "
+                        f"{name}, tick {tick}: {quantity} has not returned for {REPORT_STALL:g} s; "
                         "Ctrl-C ends it",
                         file=sys.stderr,
                     )

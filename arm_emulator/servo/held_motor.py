@@ -43,7 +43,7 @@ class HeldMotor:
     currents of equal size; what the voltage then explains has moved the rotor, the load is left to
     the encoder. Where the motor is slow (T far below its time constant) the voltage explains all,
     so that the torque is that of the measured currents; where it is fast, the current at the end
-    tells of the load alone, and the speed comes from the voltage.
+    has the load alone, and the speed comes from the voltage.
     """
 
     current: Sum

@@ -162,7 +162,7 @@ class Servo:
         return self._control(wanted)
 
     def release(self) -> None:
-        """Tell that the motors get no voltage; control will start without an integral again."""
+        """Report that the motors get no voltage; control will start without an integral again."""
         self._law.servo_release(self.arm)
 
     def _control(self, wanted: Places) -> FloatArray:

@@ -89,7 +89,7 @@ class Watchdog:
 
     @property
     def state(self) -> WatchdogState:
-        """What it told to do last."""
+        """What it asked to do last."""
         return DOES[self._dog.does]
 
     @property

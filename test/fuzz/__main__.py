@@ -69,7 +69,7 @@ class Worker:
         self.heard = time.monotonic()
 
     def lines(self) -> Iterator[dict[str, Any]]:
-        """Return what it has told since."""
+        """Return what it has reported since."""
         assert self.process.stdout is not None
         data = os.read(self.process.stdout.fileno(), 1 << 16)
         self.heard = time.monotonic()

@@ -2,7 +2,7 @@
 
 python -m fuzz.cores SEED FIRST STEP: machine FIRST, FIRST + STEP, ... of a seed, until it is ended.
 
-Whatever is asked of a machine, it answers, refuses or tells a divergence; what it refuses changes
+Whatever is asked of a machine, it answers, refuses or reports a divergence; what it refuses changes
 nothing, and its state is always finite.
 """
 
@@ -28,7 +28,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import DEEPEST_EXCHANGE, SCHEMES, Scene, load_scene
-from fuzz.line import FAILED, REFUSED, TAKEN, tell
+from fuzz.line import FAILED, REFUSED, TAKEN, report
 
 HERE = Path(__file__).resolve().parent
 CALLS = 200  # of one machine
@@ -222,8 +222,13 @@ def drive(rng: np.random.Generator, scene: Scene) -> dict[str, int]:
         state = plant.state
         values = np.concatenate((state.current, state.omega_m, state.q, state.v))
         assert np.isfinite(values).all(), f"a state that is not finite: {state}"
-        told = plant.measured
-        for quantity in (told.current, told.torque, told.specific_force, told.angular_rate):
+        reported = plant.measured
+        for quantity in (
+            reported.current,
+            reported.torque,
+            reported.specific_force,
+            reported.angular_rate,
+        ):
             assert np.isfinite(quantity).all(), f"a reading that is not finite: {quantity}"
         assert not math.isnan(plant.energy), f"energy {plant.energy} in state {state}"
     return count
@@ -267,19 +272,19 @@ def case(seed: int, number: int, folder: Path, largest: int = 4) -> dict[str, in
 
 
 def main() -> None:
-    """Tell of each machine before and after it."""
+    """Report of each machine before and after it."""
     seed, first, step = map(int, sys.argv[1:])
     with tempfile.TemporaryDirectory(prefix="fuzz-cores-") as scratch:
         for number in itertools.count(first, step):
-            tell(begin=number)
+            report(begin=number)
             try:
                 count = case(seed, number, Path(scratch, str(number)))
             except Exception:  # whatever it is, it is what is looked for
-                tell(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
+                report(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
             else:
                 for outcome, much in count.items():
-                    tell(outcome=outcome, count=much)
-                tell(done=1)
+                    report(outcome=outcome, count=much)
+                report(done=1)
 
 
 if __name__ == "__main__":

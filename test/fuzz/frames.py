@@ -21,7 +21,7 @@ from arm_emulator.doors.fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.servo.c import FOLDER
-from fuzz.line import FAILED, REFUSED, TAKEN, tell
+from fuzz.line import FAILED, REFUSED, TAKEN, report
 
 FRAMES = 10_000  # of a batch
 SCENE = "three_axis"
@@ -54,18 +54,18 @@ def case(seed: int, number: int, frames: int = FRAMES) -> dict[str, int]:
 
 
 def main() -> None:
-    """Tell of each batch before and after it."""
+    """Report of each batch before and after it."""
     seed, first, step = map(int, sys.argv[1:])
     for number in itertools.count(first, step):
-        tell(begin=number)
+        report(begin=number)
         try:
             count = case(seed, number)
         except Exception:  # whatever it is, it is what is looked for
-            tell(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
+            report(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
         else:
             for outcome, much in count.items():
-                tell(outcome=outcome, count=much)
-            tell(sent=FRAMES)
+                report(outcome=outcome, count=much)
+            report(sent=FRAMES)
 
 
 if __name__ == "__main__":

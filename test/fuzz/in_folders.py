@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from fuzz.line import FAILED, REFUSED, TAKEN, tell
+from fuzz.line import FAILED, REFUSED, TAKEN, report
 
 
 def run(name: str, case: Callable[[int, int, Path], str]) -> None:
@@ -25,13 +25,13 @@ def run(name: str, case: Callable[[int, int, Path], str]) -> None:
     try:
         for number in itertools.count(first, step):
             folder = scratch / str(number)
-            tell(begin=number)
+            report(begin=number)
             try:
                 line = case(seed, number, folder)
             except Exception:  # whatever it is, it is what is looked for
-                tell(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
+                report(outcome=FAILED, count=1, what=traceback.format_exc(limit=-4))
             else:
-                tell(outcome=REFUSED if line else TAKEN, count=1)
+                report(outcome=REFUSED if line else TAKEN, count=1)
             shutil.rmtree(folder, ignore_errors=True)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)

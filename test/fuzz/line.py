@@ -1,4 +1,4 @@
-"""What the parts of the fuzzer tell the one that runs them: one JSON object per line."""
+"""What the parts of the fuzzer report the one that runs them: one JSON object per line."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from typing import Any
 TAKEN, REFUSED, FAILED = "taken", "refused", "failed"
 
 
-def tell(**words: Any) -> None:
+def report(**words: Any) -> None:
     """Print one line: `begin` with the case, or `outcome` with `count`, and what else there is."""
     print(json.dumps(words), flush=True)

@@ -29,18 +29,18 @@ from arm_emulator.ros.bringup import Bringup
 from arm_emulator.ros.node_shell import DESCRIPTION_QOS
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus
-from fuzz.line import FAILED, REFUSED, TAKEN, tell
+from fuzz.line import FAILED, REFUSED, TAKEN, report
 
 AT_ONCE = 2  # messages per topic: what is read with best effort is kept five deep
 AHEAD = 1000  # ticks: what is for a later tick stays of the future while it is on its way
-# Health is told every second, and no node may hang for two: of its own processor time, so that a
-# busy machine does not count; and by the wall clock a node that waits for ever.
+# Health is reported every second, and no node may hang for two: of its own processor time, so that
+# a busy machine does not count; and by the wall clock a node that waits for ever.
 SILENCE, FOR_EVER = 3.0, 60.0  # s
 AFTERWARDS = 200  # ticks of the run that shows that all is as before
 
 
 class Silence:
-    """The most processor time that a node has used while it told nothing of its health."""
+    """The most processor time that a node has used while it reported nothing of its health."""
 
     def __init__(self, user: User, nodes: Bringup) -> None:
         self._user = user
@@ -50,12 +50,12 @@ class Silence:
         self.longest = 0.0
 
     def look(self) -> None:
-        """Look what was told since the last look."""
+        """Look what was reported since the last look."""
         now = time.monotonic()
         for node in ALL_THREE:
-            told, used = self._user.diagnostics.get(node), self._used(node)
-            if told is not self._last.get(node):
-                self._last[node] = told
+            reported, used = self._user.diagnostics.get(node), self._used(node)
+            if reported is not self._last.get(node):
+                self._last[node] = reported
                 self._heard[node] = now, used
             at, before = self._heard[node]
             self.longest = max(self.longest, used - before)
@@ -94,19 +94,19 @@ def send(
         silence.look()
         ended = nodes.ended()
         assert ended is None, f"node and exit code: {ended}"
-        tell(sent=AT_ONCE * len(TOPICS))
+        report(sent=AT_ONCE * len(TOPICS))
     for publisher in publishers.values():
         user.node.destroy_publisher(publisher)
     return silence
 
 
 def refused(user: User) -> dict[str, int]:
-    """Return how many messages of each topic were refused, as the nodes say."""
+    """Return how many messages of each topic were refused, as the nodes state."""
     return {topic: user.refused(RECEIVER[topic], topic) for topic in TOPICS}
 
 
 def await_counts(user: User) -> None:
-    """Wait until every node has told its health anew, twice: all that was sent is counted then."""
+    """Wait until every node has reported its health anew, twice: all that was sent is counted."""
     for _ in range(2):
         seen = dict(user.diagnostics)
         user.wait(
@@ -132,7 +132,7 @@ def paces(user: User) -> Iterator[None]:
 def fuzz(seed: int, clock: str, count: int, folder: Path) -> dict[str, int]:
     """Send `count` messages; return how many were refused, and taken or lost.
 
-    What the nodes say to each other may be refused, too, when they are told absurd things.
+    What the nodes state to each other may be refused, too, when they are reported absurd things.
     """
     rng = random.Random(f"{seed} {clock}")
     run = load_offline_run("three_axis")
@@ -198,18 +198,18 @@ def _begin_anew(user: User, nodes: Bringup, clock: str) -> None:
 
 
 def main() -> None:
-    """Tell what came of it."""
+    """Report what came of it."""
     seed, clock, count = int(sys.argv[1]), sys.argv[2], int(sys.argv[3])
-    tell(begin=0)
+    report(begin=0)
     with tempfile.TemporaryDirectory(prefix="fuzz-messages-") as scratch:
         try:
             outcomes = fuzz(seed, clock, count, Path(scratch))
         except Exception:  # whatever it is, it is what is looked for
             words = traceback.format_exc(limit=-4) + logs(Path(scratch))
-            tell(outcome=FAILED, count=1, what=words)
+            report(outcome=FAILED, count=1, what=words)
         else:
             for outcome, much in outcomes.items():
-                tell(outcome=outcome, count=much)
+                report(outcome=outcome, count=much)
 
 
 if __name__ == "__main__":

@@ -15,11 +15,11 @@ from fmu_client import Fmu, abuse, rich_machine
 
 from arm_emulator.doors.fmu.export import export
 from arm_emulator.machine.scene import load_scene
-from fuzz.line import TAKEN, tell
+from fuzz.line import TAKEN, report
 
 
 def main() -> None:
-    """Make calls, and tell how many."""
+    """Make calls, and report how many."""
     seed, calls, folder = int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
     scene = load_scene(rich_machine(folder, ("turns", "slides", "swings")))
     for version in ("3", "2"):
@@ -28,7 +28,7 @@ def main() -> None:
     rng = np.random.default_rng(seed)
     three = abuse(rng, Fmu(*files[0]), calls)
     two = abuse_2(rng, Fmu2(*files[1]), calls)
-    tell(outcome=TAKEN, count=sum(three.values()) + sum(two.values()), statuses=[three, two])
+    report(outcome=TAKEN, count=sum(three.values()) + sum(two.values()), statuses=[three, two])
 
 
 if __name__ == "__main__":

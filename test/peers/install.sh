@@ -1,5 +1,5 @@
 # Installs what the tests of this folder want beside Python's packages, where the system lets us, and
-# says in one line what is missing. Those tests are then skipped.
+# reports in one line what is missing. Those tests are then skipped.
 missing=
 want() { # COMMAND PACKAGES...: Debian's packages that have the command
   command=$1; shift

@@ -1,6 +1,6 @@
 """A master by pysoem: python soem_master.py INTERFACE scan | move MOTION LOG | pull | leave.
 
-Run in a network namespace of its own by test_ethercat_masters.py, which says what the files hold.
+Run in a network namespace of its own by test_ethercat_masters.py, which states what the files hold.
 Prints one line of JSON.
 """
 
@@ -72,8 +72,8 @@ class Line:
                 if self.master.state_check(wanted, 5000) == wanted:
                     return
         self.master.read_state()
-        told = [(one.state, hex(one.al_status)) for one in self.slaves]
-        raise SystemExit(f"slaves do not reach state {wanted}: {told}")
+        reported = [(one.state, hex(one.al_status)) for one in self.slaves]
+        raise SystemExit(f"slaves do not reach state {wanted}: {reported}")
 
 
 def patiently(ask: Any) -> Any:
@@ -111,19 +111,19 @@ def move(line: Line, motion: bytes, log: Path) -> dict[str, Any]:
         for at in range(0, len(motion), 10 * drives)
     ]
     line.to_op()
-    told = [struct.unpack_from("<Hiihb", slave.input) for slave in line.slaves]
+    reported = [struct.unpack_from("<Hiihb", slave.input) for slave in line.slaves]
     outputs = [bytes(OUT)] * drives
     enabled = row = waited = 0
     started = 0.0
     while row < len(rows):
         mode = 8 + min(2, 3 * row // len(rows))
-        enabled = all(one[0] & 0x6F == 0x27 for one in told)
+        enabled = all(one[0] & 0x6F == 0x27 for one in reported)
         if enabled and not started:
             started = time.perf_counter()
         waited += not enabled
         if waited > 5000:
-            raise SystemExit(f"drives are not enabled: {[hex(one[0]) for one in told]}")
-        for k, (status, q, v, _, _) in enumerate(told):
+            raise SystemExit(f"drives are not enabled: {[hex(one[0]) for one in reported]}")
+        for k, (status, q, v, _, _) in enumerate(reported):
             word = ENABLE.get(status & 0x6F, ENABLE.get(status & 0x4F, 0x06))
             position, speed, torque = rows[row][k] if enabled else (q, 0, 0)
             torque += round(KP * (position - q) + KD * (speed - v))
@@ -132,14 +132,14 @@ def move(line: Line, motion: bytes, log: Path) -> dict[str, Any]:
             torque = max(-1000, min(1000, torque if enabled else 0))
             outputs[k] = struct.pack("<HiihbB", word, position, speed, torque, mode, 0)
         line.exchange(outputs)
-        told = [struct.unpack_from("<Hiihb", slave.input) for slave in line.slaves]
+        reported = [struct.unpack_from("<Hiihb", slave.input) for slave in line.slaves]
         row += enabled
     took = time.perf_counter() - started
     moved = len(line.log)
     bad = line.bad
     # What the line carries: the same outputs, as fast as they go.
     hold = list(outputs)
-    for k, (_, q, _, _, _) in enumerate(told):
+    for k, (_, q, _, _, _) in enumerate(reported):
         hold[k] = struct.pack("<HiihbB", 0x0F, q, 0, 0, 8, 0)
     count = 20_000
     for slave, one in zip(line.slaves, hold, strict=True):
@@ -165,14 +165,14 @@ def enable(line: Line, cycles: int) -> list[int]:
     """Exchange until all drives are in Operation enabled; return their statuswords."""
     words = [0] * len(line.slaves)
     for _ in range(cycles):
-        told = [struct.unpack_from("<Hi", slave.input) for slave in line.slaves]
-        words = [status for status, _ in told]
+        reported = [struct.unpack_from("<Hi", slave.input) for slave in line.slaves]
+        words = [status for status, _ in reported]
         if all(status & 0x6F == 0x27 for status in words):
             break
         line.exchange(
             [
                 struct.pack("<HiihbB", ENABLE.get(s & 0x6F, ENABLE.get(s & 0x4F, 6)), q, 0, 0, 8, 0)
-                for s, q in told
+                for s, q in reported
             ]
         )
         time.sleep(0.0005)
@@ -230,7 +230,7 @@ def leave(line: Line) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Do what the command line says."""
+    """Do what the command line states."""
     line = Line(sys.argv[1])
     if sys.argv[2] == "scan":
         result = scan(line)

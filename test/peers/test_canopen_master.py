@@ -74,8 +74,8 @@ def test_scan_and_upload_of_the_whole_dictionary(tmp_path: Path) -> None:
             remote = network.add_node(node.number, str(sheet))
             assert len(remote.object_dictionary) >= len({one.index for one in ENTRIES})
             for one in ENTRIES:
-                told = remote.sdo.upload(one.index, one.sub)
-                assert told == node.upload(one.index, one.sub), one
+                reported = remote.sdo.upload(one.index, one.sub)
+                assert reported == node.upload(one.index, one.sub), one
                 variable = remote.sdo[one.index]
                 if one.code != 7:
                     variable = variable[one.sub]
@@ -110,8 +110,8 @@ def test_heartbeat_and_emergency_reach_the_master(tmp_path: Path) -> None:
         network.send_message(0x77F, [5])
         for _ in range(10):
             network.sync.transmit()
-        told = remote.emcy.wait(timeout=20)
-        assert told is not None and told.code == 0x8130
+        reported = remote.emcy.wait(timeout=20)
+        assert reported is not None and reported.code == 0x8130
         beats: list[bytes] = []
         network.subscribe(0x701, lambda _id, data, _time: beats.append(bytes(data)))
         remote.nmt.state = "RESET"
@@ -149,7 +149,7 @@ def test_page_shows_what_happens(tmp_path: Path) -> None:
     blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)
     (place,) = [k for k, block in enumerate(blocks) if "import canopen" in block]
     shown = textwrap.dedent(blocks[place]).strip()
-    script, _, said = shown.rpartition("\n\n")
+    script, _, printed = shown.rpartition("\n\n")
     assert "port=29536" in script
     write_eds("three_axis", tmp_path / "eds")
     command = [sys.executable, "-m", "arm_emulator", "canopen", "three_axis", "--listen", "0"]
@@ -168,7 +168,7 @@ def test_page_shows_what_happens(tmp_path: Path) -> None:
                 cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
             )  # fmt: skip
             assert master.returncode == 0, master.stderr
-            assert master.stdout.strip() == said
+            assert master.stdout.strip() == printed
             nodes.send_signal(signal.SIGINT)
             assert nodes.wait(timeout=30) == 0
             assert "Traceback" not in nodes.stderr.read()
@@ -205,7 +205,7 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
             nodes.append(node)
         network.nmt.state = "OPERATIONAL"
         wait_until(lambda: all(int(one.state) == 5 for one in segment.nodes), "operational")
-        told: list[tuple[int, ...]] = []
+        reported: list[tuple[int, ...]] = []
         got: list[tuple[int, ...]] = []
         for k, node in enumerate(nodes):
             node.tpdo[2].add_callback(
@@ -213,7 +213,7 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
             )
 
         def exchange() -> list[tuple[int, ...]]:
-            """Send SYNC, and wait for what six drives tell."""
+            """Send SYNC, and wait for what six drives report."""
             got.clear()
             network.sync.transmit()
             wait_until(lambda: len(got) == 6, "six drives answer SYNC")
@@ -244,15 +244,15 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
                 node.rpdo[2]["Controlword"].raw = 15
                 node.rpdo[2]["Target position"].raw = target
                 node.rpdo[2].transmit()
-            told = exchange()
+            reported = exchange()
             predicted = [(k, drives.read(k, 0x6041), drives.read(k, 0x6064)) for k in range(6)]
-            assert told == predicted, f"at {t:g} s"
-            assert all(status & 0x6F == 0x27 for _, status, _ in told), "Operation enabled"
+            assert reported == predicted, f"at {t:g} s"
+            assert all(status & 0x6F == 0x27 for _, status, _ in reported), "Operation enabled"
             for k, target in enumerate(targets):
                 drives.write(k, 0x6040, 15)
                 drives.write(k, 0x607A, target)
             drives.period(CYCLE)
-            off = np.array(targets) - [position for *_, position in told]
+            off = np.array(targets) - [position for *_, position in reported]
             worst = max(worst, float(np.abs(off / counts * 0.4).max()))
         exchange()
         drives.period(CYCLE)

@@ -107,11 +107,11 @@ def test_a_compiler_takes_everything_without_a_warning(
 
     with ThreadPoolExecutor(2) as pool:
         words = list(pool.map(words_about, *zip(*sources, strict=True)))
-    for (unit, _), said in zip(sources, words, strict=True):
-        assert said == "0 ", f"exit code and words about {unit.name}: {said[:2000]}"
+    for (unit, _), printed in zip(sources, words, strict=True):
+        assert printed == "0 ", f"exit code and words about {unit.name}: {printed[:2000]}"
 
 
-# A run of the arm, its servo's voltages and what is noticed, told as bits.
+# A run of the arm, its servo's voltages and what is noticed, reported as bits.
 RUN = """
 import json
 import numpy as np

@@ -268,17 +268,17 @@ def test_halting_in_gdb_changes_no_bit(
     lines += ["delete", "detach"]
     script = tmp_path / "script"
     script.write_text("\n".join(lines) + "\n")
-    said = []
+    printed = []
 
     def gdb(port: int) -> None:
         command = ["gdb-multiarch", "-nx", "-batch", str(elf)]
         command += ["-ex", f"target remote :{port}", "-x", str(script)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-        said.append(done.stdout + done.stderr)
+        printed.append(done.stdout + done.stderr)
 
     halted = debugged(chip_of(ur5, elf), ur5, table, ticks, gdb)
-    assert "Breakpoint 1, control_step" in said[0] and "ADC_Handler" in said[0], said[0]
-    assert halted == free, f"the machine at each tick, debugged and free\n{said[0]}"
+    assert "Breakpoint 1, control_step" in printed[0] and "ADC_Handler" in printed[0], printed[0]
+    assert halted == free, f"the machine at each tick, debugged and free\n{printed[0]}"
 
 
 def test_every_step_and_any_packet_of_a_debugger_change_no_bit(

@@ -258,7 +258,7 @@ def with_vector(folder: Path, number: int, handler: str) -> Path:
 def line_run(
     folder: Path, text: str, table: TargetTable | None, sent: bytes, ticks: int, **line: object
 ) -> bytes:
-    """Run firmware with a serial line to which some bytes are sent first; return what it says."""
+    """Run firmware with a serial line to which some bytes are sent first; return what it states."""
     startup = with_vector(folder, 38, "USART2_Handler")
     (folder / "echo.c").write_text(TINY + text)
     elf = cross(folder / "echo.elf", str(startup), str(folder / "echo.c"))

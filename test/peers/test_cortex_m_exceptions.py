@@ -62,7 +62,7 @@ class Model:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_handlers_nest_as_their_priorities_say(seed: int, tmp_path: Path) -> None:
+def test_handlers_nest_as_their_priorities_state(seed: int, tmp_path: Path) -> None:
     """Priorities, groups, BASEPRI, PRIMASK, and handlers that pend others: drawn at random."""
     rng = np.random.default_rng([7, seed])
     K = 6

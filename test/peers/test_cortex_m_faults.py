@@ -33,7 +33,7 @@ FAULTS = {
 }
 SHCSR, CFSR, HFSR, BFAR = "0xe000ed24", "0xe000ed28", "0xe000ed2c", "0xe000ed38"
 FORCED = 1 << 30
-# Tells where it is, all of its frame and the status registers, clears these, and steps over.
+# Reports where it is, all of its frame and the status registers, clears these, and steps over.
 HANDLERS = f"""
 void handle(uint32_t* frame);
 void handle(uint32_t* frame) {{
@@ -101,9 +101,9 @@ int main(void) {{
 }}
 """,
     )
-    told = words_of(run_firmware(write_board(tmp_path), elf, 10))
-    ipsr, *frame = told[:9]
-    cfsr, hfsr, bfar, after, culprit, good = told[9:]
+    reported = words_of(run_firmware(write_board(tmp_path), elf, 10))
+    ipsr, *frame = reported[:9]
+    cfsr, hfsr, bfar, after, culprit, good = reported[9:]
     assert good == 0x600D, "it goes on behind the instruction"
     assert ipsr == (exception if way == "enabled" else 3), "the handler"
     assert frame[:6] == [*values[:3], at, values[3], values[4]], "r0 to r3, r12, lr"
@@ -127,8 +127,10 @@ int main(void) {{
 }}
 """,
     )
-    told = words_of(run_firmware(write_board(tmp_path), elf, 10))
-    assert (told[0], told[7], told[10]) == (3, told[13] & ~1, FORCED), "handler, pc, HFSR"
+    reported = words_of(run_firmware(write_board(tmp_path), elf, 10))
+    assert (reported[0], reported[7], reported[10]) == (3, reported[13] & ~1, FORCED), (
+        "handler, pc, HFSR"
+    )
 
 
 @pytest.mark.parametrize(
@@ -172,12 +174,12 @@ int main(void) {{
     board = write_board(tmp_path)
     done = run(board, elf, "three_axis", targets=None, seconds=0.01, gdb=None, uarts=[])
     assert done == 0, "exit code"
-    said = capfd.readouterr().out
-    assert "awake, 2 faults, 2 resets" in said, said
+    printed = capfd.readouterr().out
+    assert "awake, 2 faults, 2 resets" in printed, printed
     assert (
-        "first fault       read of an address where nothing is (0x30000000), pc 0x0800" in said
-    ), said
-    assert "in main" in said, "the function"
+        "first fault       read of an address where nothing is (0x30000000), pc 0x0800" in printed
+    ), printed
+    assert "in main" in printed, "the function"
 
 
 def test_a_reset_begins_again_and_keeps_memory(tmp_path: Path) -> None:
@@ -213,12 +215,14 @@ int main(void) {
 }
 """,
     )
-    told = np.reshape(words_of(run_firmware(write_board(tmp_path), elf, 10)), (-1, 5))
-    assert told[:, 0].tolist() == [0, 1, 2], "memory that nobody clears is kept"
-    assert (told[:, 1] == 5).all(), "start-up code runs again"
-    assert not told[:, 2].any(), "no masks, no handler, no process stack"
-    assert (told[:, 3] == told[0, 3]).all(), "interrupts, timers and registers are as at first"
-    assert (np.diff(told[:, 4]) > 0).all(), "time goes on"
+    reported = np.reshape(words_of(run_firmware(write_board(tmp_path), elf, 10)), (-1, 5))
+    assert reported[:, 0].tolist() == [0, 1, 2], "memory that nobody clears is kept"
+    assert (reported[:, 1] == 5).all(), "start-up code runs again"
+    assert not reported[:, 2].any(), "no masks, no handler, no process stack"
+    assert (reported[:, 3] == reported[0, 3]).all(), (
+        "interrupts, timers and registers are as at first"
+    )
+    assert (np.diff(reported[:, 4]) > 0).all(), "time goes on"
 
 
 @pytest.mark.parametrize("seed", some(range(12), 3))
@@ -250,14 +254,14 @@ int main(void) {{
 """,
     )
     board = write_board(tmp_path, cycles_per_instruction=cycles)
-    told = words_of(run_firmware(board, elf, 20))
-    assert len(told) == 3 * reads, "what was seen"
-    assert all(a <= b for a, b in pairwise(told)), "never backwards"
+    reported = words_of(run_firmware(board, elf, 20))
+    assert len(reported) == 3 * reads, "what was seen"
+    assert all(a <= b for a, b in pairwise(reported)), "never backwards"
     for first in (0, reads, 2 * reads):
-        steps = np.diff(told[first : first + reads])
+        steps = np.diff(reported[first : first + reads])
         wanted = cycles * np.array(counts[1:])
         assert (np.abs(steps - wanted) <= 1.0).all(), (steps, wanted)
-        assert abs(told[first + reads - 1] - told[first] - wanted.sum()) <= 1.0, "in all"
+        assert abs(reported[first + reads - 1] - reported[first] - wanted.sum()) <= 1.0, "in all"
 
 
 def heard_while_debugged(folder: Path, elf: Path, work: Callable[[int], None]) -> bytes:
@@ -351,8 +355,10 @@ int main(void) {
             assert gdb.ask(b"P24=00000000") == b"OK", "primask"
             gdb.send(b"$D#44")
 
-    told = words_of(heard_while_debugged(tmp_path, elf, work))
+    reported = words_of(heard_while_debugged(tmp_path, elf, work))
     assert seen[0]["psp"] == 0x20002000 and seen[0]["basepri"] == 0x30, seen
     assert (seen[0]["primask"], seen[1]["primask"], seen[1]["basepri"]) == (0, 1, 0), seen
     assert seen[0]["control"] == seen[1]["control"], seen
-    assert told[0] == 0 < told[1], "ticks while the debugger had masked them, and afterwards"
+    assert reported[0] == 0 < reported[1], (
+        "ticks while the debugger had masked them, and afterwards"
+    )

@@ -75,16 +75,16 @@ def cable() -> Iterator[Cable]:
 
 @contextmanager
 def emulator(cable: Cable, *words: str) -> Iterator[dict[str, int]]:
-    """The command, until the block ends; then what it says has happened."""
+    """The command, until the block ends; then what it states has happened."""
     command = ["ip", "netns", "exec", cable.slave, sys.executable, "-m", "arm_emulator"]
     command += ["ethercat", "ur5", "--interface", cable.interface, *words]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    told: dict[str, int] = {}
+    reported: dict[str, int] = {}
     try:
         lines = iter(process.stdout.readline, "")
         assert any("until Ctrl-C" in line for line in lines), "the command does not start"
-        yield told
+        yield reported
     finally:
         process.send_signal(signal.SIGINT)
         rest, _ = process.communicate(timeout=20)
@@ -92,8 +92,8 @@ def emulator(cable: Cable, *words: str) -> Iterator[dict[str, int]]:
     for name, words_ in (("exchanges", "all process data"), ("watchdogs", "watchdogs"),
                          ("malformed", "thrown away")):  # fmt: skip
         found = re.search(rf"{words_}\s+(\d+)", rest)
-        assert found, f"{words_} is not told: {rest}"
-        told[name] = int(found.group(1))
+        assert found, f"{words_} is not reported: {rest}"
+        reported[name] = int(found.group(1))
 
 
 def soem(cable: Cable, *words: str) -> dict[str, Any]:
@@ -149,10 +149,12 @@ def test_a_master_finds_the_drives_and_uploads_the_whole_dictionary(
         "".join(f"{one.index} {one.sub} {one.bits // 8}\n" for one in entries)
     )
     with emulator(cable):
-        told = MASTERS[name](cable, "scan", str(tmp_path / "entries"))
-    assert [one[0] for one in told["slaves"]] == ["arm_emulator drive"] * DRIVES, "slaves by name"
-    assert {int(one) for one in told["objects"]} == {one.index for one in entries}, "objects"
-    read = {key: bytes.fromhex(value) for key, value in told["values"].items()}
+        reported = MASTERS[name](cable, "scan", str(tmp_path / "entries"))
+    assert [one[0] for one in reported["slaves"]] == ["arm_emulator drive"] * DRIVES, (
+        "slaves by name"
+    )
+    assert {int(one) for one in reported["objects"]} == {one.index for one in entries}, "objects"
+    read = {key: bytes.fromhex(value) for key, value in reported["values"].items()}
     for one in entries:
         value = drives.upload(0, one.index, one.sub)
         assert read[f"{one.index}:{one.sub}"] == value, f"{one.index:#06x}:{one.sub} {one.name}"
@@ -210,17 +212,17 @@ def test_a_master_moves_the_arm_as_the_plant_predicts(
 ) -> None:
     file, log = tmp_path / "motion", tmp_path / "log"
     motion.write(file)
-    with emulator(cable) as told:
+    with emulator(cable) as reported:
         result = MASTERS[name](cable, "move", str(file), str(log))
-    print(json.dumps({"master": name, **result, **told}))
+    print(json.dumps({"master": name, **result, **reported}))
     raw = np.frombuffer(log.read_bytes(), np.uint8).reshape(-1, ROW)
     good = raw[:, 0] == 1
     assert result["exchanges"] == len(raw), "the log has every exchange"
     sent, back = raw[:, 1 : 1 + DRIVES * BYTES], raw[:, 1 + DRIVES * BYTES :]
     # What the host delays is answered too late for SOEM, but no exchange is lost on the segment.
-    lost = len(raw) + 20_000 - told["exchanges"]
+    lost = len(raw) + 20_000 - reported["exchanges"]
     assert 0 <= lost <= result["bad"] + result["bad_of_20000"], "cycles that the host did not lose"
-    assert told["malformed"] == 0, "frames that the segment could not read"
+    assert reported["malformed"] == 0, "frames that the segment could not read"
     assert np.mean(~good) < 0.02, f"{np.sum(~good)} exchanges of {len(raw)} came back too late"
     # The same outputs bring the same inputs in-process.
     master = Master(ur5())
@@ -235,7 +237,7 @@ def test_a_master_moves_the_arm_as_the_plant_predicts(
     )
     rows = len(motion.q)
     moved, fine = q[-rows:], good[-rows:]
-    # What a frame tells was measured before its targets came.
+    # What a frame reports was measured before its targets came.
     error = np.abs(moved[1:] - motion.q[:-1]) / motion.counts_per_rad
     mode = 8 + np.minimum(2, 3 * np.arange(rows - 1) // rows)
     for one, largest in LARGEST.items():
@@ -250,14 +252,14 @@ def test_a_master_moves_the_arm_as_the_plant_predicts(
 
 @pytest.mark.parametrize("clock", ["--lockstep", "--realtime"])
 def test_clocks_are_aligned_and_exchanges_keep_step_with_sync0(clock: str, cable: Cable) -> None:
-    with emulator(cable, clock) as told:
+    with emulator(cable, clock) as reported:
         result = ethercrab(cable, "clocks")
     assert result["delays"] == [500 * k for k in range(DRIVES)], "ns from slave to slave"
     assert max(result["differences"]) < 100, f"ns between the clocks: {result['differences']}"
     assert result["in_op"], "all drives reach OP"
     assert max(result["waits"]) <= 2_000_000, "ns until the next exchange"
     if clock == "--lockstep":
-        assert told["exchanges"] == 500, "every exchange"
+        assert reported["exchanges"] == 500, "every exchange"
         # Logical time goes by whole periods: every exchange has the same place in its cycle.
         assert len(set(result["waits"][1:])) == 1, "ns until the next exchange, in lock-step"
 
@@ -267,7 +269,7 @@ def test_clocks_are_aligned_and_exchanges_keep_step_with_sync0(clock: str, cable
 
 @pytest.mark.parametrize("clock", ["--lockstep", "--realtime"])
 def test_a_pulled_cable_leads_to_a_fault_that_can_be_reset(clock: str, cable: Cable) -> None:
-    with emulator(cable, clock) as told:
+    with emulator(cable, clock) as reported:
         result = soem(cable, "pull")
     assert all(one & 0x6F == 0x27 for one in result["enabled"]), "enabled before"
     assert result["states"] == [[0x14, 0x1B]] * DRIVES, "SAFEOP with an error: watchdog"
@@ -277,7 +279,7 @@ def test_a_pulled_cable_leads_to_a_fault_that_can_be_reset(clock: str, cable: Ca
     assert all(one & 0x6F == 0x27 for one in result["again"]), "enabled again after a reset"
     emergencies = [(one, code) for one, code in result["emergencies"] if code == 0x821B]
     assert emergencies == [(k + 1, 0x821B) for k in range(DRIVES)], "an emergency of each slave"
-    assert told["watchdogs"] >= DRIVES, "every slave's watchdog"
+    assert reported["watchdogs"] >= DRIVES, "every slave's watchdog"
 
 
 # --------------------------------------------------------------------------------- working counter

@@ -110,13 +110,13 @@ def test_a_simulation_by_fmpy_equals_plant_to_the_last_bit(three_axis: Scene, un
     signals["command"] = rng.normal(0.0, 5.0, (count + 1, 3))
     signals["power"] = True
     start = [0.1, 0.4, 0.9]
-    told = fmpy.simulate_fmu(
+    reported = fmpy.simulate_fmu(
         str(unit), stop_time=count * PERIOD, output_interval=PERIOD, input=signals,
         start_values={"start.q": start}, output=["encoder_counts", "current", "truth.q", "truth.v"],
     )  # fmt: skip
     plant = plant_for(three_axis, "native")
     plant.reset(start)
-    for row, command in zip(told[1:], signals["command"], strict=False):
+    for row, command in zip(reported[1:], signals["command"], strict=False):
         plant.exchange(command)
         state = plant.state
         for name, value in (
@@ -124,7 +124,7 @@ def test_a_simulation_by_fmpy_equals_plant_to_the_last_bit(three_axis: Scene, un
             ("truth.q", state.q), ("truth.v", state.v),
         ):  # fmt: skip
             assert np.array_equal(row[name], value), (plant.t, name)
-    assert len(told) == count + 1, "all of the simulation is compared"
+    assert len(reported) == count + 1, "all of the simulation is compared"
 
 
 def test_a_simulation_of_fmi_2_equals_plant_to_the_last_bit(
@@ -138,30 +138,30 @@ def test_a_simulation_of_fmi_2_equals_plant_to_the_last_bit(
     for name, row in zip(names, commands.T, strict=True):
         signals[f"command.{name}"] = row
     rows = [f"{what}.{name}" for what in ("encoder_counts", "truth.q") for name in names]
-    told = fmpy.simulate_fmu(
+    reported = fmpy.simulate_fmu(
         str(unit_2), stop_time=count * PERIOD, output_interval=PERIOD, input=signals,
         start_values={"start.q.elbow": 0.9, "joints.elbow.gear.stiffness": 2e4}, output=rows,
     )  # fmt: skip
     plant = plant_for(three_axis, "native")
     plant.set_parameter("joints.elbow.gear.stiffness", 2e4)
     plant.reset([0.0, 0.5, 0.9])
-    for row, command in zip(told[1:], commands, strict=False):
+    for row, command in zip(reported[1:], commands, strict=False):
         plant.exchange(command)
         got = [row[name] for name in rows]
         wanted = [*plant.measured.encoder_counts.astype(float), *plant.state.q]
         assert np.array_equal(got, wanted), plant.t
-    assert len(told) == count + 1, "all of the simulation is compared"
+    assert len(reported) == count + 1, "all of the simulation is compared"
 
 
-def test_fmi_2_saves_refuses_and_tells(unit_2: Path, tmp_path: Path) -> None:
-    """State in memory and as bytes; what is discarded changes nothing, errors are told."""
+def test_fmi_2_saves_refuses_and_reports(unit_2: Path, tmp_path: Path) -> None:
+    """State in memory and as bytes; what is discarded changes nothing, errors are reported."""
     with zipfile.ZipFile(unit_2) as archive:
         archive.extractall(tmp_path)
     description = fmpy.read_model_description(tmp_path)
     at = {v.name: v.valueReference for v in description.modelVariables}
-    said: list[bytes] = []
+    printed: list[bytes] = []
     callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(lambda *words: said.append(words[4]))
+    callbacks.logger = fmi2CallbackLoggerTYPE(lambda *words: printed.append(words[4]))
     arguments = {
         "guid": description.guid, "unzipDirectory": str(tmp_path), "instanceName": "one",
         "modelIdentifier": description.coSimulation.modelIdentifier,
@@ -176,7 +176,7 @@ def test_fmi_2_saves_refuses_and_tells(unit_2: Path, tmp_path: Path) -> None:
     one.doStep(0.0, 20 * PERIOD)
     state = one.getFMUState()
     saved = one.serializeFMUState(state)
-    told = at["truth.q.waist"], at["truth.v.waist"], at["encoder_counts.elbow"]
+    reported = at["truth.q.waist"], at["truth.v.waist"], at["encoder_counts.elbow"]
 
     def discarded(call: Any, *arguments: Any) -> None:
         before = one.serializeFMUState(one.getFMUState())
@@ -190,13 +190,13 @@ def test_fmi_2_saves_refuses_and_tells(unit_2: Path, tmp_path: Path) -> None:
     discarded(one.doStep, 20 * PERIOD, 1e300)
     assert one.getRealStatus(fmi2LastSuccessfulTime) == 20 * PERIOD, "where it stands"
     one.doStep(20 * PERIOD, 20 * PERIOD)
-    wanted = one.getReal(told)
+    wanted = one.getReal(reported)
     one.setFMUState(state)
     one.doStep(20 * PERIOD, 20 * PERIOD)
-    assert one.getReal(told) == wanted, "from a state in memory"
+    assert one.getReal(reported) == wanted, "from a state in memory"
     other.setFMUState(other.deserializeFMUState(saved))
     other.doStep(20 * PERIOD, 20 * PERIOD)
-    assert other.getReal(told) == wanted, "in another instance, from bytes"
+    assert other.getReal(reported) == wanted, "in another instance, from bytes"
     for call, values in (
         (other.getReal, ([10**6],)), (other.getInteger, ([at["command.waist"]],)),
         (other.setReal, ([at["truth.q.waist"]], [0.0])), (other.setString, ([0], [""])),
@@ -206,7 +206,7 @@ def test_fmi_2_saves_refuses_and_tells(unit_2: Path, tmp_path: Path) -> None:
         with pytest.raises(FMICallException) as caught:
             call(*values)
         assert caught.value.status == fmi2Error, call.__name__
-    assert said, "errors are told though logging is off"
+    assert printed, "errors are reported though logging is off"
     for which in (one, other):
         which.freeInstance()
 
@@ -220,8 +220,8 @@ def test_the_portable_binary_equals_the_portable_library(tmp_path: Path) -> None
     rng = np.random.default_rng(1)
     for _ in range(200):
         command = rng.normal(0.0, 5.0, 3)
-        assert one.set("command", command) == OK, one.said
-        assert one.step(PERIOD) == OK, one.said
+        assert one.set("command", command) == OK, one.printed
+        assert one.step(PERIOD) == OK, one.printed
         plant.exchange(command)
     assert np.array_equal(one.get("truth.q"), plant.state.q), "equal bits"
     assert np.array_equal(one.get("truth.current"), plant.state.current), "equal bits"
@@ -247,8 +247,8 @@ def test_motors_take_torque_current_or_voltage_side_by_side(tmp_path: Path) -> N
     one.start()
     for _ in range(100):
         row = rng.normal(0.0, 5.0, 3)
-        assert one.set("command", row) == OK, one.said
-        assert one.step(PERIOD) == OK, one.said
+        assert one.set("command", row) == OK, one.printed
+        assert one.step(PERIOD) == OK, one.printed
         plant.exchange(row)
         assert np.array_equal(one.get("truth.q"), plant.state.q), plant.t
         assert np.array_equal(one.get("applied"), plant.voltage), plant.t
@@ -271,15 +271,15 @@ def test_fmpy_saves_restores_and_goes_on_with_equal_bits(unpacked: Path) -> None
     stiffness = at["joints.elbow.gear.stiffness"]
 
     def go_on(which: Any, first: int, rows: np.ndarray) -> list[float]:
-        told = []
+        reported = []
         for k, row in enumerate(rows):
             which.setFloat64([at["command"]], row)
             if k == 10:
                 which.setFloat64([stiffness], [3e4])
             which.doStep(currentCommunicationPoint=(first + k) * PERIOD,
                          communicationStepSize=PERIOD)  # fmt: skip
-            told += which.getFloat64([at["truth.q"], at["truth.v"]], nValues=6)
-        return told
+            reported += which.getFloat64([at["truth.q"], at["truth.v"]], nValues=6)
+        return reported
 
     for which in (one, other):
         which.enterInitializationMode(startTime=0.0)
@@ -313,10 +313,10 @@ def test_units_of_two_scenes_live_in_one_program(unit: Path, rich: Path, tmp_pat
     ]
     for one in together:
         one.start()
-        assert one.step(10 * PERIOD) == OK, one.said
+        assert one.step(10 * PERIOD) == OK, one.printed
     alone = Instance(Fmu(files[1], tmp_path / "again"))
     alone.start()
-    assert alone.step(10 * PERIOD) == OK, alone.said
+    assert alone.step(10 * PERIOD) == OK, alone.printed
     assert together[1].everything() == alone.everything(), "as if it were alone"
 
 
@@ -337,11 +337,11 @@ def test_one_command_compiles_the_sources(unit: Path, unpacked: Path, tmp_path: 
     one = Instance(Fmu(unit, tmp_path / "one"))
     other = Instance(Fmu(rebuilt, tmp_path / "other"))
     one.start()
-    assert one.set("command", [5.0, -5.0, 3.0]) == OK, one.said
-    assert one.step(20 * PERIOD) == OK, one.said
-    assert other.restore(one.save()) == OK, other.said
+    assert one.set("command", [5.0, -5.0, 3.0]) == OK, one.printed
+    assert one.step(20 * PERIOD) == OK, one.printed
+    assert other.restore(one.save()) == OK, other.printed
     for which in (one, other):
-        assert which.step(20 * PERIOD) == OK, which.said
+        assert which.step(20 * PERIOD) == OK, which.printed
     assert one.everything() == other.everything(), "equal bits"
 
 

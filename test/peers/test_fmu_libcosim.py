@@ -40,15 +40,15 @@ def test_two_arms_side_by_side_move_as_plants_do(
     assert run.step(step_count=PERIODS), "all steps are taken"
     plants = plant_for(scene, "native"), plant_for(scene, "native")
     waist = np.array([1.0, 0.0, 0.0])
-    told = np.zeros(3)
+    reported = np.zeros(3)
     for _ in range(PERIODS):
         plants[0].exchange(5.0 * waist)
-        plants[1].exchange(told * waist)
-        told = plants[0].state.q
+        plants[1].exchange(reported * waist)
+        reported = plants[0].state.q
     references = [at[f"{what}.waist"] for what in ("truth.q", "truth.v", "encoder_counts")]
     for slave, plant in zip((one, other), plants, strict=True):
         state = plant.state
         wanted = [state.q[0], state.v[0], float(plant.measured.encoder_counts[0])]
         assert list(observer.last_real_values(slave, references)) == wanted, "equal bits"
-    said = capfd.readouterr()
-    assert "[error]" not in said.out + said.err, "nothing is wrong with the description"
+    printed = capfd.readouterr()
+    assert "[error]" not in printed.out + printed.err, "nothing is wrong with the description"

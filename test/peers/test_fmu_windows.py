@@ -77,14 +77,14 @@ def test_it_moves_under_wine_as_under_linux(unit: Fmu, tmp_path: Path) -> None:
     one = Instance(unit)
     one.start()
     for k, (time, *q) in enumerate(found):
-        assert one.set("command", [(k + j) % 7 - 3.0 for j in range(joints)]) == OK, one.said
+        assert one.set("command", [(k + j) % 7 - 3.0 for j in range(joints)]) == OK, one.printed
         one.time = k / 60.0
-        assert one.step(1.0 / 60.0) == OK, one.said
+        assert one.step(1.0 / 60.0) == OK, one.printed
         assert time == pytest.approx(one.time, abs=1e-12), "time"
         assert np.abs(np.array(q) - one.get("truth.q")).max() < AS_LINUX, f"angles at {time} s"
 
 
-def test_without_a_cross_compiler_it_says_what_to_install(
+def test_without_a_cross_compiler_it_states_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from arm_emulator.doors.fmu.unit import unit_of

@@ -61,7 +61,7 @@ def test_a_servo_loop_over_the_line_reaches_its_target(tmp_path: Path, errors: f
     """The arm moves as the plant predicts from the same commands, to the last count.
 
     A reply that was lost on the line is asked for again, which is one more write of commands, and
-    so one more servo period under them: the tick in each reply tells.
+    so one more servo period under them: the tick in each reply reports.
     """
     session = Session(load_scene("three_axis"), "lockstep", "first_answer")
     with master_of(tmp_path, "--error-rate", str(errors), "--seed", "3") as master:
@@ -72,21 +72,21 @@ def test_a_servo_loop_over_the_line_reaches_its_target(tmp_path: Path, errors: f
             per_volt.append(32768 / float_of(words[2:6]))
             rad_per_count.append(1 / float_of(words[6:10]))
             ratio.append(float_of(words[14:18]))
-        told = master.read_input_registers(1000, count=9).registers
-        start = last = np.array(long_of(told[3:9])) * rad_per_count
+        reported = master.read_input_registers(1000, count=9).registers
+        start = last = np.array(long_of(reported[3:9])) * rad_per_count
         target = start + np.array([0.10, -0.05, 0.08]) / ratio
         words, tick, asked = [0, 0, 0], 0, 0
         while tick < 600:
             asked += 1
-            told = master.readwrite_registers(
+            reported = master.readwrite_registers(
                 read_address=1000, read_count=9, write_address=2001, values=words
             ).registers
-            now = (told[1] << 16) + told[2]
+            now = (reported[1] << 16) + reported[2]
             assert now == tick + 1 or errors, "one period per write"
             applied = np.array(words, np.uint16).astype(np.int16) * (48.0 / 32768)
             for k in range(tick, now):
                 session.advance_under(applied, k)
-            counts = long_of(told[3:9])
+            counts = long_of(reported[3:9])
             assert counts == session.measured.encoder_counts.tolist(), f"as predicted, tick {now}"
             theta = np.array(counts) * rad_per_count
             speed, last, tick = (theta - last) / ((now - tick) * 1e-3), theta, now
@@ -114,7 +114,7 @@ def test_page_shows_what_happens(tmp_path: Path) -> None:
     page = page_of("modbus").read_text()
     blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)
     (shown,) = [textwrap.dedent(block).strip() for block in blocks if "import Modbus" in block]
-    script, _, said = shown.rpartition("\n\n")
+    script, _, printed = shown.rpartition("\n\n")
     with master_of(tmp_path) as master:
         master.close()  # the port is for one
         script = script.replace("/tmp/arm", str(tmp_path / "port"))
@@ -122,4 +122,4 @@ def test_page_shows_what_happens(tmp_path: Path) -> None:
             [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False
         )
         assert ran.returncode == 0, ran.stderr
-        assert ran.stdout.strip() == said
+        assert ran.stdout.strip() == printed

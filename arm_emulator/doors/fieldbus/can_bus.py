@@ -14,7 +14,7 @@ from arm_emulator.doors.fieldbus.canopen_node import Frame
 from arm_emulator.doors.fieldbus.canopen_segment import Segment
 
 LOOK = 0.1  # s, after which a bus that is silent is looked at
-TELL_SILENCE = 5.0  # s
+REPORT_SILENCE = 5.0  # s
 LATEST = 100_000_000  # ns, beyond which periods are lost
 MOST_FRAMES = 200  # that are answered between two servo periods that are late
 
@@ -107,7 +107,7 @@ class PythonCanBus:
         try:
             self._bus.send(message)
         except can.CanError as error:
-            _say(f"a frame was not sent: {error}")
+            _report(f"a frame was not sent: {error}")
 
 
 def _of_the_system(error: BaseException | None) -> bool:
@@ -120,7 +120,7 @@ def _of_the_system(error: BaseException | None) -> bool:
 
 
 class BusService:
-    """Serves a bus until it is told to end.
+    """Serves a bus until it is asked to end.
 
     Args:
         bus: that they are on.
@@ -130,7 +130,7 @@ class BusService:
 
     def __init__(self, bus: Bus, segment: Segment, period: int | None) -> None:
         self._bus, self._segment, self._period = bus, segment, period
-        self._told = False
+        self._reported = False
         self.lost_periods = 0  # in real time, by which logical time is late
 
     def serve(self, goes_on: Callable[[], bool] = lambda: True) -> None:
@@ -148,9 +148,9 @@ class BusService:
             self._take(min(beat / 2e9, LOOK) if beat else LOOK)
             if self._segment.tick != tick:
                 tick, since, silent = self._segment.tick, time.monotonic(), False
-            elif not silent and time.monotonic() - since > TELL_SILENCE:
+            elif not silent and time.monotonic() - since > REPORT_SILENCE:
                 silent = True
-                _say(f"no SYNC, logical time stands still at tick {tick}")
+                _report(f"no SYNC, logical time stands still at tick {tick}")
 
     def _serve_in_real_time(self, goes_on: Callable[[], bool], period: int) -> None:
         due = time.monotonic_ns() + period
@@ -163,10 +163,10 @@ class BusService:
                 lost = late // period
                 self.lost_periods += lost
                 due += lost * period
-                _say(f"{late / 1e9:.1f} s late: {self.lost_periods} servo periods lost so far")
+                _report(f"{late / 1e9:.1f} s late: {self.lost_periods} servo periods lost so far")
             due += period
             self._send(self._segment.pass_period())
-            self._tell_fault()
+            self._report_fault()
             for _ in range(MOST_FRAMES):
                 if not self._take(0.0):
                     break
@@ -181,8 +181,8 @@ class BusService:
         if frame is not None:
             self._send(self._segment.receive(frame))
             while self._segment.uneven:
-                _say(self._segment.uneven.pop(0))
-            self._tell_fault()
+                _report(self._segment.uneven.pop(0))
+            self._report_fault()
         self._send(self._segment.heartbeats(time.monotonic_ns()))
         return frame is not None
 
@@ -190,11 +190,11 @@ class BusService:
         for frame in frames:
             self._bus.send(frame)
 
-    def _tell_fault(self) -> None:
-        if self._segment.fault is not None and not self._told:
-            self._told = True
-            _say(str(self._segment.fault))
+    def _report_fault(self) -> None:
+        if self._segment.fault is not None and not self._reported:
+            self._reported = True
+            _report(str(self._segment.fault))
 
 
-def _say(words: str) -> None:
+def _report(words: str) -> None:
     print(f"canopen: {words}", file=sys.stderr, flush=True)

@@ -33,7 +33,7 @@ class Frame:
 
 
 class State(enum.IntEnum):
-    """Of the node, as heartbeats tell it."""
+    """Of the node, as heartbeats report it."""
 
     BOOT = 0
     STOPPED = 4
@@ -81,7 +81,7 @@ class Node:
         self._toggle = 0  # of node guarding
         self._beat_at: int | None = None  # when the last heartbeat was sent
         self._heard_at: int | None = None  # when that of the watched node came
-        self._error = 0  # told last
+        self._error = 0  # reported last
         self._bad_pdo = False
         self._watched = (0, 0)  # node, and time between its heartbeats [ns]
         self._receives: list[_Pdo] = []
@@ -170,7 +170,7 @@ class Node:
     # ---------------------------------------------------------------------------------- frames
 
     def boot(self) -> list[Frame]:
-        """Start up: the message that tells it, and the node is pre-operational."""
+        """Start up: the message that reports it, and the node is pre-operational."""
         self.state = State.PRE_OPERATIONAL
         self._toggle = 0
         self._beat_at = self._heard_at = None
@@ -303,9 +303,9 @@ class Node:
     def _requested(self, id_: int) -> list[Frame]:
         """Remote frames: node guarding, and PDOs."""
         if id_ == 0x700 + self.number and not self._beat and self.state is not State.BOOT:
-            told = self._toggle | self.state
+            reported = self._toggle | self.state
             self._toggle ^= 0x80
-            return [Frame(id_, bytes((told,)))]
+            return [Frame(id_, bytes((reported,)))]
         if self.state is not State.OPERATIONAL:
             return []
         for pdo in self._sends:
@@ -336,9 +336,9 @@ class Node:
                 except Aborted:
                     bad = True
             at += size
-        told = self._emergency(NOT_TAKEN) if bad and not self._bad_pdo else []
+        reported = self._emergency(NOT_TAKEN) if bad and not self._bad_pdo else []
         self._bad_pdo = bad
-        return told
+        return reported
 
     def _pack(self, pdo: _Pdo) -> bytes:
         upload, drive = self._drives.upload, self._drive
@@ -368,9 +368,9 @@ class Node:
         """Look whether the node whose heartbeats are expected is still there."""
         if self._heard_at is None or now - self._heard_at <= self._watched[1]:
             return []
-        self._heard_at = None  # told once, until it is heard again
+        self._heard_at = None  # reported once, until it is heard again
         self._drives.lost(self._drive, LOST)
-        told = self._emergency(LOST)
+        reported = self._emergency(LOST)
         self._error = self._number(0x603F, 0)
         if self.state is State.OPERATIONAL:
             match self._number(0x1029, 1):
@@ -379,7 +379,7 @@ class Node:
                 case 2:
                     self.state = State.STOPPED
                     self._drives.begin_sdo(self._drive)
-        return told
+        return reported
 
     def _emergency(self, code: int) -> list[Frame]:
         if self._emergency_id is None or self.state in (State.STOPPED, State.BOOT):

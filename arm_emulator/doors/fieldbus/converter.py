@@ -34,7 +34,7 @@ JOINT_FAULT, JOINT_HOT, JOINT_BRAKED = 1, 2, 4
 POWER, ACKNOWLEDGE, RESET = 1, 2, 4
 
 FULL_SCALE = 32768  # of a command's word
-LARGEST_PERIOD = 2**32 - 1  # ns, that a register can tell
+LARGEST_PERIOD = 2**32 - 1  # ns, that a register can report
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def full_scale(scene: Scene, joint: Joint) -> float:
     """Return what a command of 32768 would be [V, N m or A, as the joint's motor takes it].
 
     Raises:
-        Refusal: the scene does not tell, because a motor's torque or current has no limit.
+        Refusal: the scene does not report, because a motor's torque or current has no limit.
     """
     limit = float(scene.largest_commands[scene.joints.index(joint)])
     if not math.isfinite(limit):
@@ -75,7 +75,7 @@ _ALWAYS = (
     (1, "index pulses, modulo 2^16", "uint16", "1"),
 )
 # The outputs that these have, and the joint status.
-_TOLD = (
+_REPORTED = (
     "encoder_counts", "current", "applied", "faults", "brake_closed",
     "link_encoder_counts", "index_counts", "index_pulses",
 )  # fmt: skip
@@ -83,7 +83,7 @@ _TOLD = (
 
 def further(scene: Scene) -> tuple[Output, ...]:
     """Return what the scene's parts report beside what every machine has."""
-    return tuple(one for one in outputs_of(scene) if one.name not in _TOLD)
+    return tuple(one for one in outputs_of(scene) if one.name not in _REPORTED)
 
 
 def measured_blocks(scene: Scene) -> list[Block]:
@@ -156,7 +156,7 @@ class Converter:
         watchdog: how long the drives stay on without new commands [ms]; 0: for ever.
 
     Raises:
-        Refusal: no such time, or a scene that registers cannot tell.
+        Refusal: no such time, or a scene that registers cannot report.
     """
 
     def __init__(self, session: Session, watchdog: int) -> None:

@@ -52,7 +52,7 @@ def drives_unit(
         name: of the library.
         source: C++ that comes behind core/drives.hpp.
         headers: declare the functions that it adds.
-        about: what the user is told while it is compiled.
+        about: what the user is reported while it is compiled.
     """
     return Unit(
         name,
@@ -264,7 +264,7 @@ class Drives:
 
         def go() -> int:
             result = int(self.calls.drives_periods(self.pointer, periods))
-            # The drives have measurements of their own; the plant tells of its newest one.
+            # The drives have measurements of their own; the plant has its newest one.
             plant = self.plant
             plant.core.arm_measure(plant.machine, plant.measurement)
             return result
@@ -338,7 +338,7 @@ class Drives:
         return int(self.calls.drives_periods_per_target(self.pointer, drive))
 
     def lost(self, drive: int = -1, error: int = 0x8100) -> None:
-        """Tell a drive, -1: all, that its master is gone."""
+        """Report to a drive, -1: all, that its master is gone."""
         self.calls.drives_lost(self.pointer, drive, error)
 
     def lock_mapping(self, locked: bool, drive: int = -1) -> None:
@@ -364,9 +364,9 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
     if round(servo.period * 1e9) != round(scene.servo_period * 1e9):
         rule = f"be the scene's servo_period, {scene.servo_period:g} s"
         raise Refusal(scene.where, "servo.period", rule, f"{servo.period:g} s")
-    told = tuple(known[name] for name in scene.joint_names)
-    rows = DRIVES.rows("drives_joint", len(told))
-    rows["servo"] = servo_numbers(told, servo.period, servo.supply_voltage)
+    reported = tuple(known[name] for name in scene.joint_names)
+    rows = DRIVES.rows("drives_joint", len(reported))
+    rows["servo"] = servo_numbers(reported, servo.period, servo.supply_voltage)
     limits = limits_of(ET.fromstring(scene.urdf))
     for row, joint in zip(rows, scene.joints, strict=True):
         if joint.motor is not None and joint.servo_data is None:

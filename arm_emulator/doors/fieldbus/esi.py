@@ -25,7 +25,7 @@ _TYPES = {
 
 
 def esi(drives: Drives) -> str:
-    """Return the file for the drives of a scene, which are alike in all that it tells."""
+    """Return the file for the drives of a scene, which are alike in all that it reports."""
     objects = _objects(drives)
     root = ET.Element("EtherCATInfo", Version="1.6")
     vendor = _add(root, "Vendor")
@@ -167,8 +167,8 @@ def _guards(device: ET.Element, drives: Drives) -> None:
         ("Inputs", INPUTS, 0x20, into),
     ):
         mailbox = {"MinSize": "34", "MaxSize": str(MAILBOX)} if name.startswith("MBox") else {}
-        told = {"StartAddress": _hex(start, 4), "ControlByte": _hex(control, 2), "Enable": "1"}
-        _add(device, "Sm", name, DefaultSize=str(size), **mailbox, **told)
+        reported = {"StartAddress": _hex(start, 4), "ControlByte": _hex(control, 2), "Enable": "1"}
+        _add(device, "Sm", name, DefaultSize=str(size), **mailbox, **reported)
 
 
 def _bytes(drives: Drives, assignment: int) -> int:

@@ -78,7 +78,7 @@ class Segment:
 
         Args:
             frame: without its check sequence.
-            now: what a clock says [ns], where it is not lock-step.
+            now: what a clock states [ns], where it is not lock-step.
         """
         size = min(len(frame), LONGEST)
         SEGMENT.ffi.memmove(self._room, frame, size)
@@ -86,7 +86,7 @@ class Segment:
         return bytes(SEGMENT.ffi.buffer(self._room, back))
 
     def period(self, now: int = 0) -> None:
-        """Let a servo period pass without a frame; `now` is what a clock says [ns]."""
+        """Let a servo period pass without a frame; `now` is what a clock states [ns]."""
         self._calls.ethercat_period(self.pointer, now)
 
     @property

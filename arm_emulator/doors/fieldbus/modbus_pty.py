@@ -21,7 +21,7 @@ from arm_emulator.doors.fieldbus.serial_line import LineErrors, bytes_time, sile
 # What is on its way from another process comes later than on a line. Only bytes that are no whole
 # request wait for that long.
 LONGEST_GAP = 20_000_000  # ns
-TELL_SILENCE = 5.0  # s
+REPORT_SILENCE = 5.0  # s
 LOOK = 2e-3  # s, after which the loop in real time is looked at
 _SPEEDS = {
     getattr(termios, name): int(name[1:])
@@ -53,7 +53,7 @@ class SerialPort:
             settings = termios.tcgetattr(self._port)
             settings[4] = settings[5] = self._speed
             termios.tcsetattr(self._port, termios.TCSANOW, settings)
-        self._told = False
+        self._reported = False
         os.set_blocking(self._end, False)
         self.path = os.ttyname(self._port)
         self._link = link
@@ -94,12 +94,12 @@ class SerialPort:
         """Whether the master has set the speed of this end; else nothing can be understood."""
         speed = termios.tcgetattr(self._port)[5]
         if self._speed is None or speed == self._speed:
-            self._told = False
+            self._reported = False
             return True
-        if not self._told:
-            self._told = True
+        if not self._reported:
+            self._reported = True
             theirs = _SPEEDS.get(speed, "another speed in")
-            _say(
+            _report(
                 f"the master has set {theirs} baud, this end has {self._baud}: nothing gets through"
             )
         return False
@@ -121,7 +121,7 @@ def serve(port: SerialPort, line: ModbusLine, converter: Converter, baud: int) -
     silent = False
     while True:
         waiting = line.receiver.waiting
-        data = port.take(gap if waiting else TELL_SILENCE)
+        data = port.take(gap if waiting else REPORT_SILENCE)
         if data:
             silent = False
             port.give(line.bring(data))
@@ -129,7 +129,7 @@ def serve(port: SerialPort, line: ModbusLine, converter: Converter, baud: int) -
             port.give(line.silence())
         elif not silent:
             silent = True
-            _say(
+            _report(
                 f"the master is silent, logical time stands still at tick {converter.session.tick}"
             )
 
@@ -197,5 +197,5 @@ class RealTimeService:
             self._converter.offer()
 
 
-def _say(words: str) -> None:
+def _report(words: str) -> None:
     print(f"modbus: {words}", file=sys.stderr, flush=True)

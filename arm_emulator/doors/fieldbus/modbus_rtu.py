@@ -117,7 +117,7 @@ class Receiver:
     """Finds requests in what a line brings.
 
     A request ends where a silence of 3.5 characters begins. Where the receiver need not wait for
-    it, it does not: bytes that have the length which their function tells, and the right checksum,
+    it, it does not: bytes that have the length of their function, and the right checksum,
     are a request as soon as they are there. What is not, stays until the silence, and is dropped
     then unless all of it together has the right checksum.
 
@@ -163,7 +163,7 @@ class Receiver:
 
 
 class Counters:
-    """What diagnostics (function 8) tell of a station since it was started or they were cleared."""
+    """What diagnostics (function 8) has a station since it was started or they were cleared."""
 
     def __init__(self) -> None:
         self.messages = 0  # on the line, for whichever station
@@ -181,7 +181,7 @@ class Station:
     Args:
         number: its address, 1 to 247.
         registers: what it has behind its addresses.
-        damaged: tells how many frames came damaged, for diagnostics.
+        damaged: reports how many frames came damaged, for diagnostics.
     """
 
     def __init__(
@@ -246,7 +246,7 @@ class Station:
         return data[:4]
 
     def _read_write(self, data: bytes) -> bytes:
-        """Write first, then read, as the standard says; nothing is written if it cannot be read."""
+        """Write first, then read, as the standard demands; nothing is written if reading fails."""
         _check(len(data) >= 9)
         address, count, to, written = _words(data[:8], 4)
         _check(1 <= count <= 125 and 1 <= written <= 121 and data[8] == 2 * written)
@@ -261,7 +261,7 @@ class Station:
         if sub == 0:  # return what was sent
             return data
         counters = self.counters
-        told = {
+        reported = {
             2: 0,  # a register for each to use as he likes
             11: counters.messages,
             12: self._damaged() - self._damaged_before,
@@ -269,14 +269,14 @@ class Station:
             14: counters.served,
             15: counters.unanswered,
         }
-        if sub != 10 and sub not in told:
+        if sub != 10 and sub not in reported:
             raise ModbusException(Code.FUNCTION)
         _check(rest == b"\0\0")
         if sub == 10:  # clear
             self.counters = Counters()
             self._damaged_before = self._damaged()
             return data
-        return data[:2] + struct.pack(">H", told[sub] & 0xFFFF)
+        return data[:2] + struct.pack(">H", reported[sub] & 0xFFFF)
 
 
 def _words(data: bytes, count: int) -> tuple[int, ...]:

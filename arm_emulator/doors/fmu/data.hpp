@@ -1,4 +1,4 @@
-// All values of an instance in one place, so that the table of variables says where each of them
+// All values of an instance in one place, so that the table of variables states where each of them
 // is. Included after the constants of a scene (unit.py).
 #pragma once
 

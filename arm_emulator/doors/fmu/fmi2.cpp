@@ -20,7 +20,7 @@ fmi2Status in(std::uint32_t modes, fmi2Component component, const char* name, Ca
   try {
     return as_fmi2(call(*of(component)));
   } catch (const std::bad_alloc&) {
-    return as_fmi2(of(component)->tell(fmu::kError, "%s: there is no memory left", name));
+    return as_fmi2(of(component)->report(fmu::kError, "%s: there is no memory left", name));
   }
 }
 
@@ -50,14 +50,14 @@ fmi2Status set(fmi2Component component, const char* name, const fmi2ValueReferen
 
 fmi2Status no_strings(fmi2Component component, const char* name, std::size_t count) {
   return in(fmu::kAnyMode, component, name, [&](Instance& one) {
-    return count ? one.tell(fmu::kError, "%s: no variable is of this type", name) : fmu::kOk;
+    return count ? one.report(fmu::kError, "%s: no variable is of this type", name) : fmu::kOk;
   });
 }
 
-// What modelDescription.xml says is not there.
+// What modelDescription.xml states is not there.
 fmi2Status not_there(fmi2Component component, const char* name) {
   if (!component) return fmi2Error;
-  return as_fmi2(of(component)->tell(fmu::kError, "%s is not supported", name));
+  return as_fmi2(of(component)->report(fmu::kError, "%s is not supported", name));
 }
 
 void log_to(const fmu::Log& log, fmu::Status status, const char* category, const char* text) {

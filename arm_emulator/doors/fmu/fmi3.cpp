@@ -19,7 +19,7 @@ fmi3Status in(std::uint32_t modes, fmi3Instance instance, const char* name, Call
   try {
     return as_fmi3(call(*of(instance)));
   } catch (const std::bad_alloc&) {
-    return as_fmi3(of(instance)->tell(fmu::kError, "%s: there is no memory left", name));
+    return as_fmi3(of(instance)->report(fmu::kError, "%s: there is no memory left", name));
   }
 }
 
@@ -51,14 +51,14 @@ fmi3Status set(fmi3Instance instance, const char* name, const fmi3ValueReference
 // Of types that no variable has.
 fmi3Status none_of_this_type(fmi3Instance instance, const char* name, std::size_t count) {
   return in(fmu::kAnyMode, instance, name, [&](Instance& one) {
-    return count ? one.tell(fmu::kError, "%s: no variable is of this type", name) : fmu::kOk;
+    return count ? one.report(fmu::kError, "%s: no variable is of this type", name) : fmu::kOk;
   });
 }
 
-// What modelDescription.xml says is not there.
+// What modelDescription.xml states is not there.
 fmi3Status not_there(fmi3Instance instance, const char* name) {
   if (!instance) return fmi3Error;
-  return as_fmi3(of(instance)->tell(fmu::kError, "%s is not supported", name));
+  return as_fmi3(of(instance)->report(fmu::kError, "%s is not supported", name));
 }
 
 void log_to(const fmu::Log& log, fmu::Status status, const char* category, const char* text) {

@@ -104,14 +104,14 @@ class Instance {
 
   // ------------------------------------------------------------------------------------- logging
 
-  // What a call returns: with a status that is none of success, the reason is told. An error ends
-  // the simulation; a reset or a state that was kept begins it again.
-  Status tell(Status status, const char* format, ...) __attribute__((format(printf, 3, 4))) {
+  // What a call returns: with a status that is none of success, the reason is reported. An error
+  // ends the simulation; a reset or a state that was kept begins it again.
+  Status report(Status status, const char* format, ...) __attribute__((format(printf, 3, 4))) {
     if (status == kError) values_.mode = kTerminated;
     const Category category = status == kError     ? kStatusError
                               : status == kDiscard ? kStatusDiscard
                                                    : kEvents;
-    // Errors are told whatever was asked for, as the standard wants it.
+    // Errors are reported whatever was asked for, as the standard wants it.
     if (!log_.function || (status != kError && !logged_[category])) return status;
     char text[1024], escaped[2 * sizeof text];
     va_list arguments;
@@ -131,14 +131,14 @@ class Instance {
   // Switch categories on or off; all of them if `count` is 0.
   Status set_logging(bool on, std::size_t count, const char* const* categories) {
     bool chosen[kCategories] = {};
-    if (count && !categories) return tell(kError, "categories must be given, got none");
+    if (count && !categories) return report(kError, "categories must be given, got none");
     for (std::size_t k = 0; k < count; ++k) {
       int c = 0;
       while (c < kCategories && (!categories[k] || std::strcmp(categories[k], kCategoryNames[c])))
         ++c;
       if (c == kCategories)
-        return tell(kError, "log category must be one of modelDescription.xml, got %.100s",
-                    categories[k] ? categories[k] : "none");
+        return report(kError, "log category must be one of modelDescription.xml, got %.100s",
+                      categories[k] ? categories[k] : "none");
       chosen[c] = true;
     }
     for (int c = 0; c < kCategories; ++c)
@@ -155,14 +155,14 @@ class Instance {
                       : values_.mode == kInitialization ? "initialization mode"
                       : values_.mode == kStep           ? "step mode"
                                                         : "termination";
-    tell(kError, "%s must not be called after %s", call, now);
+    report(kError, "%s must not be called after %s", call, now);
     return false;
   }
 
   Status set_times(double start, bool has_stop, double stop) {
-    if (!arm::is_finite(start)) return tell(kError, "start time must be finite [s]");
+    if (!arm::is_finite(start)) return report(kError, "start time must be finite [s]");
     if (has_stop && (!arm::is_finite(stop) || stop < start))
-      return tell(kError, "stop time must be finite and not before the start [s]");
+      return report(kError, "stop time must be finite and not before the start [s]");
     values_.start = values_.clock = start;
     values_.has_stop = has_stop;
     values_.stop = has_stop ? stop : 0.0;
@@ -175,7 +175,7 @@ class Instance {
   Status exit_initialization() {
     put_at_start();
     values_.mode = kStep;
-    return tell(kOk, "the machine is at its start");
+    return report(kOk, "the machine is at its start");
   }
   // A step that another thread has under way ends at its next tick.
   Status terminate() {
@@ -186,14 +186,14 @@ class Instance {
     return kOk;
   }
   Status cancel_step() {
-    if (!stepping_) return tell(kError, "a step must be under way to be cancelled");
+    if (!stepping_) return report(kError, "a step must be under way to be cancelled");
     ending_ = kCancels;
     return kOk;
   }
   Status reset() {
     if (stepping_) return busy();
     become_new();
-    return tell(kOk, "reset");
+    return report(kOk, "reset");
   }
 
   double time() const {
@@ -209,18 +209,19 @@ class Instance {
     early_ = false;
     if (stepping_) return busy();
     if (!arm::is_finite(from) || !arm::is_finite(step) || step <= 0.0)
-      return tell(kError, "communication step must be finite and > 0 s, got %g s at %g s", step,
-                  from);
+      return report(kError, "communication step must be finite and > 0 s, got %g s at %g s", step,
+                    from);
     const double near = 0.25 * (step < kPeriod ? step : kPeriod);
     if (__builtin_fabs(from - values_.clock) > near)
-      return tell(kError, "communication point must be %.17g s, where the machine is, got %.17g s",
-                  values_.clock, from);
+      return report(kError,
+                    "communication point must be %.17g s, where the machine is, got %.17g s",
+                    values_.clock, from);
     if (step > kLargestTicks * kPeriod)
-      return tell(kDiscard, "communication step must be at most %g s, got %g s",
-                  kLargestTicks * kPeriod, step);
+      return report(kDiscard, "communication step must be at most %g s, got %g s",
+                    kLargestTicks * kPeriod, step);
     if (values_.has_stop && from + step > values_.stop + near)
-      return tell(kError, "communication step must end at %.17g s, the stop time, got %.17g s",
-                  values_.stop, from + step);
+      return report(kError, "communication step must end at %.17g s, the stop time, got %.17g s",
+                    values_.stop, from + step);
     stepping_ = true;
     const Status status = go(from, step);
     stepping_ = false;
@@ -236,20 +237,20 @@ class Instance {
   bool match(const char* call, const unsigned* references, std::size_t count, Type type, Type other,
              const void* values, std::size_t size) {
     std::size_t all = 0;
-    if (count && !references) return tell(kError, "%s: references must be given", call), false;
+    if (count && !references) return report(kError, "%s: references must be given", call), false;
     for (std::size_t k = 0; k < count; ++k) {
       if (references[k] >= static_cast<unsigned>(kVariableCount))
-        return tell(kError, "%s: value reference must be below %d, got %u", call, kVariableCount,
-                    references[k]),
+        return report(kError, "%s: value reference must be below %d, got %u", call, kVariableCount,
+                      references[k]),
                false;
       const Variable& one = kVariables[references[k]];
       if (one.type != type && one.type != other)
-        return tell(kError, "%s: variable %u must be of the call's type", call, references[k]),
+        return report(kError, "%s: variable %u must be of the call's type", call, references[k]),
                false;
       all += static_cast<std::size_t>(one.count);
     }
     if (all != size || (all && !values))
-      return tell(kError, "%s: there must be %zu values, got %zu", call, all, values ? size : 0),
+      return report(kError, "%s: there must be %zu values, got %zu", call, all, values ? size : 0),
              false;
     return true;
   }
@@ -261,7 +262,7 @@ class Instance {
       const bool now = role == Role::input || role == Role::tunable ||
                        (role == Role::fixed && values_.mode & kBeforeStart);
       if (!now)
-        return tell(kError, "%s: variable %u cannot be set now", call, references[k]), false;
+        return report(kError, "%s: variable %u cannot be set now", call, references[k]), false;
     }
     return true;
   }
@@ -273,8 +274,8 @@ class Instance {
     for (std::size_t r = 0; r < count; ++r)
       for (int k = 0; k < kVariables[references[r]].count; ++k)
         if (const char* rule = why_not(kVariables[references[r]], k, *value++))
-          return tell(kDiscard, "%s: value %d of variable %u must %s, got %g", call, k,
-                      references[r], rule, value[-1]);
+          return report(kDiscard, "%s: value %d of variable %u must %s, got %g", call, k,
+                        references[r], rule, value[-1]);
     for (std::size_t r = 0; r < count; ++r) {
       const Variable& one = kVariables[references[r]];
       for (int k = 0; k < one.count; ++k) std::memcpy(place(one, k), values++, sizeof *values);
@@ -283,7 +284,7 @@ class Instance {
         if (!values_.underway) take_parameters();
       }
       if (one.role != Role::input && !values_.underway) {
-        told_ = truth_told_ = false;
+        reported_ = truth_reported_ = false;
         if (values_.mode & kBeforeStart) values_.moved = true;
       }
     }
@@ -295,13 +296,13 @@ class Instance {
     if (values_.mode & kBeforeStart) values_.moved = true;
   }
 
-  // Have everything that these variables tell.
+  // Have everything that these variables report.
   void look(const unsigned* references, std::size_t count) {
     put_at_start();
     bool truth = false;
     for (std::size_t k = 0; k < count; ++k) truth |= kVariables[references[k]].truth;
-    if (!told_) measure();
-    if (truth && !truth_told_) measure_truth();
+    if (!reported_) measure();
+    if (truth && !truth_reported_) measure_truth();
     data_.shown.time = time();
   }
   // Value `k` of a variable.
@@ -330,7 +331,7 @@ class Instance {
   }
   // Keep the state in `*state`, which is made if it is null; it lives as long as this instance.
   Status keep(void** state) {
-    if (!state) return tell(kError, "state must have a place, got none");
+    if (!state) return report(kError, "state must have a place, got none");
     if (*state && !known(*state)) return unknown_state();
     if (!*state) *state = make_state();
     put_at_start();
@@ -350,8 +351,8 @@ class Instance {
     if (arm_restore(machine_, bytes + 16 + sizeof values_, arm_saved_size()) != ARM_OK)
       return refused(kError);
     std::memcpy(&values_, bytes + 16, sizeof values_);
-    told_ = truth_told_ = false;
-    return tell(kOk, "went back to %.17g s", time());
+    reported_ = truth_reported_ = false;
+    return report(kOk, "went back to %.17g s", time());
   }
   Status forget(void** state) {
     if (!state || !*state) return kOk;
@@ -368,30 +369,30 @@ class Instance {
   Status write_state(void* state, unsigned char* bytes, std::size_t size) {
     if (!known(state)) return unknown_state();
     if (size != state_size() || !bytes)
-      return tell(kError, "serialized state must have %zu bytes, got %zu", state_size(),
-                  bytes ? size : 0);
+      return report(kError, "serialized state must have %zu bytes, got %zu", state_size(),
+                    bytes ? size : 0);
     std::memcpy(bytes, bytes_of(state), size);
     return kOk;
   }
   Status read_state(const unsigned char* bytes, std::size_t size, void** state) {
     if (!state || (*state && !known(*state))) return unknown_state();
     if (size != state_size() || !bytes)
-      return tell(kError, "serialized state must have %zu bytes, got %zu", state_size(),
-                  bytes ? size : 0);
+      return report(kError, "serialized state must have %zu bytes, got %zu", state_size(),
+                    bytes ? size : 0);
     std::uint64_t magic, of, sum;
     std::memcpy(&magic, bytes, 8);
     std::memcpy(&of, bytes + 8, 8);
     std::memcpy(&sum, bytes + size - 8, 8);
     if (magic != kMagic || of != fingerprint_)
-      return tell(kError, "serialized state must be of this binary");
-    if (sum != sum_of(bytes)) return tell(kError, "serialized state must be as it was written");
+      return report(kError, "serialized state must be of this binary");
+    if (sum != sum_of(bytes)) return report(kError, "serialized state must be as it was written");
     if (!*state) *state = make_state();
     std::memcpy(bytes_of(*state), bytes, size);
     return kOk;
   }
   Status size_of(void* state, std::size_t* size) {
     if (!known(state)) return unknown_state();
-    if (!size) return tell(kError, "size must have a place, got none");
+    if (!size) return report(kError, "size must have a place, got none");
     *size = state_size();
     return kOk;
   }
@@ -435,7 +436,7 @@ class Instance {
 
   // What another thread, or the importer in the midst of a step, asks of the step.
   enum Ending { kGoesOn, kCancels, kTerminates };
-  Status busy() { return tell(kError, "no call but gets and an end may come during a step"); }
+  Status busy() { return report(kError, "no call but gets and an end may come during a step"); }
 
   // Go on by `step` from one tick to the next, as far as they are due.
   Status go(double from, double step) {
@@ -449,7 +450,7 @@ class Instance {
       if (left <= kDue) break;
       if (ending_ != kGoesOn) {
         values_.clock = time();
-        return tell(kDiscard, "the step ended at %.17g s, as it was asked to", time());
+        return report(kDiscard, "the step ended at %.17g s, as it was asked to", time());
       }
       double until = time();
       if (watch_.function && watch_.call(watch_, time(), &until) && until < time() + left) {
@@ -481,7 +482,7 @@ class Instance {
       commands[j].value = held.command[j];
     }
     const arm_command command = {sizeof command, 0, -1, commands, held.command_d};
-    told_ = truth_told_ = false;
+    reported_ = truth_reported_ = false;
     const int result = arm_exchange(machine_, &command, &measurement_);
     if (result == ARM_REFUSED) return refused(kError);
     if (result == ARM_DIVERGED) return diverged();
@@ -494,7 +495,7 @@ class Instance {
     arm_power(machine_, values_.now.power);
     arm_reset(machine_, values_.start_q, values_.start_v);
     values_.moved = false;
-    told_ = truth_told_ = false;
+    reported_ = truth_reported_ = false;
   }
 
   // Why a value is not taken; null if it is.
@@ -542,7 +543,7 @@ class Instance {
   void measure() {
     arm_measure(machine_, &measurement_);
     data_.shown.powered = measurement_.powered;
-    told_ = true;
+    reported_ = true;
   }
   void measure_truth() {
     Truth& to = data_.truth;
@@ -557,25 +558,25 @@ class Instance {
     truth.gear_torque = to.gear_torque;
     arm_get_truth(machine_, &truth);
     arm_get_winding_temperatures(machine_, to.winding_temperature);
-    truth_told_ = true;
+    truth_reported_ = true;
   }
 
   Status refused(Status status) {
     arm_refusal why = {};
     why.size = sizeof why;
     arm_why(machine_, &why);
-    return tell(status, "%s must %s, got %g%s%s", why.quantity, why.rule, why.got,
-                why.joint >= 0 && why.joint < N ? " at joint " : "",
-                why.joint >= 0 && why.joint < N ? joints_[why.joint].name : "");
+    return report(status, "%s must %s, got %g%s%s", why.quantity, why.rule, why.got,
+                  why.joint >= 0 && why.joint < N ? " at joint " : "",
+                  why.joint >= 0 && why.joint < N ? joints_[why.joint].name : "");
   }
   Status diverged() {
     arm_truth truth = {};
     truth.size = sizeof truth;
     arm_get_truth(machine_, &truth);
     const int joint = truth.fault;
-    return tell(kError,
-                "joint %s diverged after %.17g s; the machine stays at its last sound state",
-                joint >= 0 && joint < N ? joints_[joint].name : "?", values_.start + truth.time);
+    return report(kError,
+                  "joint %s diverged after %.17g s; the machine stays at its last sound state",
+                  joint >= 0 && joint < N ? joints_[joint].name : "?", values_.start + truth.time);
   }
 
   // A state that was kept; its bytes stand behind it.
@@ -594,7 +595,7 @@ class Instance {
       if (one == state) return true;
     return false;
   }
-  Status unknown_state() { return tell(kError, "state must be one that this instance has kept"); }
+  Status unknown_state() { return report(kError, "state must be one that this instance has kept"); }
   static std::uint64_t sum_of(const unsigned char* bytes) {
     std::uint64_t sum = 0xcbf29ce484222325;
     for (std::size_t k = 0; k + 8 < state_size(); k += 8) {
@@ -622,7 +623,7 @@ class Instance {
   Kept* kept_ = nullptr;
 
   // What was asked of the machine last.
-  bool told_ = false, truth_told_ = false;
+  bool reported_ = false, truth_reported_ = false;
   arm_measurement measurement_ = {sizeof measurement_,
                                   0,
                                   0,

@@ -1,4 +1,4 @@
-"""modelDescription.xml of FMI 3.0, and what says how to compile the sources."""
+"""modelDescription.xml of FMI 3.0, and what states how to compile the sources."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> Non
 
 
 def attributes_of(one: Variable, reference: int, naming: str) -> dict[str, str]:
-    """Return what is told of a variable, as attributes."""
+    """Return what is reported a variable, as attributes."""
     continuous = one.type == "Float64"
     attributes = {
         "name": written(one.name, one.element, naming),

@@ -1,4 +1,4 @@
-// What a unit tells of its variables: a table in the order of their value references. The exporter
+// What a unit has its variables: a table in the order of their value references. The exporter
 // writes it (variables.py), from the same list as modelDescription.xml.
 #pragma once
 

@@ -1,4 +1,4 @@
-"""What a unit tells of a machine: one list, of which its XML and its C++ are made."""
+"""What a unit has a machine: one list, of which its XML and its C++ are made."""
 
 from __future__ import annotations
 

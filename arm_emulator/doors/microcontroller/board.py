@@ -81,7 +81,7 @@ class Adc:
 
 @dataclass(frozen=True)
 class Pwm:
-    """Registers that say what voltage a motor gets, or its drive is commanded; 0: none."""
+    """Registers that state what voltage a motor gets, or its drive is commanded; 0: none."""
 
     joint: str
     kind: str

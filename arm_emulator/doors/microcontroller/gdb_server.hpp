@@ -93,13 +93,13 @@ class GdbServer {
     halted_ = true;
     stepping_ = stepped_ = false;
     signal_ = signal;
-    if (told_to_go_) send(stop_reply());
+    if (asked_to_go_) send(stop_reply());
   }
 
   void go(bool step) {
     halted_ = moved_ = stepped_ = false;
     stepping_ = step;
-    told_to_go_ = true;
+    asked_to_go_ = true;
   }
 
   void leave() {
@@ -360,7 +360,7 @@ class GdbServer {
 
   Debugged& debugged_;
   int client_ = -1;
-  bool halted_ = true, killed_ = false, told_to_go_ = false;
+  bool halted_ = true, killed_ = false, asked_to_go_ = false;
   bool stepping_ = false, stepped_ = false, moved_ = false;
   int signal_ = 5;
   std::set<uint32_t> stops_;

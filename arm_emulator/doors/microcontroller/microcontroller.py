@@ -88,9 +88,9 @@ class Microcontroller(ControlCode):
         self.name = image.name
         self._image = image
         self._calls = _runner()
-        told, self._kept = _board_struct(board, scene, uarts or {})
+        reported, self._kept = _board_struct(board, scene, uarts or {})
         why = RUNNER.ffi.new("char[]", 120)
-        self.with_ = self._calls.mcu_new(told, why)
+        self.with_ = self._calls.mcu_new(reported, why)
         if not self.with_:
             raise Refusal(board.where, "board", "be one that Unicorn runs", text(why))
         for at, piece in image.pieces:
@@ -218,7 +218,7 @@ def _board_struct(
         count, interrupt = board.mailbox.count, board.mailbox.interrupt
         kept["mailbox"] = RUNNER.new("mcu_mailbox", count=count, interrupt=interrupt, at=at)
     fields = {name: one for name, one in kept.items() if name != "at"}
-    told = RUNNER.new(
+    reported = RUNNER.new(
         "mcu_board",
         joints=len(scene.joints),
         clock=board.clock,
@@ -232,7 +232,7 @@ def _board_struct(
         preload=board.preload,
         **fields,
     )
-    return told, kept
+    return reported, kept
 
 
 def _numbers(one: object, names: str) -> dict[str, float]:

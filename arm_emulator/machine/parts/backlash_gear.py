@@ -19,7 +19,7 @@ class BacklashGear(ElasticGear):
 
     header = "backlash.hpp"
     cxx = "BacklashGear"
-    told_by = ("stiffness", "backlash")
+    named_by = ("stiffness", "backlash")
 
     # By so much the link turns with the motor held.
     backlash: Annotated[float, Number("play", "rad", at_least=0.0)] = field()

@@ -15,7 +15,7 @@ class ElasticGear(Gear):
 
     header = "gear.hpp"
     cxx = "ElasticGear"
-    told_by: ClassVar[tuple[str, ...]] = ("stiffness",)
+    named_by: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     stiffness: Annotated[float, Number("Kg", "N m/rad", above=0.0)] = field()
     damping: Annotated[float, Number("Dg", "N m s/rad", at_least=0.0)] = 0.0

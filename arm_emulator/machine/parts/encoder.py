@@ -121,7 +121,7 @@ class Encoder(Part):
 
     @property
     def plain(self) -> bool:
-        """Whether it tells the counts of the shaft as it stands, and nothing else."""
+        """Whether it reports the counts of the shaft as it stands, and nothing else."""
         return self == type(self)(counts_per_turn=self.counts_per_turn, turn=self.turn)
 
     @property

@@ -24,7 +24,7 @@ class Friction(Part):
 
     header = "friction.hpp"
     cxx = "Friction"
-    told_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
+    named_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
 
     viscous: Annotated[float, Number("Dv", "N m s/rad", at_least=0.0, sought="unknown")] = 0.0
     coulomb: Annotated[float, Number("Dc", "N m", at_least=0.0, sought="unknown")] = 0.0

@@ -21,7 +21,7 @@ class Gear(Part):
 
     section = "gear"
     shaft = "rotor"
-    told_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
+    named_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
 
     # Negative: the link turns the other way.
     ratio: Annotated[

@@ -20,7 +20,7 @@ class KinematicErrorGear(ElasticGear):
 
     header = "kinematic_error.hpp"
     cxx = "KinematicErrorGear"
-    told_by: ClassVar[tuple[str, ...]] = ("stiffness", "kinematic_error")
+    named_by: ClassVar[tuple[str, ...]] = ("stiffness", "kinematic_error")
 
     motor: tuple[Wave, ...] = ()
     link: tuple[Wave, ...] = ()

@@ -88,7 +88,7 @@ def read_decorators(motor: Section) -> tuple[Decorator, ...]:
 
 def read_gear(section: Section) -> Gear:
     """Return the gear that a section describes."""
-    kind = next(one for one in GEARS if all(map(section.has, one.told_by)))
+    kind = next(one for one in GEARS if all(map(section.has, one.named_by)))
     gear = kind.read(section)
     if gear.stiffness is None:
         for key in {key: None for one in GEARS for key in one.numbers()}:
@@ -100,7 +100,7 @@ def read_gear(section: Section) -> Gear:
 
 def read_friction(section: Section, kinds: tuple[type[Friction], ...]) -> Friction:
     """Return the friction that a section describes, of a link or of a rotor."""
-    return next(one for one in kinds if all(map(section.has, one.told_by))).read(section)
+    return next(one for one in kinds if all(map(section.has, one.named_by))).read(section)
 
 
 def read_extras(joint: Section) -> tuple[Part, ...]:

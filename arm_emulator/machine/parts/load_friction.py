@@ -20,7 +20,7 @@ class LoadFriction(Friction):
 
     header = "load_friction.hpp"
     cxx = "LoadFriction"
-    told_by = ("load",)
+    named_by = ("load",)
 
     stribeck: Annotated[float | None, Number("vs", "rad/s", above=0.0, sought="known")] = None
     load: Annotated[

@@ -40,8 +40,8 @@ class Number:
         in_size: whether the bounds are those of the number's size, and it may be negative.
         varied: whether a scene may list it as varied, unless it follows another one.
         whole: whether it is a whole number, from `at_least` to `at_most`; such a one is not varied.
-        sought: whether identification looks for it: "known" roughly beforehand, as the scene says,
-            or "unknown".
+        sought: whether identification looks for it: "known" roughly beforehand, from the scene, or
+            "unknown".
     """
 
     symbol: str

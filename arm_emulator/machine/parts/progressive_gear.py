@@ -16,7 +16,7 @@ class ProgressiveGear(ElasticGear):
 
     header = "progressive_gear.hpp"
     cxx = "ProgressiveGear"
-    told_by = ("stiffness", "cubic_stiffness")
+    named_by = ("stiffness", "cubic_stiffness")
 
     cubic_stiffness: Annotated[float, Number("Kg3", "N m/rad3", at_least=0.0)] = field()
 

@@ -75,7 +75,7 @@ class JointSensors:
 
     @property
     def plain(self) -> bool:
-        """Whether nothing but the motor's counts as they are is told beside the truth."""
+        """Whether nothing but the motor's counts as they are is reported beside the truth."""
         return not self.parts or (
             self.encoder is not None and self.parts.keys() == {"encoder"} and self.encoder.plain
         )

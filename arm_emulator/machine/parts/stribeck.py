@@ -26,7 +26,7 @@ class Stribeck(Friction):
 
     header = "stribeck.hpp"
     cxx = "Stribeck"
-    told_by = ("stribeck",)
+    named_by = ("stribeck",)
 
     stribeck: Annotated[float, Number("vs", "rad/s", above=0.0, sought="known")] = field()
 

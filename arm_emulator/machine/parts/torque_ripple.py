@@ -27,7 +27,7 @@ class TorqueRipple(Decorator):
     waves: tuple[Wave, ...] = ()  # of 1
 
     def effort(self, motion: ShaftMotion) -> Array:
-        """What the motor gives less than its constants say."""
+        """What the motor gives less than its constants state."""
         torque: Array = -wave_sum(self.waves, motion.angle) * motion.motor_torque
         return torque
 

@@ -1,4 +1,4 @@
-"""Torques on a link that go with its angle as a table says."""
+"""Torques on a link that go with its angle as a table states."""
 
 from __future__ import annotations
 

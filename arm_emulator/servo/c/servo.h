@@ -22,10 +22,10 @@
  * that the limits have left over (automatic reset), so that it cannot wind up.
  *
  * "Within the count": as drives that are commanded in counts do, the servo asks for no correction
- * where the target lies in the very count that the encoder shows. An encoder cannot tell positions
- * within a count apart, and integral action on a difference that cannot be measured would hunt for
- * ever. So the servo guarantees, at rest, a measured angle within half a count of the target, and
- * no more.
+ * where the target lies in the very count that the encoder shows. An encoder cannot report
+ * positions within a count apart, and integral action on a difference that cannot be measured would
+ * hunt for ever. So the servo guarantees, at rest, a measured angle within half a count of the
+ * target, and no more.
  *
  * A null pointer where none may be: nothing happens, and what is returned is 0 (SERVO_CUT).
  *
@@ -188,7 +188,7 @@ void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
                    const servo_real* voltage);
 void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
                    servo_real* voltage);
-/* Tell that the motors get no voltage; control will start without an integral again. */
+/* Report that the motors get no voltage; control will start without an integral again. */
 void servo_release(servo* arm);
 
 /* The same for one joint, whatever is asked of it. */

@@ -64,7 +64,7 @@ constexpr Command command_of(std::uint16_t word) {
   return word & control::enable_operation ? Command::enable_operation : Command::switch_on;
 }
 
-// What the options 0x605A to 0x605E say of the way to stand still.
+// What the options 0x605A to 0x605E state of the way to stand still.
 enum class Stop : std::uint8_t {
   none,          // keep going
   profile_ramp,  // slow down by 0x6084
@@ -173,7 +173,7 @@ class StateMachine {
       go(14, State::fault);
   }
 
-  // The master is gone, with what 0x6007 says of that. A motor that is not controlled needs no
+  // The master is gone, with what 0x6007 states of that. A motor that is not controlled needs no
   // reaction: its drive is back in Switch on disabled.
   void lose_master(std::int64_t reaction, std::uint16_t error, const StopOptions& options,
                    bool can_stop) {

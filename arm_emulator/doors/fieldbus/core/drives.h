@@ -124,9 +124,9 @@ int drives_set(drives* all, int32_t drive, uint16_t index, uint8_t sub, int64_t 
  * through so many of them per cycle. */
 int32_t drives_periods_per_target(const drives* all, int32_t drive);
 
-/* Tell a drive (-1: all) that its master is gone, once per loss: a motor that is controlled does
- * as 0x6007 says, with this error code (0x603F), 0x8100 in general; a drive that is only ready is
- * back in Switch on disabled. */
+/* Report to a drive (-1: all) that its master is gone, once per loss: a motor that is controlled
+ * does as 0x6007 states, with this error code (0x603F), 0x8100 in general; a drive that is only
+ * ready is back in Switch on disabled. */
 void drives_lost(drives* all, int32_t drive, uint16_t error);
 /* Forbid or allow that the mapping of process data is changed (-1: of all drives), of CANopen only
  * where a PDO uses it. Buses forbid it beyond pre-operational. */

@@ -1,6 +1,6 @@
 // The state machine of a slave (ETG.1000.6, section 6.4): INIT, PREOP, SAFEOP, OP. Each step up is
-// asked for by the master and checked; whatever goes wrong is told with a code, and stays told
-// until the master acknowledges it.
+// asked for by the master and checked; whatever goes wrong is reported with a code, and stays
+// reported until the master acknowledges it.
 #pragma once
 
 #include <cstdint>
@@ -26,7 +26,7 @@ enum class AlCode : std::uint16_t {
 
 class AlState {
  public:
-  explicit AlState(Memory& memory) : memory_(memory) { tell(); }
+  explicit AlState(Memory& memory) : memory_(memory) { report(); }
 
   State state() const { return state_; }
   bool error() const { return code_ != AlCode::none; }
@@ -49,17 +49,17 @@ class AlState {
     else if (then != now)
       code_ = enter(wanted);
     if (code_ == AlCode::none) state_ = wanted;
-    tell();
+    report();
   }
   // Something went wrong.
   void set(State to, AlCode why) {
     state_ = to;
     code_ = why;
-    tell();
+    report();
   }
 
  private:
-  void tell() {
+  void report() {
     const unsigned flag = error() ? 0x10u : 0;
     memory_.put16(reg::kAlStatus, static_cast<std::uint16_t>(static_cast<unsigned>(state_) | flag));
     memory_.put16(reg::kAlCode, static_cast<std::uint16_t>(code_));

@@ -35,7 +35,7 @@ class Dictionary final : public fieldbus::SdoDictionary {
     return abort;
   }
 
-  // How many subs an object has now: as its sub 0 says, which masters set of mappings and
+  // How many subs an object has now: as its sub 0 states, which masters set of mappings and
   // assignments.
   std::size_t subs(std::span<const drives_entry> object) const {
     return std::min<std::size_t>(door_.number(object[0].index, 0), object.size() - 1);

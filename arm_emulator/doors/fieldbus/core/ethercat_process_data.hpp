@@ -1,5 +1,5 @@
-// Process data: what the mapping (0x1600.., 0x1A00..) of the assigned objects (0x1C12, 0x1C13) says
-// goes between a buffer and the drive in each servo period.
+// Process data: what the mapping (0x1600.., 0x1A00..) of the assigned objects (0x1C12, 0x1C13)
+// states goes between a buffer and the drive in each servo period.
 #pragma once
 
 #include <vector>

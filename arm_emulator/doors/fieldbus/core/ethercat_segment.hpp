@@ -56,7 +56,7 @@ class Segment {
       for (std::size_t k = 0; k < reached; ++k) visit(*slaves_[k], datagram);
     }
     if (onward == Slave::Onward::lost) return 0;
-    frame[6] |= 2;  // it has been processed, as the first slave tells in the sender's address
+    frame[6] |= 2;  // it has been processed, as the first slave reports in the sender's address
     return frame.size();
   }
 

@@ -1,4 +1,4 @@
-// Slave information interface: the EEPROM that tells a master what a slave is (ETG.2010), and the
+// Slave information interface: the EEPROM that reports a master what a slave is (ETG.2010), and the
 // registers from 0x0500 on through which it is read and written.
 #pragma once
 

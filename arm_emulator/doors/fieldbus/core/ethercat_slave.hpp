@@ -37,7 +37,7 @@ class Slave {
         al_(memory_) {
     describe_controller();
     serve_areas();
-    errors_told_ = error_code();
+    errors_reported_ = error_code();
   }
   Slave(const Slave&) = delete;
 
@@ -62,7 +62,7 @@ class Slave {
     return memory_.get16(reg::kStation) == station ||
            (alias && memory_.get16(reg::kAlias) == station);
   }
-  // Events that the master has asked to be told in each datagram.
+  // Events that the master has asked to be reported in each datagram.
   std::uint16_t events() const { return all_events() & memory_.get16(reg::kEventMask); }
 
   // Read memory into `out`, by bits added to what is there if `add`; whether it was permitted.
@@ -143,8 +143,8 @@ class Slave {
       managers_.turn_buffer(kInputs);
     }
     const std::uint16_t error = error_code();
-    if (error == errors_told_) return;
-    errors_told_ = error;
+    if (error == errors_reported_) return;
+    errors_reported_ = error;
     mailbox_.emergency(error, static_cast<std::uint8_t>(door_.number(0x1001, 0)));
   }
 
@@ -408,7 +408,7 @@ class Slave {
   std::int64_t now_ = 0;                 // ns, time of the segment
   bool next_ = false;                    // a slave is connected behind this one
   bool written_ = false, read_ = false;  // since the last servo period
-  std::uint16_t errors_told_ = 0;
+  std::uint16_t errors_reported_ = 0;
   int reset_letters_ = 0;
   std::int64_t expired_ = 0;
 };

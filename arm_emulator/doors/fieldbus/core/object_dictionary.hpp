@@ -1,7 +1,7 @@
 // The object dictionary of a drive: one table for EtherCAT and CANopen.
 //
 // Communication objects after CiA 301 and ETG.1000.6, those of the drive after CiA 402
-// (IEC 61800-7-201). The table says what there is; what the values of one drive are is in
+// (IEC 61800-7-201). The table states what there is; what the values of one drive are is in
 // drive.hpp. Positions are in counts of the encoder at the motor, speeds in counts/s, torques in
 // 0.1 % of the rated torque 0x6076.
 #pragma once
@@ -62,7 +62,7 @@ enum class Code : std::uint8_t { variable = 7, array = 8, record = 9 };
 enum class Bus : std::uint8_t { ethercat = 1, canopen = 2 };
 inline constexpr std::uint8_t kEthercat = 1, kCanopen = 2, kEveryBus = 3;
 
-// One entry. `standard`, `least` and `most` are those of the type's range unless said; what a
+// One entry. `standard`, `least` and `most` are those of the type's range unless stated; what a
 // scene's drive begins with may differ, and is in Drive.
 struct Entry {
   std::uint16_t index = 0;
@@ -125,7 +125,7 @@ struct Table {
     last().buses = buses;
     return *this;
   }
-  // Begin an array or record: its sub 0, which says how many there are.
+  // Begin an array or record: its sub 0, which states how many there are.
   constexpr Table& begin(std::uint16_t index, Code code, const char* object, std::uint8_t subs,
                          Access access = Access::constant, std::uint8_t buses = kEveryBus) {
     add(index, 0, "Number of entries", Type::unsigned8, access, Pdo::none, "", subs)

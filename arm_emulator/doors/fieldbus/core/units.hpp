@@ -20,7 +20,7 @@ struct Units {
   double rated_current;  // mA, a whole number
 
   // Rated is what the servo's current limit gives, or the supply on the winding at rest where it
-  // has none: scenes tell of no other.
+  // has none: scenes has no other.
   explicit Units(const servo_joint& joint) {
     count_angle = joint.count_angle;
     ratio = joint.ratio;

@@ -1,6 +1,6 @@
 //! A master by ethercrab: ethercrab_master INTERFACE scan ENTRIES | move MOTION LOG | clocks.
 //!
-//! Run in a network namespace of its own by test_ethercat_masters.py, which says what the files hold.
+//! Run in a network namespace of its own by test_ethercat_masters.py, which lists what the files hold.
 //! Prints one line of JSON.
 
 use std::time::{Duration, Instant};
@@ -23,16 +23,16 @@ const KD: f64 = 0.006; // per count/s
 
 static STORAGE: PduStorage<16, { PduStorage::element_size(1100) }> = PduStorage::new();
 
-/// What a drive tells.
+/// What a drive reports.
 #[derive(Clone, Copy, Default)]
-struct Told {
+struct Reported {
     status: u16,
     q: i32,
     v: i32,
 }
 
-fn told(inputs: &[u8]) -> Told {
-    Told {
+fn reported(inputs: &[u8]) -> Reported {
+    Reported {
         status: u16::from_le_bytes(inputs[0..2].try_into().unwrap()),
         q: i32::from_le_bytes(inputs[2..6].try_into().unwrap()),
         v: i32::from_le_bytes(inputs[6..10].try_into().unwrap()),
@@ -171,7 +171,7 @@ async fn follow(master: &MainDevice<'_>, motion: &str, log: &str) -> Result<(), 
     let group = group.into_safe_op(master).await?.request_into_op(master).await?;
 
     let mut kept: Vec<u8> = Vec::new();
-    let mut now = vec![Told::default(); drives];
+    let mut now = vec![Reported::default(); drives];
     let mut to_send = vec![[0u8; BYTES]; drives];
     let (mut row, mut bad, mut exchanges, mut in_op) = (0, 0, 0, false);
     let mut started = Instant::now();
@@ -212,7 +212,7 @@ async fn follow(master: &MainDevice<'_>, motion: &str, log: &str) -> Result<(), 
         for (k, one) in group.iter(master).enumerate() {
             let inputs = one.inputs_raw();
             kept.extend(inputs.iter());
-            now[k] = told(&inputs);
+            now[k] = reported(&inputs);
         }
         in_op = in_op || matches!(&answer, Ok(one) if one.all_op());
         row += enabled as usize;
