@@ -48,6 +48,13 @@ def test_the_site_has_every_page_once() -> None:
     assert set(listed) == {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")} | made
 
 
+def test_the_page_of_python_has_every_public_name() -> None:
+    import arm_emulator
+
+    shown = re.findall(r"^::: (?:\w+\.)*(\w+)$", page_of("python").read_text(), re.M)
+    assert set(arm_emulator.__all__) <= set(shown)
+
+
 def test_what_pages_generate_follows_from_the_code() -> None:
     texts = {path: path.read_text() for path in DOCS.rglob("*.md")}
     asked = {path: text for path, text in texts.items() if "<!-- generated" in text}
