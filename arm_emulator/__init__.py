@@ -7,10 +7,12 @@ any version.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
+# Nothing is imported here: `python -m arm_emulator` runs this while the user's folder is on the
+# path.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from arm_emulator import testing as testing
     from arm_emulator.analysis.linearised import LinearMachine as LinearMachine
     from arm_emulator.analysis.linearised import linearise as linearise
@@ -65,6 +67,8 @@ __all__ = [  # noqa: PLE0604  # found at their first use
 
 
 def __getattr__(name: str) -> Any:
+    import importlib
+
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if not _MODULES[name]:

@@ -165,7 +165,7 @@ def test_a_library_compiled_ahead_serves_a_machine_without_a_compiler(
 MISCHIEF = {
     "CXX=false": "compile the scene's core, got exit code 1",
     "CXX=cat": "compile the scene's core, got exit code 1",  # waits for input if it is given any
-    "CXX=true": "make a library, though it states nothing is wrong, got there is none",
+    "CXX=true": "make a library, though it reports no error, got there is none",
     "CXX='unclosed": "be the words of a command, got 'unclosed (No closing quotation)",
     "CXX='' -O2": "be on the path, a scene is compiled when first used",
     "CXX=/nowhere/c++ -O2": "be on the path, a scene is compiled when first used",
@@ -231,7 +231,7 @@ def test_random_output_of_a_compiler_is_never_loaded(
             library[:18] + rng.bytes(2) + library[20:],
         ][case % 4]
         made.write_bytes(body)
-        with pytest.raises(Refusal, match="make a library, though it states nothing is wrong"):
+        with pytest.raises(Refusal, match="make a library, though it reports no error"):
             library_of(scene)
         assert list(cache.iterdir()) == [], case
 

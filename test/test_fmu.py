@@ -241,7 +241,7 @@ def test_what_is_out_of_bounds_is_discarded(fmu: Fmu) -> None:
     one = moved(fmu, 5)
     before = one.save()
     for name, value, rule in (
-        (MASS, 0.0, "within its bounds"),
+        (MASS, -1.0, "within its bounds"),
         (STIFFNESS, -1.0, "within its bounds"),
         ("command_d", [0.0, 1.0], "no such voltage"),
         ("external.force", [1e10] + [0.0] * 5, "at most 1e9"),

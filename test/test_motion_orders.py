@@ -423,8 +423,8 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
     ]
     heard = statuses(nodes)
     nodes.run_to(20)
-    nodes.send_("joint_trajectory", trajectory(SECOND // 10, names, (0.3, goal)))
-    nodes.send_("tool_path", path(SECOND // 2, poses))
+    nodes.send("joint_trajectory", trajectory(SECOND // 10, names, (0.3, goal)))
+    nodes.send("tool_path", path(SECOND // 2, poses))
     nodes.run_to(900)
     run.instructor.add_trajectory(
         run.controller, names, [TrajectoryPoint(3 * SECOND // 10, goal)], SECOND // 10
@@ -486,7 +486,7 @@ def test_what_is_refused_is_reported_with_its_reason(
             message.poses[2].header.stamp = stamp(9)
         else:
             message.poses = []
-    nodes.send_(topic, message)
+    nodes.send(topic, message)
     nodes.deliver()
     while nodes._wires.waiting and not heard:
         nodes.deliver()
@@ -500,7 +500,7 @@ def test_a_reset_reports_what_it_has_forgotten(nodes: InProcess) -> None:
     heard = statuses(nodes)
     pose = path(0, [Pose(np.array([0.3, 0.0, 0.5]), np.eye(3))]).poses[0]
     pose.header.stamp = stamp(1000 * SECOND)
-    nodes.send_("tool_target", pose)
+    nodes.send("tool_target", pose)
     nodes.call("motion_controller/reset")
     wanted = [MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_ABORTED]
     while [one.state for one in heard if one.kind == Kind.TOOL_TARGET] != wanted:

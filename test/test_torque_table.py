@@ -157,7 +157,7 @@ MANY = [0.01 * k for k in range(257)]
 
 
 @pytest.mark.parametrize(
-    ("change", "stated"),
+    ("change", "printed"),
     [
         ({"angles": None}, "angles must be a list"),
         ({"angles": [0.0, 1.0, 2.0]}, "angles must have 4 to 256 numbers [rad], got 3"),

@@ -12,10 +12,7 @@ from network import network
 
 from arm_emulator.base.config_files import config_folder
 
-OURS = (
-    "arm_emulator_msgs bench compiled emulator_node fieldbus firmware fmu microcontroller "
-    "motion_controller_node ros_shell servo_node words"
-).split()
+OURS = ("arm_emulator_msgs bench emulator_node motion_controller_node oracles servo_node").split()
 OTHERS = (
     "ament_index_python can canopen elftools geometry_msgs lz4 matplotlib mcap numpy pinocchio "
     "rclpy rerun rich rpyutils scipy sensor_msgs std_msgs unicorn xacro yaml zstandard"
