@@ -6,6 +6,7 @@ import ctypes
 import html
 import io
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -325,9 +326,7 @@ def test_one_command_compiles_the_sources(unit: Path, unpacked: Path, tmp_path: 
     page = (unpacked / "documentation" / "index.html").read_text()
     command = html.unescape(re.findall(r"<pre>(.*?)</pre>", page, re.S)[0])
     sources = tmp_path / "sources"
-    sources.mkdir()
-    for file in (unpacked / "sources").iterdir():
-        (sources / file.name).write_bytes(file.read_bytes())
+    shutil.copytree(unpacked / "sources", sources)
     subprocess.run(command, shell=True, cwd=sources, check=True)
     rebuilt = tmp_path / "rebuilt.fmu"
     with zipfile.ZipFile(unit) as archive, zipfile.ZipFile(rebuilt, "w") as made:
@@ -408,7 +407,7 @@ namespace official {{
         + SAME
         + "\n".join(checks)
     )
-    folders = [f"-I{FMPY / 'c-code'}", f"-I{ROOT / 'fmu'}"]
+    folders = [f"-I{FMPY / 'c-code'}", f"-I{ROOT / 'arm_emulator/doors/fmu'}"]
     subprocess.run(["c++", "-std=c++20", "-fsyntax-only", *folders, str(source)], check=True)
 
 
