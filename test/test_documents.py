@@ -21,8 +21,13 @@ from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_
 from bench import pages
 from docs import hooks
 
+MADE = ("build", "install", "log", "out")  # by commands; a clean checkout has none of them
 FOLDERS = "|".join(
-    sorted(path.name for path in ROOT.iterdir() if path.is_dir() and path.name[0] not in "._")
+    sorted(
+        path.name
+        for path in ROOT.iterdir()
+        if path.is_dir() and path.name[0] not in "._" and path.name not in MADE
+    )
 )
 
 
