@@ -17,16 +17,14 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene, load_scene
 from oracles import mixtures
-from oracles.mixtures import BRAKED, PERIOD, STEPS, Rng, run
+from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run, scaled
 from oracles.random_chain import moving_joints, random_chain_urdf
 from oracles.smoothed_reference import Row, SmoothedMachine, Smoothing
 
@@ -40,12 +38,6 @@ FALLS = 4.0  # 16 and 64 are what is claimed
 # rad or m: of the reference, in which a shaft that sticks creeps, and of event times
 RESOLVED, ROUNDED = 1e-6, 1e-8
 SHARPER = Smoothing(speed=2e-6, resistance=1e6, rtol=1e-10)
-
-Numbers = dict[str, Any]
-
-
-def _log(rng: Rng, low: float, high: float) -> float:
-    return float(10 ** rng.uniform(np.log10(low), np.log10(high)))
 
 
 def _law(rng: Rng, name: str, dry: float, speed: float) -> Numbers:
@@ -68,7 +60,7 @@ def drawn_joint(rng: Rng) -> Numbers:
     joint: Numbers = {}
     law = str(rng.choice(("none", "lugre", *LAWS)))
     at_rotor = bool(rng.random() < 0.5)
-    joint["motor"] = {**_motor(rng), "rotor_inertia": _log(rng, 5e-5, 3e-4)}
+    joint["motor"] = {**_motor(rng), "rotor_inertia": scaled(rng, 5e-5, 3e-4)}
     joint["gear"] = _gear(rng)
     if law == "lugre":
         place = joint["motor"] if at_rotor else joint
@@ -76,9 +68,9 @@ def drawn_joint(rng: Rng) -> Numbers:
         place["lugre"] = mixtures.DRAWS[draw](rng)
     elif law != "none":
         dry, speed = (
-            (_log(rng, 0.003, 0.03), _log(rng, 2.0, 20.0))
+            (scaled(rng, 0.003, 0.03), scaled(rng, 2.0, 20.0))
             if at_rotor
-            else (_log(rng, 0.2, 2.0), _log(rng, 0.05, 0.5))
+            else (scaled(rng, 0.2, 2.0), scaled(rng, 0.05, 0.5))
         )
         (joint["motor"] if at_rotor else joint)["friction"] = _law(rng, law, dry, speed)
     if rng.random() < 0.25:
@@ -86,7 +78,7 @@ def drawn_joint(rng: Rng) -> Numbers:
     if rng.random() < 0.25:
         close, release = (PERIOD / STEPS[0] * int(n) for n in rng.integers(0, 30, 2))
         joint["brake"] = {
-            "torque": _log(rng, 0.02, 0.5), "close_delay": close, "release_delay": release
+            "torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release
         }  # fmt: skip
     return joint
 
@@ -103,25 +95,12 @@ def _gear(rng: Rng) -> Numbers:
     ](rng)
 
 
-def write_scene(folder: Path, seed: int) -> Path:
+def write_drawn(folder: Path, seed: int) -> Path:
     """Write the scene of a mixture and return its path."""
     rng = np.random.default_rng([seed, 6161])
     urdf = random_chain_urdf(rng, int(rng.integers(1, 3)))
-    (folder / "mixture.urdf").write_text(urdf)
-    scene = {
-        "name": "mixture",
-        "urdf": "mixture.urdf",
-        "tool": "base",
-        "gravity": [0.0, 0.0, -9.81],
-        "supply_voltage": 24.0,
-        "joints": {name: drawn_joint(rng) for name in moving_joints(urdf)},
-        "integrator": {"scheme": "rosenbrock", "dt": PERIOD / STEPS[0], "events": "located"},
-        "servo_period": PERIOD,
-        "energy_flow": True,
-    }
-    file = folder / "mixture.yaml"
-    file.write_text(yaml.safe_dump(scene, sort_keys=False))
-    return file
+    joints = {name: drawn_joint(rng) for name in moving_joints(urdf)}
+    return mixtures.write_scene(folder, urdf, joints)
 
 
 def commands(scene: Scene, seed: int) -> Array:
@@ -214,7 +193,7 @@ def judge(seed: int) -> Verdict:
     """Draw a mixture and hold the claims against it."""
     schemes = LOCATED[seed % 2], AT_ENDS[seed // 2 % len(AT_ENDS)]
     with tempfile.TemporaryDirectory() as folder:
-        file = write_scene(Path(folder), seed)
+        file = write_drawn(Path(folder), seed)
 
         def scene(steps: int, events: str) -> Scene:
             scheme = schemes[0 if events == "located" else 1]

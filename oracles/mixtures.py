@@ -52,7 +52,8 @@ Rng = np.random.Generator
 Numbers = dict[str, Any]
 
 
-def _log(rng: Rng, low: float, high: float) -> float:
+def scaled(rng: Rng, low: float, high: float) -> float:
+    """Draw a number of any scale between two: its logarithm is uniform."""
     return float(10 ** rng.uniform(np.log10(low), np.log10(high)))
 
 
@@ -67,9 +68,9 @@ def _friction(rng: Rng, dry: float, times: float, viscous: float, speed: float) 
 
 
 def _rotor(rng: Rng) -> Numbers:
-    friction = _friction(rng, _log(rng, 0.003, 0.03), 1.3, 1e-5, _log(rng, 2.0, 20.0))
+    friction = _friction(rng, scaled(rng, 0.003, 0.03), 1.3, 1e-5, scaled(rng, 2.0, 20.0))
     return {
-        "rotor_inertia": _log(rng, 5e-5, 3e-4),
+        "rotor_inertia": scaled(rng, 5e-5, 3e-4),
         **({"friction": friction} if rng.random() < 0.5 else {}),
     }
 
@@ -77,34 +78,34 @@ def _rotor(rng: Rng) -> Numbers:
 def _dc(rng: Rng) -> Numbers:
     inductive = rng.random() < 0.5
     return {
-        "resistance": _log(rng, 0.5, 2.0),
+        "resistance": scaled(rng, 0.5, 2.0),
         "torque_constant": 0.05,
         "back_emf_constant": 0.05,
-        **({"inductance": _log(rng, 1e-3, 5e-3)} if inductive else {}),
-        **({"current_limit": _log(rng, 3.0, 10.0)} if rng.random() < 0.5 else {}),
+        **({"inductance": scaled(rng, 1e-3, 5e-3)} if inductive else {}),
+        **({"current_limit": scaled(rng, 3.0, 10.0)} if rng.random() < 0.5 else {}),
         **({"current_loop": _current_loop(rng)} if inductive and rng.random() < 0.5 else {}),
     }
 
 
 def _current_loop(rng: Rng) -> Numbers:
     if rng.random() < 0.5:
-        return {"bandwidth": _log(rng, 100.0, 1000.0)}
+        return {"bandwidth": scaled(rng, 100.0, 1000.0)}
     share = float(rng.uniform(0.0, 1.0))
     return {
-        "proportional_gain": _log(rng, 1.0, 10.0), "integral_gain": _log(rng, 100.0, 5e3),
+        "proportional_gain": scaled(rng, 1.0, 10.0), "integral_gain": scaled(rng, 100.0, 5e3),
         "emf_feedforward": share,
     }  # fmt: skip
 
 
 def _pmsm(rng: Rng) -> Numbers:
     return {
-        "resistance": _log(rng, 0.3, 1.0), "inductance_d": _log(rng, 1e-3, 3e-3),
-        "inductance_q": _log(rng, 1e-3, 3e-3), "flux": _log(rng, 0.005, 0.02), "pole_pairs": 4,
+        "resistance": scaled(rng, 0.3, 1.0), "inductance_d": scaled(rng, 1e-3, 3e-3),
+        "inductance_q": scaled(rng, 1e-3, 3e-3), "flux": scaled(rng, 0.005, 0.02), "pole_pairs": 4,
     }  # fmt: skip
 
 
 def _cogging(rng: Rng) -> Numbers:
-    return {"waves": [[4.0, _log(rng, 1e-3, 1e-2), float(rng.uniform(0.0, 6.0))]]}
+    return {"waves": [[4.0, scaled(rng, 1e-3, 1e-2), float(rng.uniform(0.0, 6.0))]]}
 
 
 def _torque(rng: Rng) -> Numbers:
@@ -121,54 +122,61 @@ def _current(rng: Rng) -> Numbers:
 
 
 def _gear(rng: Rng) -> Numbers:
-    return {"ratio": _log(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}
+    return {"ratio": scaled(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}
 
 
 def _elastic(rng: Rng) -> Numbers:
-    return _gear(rng) | {"stiffness": _log(rng, 1e3, 1e4), "damping": _log(rng, 0.5, 10.0)}
+    return _gear(rng) | {
+        "stiffness": scaled(rng, 1e3, 1e4),
+        "damping": scaled(rng, 0.5, 10.0),
+    }
 
 
 def _progressive(rng: Rng) -> Numbers:
     gear = _elastic(rng)
-    return gear | {"cubic_stiffness": gear["stiffness"] * _log(rng, 1e2, 1e4)}
+    return gear | {"cubic_stiffness": gear["stiffness"] * scaled(rng, 1e2, 1e4)}
 
 
 def _backlash(rng: Rng) -> Numbers:
-    return _elastic(rng) | {"backlash": _log(rng, 1e-3, 2e-2)}
+    return _elastic(rng) | {"backlash": scaled(rng, 1e-3, 2e-2)}
 
 
 def _kinematic_error(rng: Rng) -> Numbers:
     gear = _elastic(rng)
     of_motor = [2.0, 0.1 * gear["ratio"], float(rng.uniform(0.0, 6.0))]
-    return gear | {"kinematic_error": {"motor": [of_motor], "link": [[3.0, _log(rng, 1e-4, 1e-2)]]}}
+    return gear | {
+        "kinematic_error": {"motor": [of_motor], "link": [[3.0, scaled(rng, 1e-4, 1e-2)]]}
+    }
 
 
 def _lugre(rng: Rng) -> Numbers:
-    dry = _log(rng, 0.2, 2.0)
+    dry = scaled(rng, 0.2, 2.0)
     return {
         "coulomb": dry, "breakaway": dry * float(rng.uniform(1.0, 1.5)),
-        "bristle_stiffness": dry / _log(rng, 2e-3, 2e-2), "bristle_damping": _log(rng, 0.3, 3.0),
+        "bristle_stiffness": dry / scaled(rng, 2e-3, 2e-2),
+        "bristle_damping": scaled(rng, 0.3, 3.0),
     }  # fmt: skip
 
 
 def _rotor_lugre(rng: Rng) -> Numbers:
-    dry = _log(rng, 0.003, 0.03)
+    dry = scaled(rng, 0.003, 0.03)
     return {
         "coulomb": dry, "breakaway": dry * float(rng.uniform(1.0, 1.5)), "stribeck": 5.0,
-        "bristle_stiffness": dry / _log(rng, 0.2, 1.0), "bristle_damping": _log(rng, 3e-4, 3e-3),
+        "bristle_stiffness": dry / scaled(rng, 0.2, 1.0),
+        "bristle_damping": scaled(rng, 3e-4, 3e-3),
     }  # fmt: skip
 
 
 def _stops(rng: Rng) -> Numbers:
-    way = _log(rng, 0.02, 0.2)
-    return {"lower": -way, "upper": way, "stiffness": _log(rng, 1e3, 2e4), "damping": 10.0}
+    way = scaled(rng, 0.02, 0.2)
+    return {"lower": -way, "upper": way, "stiffness": scaled(rng, 1e3, 2e4), "damping": 10.0}
 
 
 def _counterbalance(rng: Rng) -> Numbers:
     return {
-        "base_distance": 0.4, "link_distance": _log(rng, 0.05, 0.2), "length": 0.5,
-        "angle": float(rng.uniform(-3.0, 3.0)), "force": _log(rng, 20.0, 200.0),
-        "stiffness": _log(rng, 20.0, 200.0),
+        "base_distance": 0.4, "link_distance": scaled(rng, 0.05, 0.2), "length": 0.5,
+        "angle": float(rng.uniform(-3.0, 3.0)), "force": scaled(rng, 20.0, 200.0),
+        "stiffness": scaled(rng, 20.0, 200.0),
     }  # fmt: skip
 
 
@@ -185,7 +193,7 @@ def _law(size: float, viscous: float, **more: float) -> Callable[[Rng], Numbers]
     """Return what draws friction of one law; dry friction about a size [N m]."""
 
     def draw(rng: Rng) -> Numbers:
-        dry = size * _log(rng, 0.3, 3.0)
+        dry = size * scaled(rng, 0.3, 3.0)
         return {"coulomb": dry, "breakaway": 1.3 * dry, "viscous": viscous, **more}
 
     return draw
@@ -197,7 +205,7 @@ def _ripple(rng: Rng) -> Numbers:
 
 def _winding(rng: Rng) -> Numbers:
     return {
-        "heat_capacity": _log(rng, 0.2, 5.0), "thermal_resistance": _log(rng, 0.1, 2.0),
+        "heat_capacity": scaled(rng, 0.2, 5.0), "thermal_resistance": scaled(rng, 0.1, 2.0),
         "magnet_coefficient": float(rng.choice([0.0, -0.001])),
     }  # fmt: skip
 
@@ -205,7 +213,7 @@ def _winding(rng: Rng) -> Numbers:
 def _brake(rng: Rng) -> Numbers:
     # Whole numbers of the coarsest step, so that all steps brake at the same instant.
     close, release = (PERIOD / STEPS[0] * int(n) for n in rng.integers(0, 30, 2))
-    return {"torque": _log(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
+    return {"torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
 
 
 # By the name of the Python class. A part that is not here stops the run.
@@ -242,8 +250,8 @@ def drawn_joint(rng: Rng) -> Numbers:
     """Return the scene's section of a joint with random parts."""
     joint: Numbers = {}
     if rng.random() < 0.6:
-        speed = _log(rng, 0.05, 0.5)
-        joint["friction"] = _friction(rng, _log(rng, 0.2, 2.0), 1.5, 0.1, speed)
+        speed = scaled(rng, 0.05, 0.5)
+        joint["friction"] = _friction(rng, scaled(rng, 0.2, 2.0), 1.5, 0.1, speed)
     if rng.random() < 0.9:
         motor = MOTORS[rng.integers(len(MOTORS))]
         gear = GEARS[rng.integers(len(GEARS))]

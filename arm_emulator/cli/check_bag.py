@@ -22,6 +22,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from arm_emulator.analysis.stability import explain
 from arm_emulator.base.bound import VOLTAGE
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.joint_order import JointOrder
@@ -394,7 +395,7 @@ class _Checker:
         self._session.advance_under(voltage)
         self.tally.periods += 1
         if self._session.fault is not None:
-            fault = self._session.fault
+            fault = explain(self._session.fault)
             raise Difference(f"run {self.tally.runs}, {fault}; the recorded run went on")
 
     def _same_joints(self, topic: str, names: list[str]) -> None:
