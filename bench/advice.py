@@ -50,26 +50,26 @@ Numbers = dict[str, Any]
 
 def _joint(rng: Rng, kind: str) -> Numbers:
     """Return the scene's section of a joint that has what its class is about."""
-    log = mixtures._log
+    log, draws = mixtures.scaled, mixtures.DRAWS
     joint: Numbers = {"friction": {"viscous": log(rng, 0.05, 0.5)}}
-    motor: Numbers = {"kind": "dc", **mixtures._dc(rng), "rotor_inertia": log(rng, 5e-5, 3e-4)}
-    gear = mixtures._elastic(rng) if rng.random() < 0.5 else mixtures._gear(rng)
-    dry = mixtures._friction(rng, log(rng, 0.2, 2.0), 1.3, 0.1, log(rng, 0.05, 0.5))
+    motor: Numbers = {"kind": "dc", **draws["DcMotor"](rng), "rotor_inertia": log(rng, 5e-5, 3e-4)}
+    gear = draws["ElasticGear"](rng) if rng.random() < 0.5 else draws["RigidGear"](rng)
+    dry = mixtures.friction(rng, log(rng, 0.2, 2.0), 1.3, 0.1, log(rng, 0.05, 0.5))
     if kind == "friction":
         joint["friction"] = dry
         if rng.random() < 0.5:
-            motor["friction"] = mixtures._friction(rng, log(rng, 0.003, 0.02), 1.2, 1e-5, 5.0)
+            motor["friction"] = mixtures.friction(rng, log(rng, 0.003, 0.02), 1.2, 1e-5, 5.0)
     elif kind == "play":
-        gear = mixtures._backlash(rng)
+        gear = draws["BacklashGear"](rng)
         if rng.random() < 0.5:
             joint["friction"] = dry
     elif kind == "limits":
         motor["current_limit"] = log(rng, 2.0, 8.0)
-        joint["end_stops"] = mixtures._stops(rng)
+        joint["end_stops"] = draws["EndStops"](rng)
     elif kind == "pmsm":
-        motor = {"kind": "pmsm", **mixtures._pmsm(rng), "rotor_inertia": motor["rotor_inertia"]}
+        motor = {"kind": "pmsm", **draws["Pmsm"](rng), "rotor_inertia": motor["rotor_inertia"]}
     elif kind == "torque":
-        which = {"torque": mixtures._torque, "current": mixtures._current}
+        which = {"torque": draws["TorqueMotor"], "current": draws["CurrentMotor"]}
         name = str(rng.choice(list(which)))
         motor = {"kind": name, **which[name](rng), "rotor_inertia": motor["rotor_inertia"]}
         if rng.random() < 0.5:

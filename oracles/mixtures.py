@@ -57,7 +57,7 @@ def scaled(rng: Rng, low: float, high: float) -> float:
     return float(10 ** rng.uniform(np.log10(low), np.log10(high)))
 
 
-def _friction(rng: Rng, dry: float, times: float, viscous: float, speed: float) -> Numbers:
+def friction(rng: Rng, dry: float, times: float, viscous: float, speed: float) -> Numbers:
     """Return friction of one of its laws; `speed` is that of Stribeck's fall."""
     friction = {"coulomb": dry, "breakaway": times * dry, "viscous": viscous}
     if rng.random() < 0.4:
@@ -68,10 +68,10 @@ def _friction(rng: Rng, dry: float, times: float, viscous: float, speed: float) 
 
 
 def _rotor(rng: Rng) -> Numbers:
-    friction = _friction(rng, scaled(rng, 0.003, 0.03), 1.3, 1e-5, scaled(rng, 2.0, 20.0))
+    law = friction(rng, scaled(rng, 0.003, 0.03), 1.3, 1e-5, scaled(rng, 2.0, 20.0))
     return {
         "rotor_inertia": scaled(rng, 5e-5, 3e-4),
-        **({"friction": friction} if rng.random() < 0.5 else {}),
+        **({"friction": law} if rng.random() < 0.5 else {}),
     }
 
 
@@ -251,7 +251,7 @@ def drawn_joint(rng: Rng) -> Numbers:
     joint: Numbers = {}
     if rng.random() < 0.6:
         speed = scaled(rng, 0.05, 0.5)
-        joint["friction"] = _friction(rng, scaled(rng, 0.2, 2.0), 1.5, 0.1, speed)
+        joint["friction"] = friction(rng, scaled(rng, 0.2, 2.0), 1.5, 0.1, speed)
     if rng.random() < 0.9:
         motor = MOTORS[rng.integers(len(MOTORS))]
         gear = GEARS[rng.integers(len(GEARS))]
