@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.motion.reference import Reference
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -20,3 +22,6 @@ class Instruction:
     """Link speeds that belong to them, those of the coming motion period; None: not known."""
     tau: FloatArray | None = None
     """Link torques known beforehand, of gravity [N m or N]; None: not known."""
+    now: Reference | None = None
+    """The motion at this moment with all its derivatives, of which `v` is the mean; None: the law
+    knows no more than the above."""

@@ -21,12 +21,12 @@ from arm_emulator.motion.orders import (
     Order,
     PathOrder,
     Progress,
-    Reference,
     TargetOrder,
     TrajectoryOrder,
 )
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.qp import LOST
+from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 from arm_emulator.motion.tool_path import ToolPath
 

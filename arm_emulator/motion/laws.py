@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from arm_emulator.base.refusal import Refusal
@@ -83,7 +85,7 @@ class Laws:
         if self.gives == "speed" or instruction.tau is not None or self.torques is None:
             return instruction
         v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
-        return Instruction(instruction.q, instruction.v, self.torques.at(instruction.q, v))
+        return replace(instruction, tau=self.torques.at(instruction.q, v))
 
 
 def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:

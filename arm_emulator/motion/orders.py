@@ -17,6 +17,7 @@ from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolMotion, ToolPath, ToolState
 
@@ -29,18 +30,6 @@ PATH_TOLERANCE = "path tolerance"
 GOAL_TOLERANCE = "goal tolerance"
 
 _SECONDS = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """How the joints are commanded to move at a moment, (N,) each."""
-
-    q: FloatArray
-    """[rad]."""
-    v: FloatArray
-    """[rad/s]."""
-    a: FloatArray
-    """[rad/s2]."""
 
 
 @dataclass(frozen=True)
@@ -173,11 +162,12 @@ class TrajectoryOrder:
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
-        now, then = (self._motion.sample(now_ns + t)[0] for t in (0, laws.period_ns))
+        now = Reference(*self._motion.sample(now_ns))
+        then = self._motion.sample(now_ns + laws.period_ns)[0]
         effort = None
         if not self.trajectory.stops:
             effort = self.trajectory.effort(now_ns, self._start_ns)
-        return Instruction(now, (then - now) / (laws.period_ns * _SECONDS), effort)
+        return Instruction(now.q, (then - now.q) / (laws.period_ns * _SECONDS), effort, now)
 
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""

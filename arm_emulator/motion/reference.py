@@ -1,0 +1,30 @@
+"""How the joints are commanded to move at a moment, with the derivatives that are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Derivatives of the joints' motion at one moment, not means over a period, (N,) each."""
+
+    q: FloatArray
+    """Link angles [rad or m]."""
+    v: FloatArray
+    """Their speeds [rad/s or m/s]."""
+    a: FloatArray
+    """Their accelerations [rad/s2 or m/s2]."""
+    jerk: FloatArray | None = None
+    """Their jerks until the next change of them [rad/s3 or m/s3]; None: not known."""
+
+    @classmethod
+    def at_rest(cls, q: FloatArray) -> Reference:
+        """Return joints that stand."""
+        still = np.zeros_like(q)
+        return cls(q, still, still, still)
