@@ -208,7 +208,8 @@ CORE := $(shell find arm_emulator test bench -path test/peers/ethercrab_master -
   -name '*.[ch]' -print -o -name '*.[ch]pp' -print 2>/dev/null)
 
 lint: setup
-	@$(RUN) && ruff check . && ruff format --check . && mypy && lint-imports --no-logo --no-cache
+	@$(RUN) && ruff check . && ruff format --check . && mypy \
+	  && mypy --config-file test/mypy.ini && lint-imports --no-logo --no-cache
 	@.venv/bin/python test/banned_words.py
 	@$(if $(CORE),.venv/bin/clang-format --dry-run -Werror $(CORE))
 

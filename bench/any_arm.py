@@ -35,7 +35,8 @@ def main() -> None:
     if arguments.robots:
         files = {Path(one).stem: Path(one) for one in arguments.robots if Path(one).is_file()}
         named = [one for one in arguments.robots if not Path(one).is_file()]
-        chosen = files | {n: r for n, r in chosen.items() if any(one in n for one in named)}
+        chosen = {n: r for n, r in chosen.items() if any(one in n for one in named)}
+        chosen.update(files)
     console = Console(highlight=False)
     outcomes: list[Outcome] = []
     with ProcessPoolExecutor(arguments.jobs) as pool, progress("arms", len(chosen)) as tick:

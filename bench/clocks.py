@@ -107,7 +107,7 @@ def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
             if clock == "lockstep" and ran[-1][1].tick >= LOCKSTEP_TICKS:
                 break
     (first_wall, first), (last_wall, last) = moving()[0], moving()[-1]
-    node.destroy_node()  # type: ignore[no-untyped-call]
+    node.destroy_node()
     rclpy.try_shutdown()
     ticks = last.tick - first.tick
     return {

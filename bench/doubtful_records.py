@@ -132,7 +132,9 @@ def ripple(scene: Scene, rng: np.random.Generator) -> Scene:
     def of(joint: Joint) -> Joint:
         order = rng.uniform(10.0, 25.0) * abs(joint.gear.ratio)
         wave = (order, rng.uniform(0.06, 0.12), rng.uniform(-3.0, 3.0))
-        return dataclasses.replace(joint, ripple=TorqueRipple(waves=(wave,)))
+        return dataclasses.replace(
+            joint, decorators=(*joint.decorators, TorqueRipple(waves=(wave,)))
+        )
 
     return _each(scene, of)
 

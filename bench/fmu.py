@@ -13,6 +13,7 @@ import tempfile
 import time
 import xml.etree.ElementTree as ET
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +69,7 @@ def cost(name: str) -> dict[str, float]:
         structs = plant.command, plant.measurement
         assert loop.run_arm(core.arm_exchange, plant.machine, *structs, PERIODS) == 0, "taken"
 
-    ways = {
+    ways: dict[str, Callable[[], object]] = {
         "arm_exchange": by_arm,
         "set, fmi3DoStep, get": lambda: by_fmi(1),
         "the same, steps of 10 periods": lambda: by_fmi(10),

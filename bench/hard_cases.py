@@ -76,8 +76,8 @@ def three_axis(scheme: str, dt: float, period: float = 1e-2, **overrides: Any) -
     return load_scene("three_axis", overrides={**own, **overrides})
 
 
-RIGID = {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
-NO_INDUCTANCE = {"joints.*.motor.inductance": None}
+RIGID: dict[str, Any] = {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
+NO_INDUCTANCE: dict[str, Any] = {"joints.*.motor.inductance": None}
 # Machines that differ in these numbers share a library.
 SHARED: dict[str, Any] = {"varied": ["joints.*"]}
 # All options of a scene at once, dry friction and current limits too.
@@ -244,7 +244,7 @@ def light_distal_link(quick: bool) -> Iterator[Outcome]:
             assert heavy in tail
             tail = tail.replace(heavy, light)
         (folder / "light.urdf").write_text(head + forearm + tail, encoding="utf-8")
-        where = {"urdf": str(folder / "light.urdf"), "name": "light_distal_link"}
+        where: dict[str, Any] = {"urdf": str(folder / "light.urdf"), "name": "light_distal_link"}
         # Ten times as stiff as the others; at 1e-7 a step it is good to 1e-10 rad all the same.
         truth = reference(three_axis("paper", 1e-3, **where), rows, period, 1e-7)
         yield from against(

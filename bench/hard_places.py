@@ -50,7 +50,8 @@ class Track:
     @property
     def distances(self) -> Array:
         """Distance of the tool from its target [m]."""
-        return np.linalg.norm(np.array(self.errors)[:, :3], axis=1)
+        distances: Array = np.linalg.norm(np.array(self.errors)[:, :3], axis=1)
+        return distances
 
     @property
     def end(self) -> str:

@@ -135,7 +135,7 @@ def without_collector() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def progress(what: str, steps: int) -> Iterator[Callable[[str], None]]:
+def progress(what: str, steps: int) -> Iterator[Callable[..., None]]:
     """Show a bar; the function yielded moves it by one step and shows what comes next.
 
     The bar is drawn in these calls only, never by a thread that would disturb what is timed.

@@ -118,11 +118,11 @@ def mjcf(scene: Scene, integrator: str, dt: float) -> str:
                 where = f"joints.{joint.name}.{part.section}"
                 raise Refusal("MuJoCo", where, "be a part that the peer has", type(part).__name__)
         links += _link(model, index, joint)
-        if joint.motor is None:
+        if not isinstance(joint.motor, DcMotor):  # MODELLED: it has none
             continue
-        motors += _motor(joint)
+        motors += _motor(joint, joint.motor)
         if joint.gear.stiffness is not None:
-            rotors += _rotor(joint)
+            rotors += _rotor(joint, joint.motor)
             gears += _gear(joint)
     links += "</body>" * len(scene.joints)
     return f"""<mujoco>
@@ -143,7 +143,7 @@ def _link(model: pin.Model, index: int, joint: Joint) -> str:
     linear, angular = joint_axis(model, index)
     kind, axis = ("hinge", angular) if angular.any() else ("slide", linear)
     rigid = joint.motor is not None and joint.gear.stiffness is None
-    carried = joint.motor.rotor_inertia / joint.gear.ratio**2 if rigid and joint.motor else 0.0
+    carried = joint.motor.inertia / joint.gear.ratio**2 if rigid and joint.motor else 0.0
     return f"""
 <body pos="{_words(placement.translation)}" quat="{_words((turn.w, turn.x, turn.y, turn.z))}">
 <inertial mass="{inertia.mass!r}" pos="{_words(inertia.lever)}" fullinertia="{_words(tensor)}"/>
@@ -160,9 +160,8 @@ def joint_axis(model: pin.Model, index: int) -> tuple[Array, Array]:
     return S[:3], S[3:]
 
 
-def _rotor(joint: Joint) -> str:
-    assert joint.motor is not None
-    inertia = _words([joint.motor.rotor_inertia] * 3)
+def _rotor(joint: Joint, motor: DcMotor) -> str:
+    inertia = _words([motor.rotor_inertia] * 3)
     return f"""
 <body><inertial mass="1" pos="0 0 0" diaginertia="{inertia}"/>
 <joint name="{joint.name}_rotor" type="hinge" axis="0 0 1"/></body>"""
@@ -176,9 +175,7 @@ def _gear(joint: Joint) -> str:
 </fixed>"""
 
 
-def _motor(joint: Joint) -> str:
-    motor = joint.motor
-    assert motor is not None
+def _motor(joint: Joint, motor: DcMotor) -> str:
     rigid = joint.gear.stiffness is None
     at, turns = (joint.name, 1.0 / joint.gear.ratio) if rigid else (f"{joint.name}_rotor", 1.0)
     return f"""

@@ -55,8 +55,8 @@ def origins(file: Path) -> list[Origin]:
         for section in SECTIONS:
             for path, number in _numbers(_entries(node).get(section), section):
                 mark, (at, _, key) = number.start_mark, path.rpartition(".")
-                figure = at, key, float(number.value), []
-                found.setdefault((mark.line, mark.column), figure)[3].append(joint)
+                place = mark.line, mark.column
+                found.setdefault(place, (at, key, float(number.value), []))[3].append(joint)
     return [
         _origin(file, lines[line], line + 1, named, at, key, value, tuple(joints))
         for (line, _), (at, key, value, joints) in sorted(found.items())

@@ -28,13 +28,13 @@ def main() -> None:
     with own_domain(unless_named=True), busy_processes(1), Progress(console=console) as progress:
         bar = progress.add_task("real time, one core busy", total=seconds)
         over = threading.Event()
-        clock = threading.Thread(
-            target=lambda: [
-                progress.update(bar, completed=time.monotonic() - started)
-                for _ in iter(lambda: over.wait(1.0), True)
-            ]
-        )
         started = time.monotonic()
+
+        def show() -> None:
+            while not over.wait(1.0):
+                progress.update(bar, completed=time.monotonic() - started)
+
+        clock = threading.Thread(target=show)
         clock.start()
         try:
             figures = measure("real_time", arguments.scene, seconds)

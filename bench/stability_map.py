@@ -13,6 +13,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from arm_emulator.analysis.reference import links_model
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import SCHEMES, Scene, load_scene
 from bench.measure import compile_all, side_by_side
@@ -76,7 +77,8 @@ def _axes(quick: bool) -> dict[str, dict[str, Any]]:
     scene = load_scene(SCENE)
     stiffness, constants, ratios = decades(2, 8), decades(-7, -2), decades(-4, 4)
     inertia = _link_inertia(scene)
-    resistance = scene.joints[0].motor.resistance if scene.joints[0].motor else 1.0
+    motor = scene.joints[0].motor
+    resistance = motor.resistance if isinstance(motor, DcMotor) else 1.0
     return {
         "stiffness": {
             "label": "gear stiffness [N m/rad]",

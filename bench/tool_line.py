@@ -57,8 +57,12 @@ def line(period: float, feedforward: str) -> dict[str, Any]:
     one.instructor.add_path(one.controller, [begin])
     one.advance(round(_SETTLING / scene.servo_period))
     one.instructor.add_path(one.controller, [begin, end])
-    gravity = LinkTorques(scene.urdf, kinematics.joint_names, scene.gravity)
-    off, predicted, motors, times, places = [], [], [], [], []
+    gravity = LinkTorques(scene.urdf, kinematics.joint_names, scene.gravity or (0.0, 0.0, 0.0))
+    off: list[Array] = []
+    predicted: list[Array] = []
+    motors: list[Array] = []
+    times: list[float] = []
+    places: list[float] = []
     still = np.zeros(len(scene.start))
     while not times or one.instructor.reports.waiting[-1].state.name == "MOVING" or len(times) < 10:
         one.advance(EVERY)

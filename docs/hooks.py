@@ -178,9 +178,9 @@ def on_files(files: Any, config: Any) -> Any:
             files.append(File.generated(config, page, content=text))
             linked |= outside
     for target in sorted(linked):
-        page = File.generated(config, shown_at(target), content=source_page(target))
-        page.inclusion = InclusionLevel.NOT_IN_NAV
-        files.append(page)
+        source = File.generated(config, shown_at(target), content=source_page(target))
+        source.inclusion = InclusionLevel.NOT_IN_NAV
+        files.append(source)
     return files
 
 

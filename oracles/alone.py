@@ -215,7 +215,7 @@ def judge(seed: int) -> Verdict:
                 _worst([run(scene(n, "step"), seed, rows, n) for n in steps], q)
                 for steps in (COARSE, FINE, FINER)
             )
-            fine = tuple(
+            error, left = (
                 b if a > c / FALLS else a for a, b, c in zip(fine, finer, coarse, strict=True)
             )
             lanes = 0.0
@@ -226,7 +226,7 @@ def judge(seed: int) -> Verdict:
     return Verdict(
         seed, parts, schemes,
         way=float(np.abs(truth - first.start).max()), off=float(np.abs(q - truth).max()),
-        truth=sharper, located=located, errors=(coarse[0], fine[0]), left=(coarse[1], fine[1]),
+        truth=sharper, located=located, errors=(coarse[0], error), left=(coarse[1], left),
         lanes=lanes,
     )  # fmt: skip
 

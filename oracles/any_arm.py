@@ -65,7 +65,7 @@ def arms() -> dict[str, Path | str]:
     found: dict[str, Path | str] = {f"own: {name}": name for name in OWN}
     shipped = example_robot_data()
     for file in sorted(shipped.rglob("*.urdf")) if shipped is not None else ():
-        if not file.parts[len(shipped.parts)].startswith(NO_ARMS):
+        if shipped and not file.relative_to(shipped).parts[0].startswith(NO_ARMS):
             found[file.stem] = file
     return found
 

@@ -66,7 +66,8 @@ class MachineWithModes(ReferenceMachine):
 
     def motor_accelerations(self, i: Array, T: Array, a: Array) -> Array:
         """Return how the motors accelerate under currents and gears' torques [rad/s2]."""
-        return np.where(self.elastic, (self.Kt * i - self.Ng * T) / self.Mm, a / self.Ng)
+        elastic: Array = (self.Kt * i - self.Ng * T) / self.Mm
+        return np.where(self.elastic, elastic, a / self.Ng)
 
     def rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt in these modes, flat."""
@@ -137,23 +138,26 @@ class MachineWithModes(ReferenceMachine):
         out: list[tuple[str, int, Margin]] = []
         for j in range(self.N):
             if self.locked[j]:
-                out.append(("away", j, lambda t, y, j=j: self._spare(y, V, j)))
+                out.append(("away", j, self._spare(V, j)))
             elif self.Dc[j] > 0.0:
-                out.append(("rest", j, lambda t, y, j=j: self._along(y, j)))
+                out.append(("rest", j, self._along(j)))
             if np.isfinite(self.limit[j]):
                 name = "within" if self.side[j] else "limit"
-                out.append((name, j, lambda t, y, j=j: self._room(y, V, j)))
+                out.append((name, j, self._room(V, j)))
         return out
 
-    def _spare(self, y: Array, V: Array, j: int) -> float:
-        return float(self.Ds[j] - abs(self.forces(y.reshape(ROWS, self.N), V)[2][j]))
+    def _spare(self, V: Array, j: int) -> Margin:
+        return lambda t, y: float(self.Ds[j] - abs(self.forces(y.reshape(ROWS, self.N), V)[2][j]))
 
-    def _along(self, y: Array, j: int) -> float:
-        return float(y[4 * self.N + j] * self.direction[j])
+    def _along(self, j: int) -> Margin:
+        return lambda t, y: float(y[4 * self.N + j] * self.direction[j])
 
-    def _room(self, y: Array, V: Array, j: int) -> float:
-        i, surplus = self.currents(y.reshape(ROWS, self.N), V)
-        return float(self.side[j] * surplus[j] if self.side[j] else self.limit[j] - abs(i[j]))
+    def _room(self, V: Array, j: int) -> Margin:
+        def room(t: float, y: Array) -> float:
+            i, surplus = self.currents(y.reshape(ROWS, self.N), V)
+            return float(self.side[j] * surplus[j] if self.side[j] else self.limit[j] - abs(i[j]))
+
+        return room
 
 
 def reference_with_events(

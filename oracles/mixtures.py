@@ -376,7 +376,7 @@ def commands(scene: Scene, seed: int) -> np.ndarray:
     rng = np.random.default_rng([seed, 77])
     sizes = {"V": 12.0, "V dq": 12.0, "N m": 0.3, "A": 6.0}
     size = np.array([sizes[joint.command] if joint.motor else 0.0 for joint in scene.joints])
-    rows = rng.uniform(-1.0, 1.0, (ROWS, len(size))) * size
+    rows: np.ndarray = rng.uniform(-1.0, 1.0, (ROWS, len(size))) * size
     rows[BRAKED] = 0.0  # which is what motors without power get
     return rows
 

@@ -60,7 +60,7 @@ SEND_ALONE = PublisherEventCallbacks(use_default_callbacks=False)
 SEND_QOS = QoSProfile(depth=100)
 
 
-def question(request: Any) -> tuple[type, Any]:
+def question(request: Any) -> tuple[Any, Any]:
     """Return type and request of a service: True or False for SetBool, None for Trigger."""
     if request is None:
         request = Trigger.Request()

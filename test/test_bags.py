@@ -341,11 +341,8 @@ def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
         offered = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
         connection = next(c for c in reader.connections if c.topic == "/motor_states")
         first = next(reader.messages([connection]))[2]
-        assert list(store.deserialize_cdr(first, connection.msgtype).joint_names) == [
-            "waist",
-            "shoulder",
-            "elbow",
-        ]
+        state = store.deserialize_cdr(first, connection.msgtype)
+        assert list(vars(state)["joint_names"]) == ["waist", "shoulder", "elbow"]
     assert theirs == sorted((m.received, m.topic, m.data) for m in mine)
     assert offered["/robot_description"][0].durability.name == "TRANSIENT_LOCAL"
     assert offered["/motor_states"][0].reliability.name == "RELIABLE"

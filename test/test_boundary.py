@@ -132,9 +132,7 @@ def test_a_state_that_is_set_is_the_state(drawn: tuple[Scene, np.random.Generato
     ratio = scene.gear_ratios
     elastic = np.array([j.motor is not None and j.gear.stiffness is not None for j in scene.joints])
     driven = np.array([j.motor is not None for j in scene.joints])
-    limit = np.array(
-        [(j.motor.current_limit if j.motor else None) or math.inf for j in scene.joints]
-    )
+    limit = np.array([getattr(j.motor, "current_limit", None) or math.inf for j in scene.joints])
     state = PlantState(
         t=0.0,
         current=np.where(driven, rng.uniform(-1, 1, N) * np.minimum(limit, 5.0), 0.0),

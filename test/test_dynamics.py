@@ -63,14 +63,15 @@ def test_random_chains_equal_aba(tmp_path: Path, seed: int, joints: int) -> None
 
 
 def test_payload_is_a_body_at_the_tool(tmp_path: Path) -> None:
-    payload = {"mass": 2.5, "com": [0.1, -0.2, 0.3], "inertia": [0.1, 0.2, 0.15, 0.01, 0.02, -0.03]}
+    mass, com, moments = 2.5, [0.1, -0.2, 0.3], [0.1, 0.2, 0.15, 0.01, 0.02, -0.03]
+    payload = {"mass": mass, "com": com, "inertia": moments}
     scene = random_chain(tmp_path, 7, 2, gravity=[0, 0, -9.81])
     tool = f"{scene.joint_names[-1]}_link"
     loaded = load_scene(tmp_path / "scene.yaml", overrides={"payload": payload, "tool": tool})
     plant, oracle, rng = Plant(loaded), Oracle(scene), np.random.default_rng(7)
-    xx, yy, zz, xy, xz, yz = payload["inertia"]
+    xx, yy, zz, xy, xz, yz = moments
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    body = pin.Inertia(payload["mass"], np.array(payload["com"]), inertia)
+    body = pin.Inertia(mass, np.array(com), inertia)
     frame = oracle.model.frames[oracle.model.getFrameId(tool)]
     oracle.model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
     oracle.data = oracle.model.createData()

@@ -75,11 +75,11 @@ def taken(joint: Joint, moved: float, t: np.ndarray, of_link: list[np.ndarray],
     link = moved * (a + WEIGHT)
     T = command / Ng if joint.gear.stiffness is None else link.copy()
     for _ in range(8):  # friction under load is part of what loads it
-        at = ShaftMotion(t, *of_link, T, command / Ng, Ng)
+        at = ShaftMotion(t, of_link[0], of_link[1], a, T, command / Ng, Ng)
         efforts = [part.effort(at) for part in joint.parts if part.shaft == "link"]
         on_link = link + sum(one for one in efforts if one is not None)
         T = T if joint.gear.stiffness is None else on_link
-    at = ShaftMotion(t, *of_rotor, Ng * T, command, Ng)
+    at = ShaftMotion(t, of_rotor[0], of_rotor[1], of_rotor[2], Ng * T, command, Ng)
     efforts = [part.effort(at) for part in joint.parts if part.shaft == "rotor"]
     return Ng * on_link + sum((one for one in efforts if one is not None), none)
 

@@ -115,7 +115,7 @@ def test_limits_and_locks_are_met_in_lanes(tmp_path: Path) -> None:
         folder = tmp_path / str(seed)
         folder.mkdir()
         scene = mixture(folder, seed, scheme)
-        limits = np.array([j.motor.current_limit or np.inf if j.motor else np.inf
+        limits = np.array([getattr(j.motor, "current_limit", None) or np.inf
                            for j in scene.joints])  # fmt: skip
         rng = np.random.default_rng(seed)
         plant = Plant(scene)

@@ -149,8 +149,10 @@ def test_a_unit_moves_as_plant_does_to_the_last_bit(fmu: Fmu, plant: Plant, seed
         set_all(one, inputs)
         axes = "world" if inputs["external.world_axes"] else "link"
         for j, joint in enumerate(NAMES):
-            rows = (tuple(inputs[f"external.{name}"][j]) for name in ("force", "moment", "point"))
-            plant.set_external_wrench(f"{joint}_link", ExternalWrench(*rows, axes))
+            rows = {
+                name: tuple(inputs[f"external.{name}"][j]) for name in ("force", "moment", "point")
+            }
+            plant.set_external_wrench(f"{joint}_link", ExternalWrench(**rows, axes=axes))
         if rng.random() < 0.2:
             plant.powered = bool(rng.integers(2))
             set_all(one, {"power": plant.powered})

@@ -232,9 +232,9 @@ def test_what_is_reported_to_hold_holds_under_the_voltage_at_hand(seed: int) -> 
         plant.reset(rng.uniform(-2.0, 2.0, 3))
         try:
             plant.advance(rng.uniform(-48.0, 48.0, 3), 5000)
-        except Diverged as fault:
-            fault.hint = what_holds(fault)
-            reported.append(fault)
+        except Diverged as diverged:
+            diverged.hint = what_holds(diverged)
+            reported.append(diverged)
     assert reported, "none diverged"
     for fault in reported:
         cures = re.findall(r"(\w+) at dt = ([-0-9.e]+) s held", fault.hint)

@@ -179,10 +179,10 @@ def test_the_shipped_machine_is_what_identify_makes_of_run_a(
             assert next(values) == pytest.approx(next(values), rel=friction), f"{one.name} {name}"
         if one.gear.stiffness is not None:
             assert one.gear.stiffness == pytest.approx(same.gear.stiffness, rel=stiffness)
-    for one, same in zip(made.chain.joints, shipped.chain.joints, strict=True):
+    # Masses of links 1 to 5 are not identifiable, to some 50 %.
+    for link, true in zip(made.chain.joints, shipped.chain.joints, strict=True):
         if simulate:
-            # Masses of links 1 to 5 are not identifiable, to some 50 %.
-            assert one.body.mass == pytest.approx(same.body.mass, rel=0.03), one.name
+            assert link.body.mass == pytest.approx(true.body.mass, rel=0.03), link.name
 
 
 def test_truth_lies_within_the_confidence_reported() -> None:

@@ -165,7 +165,8 @@ def test_without_points_the_joints_come_to_rest() -> None:
 
 
 def test_a_continuous_joint_takes_the_short_way() -> None:
-    turning = JointLimits(*(np.array([x]) for x in (-np.inf, np.inf, 10.0, 10.0)), np.array([True]))
+    infinite, ten = np.full(1, np.inf), np.full(1, 10.0)
+    turning = JointLimits(-infinite, infinite, ten, ten, np.ones(1, bool))
     points = [TrajectoryPoint(SECOND, [0.1]), TrajectoryPoint(2 * SECOND, [0.3])]
     trajectory = JointTrajectory(("a",), turning, ("a",), points)
     motion = trajectory.begin(0, 0, np.array([4.0 * np.pi - 0.2]), np.zeros(1), np.zeros(1))

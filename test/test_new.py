@@ -22,6 +22,7 @@ from arm_emulator.design.choose_joints import LEAST_ARM, MOST_FINGER, choose_joi
 from arm_emulator.design.robot_limits import read_limits
 from arm_emulator.design.sizing import GRAVITY_MARGIN, LOWEST_RESONANCE, MOTOR_SPEED, Demand, size
 from arm_emulator.design.survey import survey
+from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.runs.gains import check_fit, load_gains
@@ -137,7 +138,7 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
         # Any one joint's acceleration, and the weight, leave some torque to every joint.
         assert (M[j] * a).max() + demand.gravity_torque < drive.peak_torque
         motor, gear = drive.joint.motor, drive.joint.gear
-        assert motor is not None and gear.stiffness is not None
+        assert isinstance(motor, DcMotor) and gear.stiffness is not None
         assert drive.peak_torque >= GRAVITY_MARGIN * demand.gravity_torque
         assert drive.acceleration > 0.0
         # Numbers are written with three digits: 1 % between them and the rule.
@@ -175,7 +176,7 @@ def test_odd_names_survive_the_files(seed: int, tmp_path: Path) -> None:
     for joint, drive, servo in zip(scene.joints, written.drives, gains.servo.joints, strict=True):
         assert joint == drive.joint, "the file holds the numbers that were computed"
         assert servo.gear_ratio == joint.gear.ratio
-        assert joint.motor is not None and servo.resistance == joint.motor.resistance
+        assert isinstance(joint.motor, DcMotor) and servo.resistance == joint.motor.resistance
 
 
 def test_what_a_description_shows_need_not_be_sound(tmp_path: Path) -> None:

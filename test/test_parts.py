@@ -155,8 +155,8 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
             # One rounding where it is a ratio times its leader.
             result = eval(written, {"p": p})
             assert result == pytest.approx(value, rel=1e-15 if one.follows else 0.0, abs=0.0), text
-        for name, one in could.items():
-            assert one.least <= one.value <= one.most, name
+        for name, number in could.items():
+            assert number.least <= number.value <= number.most, name
 
 
 def rows_of(page: Path) -> dict[str, list[str]]:

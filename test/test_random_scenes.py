@@ -18,6 +18,7 @@ from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
 from arm_emulator.cli.command_line import main
+from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.scene import example_robot_data, load_scene
 from arm_emulator.motion.kinematics import Kinematics, moving_joints
 from arm_emulator.motion.motion_config import load_motion_config
@@ -307,7 +308,7 @@ def test_what_numbers_make_together_is_sound(tmp_path: Path, seed: int) -> None:
             assert str(refusal).startswith("scene.yaml: joints.elbow."), refusal
             continue
         taken += 1
-        assert joint.motor is not None and joint.gear.stiffness is not None
+        assert isinstance(joint.motor, DcMotor) and joint.gear.stiffness is not None
         ratio = joint.gear.ratio
         for value in (
             joint.motor.rotor_inertia / ratio**2, joint.motor.torque_constant / ratio,

@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from test_network import go, pause_at
 
+from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.servo.servo_config import SETTABLE, JointServo
@@ -105,6 +106,7 @@ def test_parameters_are_set_as_a_whole_between_two_ticks_or_refused(
             for one in run.drives.servo.config.joints
         )
         run.drives.retune(dataclasses.replace(run.drives.servo.config, joints=joints))
+        assert isinstance(run.controller, JacobianController)
         run.controller.weight = weight
         states |= offline_states(run, tick + 200)
         assert user.call("emulator/pause", False).success

@@ -14,6 +14,7 @@ from machines import CONFIG, LINK
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
+from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.scene import example_robot_data, load_scene
 
 URDF = (CONFIG / "urdf" / "three_axis.urdf").read_text()
@@ -197,7 +198,7 @@ def test_three_axis_is_the_papers_arm() -> None:
     assert scene.gravity is None and scene.supply_voltage == 48.0 and scene.servo_period == 1e-3
     assert np.array_equal(scene.start, [0.0, 0.5, 0.8])
     for joint, geometry, mass in zip(scene.joints, scene.chain.joints, (10, 6, 3), strict=True):
-        assert joint.motor is not None and joint.encoder is not None
+        assert isinstance(joint.motor, DcMotor) and joint.encoder is not None
         assert (joint.motor.resistance, joint.motor.inductance) == (1.0, 1e-3)
         assert (joint.motor.torque_constant, joint.motor.back_emf_constant) == (0.05, 0.05)
         assert joint.motor.rotor_inertia == 1e-4
@@ -218,7 +219,7 @@ def test_what_is_not_mentioned_does_not_exist() -> None:
     )
     for joint in scene.joints:
         assert joint.gear.stiffness is None and joint.friction.viscous == 0.0
-        assert joint.motor is not None and joint.motor.inductance == 0.0
+        assert isinstance(joint.motor, DcMotor) and joint.motor.inductance == 0.0
 
 
 def test_floats_may_be_written_without_a_dot(tmp_path: Path) -> None:
@@ -234,9 +235,9 @@ def test_overrides_reach_one_joint_or_all() -> None:
     assert [joint.start for joint in scene.joints] == [0.0, 0.5, 0.1]
     # The file's joints share one motor by a YAML anchor; an override of one leaves the others.
     scene = load_scene("three_axis", overrides={"joints.elbow.motor.resistance": 2.0})
-    assert [joint.motor.resistance for joint in scene.joints if joint.motor] == [1.0, 1.0, 2.0]
+    assert [vars(joint.motor)["resistance"] for joint in scene.joints] == [1.0, 1.0, 2.0]
     scene = load_scene("three_axis", overrides={"joints.*.motor.resistance": 2.0})
-    assert [joint.motor.resistance for joint in scene.joints if joint.motor] == [2.0, 2.0, 2.0]
+    assert [vars(joint.motor)["resistance"] for joint in scene.joints] == [2.0, 2.0, 2.0]
 
 
 def test_a_step_of_few_digits_divides_the_period_all_the_same() -> None:

@@ -612,14 +612,13 @@ def test_a_word_that_wraps_is_followed_as_counts_that_go_on() -> None:
         counts = rng.integers(-largest, largest, N)  # nearer to 0 than half a word
         for k in range(300):
             if k == 200:  # where it stands is known up to whole words
-                going_on.reset(), wrapping.reset()
+                going_on.reset()
+                wrapping.reset()
                 counts = (counts + word // 2) % word - word // 2
             current, target = rng.normal(0.0, 1.0, N), rng.normal(0.0, 1.0, N)
-            voltages = [
-                servo.update(reported, current, target)
-                for servo, reported in ((going_on, counts), (wrapping, counts % word))
-            ]
-            np.testing.assert_array_equal(*voltages, err_msg=f"{bits} bits, period {k}")
+            expected = going_on.update(counts, current, target)
+            wrapped = wrapping.update(counts % word, current, target)
+            np.testing.assert_array_equal(wrapped, expected, f"{bits} bits, period {k}")
             counts = counts + rng.integers(-largest, largest, N)
 
 

@@ -163,8 +163,8 @@ def test_the_linear_servo_is_the_servo_that_runs(seed: int) -> None:
         for servo, row in zip(pair, (one, two), strict=True):
             theta, current, voltage, *targets = row
             counts = math.floor(theta / count)
-            given = [[value] for value in targets]
-            voltages.append(servo.update([counts], [current], *given, voltage=[voltage])[0])
+            q, v, tau = ([value] for value in targets)
+            voltages.append(servo.update([counts], [current], q, v, tau, [voltage])[0])
         u = one - two
         if tick > 0:
             V = float(linear.C @ x + linear.D @ u)
