@@ -112,25 +112,25 @@ class Laws:
         self._from_motion = [list(names).index(name) for name in of_servo]
 
     def answer(
-        self, now: int, counts: NDArray[np.int64], current: Array, voltage: Array, instruct: bool
+        self, now: int, counts: NDArray[np.int64], current: Array, applied: Array, instruct: bool
     ) -> Array:
-        """Return the voltages of a servo period, in the scene's order of joints [V].
+        """Return the commands of a servo period, in the scene's order of joints [V].
 
         Args:
             now: logical time [ns].
             counts: of the encoders now, (N,) like the next two.
             current: of the motors now [A].
-            voltage: applied in the period that ends now [V].
+            applied: applied in the period that ends now [V].
             instruct: whether a motion period begins, too.
         """
         drives, to_servo, back = self.drives, self._to_servo, self._from_motion
-        drives.measure(now, counts[to_servo], current[to_servo], voltage[to_servo])
+        drives.measure(now, counts[to_servo], current[to_servo], applied[to_servo])
         if instruct:
             q, v = (x[self._to_motion] for x in (drives.servo.q_measured, drives.servo.v_measured))
             given = self.instructor.instruct(self.controller, now, q, v)
             v_back, tau = (None if x is None else x[back] for x in (given.v, given.tau))
             drives.aim(Target(given.q[back], v_back, tau))
-        answer: Array = drives.voltage(powered=True)[self._to_scene]
+        answer: Array = drives.command(powered=True)[self._to_scene]
         return answer
 
 
@@ -161,7 +161,7 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
     steps = round(scene.servo_period / scene.integrator.dt)
     first = plan.settle_ns // period_ns
     last = first + ticks * (plan.instructions if instructions is None else instructions)
-    voltage, deviations = np.zeros((count, len(scene.joint_names))), []
+    applied, deviations = np.zeros((count, len(scene.joint_names))), []
     with progress(f"{scene.name}, {count} arms", last + 1) as done:
         for tick in range(last + 1):
             state, instruct = fleet.state, tick % ticks == 0
@@ -172,8 +172,8 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
                 deviations.append(goal - tools)
             for arm, law in enumerate(laws):
                 counts, current = measured.encoder_counts[arm], measured.current[arm]
-                voltage[arm] = law.answer(tick * period_ns, counts, current, voltage[arm], instruct)
-            fleet.advance(voltage, steps)
+                applied[arm] = law.answer(tick * period_ns, counts, current, applied[arm], instruct)
+            fleet.advance(applied, steps)
             done("")
     return np.stack(deviations, axis=1)
 

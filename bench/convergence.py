@@ -44,7 +44,7 @@ def step_response(period: float) -> Array:
         if tick and tick % round(period / scene.servo_period) == 0:
             measured = drives.servo.q_measured[0]
             gone.append((measured - scene.start[0]) / (target[0] - scene.start[0]))
-        session.offer(tick, list(config.joint_names), drives.voltage(True).tolist())
+        session.offer(tick, list(config.joint_names), drives.command(True).tolist())
         session.advance()
     return np.array(gone)
 

@@ -140,7 +140,7 @@ def drive(scene: Scene, seconds: float) -> dict[str, Any]:
         error[k] = (angle - x.theta_m) * ratio
         off_q[k], d[k], u[k], q[k] = control.wanted_q - x.current, i_d, np.hypot(ud, uq), x.q
         at = time.perf_counter()
-        plant.exchange(uq, voltage_d=ud)
+        plant.exchange(uq, command_d=ud)
         in_core += time.perf_counter() - at
     return {
         "following_error_rad": float(np.abs(error[len(error) // 10 :]).max()),

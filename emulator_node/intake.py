@@ -62,7 +62,7 @@ class Intake:
                 self._diagnostics.count("motor_commands for another emulator")
                 return
             try:
-                self._session.offer(command.tick, command.joint_names, command.voltage)
+                self._session.offer(command.tick, command.joint_names, command.command)
             except Needless as reason:
                 self._diagnostics.count(f"motor_commands {reason.kind}")
                 return

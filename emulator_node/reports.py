@@ -139,7 +139,6 @@ class Reports:
             joint_names=list(scene.joint_names),
             machine=STARTED,
             imu_names=[one.name for one in scene.imus],
-            voltage=array("d", bytes(8 * len(scene.joints))),
         )
         self._fields.begin(message, measured)
         return message
@@ -149,7 +148,6 @@ class Reports:
         set_stamp(message.header.stamp, session.logical_ns)
         message.tick = session.tick
         message.powered = session.powered
-        message.voltage[:] = session.voltage
         self._fields.fill(message, session.measured)
         self._gate.count()
         if self._outbox.record is not None:

@@ -54,7 +54,7 @@ class View:
             state.v,
             state.gear_torque,
             state.current,
-            session.voltage,
+            session.measured.applied,
             (session.measured.encoder_counts + 0.5) * session.plant.link_angle_per_count,
             [getattr(session.measured, one.name) for one in self._shown],
         )

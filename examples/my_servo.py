@@ -49,7 +49,7 @@ class MyServo(Node):
         answer = MotorCommand(header=self.state.header, tick=self.state.tick)
         answer.joint_names = self.state.joint_names
         for name, q in zip(self.state.joint_names, self.q, strict=True):
-            answer.voltage.append(GAIN * (self.targets[name] - q))
+            answer.command.append(GAIN * (self.targets[name] - q))
         self.commands.publish(answer)
 
 

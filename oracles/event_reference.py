@@ -161,13 +161,13 @@ class MachineWithModes(ReferenceMachine):
 
 
 def reference_with_events(
-    scene: Scene, voltages: ArrayLike, period: float, rtol: float = 1e-12
+    scene: Scene, commands: ArrayLike, period: float, rtol: float = 1e-12
 ) -> tuple[Array, int]:
     """Return the link positions after each row (K, N) from rest at the scene's start, and events.
 
     Args:
         scene: the machine, without a payload.
-        voltages: (K, N) [V; A where a drive closes a current loop], each row held for a period.
+        commands: (K, N) [V, N m, A], each row held for a period.
         period: how long [s].
         rtol: relative error per step; absolute: a hundredth of it.
     """
@@ -177,7 +177,7 @@ def reference_with_events(
     method = "Radau" if rate > STIFF else "DOP853"
     # What ends a mode for less than a step is not seen: as when a swinging gear breaks a link away.
     longest = min(period / 40.0, 0.2 / rate)
-    rows = np.clip(np.atleast_2d(voltages), -machine.largest, machine.largest)
+    rows = np.clip(np.atleast_2d(commands), -machine.largest, machine.largest)
     out, events = np.empty((len(rows), machine.N)), 0
     for k, V in enumerate(rows):
         t = 0.0

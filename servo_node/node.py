@@ -25,7 +25,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from arm_emulator.base.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE
+from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.base.refusal import Refusal
@@ -81,7 +81,7 @@ class _Measurement:
     time_ns: int
     counts: FloatArray
     current: FloatArray
-    voltage: FloatArray | None
+    applied: FloatArray | None
     powered: bool
 
 
@@ -138,7 +138,7 @@ class ServoNode(Node):
         self._machine = 0  # which emulator is served, 0 for any
         self._start_over()
 
-        command = MotorCommand(joint_names=names, voltage=array("d", bytes(8 * len(names))))
+        command = MotorCommand(joint_names=names, command=array("d", bytes(8 * len(names))))
         self._command = FixedLayout(command)
         self._joint_state = JointState(name=names)
         self._commands = self.create_publisher(MotorCommand, "motor_commands", COMMAND_QOS)
@@ -188,8 +188,8 @@ class ServoNode(Node):
                 nanoseconds_of(message.header.stamp),
                 self._states_order.arrange(names, message.encoder_counts, self._counts),
                 self._states_order.arrange(names, message.current, CURRENT),
-                self._states_order.arrange(names, message.voltage, VOLTAGE)
-                if len(message.voltage)
+                self._states_order.arrange(names, message.applied, COMMAND)
+                if len(message.applied)
                 else None,
                 bool(message.powered),
             )
@@ -213,7 +213,7 @@ class ServoNode(Node):
         if self._next_config is not None:
             self._config, self._next_config = self._next_config, None
             self._drives.retune(self._config)
-        self._drives.measure(now.time_ns, now.counts, now.current, now.voltage)
+        self._drives.measure(now.time_ns, now.counts, now.current, now.applied)
         begins = self._lockstep and self._motion_ticks > 0 and now.tick % self._motion_ticks == 0
         if begins:
             self._waiting, self._cycle_ns = True, now.time_ns
@@ -282,9 +282,9 @@ class ServoNode(Node):
     # Control law
 
     def _answer(self, now: _Measurement) -> None:
-        """Compute and publish the voltages for the servo period that begins with `now`."""
+        """Compute and publish the commands for the servo period that begins with `now`."""
         drives = self._drives
-        voltage = drives.voltage(now.powered)
+        commands = drives.command(now.powered)
         restarts = drives.servo.restarts
         if restarts != self._diagnostics.values.get("began anew", 0):
             self._diagnostics.values["began anew"] = restarts
@@ -299,7 +299,7 @@ class ServoNode(Node):
         set_stamp(command.header.stamp, now.time_ns)
         command.tick = now.tick
         command.machine = self._machine
-        command.voltage[:] = voltage
+        command.command[:] = commands
         self._commands.publish(self._command.data())
 
     # Publishing
@@ -335,7 +335,7 @@ class ServoNode(Node):
         self._diagnostics.warn(f"no motor state for {silence:.0f} s")
         if not self._lockstep and not self._silent:
             self._silent = True
-            self._command.message.voltage[:] = 0.0
+            self._command.message.command[:] = 0.0
             self._commands.publish(self._command.data())
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -52,7 +52,7 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
                     powered=session.powered,
                     encoder_counts=session.measured.encoder_counts,
                     current=session.state.current,
-                    voltage=session.voltage,
+                    applied=session.measured.applied,
                 ),
             )
 
@@ -65,11 +65,11 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
                     voltage = rng.uniform(-5.0, 5.0, len(names)).tolist()
                     send(
                         "/motor_commands",
-                        MotorCommand(tick=session.tick + 1000, joint_names=names, voltage=voltage),
+                        MotorCommand(tick=session.tick + 1000, joint_names=names, command=voltage),
                     )
                     send(
                         "/motor_commands",
-                        MotorCommand(tick=session.tick, joint_names=names, voltage=voltage),
+                        MotorCommand(tick=session.tick, joint_names=names, command=voltage),
                     )
                     session.offer(session.tick, names, voltage)
                 session.powered = powered
@@ -79,6 +79,6 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
             # In flight when the reset comes: refused.
             send(
                 "/motor_commands",
-                MotorCommand(tick=session.tick, joint_names=names, voltage=[1.0] * 3),
+                MotorCommand(tick=session.tick, joint_names=names, command=[1.0] * 3),
             )
     return folder

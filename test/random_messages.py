@@ -150,7 +150,7 @@ def _sound(
     N = len(names)
     values = [rng.gauss(0.0, 0.5) for _ in names]
     if topic == "motor_commands":
-        command = MotorCommand(tick=tick, joint_names=names, voltage=values)
+        command = MotorCommand(tick=tick, joint_names=names, command=values)
         command.header.stamp = _time(tick * period_ns)
         return command
     if topic == "motor_states":
@@ -158,7 +158,7 @@ def _sound(
         state = MotorState(
             tick=tick, joint_names=names, encoder_counts=counts, current=values, powered=True
         )
-        state.voltage = [0.0] * N
+        state.applied = [0.0] * N
         state.header.stamp = _time(tick * period_ns)
         return state
     if topic in ("joint_targets", "joint_states"):
@@ -278,7 +278,7 @@ def _other_names(field: str) -> Way:
         before = len(getattr(message, field))
         setattr(message, field, wrong)
         if rng.random() < 0.5:  # the arrays' lengths fit, and only the names are wrong
-            for array in ("voltage", "encoder_counts", "current", "position"):
+            for array in ("command", "applied", "encoder_counts", "current", "position"):
                 if hasattr(message, array) and len(getattr(message, array)) == before:
                     setattr(message, array, [0] * len(wrong))
 
@@ -396,8 +396,8 @@ def _no_urdf(rng: random.Random, message: Any, names: Sequence[str], tick: int) 
 
 _WAYS: dict[str, list[Way]] = {
     "motor_commands": [
-        _wrong_in("voltage"),
-        _wrong_length_of("voltage"),
+        _wrong_in("command"),
+        _wrong_length_of("command"),
         _other_names("joint_names"),
         _future_tick,
     ],

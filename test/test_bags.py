@@ -238,18 +238,18 @@ def test_one_bit_of_a_state_is_found(
 
 def test_one_bit_of_a_command_is_found(recording: tuple[Path, str], tmp_path: Path) -> None:
     # Not its lowest bit, which the rounding of the motor's current may swallow.
-    change = flip("/motor_commands", MotorCommand, 80, "voltage", bit=30)
+    change = flip("/motor_commands", MotorCommand, 80, "command", bit=30)
     code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == 1
     assert re.search(
-        r"the first difference: run \d+, tick 80, joint elbow, voltage: commanded \S+, applied ",
+        r"the first difference: run \d+, tick 80, joint elbow, applied: commanded \S+, applied ",
         printed,
     )
 
 
 def test_one_bit_of_a_voltage_is_found(recording: tuple[Path, str], tmp_path: Path) -> None:
     """Without commands, too: what was applied must lead to what was measured."""
-    change = flip("/motor_states", MotorState, 80, "voltage", bit=40)
+    change = flip("/motor_states", MotorState, 80, "applied", bit=40)
     copy = rewrite(
         recording[0],
         tmp_path / "copy",
@@ -468,7 +468,7 @@ EDITS: list[tuple[Callable[[Any], None], bool, int, str]] = [
     (_set_stamp, False, 1, "tick 7, stamp: recorded 7000001 ns, computed 7000000 ns"),
     (_set("torque", [1.0] * 3), False, 1, "tick 7, torque: recorded, and the scene has no such"),
     (_set("imu_names", ["a"]), False, 1, "tick 7, imu_names: recorded, and the scene has no"),
-    (_set("voltage", [1e9] * 3), False, 1, "tick 6, joint waist, voltage: commanded"),
+    (_set("applied", [1e9] * 3), False, 1, "tick 6, joint waist, applied: commanded"),
 ]
 
 

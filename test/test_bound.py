@@ -13,11 +13,11 @@ import pytest
 from random_messages import huge, number, random_urdf
 
 from arm_emulator.base.bound import (
+    COMMAND,
     CURRENT,
     EFFORT,
     POSITION,
     VELOCITY,
-    VOLTAGE,
     Bound,
     encoder_counts,
 )
@@ -166,11 +166,11 @@ def test_a_servo_that_is_not_finite_begins_anew_by_itself(part: str, value: floa
     drives.aim(Target(np.zeros(3)))
     for tick in range(20):
         drives.measure(tick * 1_000_000, [5, 5, 5], [0.1, 0.1, 0.1])
-        drives.voltage(True)
+        drives.command(True)
     drives.servo.state[part][1] = value
     for tick in range(20, 23):
         drives.measure(tick * 1_000_000, [5, 5, 5], [0.1, 0.1, 0.1])
-        assert np.isfinite(drives.voltage(True)).all()
+        assert np.isfinite(drives.command(True)).all()
     assert drives.servo.restarts == 1, "joints that began anew"
     state = drives.servo.state
     assert all(np.isfinite(state[name]).all() for name in state.dtype.names), f"{state}"
@@ -342,7 +342,7 @@ def test_a_session_refuses_extreme_numbers_and_stays_as_it_was(clock: str) -> No
     for tick in range(100):
         for _ in range(5):
             voltage = [rng.gauss(0.0, 1.0) for _ in names]
-            voltage[rng.randrange(3)] = rng.choice((huge(rng), math.nan, 1.01 * VOLTAGE.largest))
+            voltage[rng.randrange(3)] = rng.choice((huge(rng), math.nan, 1.01 * COMMAND.largest))
             with pytest.raises(Refusal):
                 one.offer(tick, names, voltage)
             with pytest.raises(Refusal):
@@ -351,7 +351,7 @@ def test_a_session_refuses_extreme_numbers_and_stays_as_it_was(clock: str) -> No
                 one.offer(tick, names, rng.choice(([None] * 3, ["x"] * 3, [10**400] * 3)))
         for session in (one, other):
             # As much as there may be: the drives apply the supply voltage.
-            session.offer(tick, names, [1.0, -2.0, VOLTAGE.largest if tick % 7 else 0.0])
+            session.offer(tick, names, [1.0, -2.0, COMMAND.largest if tick % 7 else 0.0])
             session.advance()
         assert one.state.q.tobytes() == other.state.q.tobytes(), f"tick {tick}"
 

@@ -422,7 +422,7 @@ def test_cyclic_position_is_our_own_servo_to_the_last_bit(name: str, feedforward
 
     def observe() -> None:
         measured = plant.measured
-        servo.observe(measured.encoder_counts, measured.current, plant.voltage)
+        servo.observe(measured.encoder_counts, measured.current, plant.measured.applied)
 
     observe()
     for _ in range(2):  # two words, then Operation enabled
@@ -444,7 +444,9 @@ def test_cyclic_position_is_our_own_servo_to_the_last_bit(name: str, feedforward
         q = (position + 0.5) * count_angle * ratio
         v = 1e-3 * feedforward * speed * count_angle * ratio
         plant.exchange(servo.control(q, v))
-        assert (drives.plant.voltage == plant.voltage).all(), f"voltages in period {k}"
+        assert (drives.plant.measured.applied == plant.measured.applied).all(), (
+            f"commands in period {k}"
+        )
         observe()
         lag = max(lag, abs(drives.read(0, 0x60F4)))
     assert (truth(drives, "q") == plant.state.q).all(), "link angles"
@@ -840,7 +842,7 @@ def test_a_following_error_is_a_fault_after_its_time() -> None:
     assert drives.read(0, 0x1003, 0) == 1, "errors that are kept"
     assert drives.read(0, 0x1003, 1) == 0x8611, "the newest of them"
     assert state(drives, 1) == "operation enabled", "the others go on"
-    assert drives.plant.voltage[0] == 0.0, "the motor has no voltage"
+    assert drives.plant.measured.applied[0] == 0.0, "the motor has no voltage"
     drives.write(0, CONTROL, RESET)
     drives.period()
     assert state(drives) == "switch on disabled", "after the reset"
@@ -1001,14 +1003,14 @@ def test_brakes_open_before_and_close_behind_the_motion() -> None:
     closed = until(drives, lambda: drives.read(1, 0x2004) == 1)
     assert closed == pytest.approx(CLOSE / T, abs=2), "periods until the brake is closed"
     drives.period(50)
-    assert drives.plant.voltage[1] == 0.0, "the motor is let go once it is braked"
+    assert drives.plant.measured.applied[1] == 0.0, "the motor is let go once it is braked"
     turned = (truth(drives, "theta_m") - held) * 1024 / (2 * math.pi)
     # The weight moves from the brake to the motor, which finds it by its integral: some counts.
     assert np.abs(turned).max() < 12, "counts by which the motors have turned"
     enable(drives, CSP)
     drives.write(1, CONTROL, 0)  # disable voltage: at once, and it sags
     drives.period()
-    assert drives.plant.voltage[1] == 0.0, "no voltage at once"
+    assert drives.plant.measured.applied[1] == 0.0, "no voltage at once"
 
 
 def test_homing_here_puts_the_offset_there() -> None:
@@ -1125,8 +1127,10 @@ def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
             # A fault comes at the end of a period. Brakes: the motor is held while they move.
             off = now in ("switch on disabled", "ready", "switched on", "fault")
             if off and before[j] == now and drives.plant.scene is PLAIN:
-                assert drives.plant.voltage[j] == 0.0, f"voltage in {now}, period {k}"
-            assert abs(drives.plant.voltage[j]) <= PLAIN.supply_voltage, f"voltage, period {k}"
+                assert drives.plant.measured.applied[j] == 0.0, f"command in {now}, period {k}"
+            assert abs(drives.plant.measured.applied[j]) <= PLAIN.supply_voltage, (
+                f"command, period {k}"
+            )
             before[j] = now
     assert len(seen) >= 4, f"states that were seen: {seen}"
     assert "operation enabled" in seen, "it was enabled"

@@ -225,7 +225,7 @@ def test_commands_are_currents_within_the_limit_and_zero_without_power(tmp_path:
     plant = Plant(scene)
     assert [joint.command for joint in scene.joints] == ["A", "A", "A"]
     plant.exchange(np.array([100.0, -50.0, 9.0]))
-    assert plant.voltage.tolist() == [100.0, -50.0, LIMIT], "the supply bounds no current"
+    assert plant.measured.applied.tolist() == [100.0, -50.0, LIMIT], "the supply bounds no current"
     for _ in range(30):
         plant.exchange(np.array([5.0, -5.0, 5.0]))
     assert plant.state.current == pytest.approx([5.0, -5.0, 5.0], rel=1e-2)

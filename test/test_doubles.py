@@ -131,7 +131,7 @@ def test_a_command_for_another_emulator_is_not_taken() -> None:
         emulator = one.nodes["emulator"]
         for count in range(1, 9):
             foreign = MotorCommand(
-                tick=0, joint_names=JOINTS, voltage=[0.0] * 3, machine=rng.getrandbits(64) or 1
+                tick=0, joint_names=JOINTS, command=[0.0] * 3, machine=rng.getrandbits(64) or 1
             )
             one.send("motor_commands", foreign)
             counted = emulator._diagnostics.values["motor_commands for another emulator"]
@@ -141,5 +141,5 @@ def test_a_command_for_another_emulator_is_not_taken() -> None:
         assert status.tick == one.newest("motor_states").tick == 0, "the machine has moved"
         assert status.phase == EmulatorStatus.PHASE_WAITING, "for its own command"
         assert status.commands_refused == one.refused("emulator") == 0, "they are no fault"
-        one.send("motor_commands", MotorCommand(tick=0, joint_names=JOINTS, voltage=[0.0] * 3))
+        one.send("motor_commands", MotorCommand(tick=0, joint_names=JOINTS, command=[0.0] * 3))
         assert one.newest("motor_states").tick == 1, "a command for any emulator is taken"

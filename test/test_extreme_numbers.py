@@ -145,7 +145,7 @@ def test_a_controller_that_is_not_finite_states_so_and_begins_anew(
         nodes.run_to(120)
         assert nodes.nodes[name]._diagnostics.values["began anew"] == 1
         assert "began anew" not in nodes.nodes[name]._diagnostics._message, "it works again"
-        assert np.isfinite(nodes.nodes["emulator"]._session.voltage).all()
+        assert np.isfinite(nodes.nodes["emulator"]._session.measured.applied).all()
         begin_anew(nodes)
         nodes.run_to(TICKS)
         assert_same_bits(nodes.states, reference, TICKS)

@@ -161,13 +161,13 @@ def test_a_servo_that_has_measured_nothing_gives_no_voltage() -> None:
     drives, law = Drives(SERVO), servo_law()
     arm, voltage = drives.servo.arm, np.full(N, np.nan)
     drives.aim(Target(np.ones(N)))
-    law.servo_voltage(arm, True, pointer(voltage))
+    law.servo_command(arm, True, pointer(voltage))
     np.testing.assert_array_equal(voltage, np.zeros(N), err_msg="before the first measurement")
     drives.measure(0, [0] * N, [0.0] * N)
     drives.aim(Target(np.ones(N)))
-    assert (drives.voltage(powered=True) > 0.0).all(), "after it, towards the target"
+    assert (drives.command(powered=True) > 0.0).all(), "after it, towards the target"
     drives.reset()
-    law.servo_voltage(arm, True, pointer(voltage))
+    law.servo_command(arm, True, pointer(voltage))
     np.testing.assert_array_equal(voltage, np.zeros(N), err_msg="after a reset")
 
 
@@ -204,10 +204,10 @@ def by_hand(rows: list[list[float]], ticks: int) -> dict[int, bytes]:
         measured = session.measured
         states[tick] = bits_of(measured.encoder_counts, measured.current)
         drives.measure(
-            session.logical_ns, measured.encoder_counts, measured.current, session.voltage
+            session.logical_ns, measured.encoder_counts, measured.current, measured.applied
         )
         drives.aim(Target(np.array(row_at(rows, tick))))
-        session.offer(tick, NAMES, drives.voltage(session.powered).tolist())
+        session.offer(tick, NAMES, drives.command(session.powered).tolist())
         session.advance()
     return states
 
@@ -302,7 +302,7 @@ def test_targets_hold_from_their_row_to_the_next(
         for tick in range(50):
             run.advance(1)
             np.testing.assert_array_equal(
-                run.session.voltage, row_at(rows, tick), err_msg=f"targets of tick {tick}"
+                run.session.measured.applied, row_at(rows, tick), err_msg=f"targets of tick {tick}"
             )
 
 

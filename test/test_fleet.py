@@ -270,7 +270,7 @@ def refusals() -> Iterator[tuple[str, Any, str]]:
     yield "q", lambda s: Fleet(s, 2, q=np.zeros((3, 3))), "q must have shape"
     yield "far", lambda s: Fleet(s, 2, q=all_joints(s, 1e300)), "q must be at most"
     yield "v", lambda s: Fleet(s, 2, v=all_joints(s, np.inf)), "v must be finite"
-    yield "voltage", lambda s: Fleet(s, 2).advance(all_joints(s, np.nan), 1), "must be finite"
+    yield "command", lambda s: Fleet(s, 2).advance(all_joints(s, np.nan), 1), "must be finite"
     yield "shape", lambda s: Fleet(s, 2).run(np.zeros((4, 3, 3)), 1), "commands must have shape"
     yield "words", lambda s: Fleet(s, 2).run("fast", 1), "must be numbers"
     yield "steps", lambda s: Fleet(s, 2).run([all_joints(s, 0.0)], -1), "steps must be >= 0"

@@ -74,7 +74,7 @@ def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
     reported |= {
         "encoder_counts": measured.encoder_counts,
         "current_d": plant.current_d,
-        "applied": plant.voltage,
+        "applied": plant.measured.applied,
         "powered": plant.powered,
         "specific_force.'unit 1'": measured.specific_force[0],
         "angular_rate.'unit 1'": measured.angular_rate[0],
@@ -161,7 +161,7 @@ def test_a_unit_moves_as_plant_does_to_the_last_bit(fmu: Fmu, plant: Plant, seed
         periods = int(rng.integers(1, 6))
         assert one.step(periods * PERIOD) == OK, one.printed
         for _ in range(periods):
-            plant.exchange(inputs["command"], voltage_d=inputs["command_d"])
+            plant.exchange(inputs["command"], command_d=inputs["command_d"])
         compare(one, plant, start)
 
 
@@ -288,7 +288,7 @@ def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
 
     def let_go_on(inputs: dict[str, Any]) -> None:
         plant.set_parameter("payload.mass", inputs[MASS])
-        plant.exchange(inputs["command"], voltage_d=inputs["command_d"])
+        plant.exchange(inputs["command"], command_d=inputs["command_d"])
 
     mass = 0.5
     for k, length in enumerate(lengths):
@@ -307,7 +307,7 @@ def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
         if k % 7 and k < len(lengths) - 1:
             continue
         now = {"encoder_counts": plant.measured.encoder_counts, "truth.q": plant.state.q,
-               "truth.v": plant.state.v, "applied": plant.voltage}  # fmt: skip
+               "truth.v": plant.state.v, "applied": plant.measured.applied}  # fmt: skip
         for name, value in now.items():
             assert np.array_equal(one.get(name), value), (name, k, float(time))
         assert one.get("time")[0] == pytest.approx(start + float(time), abs=1e-9), "time"

@@ -244,7 +244,7 @@ def test_what_is_reported_to_hold_holds_under_the_voltage_at_hand(seed: int) -> 
             cured = Plant(paper(1e-2 / steps, **overrides, **{"integrator.scheme": scheme}))
             for start in (fault.q, fault.began[0]):
                 cured.reset(start)
-                cured.advance(fault.voltage, round(2.0 * fault.t / 1e-2) * steps)
+                cured.advance(fault.applied, round(2.0 * fault.t / 1e-2) * steps)
 
 
 def test_advice_is_what_was_tried() -> None:

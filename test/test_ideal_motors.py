@@ -147,11 +147,11 @@ def test_commands_are_clamped_to_the_motors_own_limits(tmp_path: Path) -> None:
     plant = Plant(load_scene(write(tmp_path, "at_once")))
     for _ in range(3):
         plant.exchange(np.array([-7.0, 100.0, 60.0]))
-        assert plant.voltage.tolist() == [-4.0, 0.3, 60.0], "limit, limit, none"
+        assert plant.measured.applied.tolist() == [-4.0, 0.3, 60.0], "limit, limit, none"
         assert plant.state.current[[0, 2]] == pytest.approx([-4.0, 60.0]), "currents that follow"
     plant.powered = False
     plant.exchange(np.array([-7.0, 100.0, 60.0]))
-    assert plant.voltage.tolist() == [0.0, 0.0, 0.0], "commands without power"
+    assert plant.measured.applied.tolist() == [0.0, 0.0, 0.0], "commands without power"
     assert np.abs(plant.state.current).max() < 1e-12, "currents without power"
 
 

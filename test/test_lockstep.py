@@ -282,13 +282,13 @@ def test_free_run_ends_with_the_first_answer(tmp_path: Path) -> None:
         user.wait("the free run", lambda: user.tick >= 20)
         user.wait("the status", lambda: user.status)
         assert user.status.phase == EmulatorStatus.PHASE_FREE_RUNNING
-        user.publish(user.commands, MotorCommand(tick=3, joint_names=JOINTS, voltage=[0.0] * 3))
+        user.publish(user.commands, MotorCommand(tick=3, joint_names=JOINTS, command=[0.0] * 3))
         user.wait("the end", lambda: user.status.phase == EmulatorStatus.PHASE_WAITING)
         tick = user.status.tick
         user.wait("the last state", lambda: user.tick == tick)
         volts = [3.0, 1.0, 2.0]
         elbow_first = ["elbow", "waist", "shoulder"]
-        user.publish(user.commands, MotorCommand(tick=tick, joint_names=elbow_first, voltage=volts))
+        user.publish(user.commands, MotorCommand(tick=tick, joint_names=elbow_first, command=volts))
         user.wait("the next tick", lambda: user.tick == tick + 1)
         scene = load_scene("three_axis")
         plant = Plant(scene)
@@ -299,13 +299,13 @@ def test_free_run_ends_with_the_first_answer(tmp_path: Path) -> None:
         expected = bits_of(plant.measured.encoder_counts, plant.measured.current)
         assert user.motor_states()[tick + 1] == expected
         # The same answer once more is no fault; another one to a tick that was left is.
-        again = MotorCommand(tick=tick, joint_names=elbow_first, voltage=volts)
+        again = MotorCommand(tick=tick, joint_names=elbow_first, command=volts)
         user.publish(user.commands, again)
         repeated = "motor_commands repeated"
         user.wait("the count", lambda: user.value("emulator", repeated) == "1")
         assert user.refused("emulator", "motor_commands") == 0
         assert user.diagnostics["emulator"].level == DiagnosticStatus.OK
-        again.voltage[0] += 1.0
+        again.command[0] += 1.0
         user.publish(user.commands, again)
         user.wait("the refusal", lambda: user.refused("emulator", "motor_commands") == 1)
         assert f"got {tick} (stale)" in user.value("emulator", "newest refusal")

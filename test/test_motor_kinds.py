@@ -107,7 +107,7 @@ def test_a_step_is_the_linear_prediction(kind: str) -> None:
                 session.logical_ns, measured.encoder_counts, measured.current, measured.applied
             )
             drives.aim(Target(target + offset))
-            command = drives.voltage(session.powered)
+            command = drives.command(session.powered)
             session.offer(tick, list(scene.joint_names), command.tolist())
             session.advance()
             q.append(session.state.q)

@@ -122,10 +122,10 @@ def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> Non
     for tick in range(3000):
         measured = session.measured
         drives.measure(
-            session.logical_ns, measured.encoder_counts, measured.current, session.voltage
+            session.logical_ns, measured.encoder_counts, measured.current, measured.applied
         )
         drives.aim(Target(goal))
-        session.offer(tick, scene.joint_names, drives.voltage(powered=True).tolist())
+        session.offer(tick, scene.joint_names, drives.command(powered=True).tolist())
         session.advance()
     # Within two counts at the link.
     off = np.abs(session.state.q - goal)

@@ -73,7 +73,7 @@ def pause_at(user: User, tick: int) -> int:
 
 
 def motor_command(tick: int, voltage: list[float] = ZERO, names: list[str] = JOINTS) -> Any:
-    return MotorCommand(tick=tick, joint_names=names, voltage=voltage)
+    return MotorCommand(tick=tick, joint_names=names, command=voltage)
 
 
 def joint_state(
@@ -116,9 +116,12 @@ BAD: dict[str, list[tuple[Maker, str]]] = {
         (lambda k: motor_command(2**64 - 1), "tick must be at most {k}, got 18446744073709551615"),
         (lambda k: motor_command(k, names=["waist", "shoulder", "hand"]), NAMES_RULE),
         (lambda k: motor_command(k, names=["waist", "waist", "elbow"]), NAMES_RULE),
-        (lambda k: motor_command(k, [1.0, 2.0]), "voltage must have one value per joint name (3)"),
-        (lambda k: motor_command(k, [1.0, NAN, 2.0]), "voltage must be finite [V], got [1.0, nan"),
-        (lambda k: motor_command(k, [1.0, 2.0, -INF]), "voltage must be finite [V]"),
+        (lambda k: motor_command(k, [1.0, 2.0]), "command must have one value per joint name (3)"),
+        (
+            lambda k: motor_command(k, [1.0, NAN, 2.0]),
+            "command must be finite [V, N m or A], got [1.0, nan",
+        ),
+        (lambda k: motor_command(k, [1.0, 2.0, -INF]), "command must be finite [V, N m or A]"),
         (lambda k: motor_command(k, [], []), NAMES_RULE),
     ],
     "joint_targets": [

@@ -74,7 +74,7 @@ def plant(scene: Scene) -> Plant:
     """One that has moved, so that outputs are no zeros."""
     plant = Plant(scene)
     for tick in range(40):
-        plant.exchange(np.array([30.0, -30.0]) * (1 if tick < 20 else -1), voltage_d=[2.0, -3.0])
+        plant.exchange(np.array([30.0, -30.0]) * (1 if tick < 20 else -1), command_d=[2.0, -3.0])
     return plant
 
 
@@ -120,7 +120,7 @@ def test_measured_has_all_of_it(scene: Scene, plant: Plant) -> None:
         assert values.shape == ((len(scene.imus), 3) if one.per_unit else (N,)), name
         assert np.isfinite(values).all(), name
         assert name in dir(measured)
-    assert measured.applied.tolist() == plant.voltage.tolist()
+    assert measured.applied.tolist() == plant.measured.applied.tolist()
     with pytest.raises(AttributeError, match="colour is none of what is measured: encoder_counts"):
         _ = measured.colour
 

@@ -110,7 +110,7 @@ def motion(file: Path, steps: int, ud: np.ndarray, uq: np.ndarray) -> np.ndarray
     """The same by the machine, in so many steps per command."""
     plant, rows = Plant(load_scene(file, {"integrator.dt": PERIOD / steps})), []
     for d, across in zip(ud, uq, strict=True):
-        plant.exchange(across, voltage_d=d)
+        plant.exchange(across, command_d=d)
         rows.append(state_of(plant))
     return np.array(rows)
 
@@ -142,7 +142,7 @@ def test_energy_is_what_the_inverter_gives_less_what_is_dissipated(arm: Path) ->
     left = []
     for steps in (20, 40):
         plant = Plant(load_scene(arm, {"integrator.dt": PERIOD / steps}))
-        plant.exchange(uq[0], voltage_d=ud[0])
+        plant.exchange(uq[0], command_d=ud[0])
         found = balance_of(plant, uq, 5 * steps)
         left.append(found.left / (abs(found.given) + found.dissipated.sum()))
     assert left[1] < 1e-4 and left[1] < 0.3 * left[0], f"{left}"
@@ -172,7 +172,7 @@ def test_a_rotor_that_is_held_takes_the_currents_of_a_winding_at_rest(tmp_path: 
         for name in ("resistance", "inductance_d", "inductance_q")
     )
     for k in range(5):
-        plant.exchange(uq, voltage_d=ud)
+        plant.exchange(uq, command_d=ud)
         t = PERIOD * (k + 1)
         # Second order: (h R/L)^2 is at most 1e-4 of the current.
         assert plant.current_d == pytest.approx(ud / R * -np.expm1(-t * R / Ld), rel=1e-4), "id"
@@ -185,12 +185,14 @@ def test_commands_stay_within_the_inverters_circle_and_go_without_power(arm: Pat
     rng = np.random.default_rng(12)
     for _ in range(20):
         ud, uq = rng.uniform(-2.0, 2.0, (2, 3)) * AMPLITUDE
-        plant.exchange(uq, voltage_d=ud)
+        plant.exchange(uq, command_d=ud)
         d = np.clip(ud, -AMPLITUDE, AMPLITUDE)
         rest = np.sqrt(np.maximum(0.0, AMPLITUDE**2 - d**2))
         # The inverter's amplitude is rounded.
         expected = np.clip(uq, -rest, rest)
-        assert plant.voltage == pytest.approx(expected, abs=1e-6 * AMPLITUDE), "uq that is left"
+        assert plant.measured.applied == pytest.approx(expected, abs=1e-6 * AMPLITUDE), (
+            "uq that is left"
+        )
     saved, row = plant.save(), np.full(3, 3.0)
     other = Plant(plant.scene)
     other.restore(saved)
@@ -199,10 +201,10 @@ def test_commands_stay_within_the_inverters_circle_and_go_without_power(arm: Pat
     assert plant.save() == other.save(), "the held ud is part of what is saved"
     plant.powered = False
     for _ in range(200):
-        plant.exchange(row, voltage_d=row)
-    assert plant.voltage.tolist() == [0.0, 0.0, 0.0], "uq without power"
-    with pytest.raises(Refusal, match=r"voltage_d must be finite"):
-        plant.exchange(row, voltage_d=[0.0, math.nan, 0.0])
+        plant.exchange(row, command_d=row)
+    assert plant.measured.applied.tolist() == [0.0, 0.0, 0.0], "uq without power"
+    with pytest.raises(Refusal, match=r"command_d must be finite"):
+        plant.exchange(row, command_d=[0.0, math.nan, 0.0])
 
 
 def test_a_weakened_field_lets_a_motor_without_load_turn_faster(tmp_path: Path) -> None:
@@ -214,7 +216,7 @@ def test_a_weakened_field_lets_a_motor_without_load_turn_faster(tmp_path: Path) 
     R, Ld, psi, p = (motor[k] for k in ("resistance", "inductance_d", "flux", "pole_pairs"))
     weak = psi * np.array([0.0, -0.3, -0.6]) * R / Ld  # V, for so much of the magnets' flux
     for _ in range(3000):
-        plant.exchange(np.full(3, 20.0), voltage_d=weak)
+        plant.exchange(np.full(3, 20.0), command_d=weak)
     speed = 20.0 / (p * (psi + Ld * weak / R))
     # exp(-3 s / 0.4 s) of it is left to come at the weakest field.
     assert plant.state.omega_m == pytest.approx(speed, rel=1e-3), "speeds without load"

@@ -134,9 +134,9 @@ def test_noise_of_sensors_moves_the_links_as_computed() -> None:
     session, drives, rows = Session(scene, "lockstep", "first_answer"), Drives(gains.servo), []
     for tick in range(6000):
         seen = session.measured
-        drives.measure(session.logical_ns, seen.encoder_counts, seen.current, session.voltage)
+        drives.measure(session.logical_ns, seen.encoder_counts, seen.current, seen.applied)
         drives.aim(Target(scene.start))
-        session.offer(tick, scene.joint_names, drives.voltage(powered=True).tolist())
+        session.offer(tick, scene.joint_names, drives.command(powered=True).tolist())
         session.advance()
         if tick >= 1000:
             rows.append(session.state.q)

@@ -368,12 +368,12 @@ while True:
         written = 0
         while written < 100:
             with contextlib.suppress(RuntimeError, ValueError):  # no file yet, or half a one
-                written = len(signal_of(file, "voltage", "swing")[0])
+                written = len(signal_of(file, "applied", "swing")[0])
             assert process.poll() is None
             assert time.monotonic() < deadline
         process.send_signal(signal.SIGKILL)
         process.wait()
-    at, values = signal_of(file, "voltage", "swing")
+    at, values = signal_of(file, "applied", "swing")
     assert len(at) >= written
     assert np.array_equal(at, np.arange(len(at)) * MS)
     assert (values == 0.5).all()

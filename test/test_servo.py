@@ -102,7 +102,7 @@ def run(
     rows, late, applied = [], [0.0] * dead_time, 0.0
     for _ in range(ticks):
         measured = [machine.counts], [machine.x[0]]
-        voltage = servo.update(*measured, [q_target], voltage=[applied], **control)[0]
+        voltage = servo.update(*measured, [q_target], applied=[applied], **control)[0]
         rows.append((machine.q_motor, machine.x[3], voltage, machine.x[0], servo.v_measured[0]))
         late.append(voltage)
         applied = late.pop(0)
@@ -199,7 +199,7 @@ def test_targets_go_on_with_their_speed_for_a_motion_period_at_most(seed: int) -
             drives.aim(Target(np.array([q]), np.array([v]) if moving else None))
         ahead = min((tick - at) / 1000, motion_period)
         expected = twin.control([q + v * ahead], [v])
-        assert drives.voltage(powered=True) == expected, f"voltage of tick {tick}"
+        assert drives.command(powered=True) == expected, f"voltage of tick {tick}"
 
 
 def test_targets_that_go_on_stay_within_what_a_joint_may_be_asked_for() -> None:
@@ -210,7 +210,7 @@ def test_targets_that_go_on_stay_within_what_a_joint_may_be_asked_for() -> None:
     drives.aim(Target(np.array([-largest]), np.array([-VELOCITY.largest])))
     for tick in range(60):
         drives.measure(tick * 1_000_000, [0], [0.0])
-        assert np.isfinite(drives.voltage(powered=True)).all()
+        assert np.isfinite(drives.command(powered=True)).all()
 
 
 @pytest.mark.parametrize("speed", [0.2, -0.7])
@@ -225,7 +225,7 @@ def test_a_ramp_of_targets_with_speeds_is_followed_without_stairs(speed: float) 
             if tick % 50 == 0:
                 drives.aim(Target(np.array([speed * PERIOD * tick]), np.array([speed])))
             off.append(machine.x[3] - speed * PERIOD * tick)
-            machine.advance(drives.voltage(powered=True)[0])
+            machine.advance(drives.command(powered=True)[0])
         ripple[name] = np.ptp(off[1000:])
     # Encoder counts and the gear are left: a count is 6e-5 rad.
     assert ripple["line"] < 3.0 * JOINT.count_angle, f"{ripple}"
@@ -244,7 +244,7 @@ def test_the_servo_is_reported_what_voltage_was_applied() -> None:
         servo, machine = servo_of(fast), Drivetrain(fast, stiffness=1.0, damping=0.0)
         applied, off = 0.0, []
         for tick in range(400):
-            given = {"voltage": [applied]} if reported else {}
+            given = {"applied": [applied]} if reported else {}
             servo.observe([machine.counts], [machine.x[0]], **given)
             servo.control([0.0])
             applied = float(rng.uniform(-1.0, 1.0))
@@ -288,7 +288,7 @@ class WindingUp(Servo):
         return voltage
 
     def update(self, counts: Any, current: Any, q_target: Any, **given: Any) -> np.ndarray:
-        self.observe(counts, current, given["voltage"])
+        self.observe(counts, current, given["applied"])
         return self.control(q_target)
 
 

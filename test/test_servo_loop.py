@@ -151,7 +151,7 @@ def test_the_linear_servo_is_the_servo_that_runs(seed: int) -> None:
     linear = LinearServo(joint, axis.period)
     pair = [Servo(ServoConfig(axis.period, 0.0, 1.0, 2.0, 1e300, (joint,))) for _ in range(2)]
     x, V = np.zeros(len(STATES)), 0.0
-    size = {"theta": 1e-3, "current": 1.0, "voltage": 1.0, "target": 1e-3 * axis.gear.ratio}
+    size = {"theta": 1e-3, "current": 1.0, "applied": 1.0, "target": 1e-3 * axis.gear.ratio}
     for tick in range(50):
         one, two = rng.normal(size=(2, len(INPUTS))) * [
             size.get(name, axis.gear.ratio) for name in INPUTS
@@ -186,7 +186,7 @@ def run_axis(
     servo = Servo(ServoConfig(axis.period, 0.0, 1.0, 2.0, supply, (joint,)))
     x, V, count, q = np.zeros(len(plant.F)), 0.0, 2.0 * math.pi / joint.counts_per_turn, []
     for _ in range(ticks):
-        current = plant.current[0] @ x + plant.current_by_voltage[0] * V
+        current = plant.current[0] @ x + plant.current_by_command[0] * V
         counts = math.floor(plant.theta[0] @ x / count)
         V = float(servo.update([counts], [current], [target])[0])
         x = plant.F @ x + plant.G[:, 0] * V
@@ -326,10 +326,10 @@ def test_how_still_a_link_stands_is_predicted(seed: int, counts: int) -> None:
     for tick in range(ticks):
         measured = session.measured
         drives.measure(
-            session.logical_ns, measured.encoder_counts, measured.current, session.voltage
+            session.logical_ns, measured.encoder_counts, measured.current, measured.applied
         )
         drives.aim(Target(target))
-        session.offer(tick, scene.joint_names, drives.voltage(powered=True).tolist())
+        session.offer(tick, scene.joint_names, drives.command(powered=True).tolist())
         session.advance()
         if tick >= ticks - 2000:
             rows.append(session.state.q)
@@ -405,10 +405,10 @@ def swing_of(scene: Scene, servo: ServoConfig, ticks: int, kick: float) -> np.nd
     for tick in range(ticks):
         measured = session.measured
         drives.measure(
-            session.logical_ns, measured.encoder_counts, measured.current, session.voltage
+            session.logical_ns, measured.encoder_counts, measured.current, measured.applied
         )
         drives.aim(Target(scene.start[order]))
-        V = drives.voltage(powered=True)
+        V = drives.command(powered=True)
         if tick == ticks // 8:
             V = V + kick
         session.offer(tick, scene.joint_names, V.tolist())
@@ -522,7 +522,7 @@ def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine
             plant.advance(V, scene.steps_per_period)
             x = F @ x + G @ V
         for what, got, expected in (
-            ("current", plant.state.current, motions.current @ x + motions.current_by_voltage * V),
+            ("current", plant.state.current, motions.current @ x + motions.current_by_command * V),
             ("motor angle", plant.state.theta_m - before, motions.theta_m @ x),
         ):
             error = np.abs(got - expected).max() / np.abs(expected).max()

@@ -27,7 +27,7 @@ def test_lockstep_leaves_a_tick_only_with_its_answer() -> None:
     one.advance()
     assert one.tick == 1 and one.plant.t == 1e-3
     assert one.phase is Phase.WAITING and not one.may_advance
-    assert np.array_equal(one.voltage, [1.0, 2.0, 3.0])
+    assert np.array_equal(one.measured.applied, [1.0, 2.0, 3.0])
 
 
 def test_first_answer_may_come_late_and_ends_the_free_run() -> None:
@@ -74,7 +74,7 @@ def test_real_time_holds_the_newest_command() -> None:
     with pytest.raises(Refusal, match=r"tick must be at most 3, got 4 \(future\)"):
         one.offer(4, NAMES, [9.0, 9.0, 9.0])
     one.advance()
-    assert np.array_equal(one.voltage, [2.0, 2.0, 2.0])
+    assert np.array_equal(one.measured.applied, [2.0, 2.0, 2.0])
 
 
 @pytest.mark.parametrize("clock", ["lockstep", "realtime"])
@@ -89,9 +89,9 @@ def test_real_time_holds_the_newest_command() -> None:
         ),
         (0, ["waist", "waist", "elbow"], ZERO, "joint names must name every joint once"),
         (0, [], [], "joint names must name every joint once, got none; valid: waist"),
-        (0, NAMES, [1.0, 2.0], r"voltage must have one value per joint name \(3\), got 2 values"),
-        (0, NAMES, [1.0, float("nan"), 0.0], r"voltage must be finite \[V\]"),
-        (0, NAMES, [1.0, float("-inf"), 0.0], r"voltage must be finite \[V\]"),
+        (0, NAMES, [1.0, 2.0], r"command must have one value per joint name \(3\), got 2 values"),
+        (0, NAMES, [1.0, float("nan"), 0.0], r"command must be finite \[V, N m or A\]"),
+        (0, NAMES, [1.0, float("-inf"), 0.0], r"command must be finite \[V, N m or A\]"),
         (1, NAMES, ZERO, r"tick must be at most 0, got 1 \(future\)"),
         (2**63, NAMES, ZERO, "tick must be at most 0"),
     ],
@@ -107,7 +107,7 @@ def test_bad_commands_change_nothing(
     with pytest.raises(Refusal):
         one.offer(tick, names, voltage)
     one.advance()
-    assert np.array_equal(one.voltage, [4.0, 5.0, 6.0])
+    assert np.array_equal(one.measured.applied, [4.0, 5.0, 6.0])
 
 
 def test_the_same_answer_again_is_needless_and_another_one_is_stale() -> None:
@@ -126,12 +126,12 @@ def test_the_same_answer_again_is_needless_and_another_one_is_stale() -> None:
             one.offer(0, NAMES, other)
         assert not isinstance(refusal.value, Needless)
     one.advance()
-    assert np.array_equal(one.voltage, [1.5, 2.0, 3.0])
+    assert np.array_equal(one.measured.applied, [1.5, 2.0, 3.0])
     # Another answer to a tick that is not left yet is taken.
     one.offer(2, NAMES, [0.0, 0.0, 1.0])
     one.offer(2, NAMES, [0.0, 0.0, 2.0])
     one.advance()
-    assert np.array_equal(one.voltage, [0.0, 0.0, 2.0])
+    assert np.array_equal(one.measured.applied, [0.0, 0.0, 2.0])
 
 
 def test_repeated_commands_in_real_time() -> None:
@@ -142,7 +142,7 @@ def test_repeated_commands_in_real_time() -> None:
         one.offer(0, NAMES, [1.0, 1.0, 1.0])
     one.offer(0, NAMES, [2.0, 1.0, 1.0])
     one.advance()
-    assert np.array_equal(one.voltage, [2.0, 1.0, 1.0])
+    assert np.array_equal(one.measured.applied, [2.0, 1.0, 1.0])
 
 
 def test_an_answer_to_the_run_before_a_reset_is_needless_until_the_new_one_is_answered() -> None:
@@ -167,7 +167,7 @@ def test_joints_are_matched_by_name() -> None:
     other.offer(0, ["elbow", "waist", "shoulder"], [3.0, 1.0, 2.0])
     one.advance()
     other.advance()
-    assert np.array_equal(one.voltage, other.voltage)
+    assert np.array_equal(one.measured.applied, other.measured.applied)
 
 
 def test_without_power_the_motors_are_at_zero_volts() -> None:
@@ -175,11 +175,11 @@ def test_without_power_the_motors_are_at_zero_volts() -> None:
     one.powered = False
     one.offer(0, NAMES, [10.0, 10.0, 10.0])
     one.advance()
-    assert np.array_equal(one.voltage, ZERO)
+    assert np.array_equal(one.measured.applied, ZERO)
     one.powered = True
     one.offer(1, NAMES, [10.0, 10.0, 10.0])
     one.advance()
-    assert np.array_equal(one.voltage, [10.0, 10.0, 10.0])
+    assert np.array_equal(one.measured.applied, [10.0, 10.0, 10.0])
 
 
 def test_step_moves_a_paused_session_by_one_tick() -> None:

@@ -76,7 +76,7 @@ def test_a_drive_beyond_its_limit_states_so_and_is_off_until_it_is_below(locked:
     for tick in range(300):
         plant.exchange(VOLTS)
         off = np.where(hot, 0.0, VOLTS)
-        assert plant.voltage == pytest.approx(off, abs=0.0), f"command of tick {tick}"
+        assert plant.measured.applied == pytest.approx(off, abs=0.0), f"command of tick {tick}"
         braked = plant.measured.brake_closed[2] != 0
         assert braked == hot[2], f"brake at tick {tick}"
         was, hot = hot, plant.winding_temperatures > LIMIT

@@ -19,7 +19,7 @@ from arm_emulator.servo.servo_law import (
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 STATES = ("theta", "omega", "load", "current", "integral")
-INPUTS = ("theta", "current", "voltage", "target", "v_target", "tau_feedforward")
+INPUTS = ("theta", "current", "applied", "target", "v_target", "tau_feedforward")
 
 
 class Loop(enum.Enum):
@@ -34,7 +34,7 @@ class Loop(enum.Enum):
 class LinearServo:
     """One joint's servo for an encoder without steps, and without limits.
 
-    With x the `STATES` after a tick and u the `INPUTS` at the next one, `voltage` that of the
+    With x the `STATES` after a tick and u the `INPUTS` at the next one, `applied` that of the
     period between,
 
         x' = A x + B u        V = C x + D u
@@ -82,7 +82,7 @@ def _tick(numbers: Rows, loop: Loop, states: list[float], inputs: list[float]) -
     for name, value in zip(STATES, states, strict=True):
         state[name] = value
     places = SERVO.pointer("servo_joint", numbers), SERVO.pointer("servo_state", state)
-    theta, current, voltage, target, v_target, tau = inputs
+    theta, current, applied, target, v_target, tau = inputs
     wish = SERVO.new("servo_wish", v_target=v_target, tau=tau)
     wish.least_omega = wish.least_current = -math.inf
     wish.most_omega = wish.most_current = math.inf
@@ -95,6 +95,6 @@ def _tick(numbers: Rows, loop: Loop, states: list[float], inputs: list[float]) -
             wish.wants, wish.current = CURRENT, target
         case Loop.SPEED_LIMIT:
             wish.wants, wish.least_omega, wish.most_omega = CURRENT, target, target
-    law.servo_joint_take(*places, theta, current, voltage)
-    voltage = law.servo_joint_drive(*places, wish)
-    return [*(float(state[name][0]) for name in STATES), voltage]
+    law.servo_joint_take(*places, theta, current, applied)
+    command = law.servo_joint_drive(*places, wish)
+    return [*(float(state[name][0]) for name in STATES), command]

@@ -207,7 +207,7 @@ def _scaled(plant: SampledPlant, factor: float, joint: int | None) -> SampledPla
     if joint is not None:
         by = np.where(np.arange(len(by)) == joint, factor, 1.0)
     return dataclasses.replace(
-        plant, G=plant.G * by, current_by_voltage=plant.current_by_voltage * by
+        plant, G=plant.G * by, current_by_command=plant.current_by_command * by
     )
 
 

@@ -55,18 +55,18 @@ class Beginning(TypedDict, total=False):
 
 def reference(
     scene: Scene,
-    voltages: ArrayLike,
+    commands: ArrayLike,
     period: float,
     rtol: float = 1e-11,
     **beginning: Unpack[Beginning],
 ) -> Array:
     """Return link positions after each row, (K, N) [rad or m]; else as `reference_states`."""
-    return reference_states(scene, voltages, period, rtol, **beginning)[:, 3]
+    return reference_states(scene, commands, period, rtol, **beginning)[:, 3]
 
 
 def reference_states(
     scene: Scene,
-    voltages: ArrayLike,
+    commands: ArrayLike,
     period: float,
     rtol: float = 1e-11,
     **beginning: Unpack[Beginning],
@@ -75,7 +75,7 @@ def reference_states(
 
     Args:
         scene: the machine. Its integrator plays no part.
-        voltages: (K, N) [V; A where a drive closes a current loop], row k held from k periods to
+        commands: (K, N) [V, N m, A], row k held from k periods to
             k + 1.
         period: how long each row is held [s]. The integration starts anew with each row, since
             there the right-hand side jumps.
@@ -98,7 +98,7 @@ def reference_states(
         method = "LSODA" if machine.fastest_rate(x) > STIFF else "DOP853"
     if method == "DOP853":
         rtol = max(1e-2 * rtol, 1e-13)  # SciPy allows 2.2e-14
-    rows = np.clip(np.atleast_2d(voltages), -machine.largest, machine.largest)
+    rows = np.clip(np.atleast_2d(commands), -machine.largest, machine.largest)
     out = np.empty((len(rows), 5, machine.N))
     step = None
     for k, V in enumerate(rows):

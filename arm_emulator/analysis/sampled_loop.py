@@ -13,8 +13,8 @@ from arm_emulator.servo.held import FloatArray, held
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_THETA, _CURRENT, _VOLTAGE, _TARGET = (
-    INPUTS.index(name) for name in ("theta", "current", "voltage", "target")
+_THETA, _CURRENT, _APPLIED, _TARGET = (
+    INPUTS.index(name) for name in ("theta", "current", "applied", "target")
 )
 _DOUBLINGS = 40
 _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
@@ -22,17 +22,17 @@ _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """A machine of N joints with n states over one servo period, voltages held.
+    """A machine of N joints with n states over one servo period, commands held.
 
     x' = F x + G V. What the drives measure at a tick: motor angles theta x, and currents
-    current x + current_by_voltage V with the voltages of the period that ends there.
+    current x + current_by_command V with the commands of the period that ends there.
     """
 
     F: FloatArray  # (n, n)
     G: FloatArray  # (n, N)
     theta: FloatArray  # (N, n)
     current: FloatArray  # (N, n)
-    current_by_voltage: FloatArray  # (N,)
+    current_by_command: FloatArray  # (N,)
     q: FloatArray  # (N, n), link positions
     period: float  # s
 
@@ -43,21 +43,21 @@ class SampledPlant:
         B: FloatArray,
         theta: FloatArray,
         current: FloatArray,
-        current_by_voltage: FloatArray,
+        current_by_command: FloatArray,
         q: FloatArray,
         period: float,
     ) -> SampledPlant:
         """Return the machine of dx/dt = A x + B V; the other arguments as the attributes."""
         F, G = held(A, B, period)
-        return cls(F, G, theta, current, current_by_voltage, q, period)
+        return cls(F, G, theta, current, current_by_command, q, period)
 
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a joint's loop, cut at its voltage with all other loops closed, is from unstable."""
+    """How far a joint's loop, cut at its command with all other loops closed, is from unstable."""
 
     gain_up: float
-    """By what factor more the voltage may act; inf: any."""
+    """By what factor more the command may act; inf: any."""
     gain_down: float
     """By what factor less; 0: it may fail."""
     phase: float
@@ -69,7 +69,7 @@ class Margins:
 
 
 class SampledLoop:
-    """Machine and servos closed, for exact voltages and encoders without steps.
+    """Machine and servos closed, for exact commands and encoders without steps.
 
     Attributes:
         A: one servo period of everything, (n, n).
@@ -78,45 +78,45 @@ class SampledLoop:
     Args:
         plant: the machine.
         servos: one per joint.
-        delay: whole servo periods of dead time between a measurement and the voltage from it.
+        delay: whole servo periods of dead time between a measurement and the command from it.
     """
 
     def __init__(self, plant: SampledPlant, servos: list[LinearServo], delay: int = 0) -> None:
         self.plant = plant
         n, N, s = len(plant.F), len(servos), len(STATES)
-        # x, the states of the servos, the voltage applied in the last period, those to come.
+        # x, the states of the servos, the command applied in the last period, those to come.
         applied = n + s * N
         size = applied + N * (1 + delay)
         measured = np.zeros((len(INPUTS), N, size))
         measured[_THETA, :, :n] = plant.theta
         measured[_CURRENT, :, :n] = plant.current
         for j in range(N):
-            measured[_CURRENT, j, applied + j] = plant.current_by_voltage[j]
-            measured[_VOLTAGE, j, applied + j] = 1.0
+            measured[_CURRENT, j, applied + j] = plant.current_by_command[j]
+            measured[_APPLIED, j, applied + j] = 1.0
         A, B = np.zeros((size, size)), np.zeros((size, N))
-        voltage, by_target = np.zeros((N, size)), np.zeros((N, N))
+        command, by_target = np.zeros((N, size)), np.zeros((N, N))
         for j, servo in enumerate(servos):
             own = slice(n + s * j, n + s * (j + 1))
             A[own] = servo.B @ measured[:, j]
             A[own, own] += servo.A
             B[own, j] = servo.B[:, _TARGET]
-            voltage[j] = servo.D @ measured[:, j]
-            voltage[j, own] += servo.C
+            command[j] = servo.D @ measured[:, j]
+            command[j, own] += servo.C
             by_target[j, j] = servo.D[_TARGET]
-        # The queue of voltages: the newest at its end, the one that is applied at its front.
+        # The queue of commands: the newest at its end, the one that is applied at its front.
         queue = np.zeros((N * (1 + delay), size))
         queue_target = np.zeros((N * (1 + delay), N))
         for d in range(delay):
             queue[N * d : N * (d + 1), applied + N * (d + 1) : applied + N * (d + 2)] = np.eye(N)
-        queue[N * delay :] = voltage
+        queue[N * delay :] = command
         queue_target[N * delay :] = by_target
         A[applied:], B[applied:] = queue, queue_target
         A[:n, :n] = plant.F
         A[:n] += plant.G @ queue[:N]
         B[:n] += plant.G @ queue_target[:N]
         self.A, self.B = A, B
-        self._states, self._voltage = n, voltage
-        # What is added to the voltages that the servos ask for.
+        self._states, self._command = n, command
+        # What is added to the commands that the servos ask for.
         added = np.zeros((size, N))
         added[applied + N * delay :] = np.eye(N)
         if delay == 0:
@@ -203,15 +203,15 @@ class SampledLoop:
         return self.radius < 1.0
 
     def loudest(self) -> int:
-        """Return the joint whose voltage swings most in the motion that grows fastest."""
+        """Return the joint whose command swings most in the motion that grows fastest."""
         values, vectors = np.linalg.eig(self.A)
         motion = vectors[:, int(np.argmax(np.abs(values)))]
-        return int(np.argmax(np.abs(self._voltage @ motion)))
+        return int(np.argmax(np.abs(self._command @ motion)))
 
     def sensitivities(self, count: int = _FREQUENCIES) -> tuple[FloatArray, ComplexArray]:
         """Return frequencies (K,) [rad per period] and 1 / (1 + L) of each joint, (K, N).
 
-        L is the loop cut at the joint's voltage, all other loops closed: by Schur's complement the
+        L is the loop cut at the joint's command, all other loops closed: by Schur's complement the
         diagonal of the sensitivity matrix is just this.
         """
         # Where a pole is near the unit circle, the loop changes within a narrow band.
@@ -225,7 +225,7 @@ class SampledLoop:
         pencil = z[:, None, None] * np.eye(len(self.A)) - self.A
         added = np.broadcast_to(self._added, (len(z), *self._added.shape))
         response = np.linalg.solve(pencil, added)
-        S = 1.0 + np.einsum("jn,knj->kj", self._voltage, response)
+        S = 1.0 + np.einsum("jn,knj->kj", self._command, response)
         return w, S
 
     def margins(self) -> list[Margins]:

@@ -41,7 +41,7 @@ def swing_at_rest(joint: JointServo, plant: SampledPlant, supply_voltage: float)
         x, V, q = np.zeros(len(plant.F)), 0.0, np.empty(ticks)
         target = (5.0 + place) * joint.count_angle
         for k in range(ticks):
-            current = plant.current[0] @ x + plant.current_by_voltage[0] * V
+            current = plant.current[0] @ x + plant.current_by_command[0] * V
             counts = math.floor(plant.theta[0] @ x / count)
             law.servo_joint_observe(*servo, counts, current, V)
             V = law.servo_joint_control(*servo, target, 0.0, 0.0)

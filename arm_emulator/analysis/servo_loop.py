@@ -73,7 +73,7 @@ def sampled_plant(
         B,
         scale * motions.theta_m,
         motions.current,
-        motions.current_by_voltage,
+        motions.current_by_command,
         q,
         period,
     )
@@ -202,7 +202,7 @@ class Unstable:
     """A small motion that grows."""
 
     joint: int
-    """Whose voltage swings most."""
+    """Whose command swings most."""
     pose: int
     growth: float
     """Factor per servo period."""

@@ -45,7 +45,7 @@ class SmallMotions:
         current: motor currents by x, (N, n).
         fastest: how fast its fastest motion grows [1/s].
         falls: the same with motors that give no torque: what an arm does by its weight.
-        current_by_voltage: the same by u, (N,) [1/ohm, 1]; 0 where it does not follow at once.
+        current_by_command: the same by u, (N,) [1/ohm, 1]; 0 where it does not follow at once.
 
     Args:
         plant: whose links are asked for accelerations; its state is not touched.
@@ -116,7 +116,7 @@ class SmallMotions:
         whole, self.B = whole[:, :-N], whole[:, -N:]
         self.theta_m = (theta_m @ all_from_kept)[:, :-N]
         measured = current @ all_from_kept
-        self.current, self.current_by_voltage = measured[:, :-N], np.diag(measured[:, -N:])
+        self.current, self.current_by_command = measured[:, :-N], np.diag(measured[:, -N:])
         self.A = whole.copy()  # what the schemes treat implicitly
         whole[-N:, own_places] += by_q
         self.J = whole  # all
@@ -335,7 +335,7 @@ def _attempt(scheme: str, dt: float, fault: Diverged, duration: float) -> Attemp
     for q, v in ((fault.q, np.zeros_like(fault.v)), fault.began):
         plant.reset(q, v)
         try:
-            plant.advance(fault.voltage, math.ceil(duration / dt))
+            plant.advance(fault.applied, math.ceil(duration / dt))
         except Diverged:
             return Attempt(integrator, plant.t, held=False)
         reached = min(reached, plant.t)

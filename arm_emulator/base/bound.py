@@ -83,7 +83,7 @@ POSITION = Bound("position", "rad", 1e6)
 VELOCITY = Bound("velocity", "rad/s", 1e6)
 ACCELERATION = Bound("acceleration", "rad/s2", 1e9)
 EFFORT = Bound("effort", "N m", 1e9)
-VOLTAGE = Bound("voltage", "V", 1e9)
+COMMAND = Bound("command", "V, N m or A", 1e9)
 CURRENT = Bound("current", "A", 1e9)
 # What acts on a link from outside, and where on it.
 FORCE = Bound("force", "N", 1e6)

@@ -123,7 +123,7 @@ def demo_commands(scene: Scene, file: Path) -> Array | None:
     try:
         for _ in range(round((settle + SECONDS) / scene.servo_period)):
             run.advance(1)
-            rows.append(run.session.voltage)
+            rows.append(run.session.measured.applied)
     except Diverged:
         return None
     return np.array(rows)

@@ -36,7 +36,7 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
         t.append(state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec)
         for into, of in (
             (counts, state.encoder_counts), (current, state.current),
-            (command, state.voltage), (at_link, state.link_encoder_counts),
+            (command, state.applied), (at_link, state.link_encoder_counts),
         ):  # fmt: skip
             into.append([of[k] if len(of) else 0 for k in order])
     if not t:

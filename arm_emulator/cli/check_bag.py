@@ -1,8 +1,8 @@
-"""`arm_emulator check-bag`: drive the machine again with a bag's voltages and compare all bits.
+"""`arm_emulator check-bag`: drive the machine again under a bag's commands and compare all bits.
 
-A run depends on nothing but the voltages of each servo period, and every motor state reports those
-of the period before it. So the machine, driven by these voltages, must come to the recorded states;
-and in lock-step the voltages must be those of the recorded commands. What was changed by hand is
+A run depends on nothing but the commands of each servo period, and every motor state reports those
+of the period before it. So the machine, driven by these, must come to the recorded states; and
+in lock-step they must be those of the recorded commands. What was changed by hand is
 changed again: a reset or a switch of the power is computed, and a machine that was set or restored
 is put where its event has it. A run is what lies between two resets; it is checked if the bag has
 it from tick 0 on.
@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator.analysis.stability import explain
-from arm_emulator.base.bound import VOLTAGE
+from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
@@ -158,10 +158,10 @@ class _Checker:
         """What of each message is compared."""
         fields = self._measured
         own = (one.name for one in fields.own)
-        names = "stamp", "tick", *fields.in_all, "voltage", *own, *fields.listed
+        names = "stamp", "tick", *fields.in_all, *own, *fields.listed
         return {
             "motor_states": ", ".join(names),
-            "motor_commands": "voltage",
+            "motor_commands": "command",
             "emulator/joint_states": "position, velocity, effort",
             "emulator/events": "tick, stamp, state",
         }
@@ -177,14 +177,14 @@ class _Checker:
     def _begin(self) -> None:
         """Forget the run before."""
         self._session.reset()
-        self._led = False  # by commands: some voltage was not 0
+        self._led = False  # by commands: some command was not 0
         self._commands: dict[int, list[NDArray[np.float64]]] = {}  # by the tick that they answer
 
     def _on_command(self, command: MotorCommand) -> None:
         if not self._inside:
             return
         try:
-            voltage = self._commanded.arrange(command.joint_names, command.voltage, VOLTAGE)
+            row = self._commanded.arrange(command.joint_names, command.command, COMMAND)
         except Refusal:
             self.tally.refused += 1
             return
@@ -193,7 +193,7 @@ class _Checker:
         if tick > self._session.tick:
             self.tally.refused += 1
             return
-        self._commands.setdefault(tick, []).append(voltage)
+        self._commands.setdefault(tick, []).append(row)
 
     def _lead_past_a_lost_state(self, tick: int) -> None:
         """Go on to a tick whose state the bag misses, if the command before it is there."""
@@ -302,10 +302,10 @@ class _Checker:
                 f"recorded {stamp} ns, computed {session.logical_ns} ns"
             )
         now = session.measured
-        if first:  # one that diverges then, and is reported again, has other ones
-            self._compare("voltage", order, np.array(state.voltage), session.voltage)
         per_joint = (one.name for one in self._measured.own if not one.per_unit)
         for name in (*self._measured.in_all, *per_joint):
+            if name == "applied" and not first:
+                continue  # a machine that diverges then, and is reported again, has others
             self._compare(name, order, np.array(getattr(state, name)), getattr(now, name))
         self._compare_readings(state, order)
         for name in (*self._measured.absent, "imu_names"):
@@ -354,11 +354,11 @@ class _Checker:
             self._same_bits(name, recorded, computed, owners)
 
     def _applied(self, state: MotorState, order: list[int]) -> NDArray[np.float64]:
-        """Return the voltages of the period before this state; they must be as commanded."""
+        """Return the commands of the period before this state; they must be as commanded."""
         session = self._session
         session.powered = bool(state.powered)  # of the period before: switched between ticks
-        self._has_values("voltage", order, len(state.voltage))
-        applied = np.array(state.voltage)[order]
+        self._has_values("applied", order, len(state.applied))
+        applied = np.array(state.applied)[order]
         commands = self._commands.pop(session.tick, [])
         self._led = self._led or bool(applied.any())
         self.tally.free += not self._led and not commands
@@ -374,7 +374,7 @@ class _Checker:
                 joint = int(np.argmax(applied != commands[-1]))
                 raise Difference(
                     f"run {self.tally.runs}, tick {session.tick}, "
-                    f"joint {session.scene.joint_names[joint]}, voltage: "
+                    f"joint {session.scene.joint_names[joint]}, applied: "
                     f"commanded {commands[-1][joint].item()!r}, applied {applied[joint].item()!r}"
                 )
         return applied
@@ -391,8 +391,8 @@ class _Checker:
         self._compare("velocity", order, np.array(truth.velocity), now.v)
         self._compare("effort", order, np.array(truth.effort), now.gear_torque)
 
-    def _advance(self, voltage: NDArray[np.float64]) -> None:
-        self._session.advance_under(voltage)
+    def _advance(self, command: NDArray[np.float64]) -> None:
+        self._session.advance_under(command)
         self.tally.periods += 1
         if self._session.fault is not None:
             fault = explain(self._session.fault)

@@ -14,7 +14,7 @@ class Tally:
         periods: servo periods that were computed.
         states: motor states.
         truths: messages on `emulator/joint_states`.
-        commands: ticks whose voltages are those of a recorded command.
+        commands: ticks whose commands are those of a recorded command.
         changes: by hand, within runs.
         refused: commands that no machine would have taken.
         lost: motor states missing in the bag; the run was continued with commands.
@@ -24,7 +24,7 @@ class Tally:
             are not in the bag.
         first_after: where the first of these is.
         stray_truths: true joint states of no tick that the bag has.
-        uncommanded: ticks in lock-step whose voltages no recorded command gives.
+        uncommanded: ticks in lock-step whose commands no recorded one gives.
         held: commands in real time, where any may be held.
     """
 
@@ -78,7 +78,7 @@ class Tally:
             "motor states of a run that began before the recording": self.before,
             "states are missing, the run was continued with commands": self.lost,
             "true joint states of no tick that the bag has": self.stray_truths,
-            "ticks whose voltages no recorded command gives": self.uncommanded,
+            "ticks whose commands no recorded one gives": self.uncommanded,
             "commands: in real time any may be held": self.held,
         }
         return [f"{number} {name}" for name, number in what.items() if number]

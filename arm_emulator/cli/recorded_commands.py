@@ -61,7 +61,7 @@ def _from_bag(path: Path, scene: Scene) -> Array:
         if abs(at - tick * scene.servo_period) > 0.5 * scene.servo_period:
             rule = f"come after each {scene.servo_period:g} s, as the scene's"
             raise Refusal(str(path), "motor_states", rule, f"tick {tick} at {at:g} s")
-        rows.append([float(state.voltage[names.index(joint)]) for joint in scene.joint_names])
+        rows.append([float(state.applied[names.index(joint)]) for joint in scene.joint_names])
     if gap:
         rule = "have every tick of the last run, from 0 on"
         raise Refusal(str(path), "motor_states", rule, gap)

@@ -13,7 +13,7 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 
 HOLD = 1.0  # s, for which the arm is left alone without power
-RUN_UP = 5.0  # s, within which a joint reaches its stop at full voltage
+RUN_UP = 5.0  # s, within which a joint reaches its stop at full command
 
 
 def report_safety(scene: Scene, q: Array) -> Iterator[str]:
@@ -51,19 +51,19 @@ def _power_cut(scene: Scene, q: Array) -> str:
 
 
 def _hit(scene: Scene, j: int, stops: EndStops) -> str:
-    plant, voltage = Plant(scene), np.zeros(len(scene.joints))
-    voltage[j] = scene.largest_commands[j] * np.sign(scene.joints[j].gear.ratio)
+    plant, command = Plant(scene), np.zeros(len(scene.joints))
+    command[j] = scene.largest_commands[j] * np.sign(scene.joints[j].gear.ratio)
     name, fastest, deepest, back = scene.joints[j].name, 0.0, 0.0, 0.0
     label = f"end stop of {name}"
-    if not np.isfinite(voltage[j]):
+    if not np.isfinite(command[j]):
         return f"{label}: not tried, the joint's command has no limit"
     try:
         for _ in range(round(RUN_UP / scene.servo_period)):
-            plant.advance(voltage, scene.steps_per_period)
+            plant.advance(command, scene.steps_per_period)
             x = plant.state
             depth, v = float(x.q[j]) - stops.upper, float(x.v[j])
             if depth > 0.0:
-                voltage[j] = 0.0
+                command[j] = 0.0
             elif deepest > 0.0:
                 break
             fastest, deepest, back = max(fastest, v), max(deepest, depth), min(back, v)

@@ -220,17 +220,17 @@ def run(scene: Scene, servo: ServoConfig) -> Run:
     for tick in range(ticks):
         state, measured = session.state, session.measured
         counts, current = measured.encoder_counts[order], measured.current[order]
-        drives.measure(session.logical_ns, counts, current, session.voltage[order])
+        drives.measure(session.logical_ns, counts, current, session.measured.applied[order])
         s, rate = _quintic((tick - begin) * period / time)
         if tick % every == 0:
             q = scene.start + s * way
             drives.aim(Target(q[order], (rate / time * way)[order]))
-        voltage = drives.voltage(session.powered)
+        command = drives.command(session.powered)
         if begin <= tick < end:
             off.append(state.q - scene.start - s * way)
         if tick >= ticks - round(WATCHED / period):
             q_late.append(state.q)
-        session.offer(tick, list(servo.joint_names), voltage.tolist())
+        session.offer(tick, list(servo.joint_names), command.tolist())
         session.advance()
         if session.fault is not None:
             raise session.fault

@@ -20,7 +20,7 @@ class Diverged(RuntimeError):
         scene: the machine.
         q: its link positions then (N,) [rad or m].
         v: its link speeds then (N,) [rad/s or m/s].
-        voltage: applied then (N,) [V].
+        applied: to the motors then (N,) [V, N m, A].
         began: positions and speeds to which it was reset before.
         hint: what would hold, in words, where somebody has found it out; part of the text.
     """
@@ -32,11 +32,11 @@ class Diverged(RuntimeError):
         scene: Scene,
         q: Array,
         v: Array,
-        voltage: Array,
+        applied: Array,
         began: tuple[Array, Array],
     ) -> None:
         self.joint, self.t, self.scene = joint, t, scene
-        self.q, self.v, self.voltage, self.began = q, v, voltage, began
+        self.q, self.v, self.applied, self.began = q, v, applied, began
         self.hint = ""
         super().__init__(
             f"Plant.advance: joint {joint} diverged after t = {t:.6g} s with scheme "

@@ -213,7 +213,7 @@ class Fleet(Turns):
 
     @in_turn
     def exchange(
-        self, command: Commands, tick: int = -1, voltage_d: ArrayLike | None = None
+        self, command: Commands, tick: int = -1, command_d: ArrayLike | None = None
     ) -> None:
         """Go through one servo period under commands that answer a tick, see `Plant.exchange`.
 
@@ -222,7 +222,7 @@ class Fleet(Turns):
         Args:
             command: as for `advance`.
             tick: that they answer; -1: none.
-            voltage_d: (N,) or (count, N) [V], along the rotors' flux; 0 if None.
+            command_d: (N,) or (count, N) [V], along the rotors' flux; 0 if None.
 
         Raises:
             Refusal: wrong shape or not finite; nothing has changed.
@@ -230,8 +230,8 @@ class Fleet(Turns):
         where = "Fleet.exchange"
         rows, along = self._as_commands(command, where), None
         tick = check_count(where, "tick", tick, -1)
-        if voltage_d is not None:
-            along = self._rows(voltage_d, None, where, "voltage_d", "V")
+        if command_d is not None:
+            along = self._rows(command_d, None, where, "command_d", "V")
         self._commands["value"] = rows
         places = {"joint": self._commands} | ({} if along is None else {"value_d": along})
         given, exchange = ARM.new("arm_command", tick=tick, **places), self.core.arm_fleet_exchange

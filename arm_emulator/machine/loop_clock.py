@@ -43,9 +43,9 @@ class LoopClock(Clock):
         self._loop.command(-1, self._zero)
         self._loop.clear_figures()
 
-    def command(self, answered: int, voltage: Array) -> None:
-        """Hold voltages [V] from now on, which answer a tick."""
-        self._loop.command(answered, voltage)
+    def command(self, answered: int, command: Array) -> None:
+        """Hold commands (N,) from now on, which answer a tick."""
+        self._loop.command(answered, command)
 
     def start(self, tick: int) -> None:
         """Let time pass from a tick on."""

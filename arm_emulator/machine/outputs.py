@@ -20,7 +20,7 @@ _COUNTS = Output(
 )
 _CURRENT = Output("current", "current of each motor, by its sensor", "joint.current", "A")
 _APPLIED = Output(
-    "applied", "what each motor got in the servo period that has passed", "joint.voltage", COMMAND
+    "applied", "what each motor got in the servo period that has passed", "joint.applied", COMMAND
 )
 ALWAYS = (_COUNTS, _CURRENT, _APPLIED, FAULTS)
 

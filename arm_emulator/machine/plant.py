@@ -44,6 +44,7 @@ from arm_emulator.machine.turns import Turns, in_turn
 from arm_emulator.machine.varied import varied_number
 
 LARGEST_STEPS = 10**15  # of one call
+UNITS = "V, N m or A"  # of commands
 PIECE = 2**20  # steps after which a long call looks whether Ctrl-C was pressed
 
 
@@ -97,8 +98,8 @@ class Plant(Turns):
         self._shape = (N,)
         self._owner = of.owner if of else None  # it must not go before
         self.machine = of.machine if of else self._new()
-        self._voltage = np.zeros(N)
-        self._voltage_pointer = pointer(self._voltage)
+        self._held = np.zeros(N)
+        self._held_pointer = pointer(self._held)
         self._rows = np.zeros((len(ROWS), N))
         self._energy = np.zeros(1)
         # What is asked for, apart: without a place, energy and torques are not worked out.
@@ -147,7 +148,7 @@ class Plant(Turns):
     def _all(self) -> tuple[bytes, tuple[Array, Array], Array, Array]:
         """Return what another machine has to take to be as this one, see `_take`."""
         commands = np.array([self._commands["value"], self._commands_d])
-        return self.save(), self._reset_to, self._voltage.copy(), commands
+        return self.save(), self._reset_to, self._held.copy(), commands
 
     def _renew_threads(self) -> None:
         self.core.arm_begin_threads(self.machine)
@@ -194,27 +195,27 @@ class Plant(Turns):
             steps = check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
         row = self._as_command(command, "Plant.advance")
         with self._turn:
-            before = self._voltage.copy()
-            self._voltage[:] = row
-            advance, machine, applied = self.core.arm_advance, self.machine, self._voltage_pointer
+            before = self._held.copy()
+            self._held[:] = row
+            advance, machine, applied = self.core.arm_advance, self.machine, self._held_pointer
             result = advance(machine, applied, min(steps, PIECE))
             if result == REFUSED:
-                self._voltage[:] = before
+                self._held[:] = before
                 raise self._refusal("Plant.advance", "a number")
             while result == OK and steps > PIECE:
                 steps -= PIECE
                 result = advance(machine, applied, min(steps, PIECE))
             if result == DIVERGED:
-                raise self._diverged(self._voltage)
+                raise self._diverged(self._held)
 
     def exchange(
-        self, command: Commands, tick: int = -1, voltage_d: ArrayLike | None = None
+        self, command: Commands, tick: int = -1, command_d: ArrayLike | None = None
     ) -> None:
         """Go through one servo period under commands that answer a tick, -1: none.
 
         A command is a voltage, torque or current [V, N m, A], as the joint's motor takes it
         (`scene.joints[k].command`); of a motor in its rotor's frame it is the voltage across the
-        flux, and `voltage_d` (N,) [V] that along it, 0 if None. Commands are (N,), or by names of
+        flux, and `command_d` (N,) [V] that along it, 0 if None. Commands are (N,), or by names of
         all joints. Without power every command is 0.
 
         Raises:
@@ -225,7 +226,7 @@ class Plant(Turns):
         row = self._as_command(command, where)
         if type(tick) is not int or not -1 <= tick < 2**63:
             tick = check_count(where, "tick", tick, -1)
-        along = 0.0 if voltage_d is None else as_row(voltage_d, self._N, where, "voltage_d", "V")
+        along = 0.0 if command_d is None else as_row(command_d, self._N, where, "command_d", "V")
         with self._turn:
             self._commands["value"] = row
             self._commands_d[:] = along
@@ -234,7 +235,7 @@ class Plant(Turns):
             if result == REFUSED:
                 raise self._refusal(where, "a number")
             if result == DIVERGED:
-                raise self._diverged(self._measured["voltage"])
+                raise self._diverged(self._measured["applied"])
 
     def _as_command(self, command: Commands, where: str) -> Array:
         """Return commands (N,), however they are given."""
@@ -242,7 +243,7 @@ class Plant(Turns):
             if command.dtype == np.float64:
                 return command
         given = by_joint(command, self.scene, where)
-        row = as_numbers(given, where, "command", "V, N m or A")
+        row = as_numbers(given, where, "command", UNITS)
         if row.shape != self._shape:
             raise Refusal(where, "command", f"have shape {self._shape}", row.shape)
         return row
@@ -262,7 +263,7 @@ class Plant(Turns):
             if result == REFUSED:
                 raise self._refusal("Plant.exchange_in", "a number")
             if result == DIVERGED:
-                raise self._diverged(self._measured["voltage"])
+                raise self._diverged(self._measured["applied"])
 
     def measure_time(self) -> None:
         """Measure from now on the wall time that steps take, for `spent_ns`."""
@@ -278,12 +279,6 @@ class Plant(Turns):
     def commanded(self) -> Array:
         """The newest commands of `exchange` or `exchange_in`, (N,) [V, N m, A]."""
         return self._commands["value"].copy()
-
-    @property
-    @in_turn
-    def voltage(self) -> Array:
-        """What the motors got in the servo period that has passed (N,) [V], within the supply."""
-        return self._measured["voltage"].copy()
 
     @property
     @in_turn
@@ -402,14 +397,14 @@ class Plant(Turns):
     def diverged(self) -> Diverged | None:
         """Why the machine stays where it is; None if it goes on."""
         diverged = self._look(self._clock).fault >= 0
-        return self._diverged(self._measured["voltage"]) if diverged else None
+        return self._diverged(self._measured["applied"]) if diverged else None
 
     @in_turn
-    def run(self, voltages: ArrayLike, steps: int) -> Array:
-        """Apply rows of voltages one after the other, without coming back to Python in between.
+    def run(self, commands: ArrayLike, steps: int) -> Array:
+        """Apply rows of commands one after the other, without coming back to Python in between.
 
         Args:
-            voltages: (K, N) [V].
+            commands: (K, N) [V, N m, A].
             steps: integration steps under each row, >= 0; with all rows at most 1e15.
 
         Returns:
@@ -419,11 +414,11 @@ class Plant(Turns):
             Refusal: wrong shape, not finite, or no such count; the state is as before.
             Diverged: as `advance`.
         """
-        rows = np.atleast_2d(as_numbers(voltages, "Plant.run", "voltages", "V"))
+        rows = np.atleast_2d(as_numbers(commands, "Plant.run", "commands", UNITS))
         if rows.ndim != 2 or rows.shape[1] != self._N:
-            raise Refusal("Plant.run", "voltages", f"have shape (K, {self._N})", rows.shape)
+            raise Refusal("Plant.run", "commands", f"have shape (K, {self._N})", rows.shape)
         if not np.isfinite(rows).all():
-            raise Refusal("Plant.run", "voltages", "be finite [V]", rows)
+            raise Refusal("Plant.run", "commands", f"be finite [{UNITS}]", rows)
         steps = check_count("Plant.run", "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
         q = np.zeros_like(rows)
         if steps > PIECE:
@@ -441,7 +436,7 @@ class Plant(Turns):
         return q
 
     def fault(
-        self, joint: int, t: float, q: Array, v: Array, voltage: ArrayLike | None = None
+        self, joint: int, t: float, q: Array, v: Array, applied: ArrayLike | None = None
     ) -> Diverged:
         """Return what to raise when a joint, by its index, left the bounds after the state given.
 
@@ -450,17 +445,17 @@ class Plant(Turns):
             t: logical time of that state [s].
             q: its link positions (N,) [rad or m].
             v: its link speeds (N,) [rad/s or m/s].
-            voltage: applied then (N,) [V]; None: those of the last `advance`.
+            applied: commands then (N,) [V, N m, A]; None: those of the last `advance`.
         """
-        applied = np.array(self._voltage if voltage is None else voltage)
+        given = np.array(self._held if applied is None else applied)
         values = self.parameters
         varied = tuple(replace(one, value=values[one.name]) for one in self.scene.varied)
         scene = replace(self.scene, varied=varied)
-        return Diverged(scene.joint_names[joint], t, scene, q, v, applied, self._reset_to)
+        return Diverged(scene.joint_names[joint], t, scene, q, v, given, self._reset_to)
 
-    def _diverged(self, voltage: ArrayLike) -> Diverged:
+    def _diverged(self, applied: ArrayLike) -> Diverged:
         state = self.state
-        return self.fault(self._truth.fault, state.t, state.q, state.v, voltage)
+        return self.fault(self._truth.fault, state.t, state.q, state.v, applied)
 
     def _refusal(self, where: str, otherwise: str) -> Refusal:
         """Return why the core has refused a call."""
@@ -480,19 +475,20 @@ class Plant(Turns):
         return float(self._energy[0])
 
     @in_turn
-    def powers(self, voltage: ArrayLike) -> EnergyFlow:
-        """Return what the joints are given and dissipate now, under voltages (N,) [V], in W.
+    def powers(self, command: Commands) -> EnergyFlow:
+        """Return what the joints are given and dissipate now, under commands (N,), in W.
 
         Raises:
             Refusal: wrong shape, not finite, or the scene has no `energy_flow`.
         """
-        V, out = as_row(voltage, self._N, "Plant.powers", "voltage", "V"), np.zeros((2, self._N))
-        if self.core.arm_powers(self.machine, pointer(V), pointer(out)) == REFUSED:
-            raise self._refusal("Plant.powers", "false")
+        where, out = "Plant.powers", np.zeros((2, self._N))
+        u = as_row(by_joint(command, self.scene, where), self._N, where, "command", UNITS)
+        if self.core.arm_powers(self.machine, pointer(u), pointer(out)) == REFUSED:
+            raise self._refusal(where, "false")
         return EnergyFlow(*out)
 
     @in_turn
-    def advance_metered(self, voltage: ArrayLike, steps: int) -> EnergyFlow:
+    def advance_metered(self, command: Commands, steps: int) -> EnergyFlow:
         """Advance as `advance` does, and return what the joints were given and dissipated, in J.
 
         The change of `energy` is their sum, as well as the scheme follows the equations. It takes
@@ -504,16 +500,17 @@ class Plant(Turns):
         """
         where = "Plant.advance_metered"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
-        self._voltage[:] = as_row(voltage, self._N, where, "voltage", "V")
+        given = by_joint(command, self.scene, where)
+        self._held[:] = as_row(given, self._N, where, "command", UNITS)
         total = np.zeros((2, self._N))
         for first in range(0, steps, PIECE):
             out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
-            meter, applied = self.core.arm_advance_metered, self._voltage_pointer
+            meter, applied = self.core.arm_advance_metered, self._held_pointer
             result = meter(self.machine, applied, count, pointer(out))
             if result == REFUSED:
                 raise self._refusal(where, "false")
             if result == DIVERGED:
-                raise self._diverged(self._voltage)
+                raise self._diverged(self._held)
             total += out
         return EnergyFlow(*total)
 
@@ -632,13 +629,13 @@ def _take(
     added: bool,
     saved: bytes,
     began: tuple[Array, Array],
-    voltage: Array,
+    held: Array,
     commands: Array,
 ) -> Plant:
     """Let a new plant go on as another one would, see `Plant._all`."""
     plant.restore(saved)
     plant._added, plant._reset_to = added, began
-    plant._voltage[:] = voltage
+    plant._held[:] = held
     plant._commands["value"], plant._commands_d[:] = commands
     return plant
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from arm_emulator.base.bound import VOLTAGE
+from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Reached, RealTimeFigures
@@ -92,15 +92,15 @@ class RealTimeLoop:
         """Go on as if it had not been stopped; what was missed is lateness, and lost periods."""
         self._calls.arm_real_time_go_on(self._loop)
 
-    def command(self, answered: int, voltage: Array) -> None:
-        """Set the voltages (N,) [V] for the periods to come; -1 answers no tick.
+    def command(self, answered: int, command: Array) -> None:
+        """Set the commands (N,) [V, N m, A] for the periods to come; -1 answers no tick.
 
         Raises:
             Refusal: wrong shape, not finite, or no count.
         """
         where = "RealTimeLoop.command"
         check_count(where, "answered", answered, -1)
-        self._commands["value"] = VOLTAGE.vector(where, voltage, self._N)
+        self._commands["value"] = COMMAND.vector(where, command, self._N)
         self._command.tick = answered
         self._calls.arm_real_time_command(self._loop, self._command)
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from arm_emulator.base.bound import VOLTAGE
+from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
@@ -69,7 +69,7 @@ class Session:
     Args:
         scene: the machine.
         clock: "lockstep" or "realtime".
-        start: what goes on until the first command: "free_run" runs at zero voltage,
+        start: what goes on until the first command: "free_run" runs under commands of 0,
             "first_answer" stands still at tick 0, "paused" stands still until `paused` is set to
             False and then runs free.
         driver: what lets the periods of its plant pass. A loop runs exactly while the phase allows
@@ -122,7 +122,6 @@ class Session:
             self.tick = 0
             self._paused = self._start == "paused"
             self.fault: Diverged | EndOfTime | None = None
-            self.voltage = self._zero  # applied now
             self._commanded: Array | None = None  # newest accepted command
             self._answered_tick = -1  # the tick that it answers
             self._before: tuple[int, Array | None] = (-1, None)  # the accepted one before it
@@ -309,7 +308,7 @@ class Session:
         """Whether the rules of the clock allow to leave this tick now."""
         return self.phase in (Phase.FREE_RUNNING, Phase.RUNNING)
 
-    def offer(self, tick: int, joint_names: Sequence[str], voltage: Sequence[float]) -> None:
+    def offer(self, tick: int, joint_names: Sequence[str], command: Sequence[float]) -> None:
         """Take a motor command; it changes nothing if it is refused.
 
         Args:
@@ -317,12 +316,12 @@ class Session:
                 than the last and not of the future. The first command may come late in both: it
                 ends the free run, and the next one answers in time.
             joint_names: every joint of the scene once, in any order.
-            voltage: one per name [V].
+            command: one per name [V, N m, A].
 
         Raises:
             Needless: the same bits once more for one of the two ticks answered last, or an answer
                 that was on its way when the run before was left.
-            Refusal: wrong tick, names, length, or a voltage that is not finite or too large.
+            Refusal: wrong tick, names, length, or a command that is not finite or too large.
         """
         check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
         if tick > self.tick:
@@ -334,17 +333,17 @@ class Session:
         if (self.lockstep and self._commanded is not None and tick < self.tick) or tick < newest:
             at_least = self.tick if self.lockstep else newest
             rule = f"be at least {at_least}"
-            if self._is_repeated(tick, self._order.arrange(joint_names, voltage, VOLTAGE)):
+            if self._is_repeated(tick, self._order.arrange(joint_names, command, COMMAND)):
                 raise Needless("repeated", rule, f"{tick}")
             raise Refusal("motor_commands", "tick", rule, f"{tick} (stale)")
-        command = self._order.arrange(joint_names, voltage, VOLTAGE)
-        if tick == newest and self._is_repeated(tick, command):
+        row = self._order.arrange(joint_names, command, COMMAND)
+        if tick == newest and self._is_repeated(tick, row):
             raise Needless("repeated", "be answered once", f"{tick}")
         if tick != newest:
             self._before = (newest, self._commanded)
-        self._commanded = command
+        self._commanded = row
         self._answered_tick = tick
-        self._clock.command(tick, command)
+        self._clock.command(tick, row)
         self._follow_phase()
 
     def _is_repeated(self, tick: int, command: Array) -> bool:
@@ -354,23 +353,22 @@ class Session:
         return False
 
     def advance(self) -> None:
-        """Advance by one servo period under the command, or under 0 V without one or without power.
+        """Advance by one servo period under the command, or under 0 without one or without power.
 
         After a `fault`, and only then, tick and state stay as they were.
         """
         commanded = self._commanded
         self.advance_under(self._zero if commanded is None else commanded, self._answered_tick)
 
-    def advance_under(self, voltage: Array, answered: int = -1) -> None:
-        """Advance by one servo period under voltages (N,) [V] that answer a tick, see `advance`."""
+    def advance_under(self, command: Array, answered: int = -1) -> None:
+        """Advance by one servo period under commands (N,) that answer a tick, see `advance`."""
         if self.logical_ns + self.period_ns >= END_OF_TIME:
             self.fault = EndOfTime()
             return
         try:
-            self.plant.exchange(voltage, answered)
+            self.plant.exchange(command, answered)
         except Diverged as fault:
             self.fault = fault
-        self.voltage = self.plant.voltage
         self._look()
         if self.fault is not None:
             return
@@ -392,7 +390,6 @@ class Session:
         except Diverged as fault:
             self.fault = fault
         finally:
-            self.voltage = self.plant.voltage
             self._look()
             self._before = (-1, None)
             self._commanded, self._answered_tick = self.plant.commanded, loop.tick - 1
@@ -412,12 +409,11 @@ class Session:
         if reached is None:
             return False
         self.tick, self._energy, self._measured = reached.tick, reached.energy, reached.measured
-        self.voltage = reached.measured.applied
         t = reached.tick * self.scene.servo_period
         current, theta_m, omega_m, q, v, gear_torque = reached.rows
         self._state = PlantState(t, current, theta_m, omega_m, q, v, gear_torque)
         if reached.fault >= 0:
-            self.fault = self.plant.fault(reached.fault, t, q, v, self.voltage)
+            self.fault = self.plant.fault(reached.fault, t, q, v, reached.measured.applied)
         return True
 
     def _follow_phase(self) -> None:

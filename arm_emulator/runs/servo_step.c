@@ -8,7 +8,7 @@ static void take(servo_step* one, int64_t now, const arm_measurement* measured) 
     const arm_joint_measurement* joint = &measured->joint[one->place[j]];
     one->counts[j] = joint->encoder;
     one->current[j] = joint->current;
-    one->applied[j] = joint->voltage;
+    one->applied[j] = joint->applied;
   }
   servo_measure(one->arm, now, one->counts, one->current, one->applied);
 }
@@ -28,6 +28,6 @@ void servo_step_step(void* with, const firmware_input* in, firmware_output* out)
     for (int32_t j = 0; j < joints; ++j) one->q[j] = in->q_target[one->place[j]];
     servo_aim(one->arm, one->q, NULL, NULL);
   }
-  servo_voltage(one->arm, (int32_t)in->measured->powered, one->voltage);
-  for (int32_t j = 0; j < joints; ++j) out->joint[one->place[j]].value = one->voltage[j];
+  servo_command(one->arm, (int32_t)in->measured->powered, one->command);
+  for (int32_t j = 0; j < joints; ++j) out->joint[one->place[j]].value = one->command[j];
 }

@@ -51,7 +51,7 @@ class ServoStep(ControlCode):
         self._drives = drives  # must outlive the step
         self._place = np.array(place, np.int32)
         servo = drives.servo
-        counts, current, applied, q, *_, voltage = servo.places
+        counts, current, applied, q, *_, command = servo.places
         self.with_ = STEP.new(
             "servo_step",
             arm=servo.arm,
@@ -60,7 +60,7 @@ class ServoStep(ControlCode):
             current=current,
             applied=applied,
             q=q,
-            voltage=voltage,
+            command=command,
         )
         self._calls = _servo_step()
         self.step = self._calls.servo_step_step

@@ -24,9 +24,9 @@ class Target:
 
 
 class Drives:
-    """All drives of an arm: follow the newest target, hold without one, or give no voltage.
+    """All drives of an arm: follow the newest target, hold without one, or command nothing.
 
-    Per servo period `measure` once, `aim` when a target comes, then `voltage`.
+    Per servo period `measure` once, `aim` when a target comes, then `command`.
 
     A target that has a speed goes on with it until the next one comes, for one motion period at
     most: q + v (t - t_target). So the angles asked for are a line from target to target and no
@@ -63,7 +63,7 @@ class Drives:
         time_ns: int,
         counts: npt.ArrayLike,
         current: npt.ArrayLike,
-        voltage: npt.ArrayLike | None = None,
+        applied: npt.ArrayLike | None = None,
     ) -> None:
         """Take this period's measurement.
 
@@ -71,13 +71,13 @@ class Drives:
             time_ns: logical time [ns].
             counts: see `Servo.observe`, as for the others.
             current: [A].
-            voltage: applied in the period that ends now [V].
+            applied: what the motors got in the period that ends now [V, N m, A].
 
         Raises:
             Refusal: see `Servo.observe`. Nothing has changed then.
         """
         servo = self.servo
-        places = servo.measurement(counts, current, voltage)
+        places = servo.measurement(counts, current, applied)
         self._law.servo_measure(servo.arm, time_ns, *places)
 
     def aim(self, target: Target) -> None:
@@ -90,21 +90,21 @@ class Drives:
         places = servo.targets(target.q, target.v, target.tau)
         self._law.servo_aim(servo.arm, *places)
 
-    def voltage(self, powered: bool) -> FloatArray:
-        """Return the voltages for the period that began with the last measurement, (N,) [V].
+    def command(self, powered: bool) -> FloatArray:
+        """Return the commands for the period that began with the last measurement, (N,).
 
         Args:
             powered: whether the drives have power; without it the motors turn no matter what.
         """
         servo = self.servo
         assert servo.arm.measured, "measure first"
-        self._law.servo_voltage(servo.arm, powered, servo.places[6])
+        self._law.servo_command(servo.arm, powered, servo.places[6])
         self._asked, self._powered = True, powered
-        return servo.voltage
+        return servo.command
 
     @property
     def state(self) -> WatchdogState:
-        """What the last `voltage` did."""
+        """What the last `command` did."""
         return DOES[self.servo.arm.does]
 
     @property

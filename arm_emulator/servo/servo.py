@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.bound import CURRENT, EFFORT, POSITION, VELOCITY, VOLTAGE, Bound
+from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY, Bound
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.servo.servo_config import JointServo, ServoConfig, load_servo_config
@@ -17,6 +17,7 @@ __all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
 FloatArray = npt.NDArray[np.float64]
 Places = tuple[CData, CData, CData]  # pointers to arrays; NULL: not given
 
+_APPLIED = COMMAND.named("applied")
 _Q_TARGET = POSITION.named("q_target")
 _V_TARGET = VELOCITY.named("v_target")
 _TAU = EFFORT.named("tau_feedforward")
@@ -28,15 +29,15 @@ class Servo:
     Arrays are (N,) in the order of ``config.joints``. Call once in every servo period `update`, or
     its two halves: `observe` when the measurement is there, `control` when the target is.
 
-    A joint whose observer or integral is no longer finite begins anew where the motor stands, gets
-    0 V for that period, and is counted in `restarts`. Within the bounds of base/bound.py
+    A joint whose observer or integral is no longer finite begins anew where the motor stands, is
+    commanded 0 for that period, and is counted in `restarts`. Within the bounds of base/bound.py
     only a data sheet of impossible numbers can lead there.
 
     Attributes:
         config: data-sheet values, gains and limits.
         arm: pointer to the struct that the law works on.
         state: what each joint remembers, (N,) rows of ``servo_state``.
-        places: where the law finds counts, current, voltage, q, v, tau, and puts voltages.
+        places: where the law finds counts, current, applied, q, v, tau, and puts commands.
 
     Args:
         config: data-sheet values, gains and limits.
@@ -103,15 +104,15 @@ class Servo:
         q_target: npt.ArrayLike,
         v_target: npt.ArrayLike | None = None,
         tau_feedforward: npt.ArrayLike | None = None,
-        voltage: npt.ArrayLike | None = None,
+        applied: npt.ArrayLike | None = None,
     ) -> FloatArray:
-        """Return the voltages for the period that begins now: `observe`, then `control`.
+        """Return the commands for the period that begins now: `observe`, then `control`.
 
         Raises:
             Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
                 then.
         """
-        measured = self.measurement(counts, current, voltage)
+        measured = self.measurement(counts, current, applied)
         wanted = self.targets(q_target, v_target, tau_feedforward)
         self._law.servo_observe(self.arm, *measured)
         return self._control(wanted)
@@ -120,21 +121,21 @@ class Servo:
         self,
         counts: npt.ArrayLike,
         current: npt.ArrayLike,
-        voltage: npt.ArrayLike | None = None,
+        applied: npt.ArrayLike | None = None,
     ) -> None:
         """Take this period's measurement.
 
         Args:
             counts: encoder counts, (N,) whole numbers.
             current: motor currents, (N,) [A].
-            voltage: what the drives applied in the period that ends now, (N,) [V]; None: what
+            applied: what the motors got in the period that ends now, (N,) [V, N m, A]; None: what
                 `control` returned last, 0 after `release`.
 
         Raises:
             Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
                 then.
         """
-        self._law.servo_observe(self.arm, *self.measurement(counts, current, voltage))
+        self._law.servo_observe(self.arm, *self.measurement(counts, current, applied))
 
     def control(
         self,
@@ -142,7 +143,7 @@ class Servo:
         v_target: npt.ArrayLike | None = None,
         tau_feedforward: npt.ArrayLike | None = None,
     ) -> FloatArray:
-        """Return the voltages for the period that began with the last measurement.
+        """Return the commands for the period that began with the last measurement.
 
         Args:
             q_target: link angles wanted, (N,) [rad].
@@ -150,7 +151,7 @@ class Servo:
             tau_feedforward: link torques known beforehand, e.g. of gravity, (N,) [N m]; None: 0.
 
         Returns:
-            Motor voltages, (N,) [V], within the supply voltage.
+            Of the motors, (N,) [V, N m, A], within what the drives can give.
 
         Raises:
             Refusal: a wrong length, a value that is not finite or too large, or nothing was
@@ -162,23 +163,23 @@ class Servo:
         return self._control(wanted)
 
     def release(self) -> None:
-        """Report that the motors get no voltage; control will start without an integral again."""
+        """Report that the motors get no command; control will start without an integral again."""
         self._law.servo_release(self.arm)
 
     def _control(self, wanted: Places) -> FloatArray:
         self._law.servo_control(self.arm, *wanted, self.places[6])
-        return self.voltage
+        return self.command
 
     @property
-    def voltage(self) -> FloatArray:
-        """The newest voltages, (N,) [V], as a copy."""
-        voltage: FloatArray = self._rows[5].copy()
-        return voltage
+    def command(self) -> FloatArray:
+        """The newest commands, (N,) [V, N m, A], as a copy."""
+        command: FloatArray = self._rows[5].copy()
+        return command
 
     def measurement(
-        self, counts: npt.ArrayLike, current: npt.ArrayLike, voltage: npt.ArrayLike | None
+        self, counts: npt.ArrayLike, current: npt.ArrayLike, applied: npt.ArrayLike | None
     ) -> Places:
-        """Return where counts, currents and voltages lie for the law.
+        """Return where counts, currents and what was applied lie for the law.
 
         Raises:
             Refusal: see `observe`.
@@ -187,8 +188,8 @@ class Servo:
         self._whole[:] = given
         if (self._whole != given).any():
             raise Refusal("servo", "counts", "be whole numbers", given.tolist())
-        volts = None if voltage is None else self._vector(voltage, VOLTAGE)
-        return self.places[0], self._row(0, self._vector(current, CURRENT)), self._row(1, volts)
+        got = None if applied is None else self._vector(applied, _APPLIED)
+        return self.places[0], self._row(0, self._vector(current, CURRENT)), self._row(1, got)
 
     def targets(
         self,

@@ -64,13 +64,13 @@ def closed_loop(run: MeasuredRun, data: Filtered, frequency: float) -> ClosedLoo
     for tick in range(every * len(run.t)):
         measured = session.measured
         counts, current = measured.encoder_counts, measured.current
-        drives.measure(session.logical_ns, counts, current, session.voltage)
+        drives.measure(session.logical_ns, counts, current, session.measured.applied)
         t = min(run.t[0] + tick * PERIOD, run.t[-1])
         drives.aim(Target(command(t), speed(t)))
         if tick % every == 0:
             rows.append(np.array([session.state.theta_m * ratio, torque_constant * current]))
-        voltage = drives.voltage(session.powered).tolist()
-        session.offer(tick, list(scene.joint_names), voltage)
+        command = drives.command(session.powered).tolist()
+        session.offer(tick, list(scene.joint_names), command)
         session.advance()
         if session.fault is not None:
             raise session.fault

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rerun.urdf import UrdfTree
 
 # In the order in which `RerunStream.offer` takes them.
-QUANTITIES = ("q", "v", "gear_torque", "current", "voltage", "q_measured")
+QUANTITIES = ("q", "v", "gear_torque", "current", "applied", "q_measured")
 
 AXIS_LENGTH = 0.2  # m, of the axes of the world at the base
 SECOND = 1_000_000_000  # ns
@@ -133,7 +133,7 @@ class RerunBatches:
         recording.log(TOOL_PATH, root, line, static=True)
         recording.log(TOOL_TARGET, root, point, static=True)
         curves = [
-            (_path("signals", quantity, name), name, colour, quantity == "voltage")
+            (_path("signals", quantity, name), name, colour, quantity == "applied")
             for quantity in self._quantities
             for name, colour in zip(self._names, itertools.cycle(COLOURS), strict=False)
         ]

@@ -119,7 +119,7 @@ def blueprint(
                     ),
                 ),
                 plot("Motor current [A]", "signals/current", legend=False),
-                plot("Motor voltage [V]", "signals/voltage", legend=False),
+                plot("Motor command", "signals/applied", legend=False),
                 plot("Gear torque [N m]", "signals/gear_torque", legend=False),
                 row_shares=[3, 2, 2, 2],  # room for seven names
             ),

@@ -162,7 +162,7 @@ class RerunStream:
         v: Array,
         gear_torque: Array,
         current: Array,
-        voltage: Array,
+        applied: Array,
         q_measured: Array | None = None,
         further: Sequence[Array] = (),
     ) -> None:
@@ -176,13 +176,13 @@ class RerunStream:
             v: true joint speeds (N,) [rad/s or m/s].
             gear_torque: (N,) [N m or N].
             current: motor currents (N,) [A].
-            voltage: motor voltages (N,) [V].
+            applied: what the motors got (N,) [V, N m, A].
             q_measured: joint angles measured through encoders (N,) [rad or m]; None: not measured.
             further: the further quantities, (N,) each.
         """
         if self._open:
             measured = self._not_measured if q_measured is None else q_measured
-            self._queue.put(time_ns, (q, v, gear_torque, current, voltage, measured, *further))
+            self._queue.put(time_ns, (q, v, gear_torque, current, applied, measured, *further))
 
     def offer_target(self, time_ns: int, p_WT: Sequence[float]) -> None:
         """Show where the tool shall be, p_WT (3,) [m] in the root frame, from a logical time on.

@@ -255,7 +255,7 @@ def test_halting_in_gdb_changes_no_bit(
         if what == "stepi":
             lines.append(f"stepi {rng.integers(1, 60)}")
         elif what == "middle":
-            lines += [f"tbreak *(servo_voltage+{4 * rng.integers(1, 12)})", "continue"]
+            lines += [f"tbreak *(servo_command+{4 * rng.integers(1, 12)})", "continue"]
         else:
             lines.append(str(what))
         lines += [

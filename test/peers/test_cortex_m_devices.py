@@ -95,7 +95,7 @@ void ADC_Handler(void) {
   }
   servo_measure(&arm, now, counts, current, voltage);
   servo_aim(&arm, q, 0, 0);
-  servo_voltage(&arm, 1, voltage);
+  servo_command(&arm, 1, voltage);
   for (int j = 0; j < SERVO_JOINTS; ++j) NUMBER(0x40000100 + 4 * j) = voltage[j];
   now += SERVO_PERIOD;
 }

@@ -252,7 +252,7 @@ def test_motors_take_torque_current_or_voltage_side_by_side(tmp_path: Path) -> N
         assert one.step(PERIOD) == OK, one.printed
         plant.exchange(row)
         assert np.array_equal(one.get("truth.q"), plant.state.q), plant.t
-        assert np.array_equal(one.get("applied"), plant.voltage), plant.t
+        assert np.array_equal(one.get("applied"), plant.measured.applied), plant.t
 
 
 def slave(unpacked: Path, name: str) -> tuple[Any, dict[str, Any]]:

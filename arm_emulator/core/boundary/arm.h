@@ -160,7 +160,8 @@ enum arm_fault {
 typedef struct arm_joint_measurement {
   int64_t encoder; /* counts at the motor, as its encoder measures them */
   double current;  /* A, as its sensor measures it */
-  double voltage;  /* V (N m, A), the command in the period that has passed */
+  double
+      applied; /* V, N m or A: of the command, what the motor got in the period that has passed */
   uint32_t faults; /* bits of enum arm_fault */
   uint32_t brake;  /* 1: it is closed */
 } arm_joint_measurement;
@@ -290,17 +291,17 @@ int arm_set_truth(arm_machine* machine, const arm_truth* truth);
 
 /* ----------------------------------------------------------------------- away from the ticks */
 
-/* Take `steps` integration steps under `voltage` [V]; without power the motors get 0. */
-int arm_advance(arm_machine* machine, const double* voltage, int64_t steps);
-/* The same for `rows` rows of voltages, `steps` steps each; q after each row goes to `q`. */
-int arm_run(arm_machine* machine, const double* voltage, int64_t rows, int64_t steps, double* q);
+/* Take `steps` integration steps under `command` [V, N m, A]; without power the motors get 0. */
+int arm_advance(arm_machine* machine, const double* command, int64_t steps);
+/* The same for `rows` rows of commands, `steps` steps each; q after each row goes to `q`. */
+int arm_run(arm_machine* machine, const double* command, int64_t rows, int64_t steps, double* q);
 
 /* What the supply and external wrenches give to each joint and what each dissipates, so many of
- * each in `out`: now and under `voltage` [W], or 0 without power. Both calls need a scene with
+ * each in `out`: now and under `command` [W], or 0 without power. Both calls need a scene with
  * `energy_flow`. */
-int arm_powers(const arm_machine* machine, const double* voltage, double* out);
+int arm_powers(const arm_machine* machine, const double* command, double* out);
 /* As `arm_advance`; what was given and dissipated on the way goes to `out` [J]. */
-int arm_advance_metered(arm_machine* machine, const double* voltage, int64_t steps, double* out);
+int arm_advance_metered(arm_machine* machine, const double* command, int64_t steps, double* out);
 
 /* The linear part of every drive (drive_table.hpp), for the analysis of small motions: what the
  * schemes treat implicitly, and the linearisation about a gear that is not wound up, wherever the

@@ -27,11 +27,11 @@ void arm_fleet_delete(arm_fleet* fleet);
 /* One of the arms, for all calls of arm.h but `arm_delete`; null if there are not so many. */
 arm_machine* arm_fleet_machine(arm_fleet* fleet, int32_t arm);
 
-/* Advance `arms` arms from `first` on, which is the first of a group, for `rows` rows of voltages
+/* Advance `arms` arms from `first` on, which is the first of a group, for `rows` rows of commands
  * [V], `steps` integration steps each; arms without power get 0. The positions after each row go to
  * `q`. Rows are of the whole fleet; only the places of these arms are read and written. An arm that
  * diverges stays at its last sound state, the others go on: ARM_DIVERGED if there is any. */
-int arm_fleet_run(arm_fleet* fleet, int32_t first, int32_t arms, const double* voltage,
+int arm_fleet_run(arm_fleet* fleet, int32_t first, int32_t arms, const double* command,
                   int64_t rows, int64_t steps, double* q);
 
 /* ------------------------------------------------------------------------- all arms in one call

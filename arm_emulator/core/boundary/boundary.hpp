@@ -76,7 +76,7 @@ struct arm_machine {
     whole.for_each_number(number);
     one.sensors.for_each_number(number);
     number(one.answered);
-    for (double& volts : one.voltage) number(volts);
+    for (double& value : one.applied) number(value);
     number(one.powered);
     for (double& value : values) number(value);
     if constexpr (Scene::external_wrench)
@@ -165,17 +165,17 @@ struct arm_machine {
     }
   }
   // What the motors get of commands: without power nothing.
-  const double* with_power(const double* voltage) const {
+  const double* with_power(const double* command) const {
     static constexpr double nothing[N] = {};
-    return powered ? voltage : nothing;
+    return powered ? command : nothing;
   }
-  // The same for rows of voltages; q after each goes to `q`.
-  void follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
+  // The same for rows of commands; q after each goes to `q`.
+  void follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
     if (!Sensors::present && powered) {
-      machine.follow(voltage, rows, steps, q);
+      machine.follow(command, rows, steps, q);
     } else {
-      for (; rows > 0; --rows, voltage += N, q += N) {
-        go(steps, [&](std::int64_t some) { machine.advance(with_power(voltage), some); });
+      for (; rows > 0; --rows, command += N, q += N) {
+        go(steps, [&](std::int64_t some) { machine.advance(with_power(command), some); });
         for (int j = 0; j < N; ++j) q[j] = machine.state().q[j];
       }
     }
@@ -200,14 +200,14 @@ struct arm_machine {
     }
     return ARM_OK;
   }
-  // Hold them for the period that begins, in `voltage` what the motors get.
+  // Hold them for the period that begins, in `applied` what the motors get.
   void take_commands(const arm_joint_command* joint, const double* second, std::int64_t tick) {
     double along[N] = {};
     bool hot[N] = {};  // a motor that is too hot is not enabled
     if constexpr (Machine::heats) machine.too_hot(hot);
     for (int j = 0; j < N; ++j) {
       const bool on = powered && joint[j].enable && !hot[j];
-      voltage[j] = on ? joint[j].value : 0.0;
+      applied[j] = on ? joint[j].value : 0.0;
       along[j] = on && second ? second[j] : 0.0;
     }
     for (int k = 0; k < Scene::brakes; ++k) {
@@ -216,7 +216,7 @@ struct arm_machine {
       machine.want_brake(k, !powered || !enable || enable & ARM_CLOSE_BRAKE);
     }
     if constexpr (Machine::has_second) machine.put_second(along);
-    machine.bound(voltage);
+    machine.bound(applied);
     answered = tick;
   }
 
@@ -230,7 +230,7 @@ struct arm_machine {
       const double counts = __builtin_floor(angle[j] * Scene::device[j].counts_per_rad);
       joint.encoder = static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
       joint.current = current[j];
-      joint.voltage = voltage[j];
+      joint.applied = applied[j];
       joint.faults = machine.faulty_joint() == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
       if constexpr (Machine::heats)
         if (hot[j]) joint.faults |= ARM_FAULT_THERMAL;
@@ -310,7 +310,7 @@ struct arm_machine {
   double step;
   std::int64_t steps_per_period;
   std::int64_t answered = -1;  // tick that the newest command answered
-  double voltage[N] = {};      // in the period that has passed
+  double applied[N] = {};      // in the period that has passed
   std::int64_t powered = true;
   bool measures_time = false;
   Instant::duration spent = {};  // wall time of steps, while it is measured
@@ -420,7 +420,7 @@ int arm_reset(arm_machine* machine, const double* q, const double* v) {
   machine->machine.reset(q, v);
   machine->sensors.begin(machine->machine, 0, true);
   machine->answered = -1;
-  for (double& volts : machine->voltage) volts = 0.0;
+  for (double& one : machine->applied) one = 0.0;
   return ARM_OK;
 }
 
@@ -441,7 +441,7 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
   if (machine->check_commands(command->joint, second)) return ARM_REFUSED;
   machine->take_commands(command->joint, second, command->tick);
   machine->go(machine->steps_per_period,
-              [&](std::int64_t steps) { machine->machine.advance(machine->voltage, steps); });
+              [&](std::int64_t steps) { machine->machine.advance(machine->applied, steps); });
   machine->measure(out);
   return machine->result();
 }
@@ -709,22 +709,22 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   return ARM_OK;
 }
 
-int arm_advance(arm_machine* machine, const double* voltage, std::int64_t steps) {
-  if (!machine || machine->check_finite(voltage, "command") || machine->check_count(steps, "steps"))
+int arm_advance(arm_machine* machine, const double* command, std::int64_t steps) {
+  if (!machine || machine->check_finite(command, "command") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
-  const double* given = machine->with_power(voltage);
+  const double* given = machine->with_power(command);
   machine->go(steps, [&](std::int64_t some) { machine->machine.advance(given, some); });
   return machine->result();
 }
 
-int arm_run(arm_machine* machine, const double* voltage, std::int64_t rows, std::int64_t steps,
+int arm_run(arm_machine* machine, const double* command, std::int64_t rows, std::int64_t steps,
             double* q) {
-  if (!machine || machine->check_there(voltage, "command") || machine->check_there(q, "q") ||
+  if (!machine || machine->check_there(command, "command") || machine->check_there(q, "q") ||
       machine->check_count(rows, "rows") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
   for (std::int64_t row = 0; row < rows; ++row)
-    if (machine->check_finite(voltage + row * arm_machine::N, "command")) return ARM_REFUSED;
-  machine->follow(voltage, rows, steps, q);
+    if (machine->check_finite(command + row * arm_machine::N, "command")) return ARM_REFUSED;
+  machine->follow(command, rows, steps, q);
   return machine->result();
 }
 
@@ -744,27 +744,27 @@ namespace {
 
 }  // namespace
 
-int arm_powers(const arm_machine* machine, const double* voltage, double* out) {
+int arm_powers(const arm_machine* machine, const double* command, double* out) {
   if constexpr (!Scene::energy_flow) {
     return refuse_flow(machine);
   } else {
-    if (!machine || machine->check_finite(voltage, "command") || machine->check_there(out, "out"))
+    if (!machine || machine->check_finite(command, "command") || machine->check_there(out, "out"))
       return ARM_REFUSED;
-    write_flow(machine->machine.powers(machine->with_power(voltage)), out);
+    write_flow(machine->machine.powers(machine->with_power(command)), out);
     return ARM_OK;
   }
 }
 
-int arm_advance_metered(arm_machine* machine, const double* voltage, std::int64_t steps,
+int arm_advance_metered(arm_machine* machine, const double* command, std::int64_t steps,
                         double* out) {
   if constexpr (!Scene::energy_flow) {
     return refuse_flow(machine);
   } else {
-    if (!machine || machine->check_finite(voltage, "command") || machine->check_there(out, "out") ||
+    if (!machine || machine->check_finite(command, "command") || machine->check_there(out, "out") ||
         machine->check_count(steps, "steps"))
       return ARM_REFUSED;
     arm::EnergyFlow<Scene> flow;
-    const double* given = machine->with_power(voltage);
+    const double* given = machine->with_power(command);
     machine->go(steps,
                 [&](std::int64_t some) { machine->machine.advance_metered(given, some, flow); });
     write_flow(flow, out);

@@ -36,34 +36,34 @@ struct arm_fleet {
   }
   arm_fleet(const arm_fleet&) = delete;
 
-  // Take a group through rows of voltages, see SideBySide; sensors look at every tick. Arms without
+  // Take a group through rows of commands, see SideBySide; sensors look at every tick. Arms without
   // power get none of them.
-  void follow(int g, const double* voltage, std::int64_t stride, std::int64_t rows,
+  void follow(int g, const double* command, std::int64_t stride, std::int64_t rows,
               std::int64_t steps, double* q) {
     const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
     bool powered = true;
     for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
     if (powered) {
-      follow_given(g, voltage, stride, rows, steps, q);
+      follow_given(g, command, stride, rows, steps, q);
       return;
     }
-    for (; rows > 0; --rows, voltage += stride, q += stride) {
+    for (; rows > 0; --rows, command += stride, q += stride) {
       double given[lanes * N] = {};
       for (int k = first; k < end; ++k) {
-        const double* own = machine[k]->with_power(voltage + (k - first) * N);
+        const double* own = machine[k]->with_power(command + (k - first) * N);
         for (int j = 0; j < N; ++j) given[(k - first) * N + j] = own[j];
       }
       follow_given(g, given, 0, 1, steps, q);
     }
   }
-  void follow_given(int g, const double* voltage, std::int64_t stride, std::int64_t rows,
+  void follow_given(int g, const double* command, std::int64_t stride, std::int64_t rows,
                     std::int64_t steps, double* q) {
     if constexpr (!arm_machine::Sensors::present) {
-      group[g]->follow(voltage, stride, rows, steps, q);
+      group[g]->follow(command, stride, rows, steps, q);
     } else {
       const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
-      for (; rows > 0; --rows, voltage += stride, q += stride) {
-        if (steps == 0) group[g]->follow(voltage, stride, 1, 0, q);
+      for (; rows > 0; --rows, command += stride, q += stride) {
+        if (steps == 0) group[g]->follow(command, stride, 1, 0, q);
         for (std::int64_t left = steps; left > 0;) {
           std::int64_t some = left;  // up to the next tick of one of them
           for (int k = first; k < end; ++k) {
@@ -71,7 +71,7 @@ struct arm_fleet {
             const std::int64_t due = period - machine[k]->machine.steps() % period;
             if (machine[k]->machine.faulty_joint() < 0 && due < some) some = due;
           }
-          group[g]->follow(voltage, stride, 1, some, q);
+          group[g]->follow(command, stride, 1, some, q);
           for (int k = first; k < end; ++k) machine[k]->look();
           left -= some;
         }
@@ -84,7 +84,7 @@ struct arm_fleet {
     const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
     double given[lanes * N] = {}, q[lanes * N];
     for (int k = first; k < end; ++k)
-      for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->voltage[j];
+      for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->applied[j];
     follow_given(g, given, 0, 1, machine[first]->steps_per_period, q);
   }
 
@@ -133,10 +133,10 @@ arm_machine* arm_fleet_machine(arm_fleet* fleet, std::int32_t arm) {
   return fleet && arm >= 0 && arm < fleet->arms ? fleet->machine[arm] : nullptr;
 }
 
-int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const double* voltage,
+int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const double* command,
                   std::int64_t rows, std::int64_t steps, double* q) {
   constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
-  if (!fleet || !voltage || !q || first < 0 || first % lanes || arms < 0 || first > fleet->arms ||
+  if (!fleet || !command || !q || first < 0 || first % lanes || arms < 0 || first > fleet->arms ||
       arms > fleet->arms - first || rows < 0 || steps < 0)
     return ARM_REFUSED;
   const std::int32_t end = first + arms;
@@ -144,12 +144,12 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
   for (std::int64_t row = 0; row < rows; ++row) {
     bool finite = true;
     for (std::int64_t k = first * N; k < end * N; ++k)
-      finite &= arm::is_finite(voltage[row * stride + k]);
+      finite &= arm::is_finite(command[row * stride + k]);
     if (!finite) return ARM_REFUSED;
   }
   int result = ARM_OK;
   for (std::int32_t k = first; k < end; k += lanes)
-    fleet->follow(k / lanes, voltage + k * N, stride, rows, steps, q + k * N);
+    fleet->follow(k / lanes, command + k * N, stride, rows, steps, q + k * N);
   for (std::int32_t k = first; k < end; ++k)
     if (fleet->machine[k]->result() != ARM_OK) result = ARM_DIVERGED;
   return result;

@@ -252,7 +252,7 @@ struct arm_real_time {
       if (command.tick >= 0 && k - command.tick > kOldAfter) old_commands.fetch_add(1);
       const std::int64_t began = now();
       int result = arm.exchange(arm.machine, &command, &measurement);
-      if (result == ARM_REFUSED) {  // a command that the machine does not know: no voltage
+      if (result == ARM_REFUSED) {  // a command that the machine does not know: nothing is applied
         for (arm_joint_command& joint : wanted) joint.enable = 0;
         command.tick = -1;
         result = arm.exchange(arm.machine, &command, &measurement);

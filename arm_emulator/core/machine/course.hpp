@@ -15,11 +15,10 @@ class Course {
 
   // For each lane the first row of its commands, and where its positions after that row go, if not
   // null. `stride`: numbers from one row to the next, of both.
-  Course(const double* const (&voltage)[width], double* const (&positions)[width],
+  Course(const double* const (&given)[width], double* const (&positions)[width],
          std::int64_t stride, std::int64_t steps_per_row, std::int64_t left_of_this = 0)
       : steps(steps_per_row), step_over(stride), left(left_of_this) {
-    for (int lane = 0; lane < width; ++lane)
-      command[lane] = voltage[lane], q[lane] = positions[lane];
+    for (int lane = 0; lane < width; ++lane) command[lane] = given[lane], q[lane] = positions[lane];
   }
 
   // What is left to do for one lane.

@@ -160,16 +160,16 @@ class Machine {
     put(at, true);
   }
 
-  // Take `steps` steps with the voltages held, clamped to the supply. Returns -1, or the joint that
-  // went out of bounds: then the state is the last one within, until reset.
-  int advance(const double* voltage, std::int64_t steps) {
+  // Take `steps` steps with the commands held, clamped as the drives do. Returns -1, or the joint
+  // that went out of bounds: then the state is the last one within, until reset.
+  int advance(const double* command, std::int64_t steps) {
     double q[N];
-    return follow(voltage, 1, steps, q);
+    return follow(command, 1, steps, q);
   }
 
-  // The same for `rows` rows of voltages. The links' positions after each row go to `q`.
-  int follow(const double* voltage, std::int64_t rows, std::int64_t steps, double* q) {
-    Course course({voltage}, {q}, N, steps);
+  // The same for `rows` rows of commands. The links' positions after each row go to `q`.
+  int follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
+    Course course({command}, {q}, N, steps);
     if (steps == 0 && fault < 0)
       for (std::int64_t row = 0; row < rows; ++row) course.end_row(x);
     return follow(course, rows * steps);
@@ -209,16 +209,16 @@ class Machine {
   }
 
   // The same as `advance`. What the joints are given and dissipate [J] is added to `flow`.
-  int advance_metered(const double* voltage, std::int64_t steps, EnergyFlow<S>& flow) {
+  int advance_metered(const double* command, std::int64_t steps, EnergyFlow<S>& flow) {
     EnergyMeter<S> meter(numbers);
     double u[Stepper::row] = {};
-    for (int j = 0; j < N; ++j) u[j] = voltage[j];
+    for (int j = 0; j < N; ++j) u[j] = command[j];
     bound(u);
     if constexpr (locates) threads.watch(&meter);
     int joint = fault;
     for (; joint < 0 && steps > 0; --steps) {
       const State<S> before = x;
-      joint = advance(voltage, 1);
+      joint = advance(command, 1);
       if constexpr (!locates)
         if (joint < 0) meter.part(before, x, u, modes_at(before, u), h);
     }
@@ -259,10 +259,10 @@ class Machine {
   // Put commands within the bounds of their motors.
   void bound(double* u) const { bound_commands(numbers, x, u); }
 
-  // What the joints are given and dissipate now, under these voltages [W].
-  EnergyFlow<S> powers(const double* voltage) const {
+  // What the joints are given and dissipate now, under these commands [W].
+  EnergyFlow<S> powers(const double* command) const {
     double u[N];
-    for (int j = 0; j < N; ++j) u[j] = voltage[j];
+    for (int j = 0; j < N; ++j) u[j] = command[j];
     bound(u);
     State<S> at = x;
     follow_at_once(numbers, at, u);

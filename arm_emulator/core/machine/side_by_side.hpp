@@ -24,17 +24,17 @@ class SideBySide {
   }
   SideBySide(const SideBySide&) = delete;
 
-  // Take `steps` steps for each of `rows` rows of voltages. A row is of many machines, `stride`
-  // numbers long; those of the machines here begin at `voltage`, one after the other. The positions
+  // Take `steps` steps for each of `rows` rows of commands. A row is of many machines, `stride`
+  // numbers long; those of the machines here begin at `command`, one after the other. The positions
   // after each row go to `q` in the same places; a machine at fault stays where it is.
-  void follow(const double* voltage, std::int64_t stride, std::int64_t rows, std::int64_t steps,
+  void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
               double* q) {
     take_numbers();
     const double* commands[width];
     double* positions[width];
     std::int64_t began[width];
     for (int lane = 0; lane < width; ++lane) {
-      commands[lane] = voltage + (lane < used ? lane : 0) * N;
+      commands[lane] = command + (lane < used ? lane : 0) * N;
       positions[lane] = lane < used ? q + lane * N : nullptr;
       if (lane < used) began[lane] = machine[lane]->steps();
     }
@@ -229,10 +229,10 @@ class SideBySide<S, 1> {
 
   SideBySide(double, Machine* const* machines, int) : machine(machines[0]) {}
 
-  void follow(const double* voltage, std::int64_t stride, std::int64_t rows, std::int64_t steps,
+  void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
               double* q) {
-    for (; rows > 0; --rows, voltage += stride, q += stride) {
-      machine->advance(voltage, steps);
+    for (; rows > 0; --rows, command += stride, q += stride) {
+      machine->advance(command, steps);
       for (int j = 0; j < N; ++j) q[j] = machine->state().q[j];
     }
   }

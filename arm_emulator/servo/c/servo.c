@@ -265,11 +265,11 @@ static void begin_anew(servo* arm, int32_t j) {
 }
 
 void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
-                   const servo_real* voltage) {
+                   const servo_real* applied) {
   if (!complete(arm) || !counts || !current) return;
   for (int32_t j = 0; j < arm->joints; ++j) {
     servo_state* state = &arm->state[j];
-    observe(&arm->joint[j], state, counts[j], current[j], voltage ? voltage[j] : state->voltage);
+    observe(&arm->joint[j], state, counts[j], current[j], applied ? applied[j] : state->voltage);
     if (!is_finite(state->theta + state->omega + state->load + state->unknown_voltage))
       begin_anew(arm, j);
   }
@@ -292,10 +292,10 @@ servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish) {
 }
 
 void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
-                   servo_real* voltage) {
-  if (!complete(arm) || !q || !voltage) return;
+                   servo_real* command) {
+  if (!complete(arm) || !q || !command) return;
   for (int32_t j = 0; j < arm->joints; ++j)
-    voltage[j] = control(arm, j, q[j], v ? v[j] : 0, tau ? tau[j] : 0);
+    command[j] = control(arm, j, q[j], v ? v[j] : 0, tau ? tau[j] : 0);
 }
 
 void servo_release(servo* arm) {
@@ -304,9 +304,9 @@ void servo_release(servo* arm) {
 }
 
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
-                   const servo_real* voltage) {
+                   const servo_real* applied) {
   if (!complete(arm) || !counts || !current) return;
-  servo_observe(arm, counts, current, voltage);
+  servo_observe(arm, counts, current, applied);
   arm->now = now;
   arm->measured = 1;
   servo_watchdog_state(&arm->watchdog, now);
@@ -333,14 +333,14 @@ static servo_real ahead_of(const servo* arm) {
   return (servo_real)ahead / NANOSECONDS;
 }
 
-void servo_voltage(servo* arm, int32_t powered, servo_real* voltage) {
-  if (!complete(arm) || !voltage) return;
+void servo_command(servo* arm, int32_t powered, servo_real* command) {
+  if (!complete(arm) || !command) return;
   arm->does = servo_watchdog_check(&arm->watchdog, arm->now);
   if (!powered || !arm->measured) arm->does = SERVO_CUT;
   if (arm->does == SERVO_CUT) {
     arm->holding = 0;
     servo_release(arm);
-    for (int32_t j = 0; j < arm->joints; ++j) voltage[j] = 0;
+    for (int32_t j = 0; j < arm->joints; ++j) command[j] = 0;
     return;
   }
   const int follows = arm->does == SERVO_FOLLOWS && arm->aimed;
@@ -350,7 +350,7 @@ void servo_voltage(servo* arm, int32_t powered, servo_real* voltage) {
     if (!follows && !arm->holding) state->q_hold = state->theta_measured * arm->joint[j].ratio;
     const servo_real q =
         follows ? clip(state->q_target + ahead * state->v_target, FARTHEST) : state->q_hold;
-    voltage[j] = control(arm, j, q, follows ? state->v_target : 0, follows ? state->tau : 0);
+    command[j] = control(arm, j, q, follows ? state->v_target : 0, follows ? state->tau : 0);
   }
   arm->holding = !follows;
 }

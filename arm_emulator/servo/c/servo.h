@@ -158,19 +158,19 @@ typedef struct servo {
   int64_t now;           /* ns, of the newest measurement */
   int64_t target_time;   /* ns, of the newest target */
   int32_t measured, aimed, holding;
-  int32_t does; /* enum servo_does, of the newest `servo_voltage` */
+  int32_t does; /* enum servo_does, of the newest `servo_command` */
 } servo;
 
 /* Forget everything, a cut too; what is known of the joints and all times stay. To be called once
  * before anything else. */
 void servo_reset(servo* arm);
 
-/* Per servo period: measure once, aim when a target comes, then ask for the voltages. Arrays have
+/* Per servo period: measure once, aim when a target comes, then ask for the commands. Arrays have
  * an entry per joint; times are ns of any clock that all calls share. Numbers must be finite. */
 
-/* `voltage` is what the drives applied in the period that ends now; null: what was asked for. */
+/* `applied` is what the motors got in the period that ends now; null: what was asked for. */
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
-                   const servo_real* voltage);
+                   const servo_real* applied);
 /* Link angles [rad], speeds with which they go on [rad/s], and torques of the links that are known
  * beforehand [N m]; speeds and torques may be null: 0.
  *
@@ -178,17 +178,17 @@ void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_r
  * q + v (t - t_target), so that the angles asked for are a line from target to target, no stairs.
  */
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau);
-/* Voltages for the period that begins with the newest measurement: follow the newest target, hold
+/* Commands for the period that begins with the newest measurement: follow the newest target, hold
  * without one, or 0 where nothing was measured yet, the watchdog has cut the power or the drives
  * have none. */
-void servo_voltage(servo* arm, int32_t powered, servo_real* voltage);
+void servo_command(servo* arm, int32_t powered, servo_real* command);
 
 /* The same without watchdog and clock. */
 void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
-                   const servo_real* voltage);
+                   const servo_real* applied);
 void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
-                   servo_real* voltage);
-/* Report that the motors get no voltage; control will start without an integral again. */
+                   servo_real* command);
+/* Report that the motors get no command; control will start without an integral again. */
 void servo_release(servo* arm);
 
 /* The same for one joint, whatever is asked of it. */

@@ -21,10 +21,10 @@ class InnerLoops {
   void observe(const arm_joint_measurement& measured, Axis& axis) {
     Measured& now = axis.measured;
     const std::int64_t before = now.counts;
-    servo_observe(&arm_, &measured.encoder, &measured.current, &measured.voltage);
+    servo_observe(&arm_, &measured.encoder, &measured.current, &measured.applied);
     now.counts = servo_.wrap ? state_.counts : measured.encoder;
     now.turned = now.counts - before;
-    now.command = measured.voltage;
+    now.command = measured.applied;
     now.speed = axis.units.speed(state_.omega);
     now.torque = state_.current / axis.units.current;
   }

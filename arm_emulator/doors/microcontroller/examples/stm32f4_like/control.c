@@ -29,7 +29,7 @@ void control_step(const int64_t* encoder, const uint32_t* adc, const float* q, i
     for (int j = 0; j < SERVO_JOINTS; ++j) target[j] = q[j];
     servo_aim(&arm, target, NULL, NULL);
   }
-  servo_voltage(&arm, powered, voltage);
+  servo_command(&arm, powered, voltage);
   for (int j = 0; j < SERVO_JOINTS; ++j) {
     compare[j] = compare_of(voltage[j]);
     applied[j] = command_of(compare[j]);
