@@ -117,7 +117,7 @@ def run_until(domain: int, seconds: float, network: subprocess.Popen[bytes]) -> 
 
 
 def one_recording(way: str, seconds: float, folder: Path) -> Outcome:
-    """Record one run and look at what there is."""
+    """Record one run and count its ticks."""
     bag, started = folder / "bag", time.monotonic()
     up_log, record_log = folder / "up.log", folder / "record.log"
     codes: list[int] = []

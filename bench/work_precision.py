@@ -284,7 +284,7 @@ def _rms(errors: list[float | None]) -> float | None:
 
 
 def _faster_below(points: Mapping[str, list[dict[str, Any]]], kind: str) -> float | None:
-    """Return the error below which `kind`'s best is faster than ours, None if there is none."""
+    """Return the error below which `kind`'s best is faster than ours; None: it never is."""
     for exponent in np.arange(-4.0, -13.0, -0.1):
         at = _at_error(points, 10.0**exponent)
         ours, theirs = at["ours"], at[kind]

@@ -55,7 +55,7 @@ STATUS_PERIOD = 0.5  # s, wall
 class EmulatorParameters:
     """Parameters of the node."""
 
-    scene: str = parameter("three_axis", "scene file, or name of a scene that comes along")
+    scene: str = parameter("three_axis", "scene file, or name of a shipped scene")
     clock: str = parameter("lockstep", "who owns time", choices=CLOCKS)
     start: str = parameter(
         "free_run", "what the machine does until the first motor command", choices=STARTS

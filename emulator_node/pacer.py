@@ -158,7 +158,7 @@ class LoopPacer:
             return self._outbox.send(AT_ONCE) or taken == AT_ONCE
 
     def _take(self) -> bool:
-        """Take a tick and publish its state; False if there is none."""
+        """Take a tick and publish its state; False after the last."""
         if not self._session.take():
             return False
         if self._session.fault is None:  # else it has not come to another tick

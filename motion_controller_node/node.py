@@ -267,7 +267,7 @@ class MotionControllerNode(Node):
             self._action.feed_back(message.header.stamp, names, instruction, q, v)
 
     def _speeds(self, message: JointState) -> FloatArray | None:
-        """Return measured speeds; None where there are none, or not sound: they are not needed."""
+        """Return measured speeds; None where they are missing or not sound: they are not needed."""
         try:
             if message.velocity:
                 return self._order.arrange(message.name, message.velocity, VELOCITY)
@@ -343,7 +343,7 @@ def trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoint:
 
 
 def _stamp_or_0(header: Header) -> int:
-    """Return the logical time of a header [ns], 0 where it is none."""
+    """Return the logical time of a header [ns], 0 for an invalid one."""
     try:
         return time_of("header", header.stamp)
     except Refusal:

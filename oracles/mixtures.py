@@ -1,6 +1,6 @@
 """Random mixtures of all parts of a drive: order, energy and lanes.
 
-Each machine is a random chain of two links whose joints have parts drawn from all that there are
+Each machine is a random chain of two links whose joints have parts drawn from all parts
 (machine/parts/known.py), moved by commands that jump, some under a wrench, some braked on the
 way. Claims, with rosenbrock and events located:
 

@@ -7,7 +7,7 @@ back by a large resistance, teeth and stops push where they are pressed. SciPy's
 stiff as they are, with steps of its own. What sticks creeps by some 1e-8 rad in 0.1 s, and what
 that makes of a motion falls with `Smoothing`: a tenth of it shows how much is left.
 
-Shares no line with the core, and nothing with its decisions: there are none.
+Shares no line with the core, and decides nothing.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def push(K: float, D: float, u: float, du: float) -> float:
 
 
 def within(x: float, limit: float | None) -> float:
-    """Return x clamped to a limit; None: there is none."""
+    """Return x clamped to a limit; None: unlimited."""
     return x if limit is None else min(max(x, -limit), limit)
 
 

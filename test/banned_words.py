@@ -12,12 +12,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 GLOSSARY = ROOT / "docs" / "contribute" / "glossary.md"
-PROSE = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs", "examples")
-# Here single words are banned, not yet the phrases.
-CODE = (
-    *("arm_emulator", "emulator_node", "servo_node", "motion_controller_node", "msg", "config"),
-    *("oracles", "bench", "test"),
+ROOMS = (
+    *("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs", "examples", "arm_emulator", "config"),
+    *("emulator_node", "servo_node", "motion_controller_node", "launch", "msg", "oracles", "bench"),
+    *("test", "tools"),
 )
+# Between the words of a phrase: names have underscores, comments begin their lines anew.
+GAP = r"(?:[\s_#*]|//)+"
 SPARED = (GLOSSARY, Path(__file__).resolve(), ROOT / "test" / "test_banned_words.py")
 ENDINGS = {".md", ".py", ".c", ".h", ".cpp", ".hpp", ".yaml", ".msg", ".srv"}
 
@@ -32,9 +33,9 @@ def banned() -> dict[str, str]:
     return found
 
 
-def files(prose: tuple[str, ...]) -> Iterator[Path]:
+def files(rooms: tuple[str, ...]) -> Iterator[Path]:
     """Yield the files that are checked."""
-    for name in prose:
+    for name in rooms:
         path = ROOT / name
         if not path.exists():
             raise SystemExit(f"banned_words: {name} does not exist")
@@ -54,23 +55,21 @@ def text_of(file: Path) -> str:
 
 def found_in(text: str, words: dict[str, str]) -> Iterator[tuple[int, str, str]]:
     """Yield line, word and what to write instead, of each banned word in a text."""
-    phrases = "|".join(re.escape(word).replace(r"\ ", r"\s+") for word in words)
-    for match in re.finditer(rf"\b(?:{phrases})\b", text, re.I):
-        if text[match.end() :].startswith(("()", "(self)")):
-            continue  # the position of a stream
-        word = " ".join(match[0].lower().split())
-        yield text.count("\n", 0, match.start()) + 1, word, words[word]
+    for word, instead in words.items():
+        pattern = rf"\b(?i:{word})\b(?!\(\)|\(self\))"  # the position of a stream is no word
+        if " " in word:  # `is None` is code
+            pattern = rf"(?<![^\W_])(?i:{word[0]}){word[1:].replace(' ', GAP)}(?![^\W_])"
+        for match in re.finditer(pattern, text):
+            yield text.count("\n", 0, match.start()) + 1, word, instead
 
 
 def main() -> int:
     """Print a line per banned word; exit code 1 if there is one."""
     words, count = banned(), 0
-    single = {word: instead for word, instead in words.items() if " " not in word}
-    for rooms, of_rooms in ((PROSE, words), (CODE, single)):
-        for file in files(rooms):
-            for line, word, instead in found_in(text_of(file), of_rooms):
-                print(f"{file.relative_to(ROOT)}:{line}: '{word}' is banned; write {instead}")
-                count += 1
+    for file in files(ROOMS):
+        for line, word, instead in sorted(found_in(text_of(file), words)):
+            print(f"{file.relative_to(ROOT)}:{line}: '{word}' is banned; write {instead}")
+            count += 1
     return 1 if count else 0
 
 

@@ -11,7 +11,7 @@ NOP, APRD, APWR, APRW, FPRD, FPWR, FPRW, BRD, BWR, BRW, LRD, LWR, LRW, ARMW, FRM
 INIT, PREOP, BOOT, SAFEOP, OP = 1, 2, 3, 4, 8
 ERROR = ACKNOWLEDGE = 0x10
 STATION = 0x1001  # of the first slave
-MAILBOX = 128  # half of what slaves offer, so that there is more to cut into segments
+MAILBOX = 128  # half of what slaves offer, so that more is cut into segments
 HEADER = bytes.fromhex("ffffffffffff 020000000001 88a4")
 
 
@@ -157,7 +157,7 @@ class Master:
         return self.write(slave, 0x1000, (head + body).ljust(self.mailbox, b"\0"))
 
     def fetch(self, slave: int) -> tuple[int, bytes] | None:
-        """Kind and body of the next message, emergencies put aside; None: there is none."""
+        """Kind and body of the next message, emergencies put aside; None: no message."""
         while True:
             data, count = self.one(FPRD, at(STATION + slave, 0x1100), bytes(self.mailbox))
             if count == 0:

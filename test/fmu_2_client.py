@@ -60,7 +60,7 @@ def abuse_2(rng: np.random.Generator, fmu: Fmu2, calls: int) -> dict[int, int]:
     """Call anything in any order, with wrong arguments too; return how often which status came.
 
     Raises:
-        AssertionError: a status that is none, or a call that was not taken and changed a value.
+        AssertionError: an unknown status, or a call that was not taken and changed a value.
     """
     handle = fmu.instance()
     statuses = dict.fromkeys(range(4), 0)

@@ -261,7 +261,7 @@ def abuse(rng: np.random.Generator, fmu: Fmu, calls: int) -> dict[int, int]:
     """Call anything in any order, with wrong arguments too; return how often which status came.
 
     Raises:
-        AssertionError: a status that is none, or a call that was not taken and changed a value.
+        AssertionError: an unknown status, or a call that was not taken and changed a value.
     """
     pair = Instance(fmu), Instance(fmu, logging=False)
     statuses = dict.fromkeys(range(4), 0)
@@ -365,7 +365,7 @@ def _values(rng: np.random.Generator, one: Instance) -> tuple[str, int]:
 
 
 def _states(rng: np.random.Generator, one: Instance, other: Instance) -> tuple[str, int]:
-    """Keep, go back, serialize, with states that are none, gone or of another instance."""
+    """Keep, go back, serialize, with states that are null, freed or of another instance."""
     saved = bytearray(other.save())
     if rng.random() < 0.5:
         for _ in range(int(rng.integers(1, 4))):

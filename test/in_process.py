@@ -131,7 +131,7 @@ class InProcess:
             node.destroy_node()
 
     def deliver(self) -> bool:
-        """Deliver the message that was reported first; False if there is none."""
+        """Deliver the message that was published first; False after the last."""
         if not self._wires.waiting:
             return False
         topic, _, data = self._wires.waiting.popleft()

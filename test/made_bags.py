@@ -76,7 +76,7 @@ def synthetic(folder: Path, powers: list[bool], first: int = 0, runs: int = 2) -
                 session.advance()
                 report()
                 report()  # as an unanswered state is reported again
-            # In flight when the reset comes: refused.
+            # Underway when the reset comes: refused.
             send(
                 "/motor_commands",
                 MotorCommand(tick=session.tick, joint_names=names, command=[1.0] * 3),

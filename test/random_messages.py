@@ -59,7 +59,7 @@ SMALLEST_FLOAT = 5e-324
 # Beyond the bound of every quantity, see docs/reference/topics.md.
 BEYOND = 2e9
 BEYOND_COUNTS = 2**53
-MOTION_PERIOD_NS = 50_000_000  # of the scenes that come along
+MOTION_PERIOD_NS = 50_000_000  # of the shipped scenes
 
 
 def number(rng: random.Random) -> float:

@@ -119,7 +119,7 @@ def test_what_is_left_is_estimated_by_how_differences_fall() -> None:
     assert remainder([0.0, 0.0, 0.0]) == 0.0, "nothing moves"
 
 
-def test_a_truth_that_events_at_the_ends_of_steps_deny_is_none() -> None:
+def test_a_truth_that_events_at_the_ends_of_steps_deny_is_dropped() -> None:
     """As if the code that locates events had them at other places than there are."""
     judge, _ = demo()
     commands = judge.motions[0].commands
@@ -326,7 +326,7 @@ def scene_copy(folder: Path, **replaced: str) -> Path:
 
 
 def add_demo(file: Path) -> None:
-    """Name what comes along for three_axis in a scene elsewhere."""
+    """Name the shipped files of three_axis in a scene elsewhere."""
     named = "".join(f"{kind}: three_axis\n" for kind in BESIDE)
     file.write_text(named + file.read_text())
 
@@ -410,7 +410,7 @@ def test_located_events_and_a_thread_less_are_written(tmp_path: Path) -> None:
     assert got == ("implicit", STEP, 5e-4, 2), file.read_text()
 
 
-def test_what_came_along_is_never_written_into(tmp_path: Path) -> None:
+def test_shipped_files_are_never_written_into(tmp_path: Path) -> None:
     """By its name, by its path, through links, by every command that writes scenes or gains."""
     before = {path: path.read_bytes() for path in CONFIG.rglob("*") if path.is_file()}
     link = tmp_path / "link.yaml"
@@ -428,7 +428,7 @@ def test_what_came_along_is_never_written_into(tmp_path: Path) -> None:
     with pytest.raises(Refusal, match=r"tune: file .* must be one of yours"):
         tune("three_axis", None, None, write=True)
     mine = scene_copy(tmp_path)
-    add_demo(mine)  # whose servo's parameters are those that came along
+    add_demo(mine)  # whose servo's parameters are the shipped ones
     with pytest.raises(Refusal, match=r"tune: file .* must be one of yours"):
         tune(str(mine), None, None, write=True)
     robot = CONFIG / "urdf" / "three_axis.urdf"
@@ -439,7 +439,7 @@ def test_what_came_along_is_never_written_into(tmp_path: Path) -> None:
     with pytest.raises(Refusal, match="must be one of yours"):
         check_own("here", Path(yaml.__file__))  # of an installed package
     check_own("here", mine)
-    assert before == {path: path.read_bytes() for path in before}, "what came along has changed"
+    assert before == {path: path.read_bytes() for path in before}, "a shipped file has changed"
 
 
 def test_command_shows_what_errors_are_worth_and_writes(

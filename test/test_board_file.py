@@ -236,7 +236,7 @@ def test_any_change_of_a_board_is_read_or_refused_in_one_line(seed: int, tmp_pat
         except Refusal as no:
             refused += 1
             assert "\n" not in str(no) and str(no).startswith("board.yaml: "), str(no)
-    assert refused > 5, "boards that are none"
+    assert refused > 5, "boards that are refused"
 
 
 @pytest.mark.parametrize("seed", some(range(20), 4))

@@ -740,6 +740,6 @@ def test_a_bus_that_cannot_be_opened_is_refused(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("first", [0, 126, -1])
-def test_nodes_that_there_are_not_are_refused(scene: Scene, first: int) -> None:
+def test_unknown_nodes_are_refused(scene: Scene, first: int) -> None:
     with pytest.raises(Refusal, match=f"first node-ID must be 1 to 125, got {first}"):
         Segment(drives_of(scene), first)

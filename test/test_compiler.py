@@ -165,7 +165,7 @@ def test_a_library_compiled_ahead_serves_a_machine_without_a_compiler(
 MISCHIEF = {
     "CXX=false": "compile the scene's core, got exit code 1",
     "CXX=cat": "compile the scene's core, got exit code 1",  # waits for input if it is given any
-    "CXX=true": "make a library, though it reports no error, got there is none",
+    "CXX=true": "make a library, though it reports no error, got no file",
     "CXX='unclosed": "be the words of a command, got 'unclosed (No closing quotation)",
     "CXX='' -O2": "be on the path, a scene is compiled when first used",
     "CXX=/nowhere/c++ -O2": "be on the path, a scene is compiled when first used",
@@ -185,7 +185,7 @@ MISCHIEF = {
     "sleep 60 & sleep 60": "got no end within 0.5 s",
     "while :; do echo words; done": "got no end within 0.5 s",
     "exec > /dev/null 2>&1; sleep 60": "got no end within 0.5 s",
-    "rm -r $(dirname $out)": "got there is none",
+    "rm -r $(dirname $out)": "got no file",
 }  # fmt: skip
 
 

@@ -101,7 +101,7 @@ def test_shipped_scenes_find_theirs_installed_without_links(
 
 
 def test_a_scene_of_ones_own_never_gets_the_gains_of_another(tmp_path: Path) -> None:
-    """Also if it is called as one that comes along; the line states where they were looked for."""
+    """Also if it is called as a shipped one; the line states where they were looked for."""
     scene = own_scene(tmp_path, "three_axis", {})
     for kind in BESIDE:
         with pytest.raises(Refusal) as refusal:

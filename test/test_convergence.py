@@ -50,7 +50,7 @@ def test_the_machine_converges_as_predicted(period: float) -> None:
         assert measured_factor(w, period) == pytest.approx(expected, abs=0.03), w
 
 
-def test_what_is_none_is_refused() -> None:
+def test_numbers_out_of_range_are_refused() -> None:
     for weight, steps in ((0.0, [1.0]), (1.5, [1.0]), (0.5, []), (0.5, [np.nan]), (0.5, 1.0)):
         with pytest.raises(Refusal):
             expected_errors(weight, steps, 3)

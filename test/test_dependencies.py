@@ -69,7 +69,7 @@ def test_wheels_for_ros_are_those_of_the_environment_that_is_tested() -> None:
     assert len(ours) > 5 and ours - numpy_1 <= everywhere
 
 
-# What the wheel needs beside ROS is named in requirements*.txt, and comes along with these.
+# What the wheel needs beside ROS is named in requirements*.txt, and follows from these.
 BROUGHT = {"lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
 NAMES = {"pinocchio": "pin", "yaml": "PyYAML", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}
 NAMES |= {"can": "python-can", "elftools": "pyelftools", "_cffi_backend": "cffi"}

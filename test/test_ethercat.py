@@ -524,7 +524,7 @@ def test_segments_out_of_turn_are_aborted(master: Master) -> None:
     [(2, b"\0" * 10, None, 2), (3, b"\0\x20" + b"\x40" * 8, 1000, 8), (3, b"\0", None, 6),
      (3, b"\0\x20\x40", None, 6), (3, b"\0\x50" + bytes(8), None, 4), (15, b"", None, 2)],
 )  # fmt: skip
-def test_mail_that_is_none_is_answered_with_its_error(
+def test_malformed_mail_is_answered_with_its_error(
     master: Master, kind: int, body: bytes, size: int | None, error: int
 ) -> None:
     master.preop(0)

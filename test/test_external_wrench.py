@@ -1,4 +1,4 @@
-"""What the surroundings do to the links: forces and moments, and loads that change in flight."""
+"""Forces and moments on links, and loads that change while the arm moves."""
 
 from __future__ import annotations
 

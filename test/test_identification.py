@@ -123,7 +123,7 @@ def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
 
 
 @pytest.mark.parametrize("kind", broken(np.random.default_rng(0)))
-def test_a_record_that_is_none_is_refused_with_its_place(kind: str) -> None:
+def test_a_malformed_record_is_refused_with_its_place(kind: str) -> None:
     for seed in some(range(20), 2):
         run, answer = broken(np.random.default_rng(seed))[kind]
         with pytest.raises(Refusal, match=answer):
@@ -213,7 +213,7 @@ def test_free_runs_find_what_a_pendulum_is(tmp_path: Path) -> None:
     model = TorqueModel(known, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), 0.5)
     fitted = model.choose(["joints", "links.*.log_mass", "links.*.x"], "test")
     first = fit_torques(model, data, fitted)
-    # As if the first stage had found a fifth less of what there is to find.
+    # As if the first stage had found a fifth less.
     begun = dataclasses.replace(first, values=0.8 * first.values + 0.2 * model.start)
     printed = list[str]()
     found = fit_free_runs(begun, known, record, printed.append)

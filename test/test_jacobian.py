@@ -267,7 +267,7 @@ def test_far_rotation_takes_the_short_way() -> None:
 # Limits of the description
 
 
-def test_limits_of_the_description_come_along() -> None:
+def test_limits_of_the_description_are_taken() -> None:
     """Random limits of speed and acceleration, given or not, of joints of every kind."""
     rng = np.random.default_rng(5)
     for _ in range(50):
@@ -294,7 +294,7 @@ def test_limits_of_the_description_come_along() -> None:
 
 @pytest.mark.parametrize("value", ["-1", "nan", "fast"])
 @pytest.mark.parametrize("key", ["velocity", "acceleration"])
-def test_limits_that_are_none_are_refused(key: str, value: str) -> None:
+def test_malformed_limits_are_refused(key: str, value: str) -> None:
     urdf = THREE_AXIS.replace("</joint>", f'<limit {key}="{value}"/></joint>', 1)
     with pytest.raises(Refusal, match=f"joint waist: limit {key} must be a number >= 0"):
         Kinematics(urdf, NAMES, "tool")

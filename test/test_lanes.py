@@ -116,7 +116,7 @@ def test_lanes_move_as_single_arms(machine: Scene) -> None:
     assert np.ptp(moved, axis=1).min() > 1e-4, "the arms move apart"
 
 
-def test_these_machines_have_every_part_that_there_is(tmp_path: Path) -> None:
+def test_these_machines_have_every_part(tmp_path: Path) -> None:
     there = set()
     for joints in JOINTS.values():
         sections = dict(zip(GANTRY, (joint for joint, _ in joints), strict=True))

@@ -555,7 +555,7 @@ def test_what_is_used_is_not_what_goes(cache: Path, sound: Sound) -> None:
 
 
 @pytest.mark.parametrize("size", ["-1", "nan", "much", "1e-3x"])
-def test_a_size_that_is_none_is_refused(
+def test_a_malformed_size_is_refused(
     size: str, cache: Path, sound: Sound, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(SIZE_VARIABLE, size)

@@ -240,7 +240,7 @@ def test_overrides_may_be_what_a_caller_has(
     assert expected(load_scene("three_axis", overrides=overrides))
 
 
-def test_a_payload_of_no_mass_is_none() -> None:
+def test_a_payload_of_no_mass_is_no_payload() -> None:
     ends = []
     for payload in (None, 0, 3.0):
         plant = Plant(load_scene("three_axis", overrides={"payload": payload}))

@@ -192,7 +192,7 @@ def test_description_reports_scales(scene: Scene) -> None:
         ("05 07d0 ff00", Code.FUNCTION),  # write a coil
         ("2b 0e0100", Code.FUNCTION),  # identification
         ("e4 00000001", Code.FUNCTION),  # not a function but an exception
-        ("08 0005 0000", Code.FUNCTION),  # a diagnosis that there is not
+        ("08 0005 0000", Code.FUNCTION),  # an unknown diagnosis
         ("08 000b 0001", Code.VALUE),
         ("03 0000 0000", Code.VALUE),
         ("04 0000 007e", Code.VALUE),  # 126 registers
@@ -372,7 +372,7 @@ def test_no_wrong_value_is_accepted_from_a_line_with_errors(scene: Scene) -> Non
     A frame with one damaged byte is always found out, by its length or by the checksum. It takes
     two or more flipped bytes and none lost, and the checksum then lets one in 65536 pass: of
     100 000 exchanges of 19 and 23 bytes it is 1e5 (171 + 253) (0.005)^2 / 65536 = 0.016. So none
-    is expected, and with this seed there is none.
+    is expected, and this seed gives 0.
     """
     line, converter = line_of(scene, watchdog=0, errors=LineErrors(0.01, 17))
     recorder = Recorder(converter)

@@ -56,7 +56,7 @@ def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
 
 
 @pytest.mark.parametrize("name", some(SHIPPED, 2))
-def test_every_mode_of_the_arms_that_come_along_is_offered_and_holds(name: str) -> None:
+def test_every_mode_of_the_shipped_arms_is_offered_and_holds(name: str) -> None:
     scene, servo = shipped(name)
     assert withheld_modes(scene, servo, modes()) == []
     seen = {(one.joint, one.loop, one.braked) for one in ModeLoops(scene, servo).figures}

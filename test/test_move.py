@@ -1,4 +1,4 @@
-"""`move` and `status` beside a running network, and where there is none."""
+"""`move` and `status` beside a running network, and without one."""
 
 from __future__ import annotations
 

@@ -529,7 +529,7 @@ def test_real_time_is_real_time(real_time: SharedNetwork) -> None:
 
 
 def test_the_nodes_live_in_a_namespace() -> None:
-    """Names are relative, and the parameter files that come along apply everywhere."""
+    """Names are relative, and the shipped parameter files apply everywhere."""
     left = ("-r", "__ns:=/left")
     servo, motion = (str(find_config("three_axis", ".yaml", k)) for k in ("servo", "motion"))
     with (

@@ -100,7 +100,7 @@ def no_vector(rng: np.random.Generator) -> Any:
 
 
 def given(x: Any) -> Any:
-    """Return something wrong that is no None, where None means that there is none."""
+    """Replace None, which is allowed here, by something wrong."""
     return "none" if x is None else x
 
 
@@ -116,7 +116,7 @@ def refused(call: Callable[..., object], *arguments: Any) -> None:
     assert len(str(printed.value).splitlines()) == 1, (call, arguments)
 
 
-def test_counts_that_are_none_change_nothing(plant: Plant) -> None:
+def test_wrong_counts_change_nothing(plant: Plant) -> None:
     rng = np.random.default_rng(1)
     offline = OfflineRun(
         plant.scene,
@@ -147,7 +147,7 @@ def test_counts_that_are_none_change_nothing(plant: Plant) -> None:
 
 
 def test_rows_times_steps_beyond_what_can_be_counted_are_refused(plant: Plant) -> None:
-    """Once, 2**61 steps under each of eight rows were none: the product was 0 modulo 2^64."""
+    """Once, 2**61 steps under each of eight rows did nothing: their product is 0 modulo 2^64."""
     rng = np.random.default_rng(2)
     before = as_bytes(plant)
     for _ in range(200):
@@ -159,7 +159,7 @@ def test_rows_times_steps_beyond_what_can_be_counted_are_refused(plant: Plant) -
     assert plant.run(np.zeros((0, N)), 10**15).shape == (0, N)
 
 
-def test_arrays_that_are_none_change_nothing(plant: Plant, controller: JacobianController) -> None:
+def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianController) -> None:
     rng = np.random.default_rng(3)
     servo = Servo(load_servo_config(CONFIG / "servo/three_axis.yaml"))
     drives = Drives(servo.config)

@@ -232,7 +232,7 @@ def test_what_is_not_measured_or_not_finite_leaves_no_trace(tmp_path):
     assert poses == {0, 1 * MS, 3 * MS, 4 * MS}  # the viewer has no place for a broken pose
 
 
-def test_layout_names_and_meshes_come_along(tmp_path):
+def test_layout_names_and_meshes_are_in_the_stream(tmp_path):
     from rerun.chunk import RrdReader
 
     (tmp_path / "some_robot").mkdir()
@@ -302,7 +302,7 @@ def test_queue_keeps_order_and_counts_what_finds_no_place():
         ([1, 2], (np.zeros(3), np.zeros(3))),
     ],
 )
-def test_a_sample_that_is_none_is_dropped_alone(time_ns, quantities):
+def test_a_malformed_sample_is_dropped_alone(time_ns, quantities):
     queue = SampleQueue(capacity=4, width=2, joints=3)
     queue.put(1, (np.arange(3), np.arange(3)))  # whole numbers will do
     queue.put(time_ns, quantities)

@@ -1,4 +1,4 @@
-"""The robots that come along: brakes hold them, end stops take a hit at full speed."""
+"""The shipped robots: brakes hold them, end stops take a hit at full speed."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def test_every_law_of_friction_is_tried() -> None:
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda"])
-def test_the_arms_that_come_along_stick_and_are_located(
+def test_the_shipped_arms_stick_and_are_located(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = load_scene(name)

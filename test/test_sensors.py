@@ -609,8 +609,8 @@ def test_a_machine_that_diverged_is_measured_where_it_stays(tmp_path: Path) -> N
     np.testing.assert_array_equal(measured.current, x.current, "at the last sound state")
 
 
-def test_without_sensors_there_are_none_in_the_core(scene: Scene, tmp_path: Path) -> None:
-    """A plain encoder is none; and sensors change nothing of the motion."""
+def test_without_sensors_the_core_has_none(scene: Scene, tmp_path: Path) -> None:
+    """A plain encoder is not compiled; and sensors change nothing of the motion."""
     file = write(tmp_path)
     bare = {f"joints.*.{key}": None for key in ("link_encoder", "current_sensor", "torque_sensor")}
     bare |= {"imus": None, "seed": None, "varied": None}

@@ -518,7 +518,7 @@ def test_parameter_files_may_name_the_node_or_all_nodes(tmp_path: Path, node: st
     assert load_motion_config(motion).weight == 0.25
 
 
-# The files that come along
+# The shipped files
 
 
 @pytest.mark.parametrize("scene", ["three_axis", "ur5", "panda"])
@@ -622,7 +622,7 @@ def test_a_word_that_wraps_is_followed_as_counts_that_go_on() -> None:
             counts = counts + rng.integers(-largest, largest, N)
 
 
-def test_a_word_that_is_none_is_refused_and_changes_nothing() -> None:
+def test_an_impossible_word_is_refused_and_changes_nothing() -> None:
     plain = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
     joints = tuple(dataclasses.replace(joint, encoder_bits=10) for joint in plain.joints)
     servo, other = (Servo(dataclasses.replace(plain, joints=joints)) for _ in range(2))

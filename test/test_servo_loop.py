@@ -439,7 +439,7 @@ def test_arms_called_stable_settle_and_those_called_unstable_swing(
 
 
 @pytest.mark.parametrize("name", some(["three_axis", "ur5", "panda"], 2))
-def test_the_scenes_that_come_along_have_margins(name: str) -> None:
+def test_the_shipped_scenes_have_margins(name: str) -> None:
     file = find_config(name, ".yaml")
     scene, servo = load_scene(file), load_gains(file).servo
     assert check_loops(scene, servo) == []

@@ -176,7 +176,7 @@ def check_make(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("words", shell_commands())
-def test_a_command_on_a_page_is_one_that_there_is(words: list[str]) -> None:
+def test_a_command_on_a_page_exists(words: list[str]) -> None:
     mine = ours(words)
     if mine is not None:
         check_ours(mine)

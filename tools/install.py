@@ -54,7 +54,7 @@ def pip_options(listed: str) -> dict[str, str]:
 
 
 def uv_variables(options: dict[str, str]) -> tuple[dict[str, str], list[str]]:
-    """Return the variables that say the same to uv, and the options that it has none for."""
+    """Return uv's variables for the same, and the options that have no counterpart."""
     variables = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # as pip: no index before another
     unknown = []
     for option, value in options.items():

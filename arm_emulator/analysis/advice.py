@@ -60,7 +60,7 @@ class Advice:
     Attributes:
         settings: each method's cheapest, the cheapest of all first; empty: none keeps the error.
         why_none: why there are no settings.
-        now: the scene's own setting, timed along with them; None where there are none.
+        now: the scene's own setting, timed along with them; None where no setting keeps the error.
     """
 
     settings: list[Setting]

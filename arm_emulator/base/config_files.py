@@ -31,10 +31,10 @@ def config_folder() -> Path:
 
 
 def check_own(where: str, file: Path) -> None:
-    """Refuse to write over a file that came along: with the emulator or with an installed package.
+    """Refuse to write over a file of the emulator or of an installed package.
 
     Raises:
-        Refusal: it did, be it through a link.
+        Refusal: the file is one of these, or a link to one.
     """
     real = Path(os.path.realpath(file))
     folders = [config_folder(), *map(Path, (get_path("purelib"), get_path("platlib")))]
@@ -44,7 +44,7 @@ def check_own(where: str, file: Path) -> None:
             where,
             f"file {file}",
             "be one of yours, to be written into",
-            "one that came along",
+            "a shipped one",
             f"a copy of it, such as `cp -r {real.parent} mine`",
         )
 
@@ -55,7 +55,7 @@ def _installed() -> list[Path]:
 
 
 def find_config(name: str, ending: str, kind: str = ".") -> Path:
-    """Return the file that `name` means: a path, or the name of a file that comes along.
+    """Return the file that `name` means: a path, or the name of a shipped file.
 
     Args:
         name: a path, or a bare name such as ``three_axis``.

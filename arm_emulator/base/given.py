@@ -70,7 +70,7 @@ def as_flag(value: object, where: str, quantity: str) -> bool:
     """Return `value` as a flag.
 
     Raises:
-        Refusal: it is none.
+        Refusal: it is not.
     """
     if not isinstance(value, _FLAGS):
         raise Refusal(where, quantity, "be True or False", repr(value))

@@ -13,7 +13,7 @@ def find_compiler() -> list[str]:
     """Return the C++ compiler's command: $CXX, or the first of c++, g++, clang++ on the path.
 
     Raises:
-        Refusal: there is none, or $CXX is no command.
+        Refusal: no compiler was found, or $CXX is no command.
     """
     named = _named()
     for words in [named] if named else [["c++"], ["g++"], ["clang++"]]:

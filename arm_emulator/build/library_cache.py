@@ -178,7 +178,7 @@ def store(file: Path, body: bytes, scratch: Path) -> None:
         handle.write(body + _seal(file.name, body))
     with contextlib.suppress(FileNotFoundError):
         if stat.S_ISDIR(os.lstat(file).st_mode):
-            os.rmdir(file)  # a file cannot be renamed to a folder, be it an empty one
+            os.rmdir(file)  # a file cannot be renamed to a folder, even an empty one
     os.replace(beside, file)
 
 

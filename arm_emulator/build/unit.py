@@ -222,7 +222,7 @@ def _built(file: Path, compiler: str, unit: Unit) -> bytes:
         body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
         reason = why_no_library(body, (*unit.functions, *unit.data))
     except FileNotFoundError:
-        reason = "there is none"
+        reason = "no file"
     except (OSError, Untrusted) as error:
         reason = str(error)
     if reason:

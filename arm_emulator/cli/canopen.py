@@ -42,7 +42,7 @@ def opened(
     """Open the bus that was asked for, for a block; give it with what to call it.
 
     Raises:
-        Refusal: there is none such, or it does not open.
+        Refusal: no such bus, or it does not open.
     """
     if bus is not None:
         with can_bus(bus, channel or "", bitrate) as one:

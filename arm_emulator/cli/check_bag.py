@@ -141,7 +141,7 @@ class _Checker:
         self._session = session
         self._where = str(bag.path)
         self._lockstep = lockstep
-        # A recorder that takes up all topics knows of changes by hand, be it that none came.
+        # A recorder that takes up all topics knows of all changes by hand.
         self._reports_changes = any(name.endswith("/emulator/events") for name in bag.topics)
         self._reports_commands = any(name.endswith("/motor_commands") for name in bag.topics)
         self._machine = 0  # whose states the run has
@@ -507,7 +507,7 @@ def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
                 name = status.hardware_id.split("/")[-1]  # after the namespace
                 if (folder / f"{name}.yaml").is_file():
                     return str(name)
-                got = f"none, and {name} does not come along"
+                got = f"none, and {name} is not shipped"
                 raise Refusal("check-bag", "--scene", "name the scene's file", got)
     _, state = next(_read(bag, topics, ("motor_states",)))
     fitting = [

@@ -95,7 +95,7 @@ def _refused(where: str, missing: ModuleNotFoundError) -> int:
 
 
 def _without_command(words: Sequence[str]) -> int:
-    """Print help or the version, or that there is no such command."""
+    """Print help or the version, or refuse a command that does not exist."""
     if not words or words[0] in HELP:
         print(_overview())
     elif words[0] == "--version":

@@ -45,7 +45,7 @@ def guest(name: str, namespace: str) -> Iterator[NetworkGuest]:
     """Join the network for a block; Ctrl-C breaks it off.
 
     Raises:
-        Refusal: the namespace is none.
+        Refusal: a namespace that is not valid.
     """
     ctrl_c = CtrlC(None)
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)

@@ -127,7 +127,7 @@ def write_new(
         force: whether to write over files that are there.
 
     Raises:
-        Refusal: a robot that cannot be emulated, or files that are there already, or came along.
+        Refusal: a robot that cannot be emulated, or files that exist already or are shipped.
     """
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)

@@ -29,7 +29,7 @@ def status(timeout: float, namespace: str, *, json: bool) -> int:
     """Print clock, joints, health and newest target; 1 where a node is missing or not healthy.
 
     Raises:
-        Refusal: the namespace is none.
+        Refusal: a namespace that is not valid.
     """
     output = Output(json)
     health: dict[str, DiagnosticStatus] = {}

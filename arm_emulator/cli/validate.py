@@ -15,7 +15,7 @@ def validate(machine: str, runs: Sequence[Path], folder: Path) -> int:
 
     Args:
         machine: one of `MACHINES`.
-        runs: records to compare with, beside or in place of those that come along.
+        runs: records to compare with, beside or in place of the shipped ones.
         folder: of the pictures.
 
     Raises:

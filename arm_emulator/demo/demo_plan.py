@@ -33,7 +33,7 @@ class DemoPlan:
         """Read the plan that belongs to a scene file, for a motion period.
 
         Raises:
-            Refusal: there is none, or a value is not taken.
+            Refusal: no plan, or a value that is not taken.
         """
         file = find_beside(scene, "demo")
         data = read_yaml(file)

@@ -21,7 +21,7 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
     """Put the gains of `servo` into its parameter file, in place of those that are there.
 
     Raises:
-        Refusal: a file that came along, that is not writable, or that has one text for several
+        Refusal: a file that is shipped, not writable, or that has one text for several
             joints at once, as with anchors. Nothing is written then.
     """
     check_own("tune", file)

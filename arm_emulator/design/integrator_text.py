@@ -24,7 +24,7 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
     """Put a method and its step into a scene file, where everything else stays as it is written.
 
     Raises:
-        Refusal: a file that came along, that cannot be read or written, or that is built so that
+        Refusal: a file that is shipped, that cannot be read or written, or that is built so that
             the change would reach further; the file is as before then.
     """
     check_own("advise", file)

@@ -47,7 +47,7 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
         heading: lines to stand at its top, as comments.
 
     Raises:
-        Refusal: it cannot be written, or came along, or what is read again is not what was found.
+        Refusal: it cannot be written, or is shipped, or does not read back as what was found.
     """
     urdf = file.parent / "urdf" / f"{file.stem}.urdf"
     for one in (file, urdf):

@@ -31,7 +31,7 @@ class MeasuredRun:
     t: Array  # s, (K,)
     q_motor: Array  # rad or m: the motor's angle times the gear ratio, as seen at the link
     tau: Array  # N m, at the motor's shaft
-    q_link: Array | None = None  # rad or m, by encoders at the links; NaN where there is none
+    q_link: Array | None = None  # rad or m, by encoders at the links; NaN without one
     q_ref: Array | None = None  # rad or m, commanded
     v_motor: Array | None = None  # rad/s or m/s, as the drives measure them
 

@@ -35,7 +35,7 @@ NOISE = 0.02, 0.1  # of a joint's torque: what may stay unexplained, at least an
 ROUNDS = 2  # in which widths follow the numbers
 LARGE = 4.0  # times a number: its width, beyond which its own size shows nothing
 FREE = 10.0  # times the widths: of a fit that shows how much stays unexplained
-DRIVES = 0.02  # of a joint's torque: friction below minus this is none
+DRIVES = 0.02  # of a joint's torque: friction below minus this drives
 # What a slip costs by itself: one that is or is not, one of any size, one that hardly happens.
 PLAIN, SEARCHED, RARE = 3.0, 6.0, 20.0
 SIZES = np.exp(np.linspace(-3.0, 3.0, 13))  # of scales that are tried

@@ -32,7 +32,7 @@ class WindUp:
     ripple: Array  # rad, amplitude of the encoder's largest wave within the residual
     order: Array  # its waves per turn
     rest: Array  # rad, root of mean square of the residual without it
-    unexplained: Array  # rad, the same without any wind-up: what there is to explain
+    unexplained: Array  # rad, the same without any wind-up
     stiffness: Array  # N m/rad that fits best
     deviation: Array  # N m/rad, of it
     t: Array  # s (K,)

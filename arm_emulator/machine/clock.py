@@ -80,5 +80,5 @@ class Clock:
         return False
 
     def take(self) -> Reached | None:
-        """Return the oldest tick not taken yet, None if there is none."""
+        """Return the oldest tick not taken yet, None after the last."""
         return None

@@ -101,7 +101,7 @@ class Firmware(ControlCode):
         """Report to the code which machine it is to drive.
 
         Raises:
-            Refusal: it states that this machine is none for it.
+            Refusal: it cannot drive this machine, by its own statement.
         """
         if not self._firmware.start:
             return

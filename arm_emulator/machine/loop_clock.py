@@ -68,7 +68,7 @@ class LoopClock(Clock):
         return self._loop.wait(timeout)
 
     def take(self) -> Reached | None:
-        """Return the oldest tick not taken yet, None if there is none."""
+        """Return the oldest tick not taken yet, None after the last."""
         reached = self._loop.take()
         if reached is not None:
             self._spent_ns += reached.spent

@@ -32,7 +32,7 @@ class Measured:
     def __getattr__(self, name: str) -> NDArray[Any]:
         output = KNOWN.get(name)
         if output is None:
-            raise AttributeError(f"{name} is none of what is measured: {', '.join(KNOWN)}")
+            raise AttributeError(f"{name} is not measured; valid: {', '.join(KNOWN)}")
         array, _, field = output.symbol.partition(".")
         if array == READINGS and name not in self.rows:
             return np.zeros(self.arrays["joint"].shape)

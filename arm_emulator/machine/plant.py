@@ -544,7 +544,7 @@ class Plant(Turns):
         Args:
             where: name for refusals.
             given: (N,) each, by names of `PlantState`: current, theta_m, omega_m, q, v. A motor
-                behind a rigid gear comes along with its link if it is not given.
+                behind a rigid gear moves with its link if it is not given.
 
         Raises:
             Refusal: as setting `state`.

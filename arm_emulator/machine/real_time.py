@@ -112,7 +112,7 @@ class RealTimeLoop:
         return True
 
     def take(self) -> Reached | None:
-        """Return the oldest tick not taken yet, None if there is none."""
+        """Return the oldest tick not taken yet, None after the last."""
         if not self._calls.arm_real_time_take(self._loop, self._snapshot):
             return None
         return Reached(

@@ -174,7 +174,7 @@ class Integrator:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that there is about one machine."""
+    """All data of one machine."""
 
     name: str
     where: str  # the file, for refusals

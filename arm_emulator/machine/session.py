@@ -191,7 +191,7 @@ class Session:
         Args:
             joint_names: joints of the scene, each at most once.
             given: one value per name, by names of `PlantState`; an empty one is not given. A motor
-                behind a rigid gear comes along with its link if it is not given.
+                behind a rigid gear moves with its link if it is not given.
 
         Raises:
             Refusal: no or other names, another number of values, values that are not finite, too
@@ -380,7 +380,7 @@ class Session:
         After a `fault`, and only then, or a refusal it has come less far.
 
         Raises:
-            Refusal: a command is none; tick and state are those in which it was given.
+            Refusal: a command that is not valid, with tick and state in which it was given.
         """
         left = (END_OF_TIME - 1 - self.logical_ns) // self.period_ns
         try:
@@ -404,7 +404,7 @@ class Session:
         return self._clock.wait(timeout)
 
     def take(self) -> bool:
-        """Go on to the next tick that a loop has reached; False if there is none."""
+        """Go on to the next tick that a loop has reached; False after the last."""
         reached = self._clock.take()
         if reached is None:
             return False

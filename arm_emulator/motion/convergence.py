@@ -35,7 +35,7 @@ def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: i
         E_1 to E_K, (K,).
 
     Raises:
-        Refusal: a weight, a response or a number that is none.
+        Refusal: a weight, a response or a number out of range.
     """
     if not 0.0 < weight <= 1.0:
         raise Refusal("expected_errors", "weight", "be in (0, 1]", weight)
@@ -62,7 +62,7 @@ def convergence_factor(errors: npt.ArrayLike, down_to: float = 0.02) -> float:
         down_to: part until which the errors count.
 
     Raises:
-        Refusal: errors that are none.
+        Refusal: errors that are not finite.
     """
     sizes = np.abs(_STEPS.numbers("convergence_factor", errors))
     if sizes.ndim != 1 or len(sizes) == 0 or not np.isfinite(sizes).all():

@@ -31,7 +31,7 @@ def tolerances_of(goal: Any, names: Sequence[str], default: Tolerances) -> Toler
         default: for what it does not give.
 
     Raises:
-        Refusal: an unknown joint, or a tolerance that is none.
+        Refusal: an unknown joint, or a tolerance that is not valid.
     """
     time = goal.goal_time_tolerance
     seconds = int(time.sec) + int(time.nanosec) / _NANOSECONDS

@@ -57,9 +57,9 @@ class Kinematics:
             entries of a scaled Jacobian are rad per rad.
         joint_scale: of the joints, (N,): 1 for one that turns, `reach` for one that slides.
         continuous: whether a joint is the same again after a turn, (N,).
-        lower, upper: position limits, (N,) each [rad or m]; infinite where there is none.
-        velocity_limit, acceleration_limit: (N,) each, in rad or m and s; infinite where there is
-            none.
+        lower, upper: position limits, (N,) each [rad or m]; infinite without a limit.
+        velocity_limit, acceleration_limit: (N,) each, in rad or m and s; infinite without
+            a limit.
 
     Raises:
         Refusal: a description, name or value that is not taken.

@@ -34,7 +34,7 @@ class Bringup:
     """Starts emulator, servo and motion controller; use it in a `with` block.
 
     Args:
-        scene: a scene file, or the name of a scene that comes along. Gains are those that belong
+        scene: a scene file, or the name of a shipped scene. Gains are those that belong
             to it, see `find_beside`.
         clock: "lockstep" or "realtime".
         start: see the emulator's parameter.
@@ -46,7 +46,7 @@ class Bringup:
         params_file: a ROS parameter file for all nodes; it rules over all of the above.
 
     Raises:
-        Refusal: a configuration file is missing, or a namespace that is none.
+        Refusal: a configuration file is missing, or a namespace that is not valid.
     """
 
     def __init__(

@@ -90,7 +90,7 @@ def give_end(file: Path) -> bool:
             _write_end(file, whole)
             return True
         except OSError as error:
-            # Another failure than want of room is none that less data would cure.
+            # Less data would cure a lack of room only.
             if error.errno not in NO_ROOM or not whole.chunks:
                 raise
             # The index of the chunk before is whole, since another chunk came behind it.

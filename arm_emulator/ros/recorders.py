@@ -74,7 +74,7 @@ class Recorders:
             one.written, one.behind_since = written, None
 
     def behind(self, at_start: bool, now: float) -> str:
-        """Return the name of a recorder that has to catch up first, empty if there is none.
+        """Return the name of a recorder that has to catch up first; empty: all have.
 
         Args:
             at_start: the machine is about to leave tick 0.

@@ -64,7 +64,7 @@ class TableRun:
         """Advance by so many servo periods.
 
         Raises:
-            Refusal: no such count, or the control code gave a command that is none.
+            Refusal: no such count, or the control code gave a command that is not valid.
             Diverged: the machine did; it stays at the last state before.
             Exception: what `ControlCode.ended` gives.
         """

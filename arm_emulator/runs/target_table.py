@@ -63,7 +63,7 @@ def load_target_table(file: Path, joint_names: Sequence[str]) -> TargetTable:
 
 
 def _check(numbers: FloatArray, table: Table, names: Sequence[str]) -> None:
-    """Refuse gaps, times that do not ascend, and angles that are none, with their lines."""
+    """Refuse gaps, times that do not ascend and angles that are not finite, with their lines."""
     t, q = numbers[:, 0], numbers[:, 1:]
     for row, column in np.argwhere(np.isnan(numbers))[:1]:
         what = f"line {table.lines[row]}, {names[column]}"

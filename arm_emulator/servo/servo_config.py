@@ -277,7 +277,7 @@ def _joint_names(value: object, where: str) -> tuple[str, ...]:
 
 
 def _check_keys(table: object, allowed: Any, where: str, path: str) -> None:
-    """Refuse a table that is none, lacks one of `allowed` or has anything else."""
+    """Refuse what is not a table, lacks one of `allowed` or has anything else."""
     if not isinstance(table, Mapping):
         raise Refusal(where, path, "be a mapping", table)
     prefix = f"{path}." if path else ""

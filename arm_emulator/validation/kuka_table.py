@@ -18,7 +18,7 @@ def validate_kuka(runs: Sequence[Path], folder: Path) -> int:
     """Compare with runs, print, draw into a folder; exit code 1 if a figure is beyond its limit.
 
     Args:
-        runs: files as run_A.npz; none: those that come along.
+        runs: files as run_A.npz; none: the shipped ones.
         folder: of the pictures.
 
     Raises:

@@ -82,7 +82,7 @@ class Fuzzer {
     if (!whole && is.periods != was.periods) no("it made time pass");
     for (int k = 0; k < slaves; ++k) {
       const int state = contents(k).get16(ethercat::reg::kAlStatus) & 15;
-      if (state != 1 && state != 2 && state != 4 && state != 8) no("a state that there is not");
+      if (state != 1 && state != 2 && state != 4 && state != 8) no("an unknown state");
     }
   }
   const ethercat::Memory& contents(int k) const {

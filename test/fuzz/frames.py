@@ -3,7 +3,7 @@
 python -m fuzz.frames SEED FIRST STEP: batch FIRST, FIRST + STEP, ... of a seed, until it is ended.
 
 Compiled with AddressSanitizer and UBSan. A frame that is not sound changes nothing but the counters
-of errors; whatever else comes, slaves are in a state that there is.
+of errors; whatever else comes, slaves are in a known state.
 """
 
 from __future__ import annotations

@@ -284,7 +284,7 @@ def test_halting_in_gdb_changes_no_bit(
 def test_every_step_and_any_packet_of_a_debugger_change_no_bit(
     built: Callable[..., Path], ur5: Scene
 ) -> None:
-    """Walking through a whole period, interrupts from the terminal, packets that are none."""
+    """Walking through a whole period, interrupts from the terminal, malformed packets."""
     elf = built("asleep.elf")
     rng = np.random.default_rng(5)
     table = random_table(rng, ur5, 8)

@@ -289,7 +289,7 @@ def test_a_serial_line_brings_and_takes_bytes_at_its_pace(tmp_path: Path) -> Non
     assert slow == sent[: int(0.020 * 5760)], "the echo of what has come in 20 ms"
 
 
-def test_targets_come_along_a_serial_line(tmp_path: Path) -> None:
+def test_targets_arrive_on_a_serial_line(tmp_path: Path) -> None:
     table = random_table(np.random.default_rng(14), SCENE, 20)
     heard = line_run(tmp_path, ECHO, table, b"", 30, targets=True)
     rows = table.q if table.t[0] == 0.0 else np.vstack([SCENE.start, table.q])

@@ -322,7 +322,7 @@ def test_units_of_two_scenes_live_in_one_program(unit: Path, rich: Path, tmp_pat
 
 
 def test_one_command_compiles_the_sources(unit: Path, unpacked: Path, tmp_path: Path) -> None:
-    """That of its page; what comes out goes on from a state of the binary that came along."""
+    """The compilation of its page; the result goes on from a state of the shipped binary."""
     page = (unpacked / "documentation" / "index.html").read_text()
     command = html.unescape(re.findall(r"<pre>(.*?)</pre>", page, re.S)[0])
     sources = tmp_path / "sources"

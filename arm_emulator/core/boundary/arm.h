@@ -117,7 +117,7 @@ typedef struct arm_options {
   int32_t core;             /* processor core of a second thread; -1: any */
   double step;              /* s, of the integrator */
   int64_t steps_per_period; /* of a servo period */
-  const double* parameters; /* values of the varied numbers; null if there are none */
+  const double* parameters; /* values of the varied numbers; null without any */
 } arm_options;
 
 /* Return a machine at rest at q = 0, or null if the options make no sense. */

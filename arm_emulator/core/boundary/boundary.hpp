@@ -16,7 +16,7 @@
 
 namespace arm {
 
-// Texts of a refusal are cut to the room that there is.
+// Texts of a refusal are cut to the room.
 template <int room>
 void write_text(char (&to)[room], const char* text) {
   int length = 0;

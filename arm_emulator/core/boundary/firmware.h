@@ -50,7 +50,7 @@ typedef struct firmware_output {
 typedef struct firmware {
   uint32_t version; /* FIRMWARE_VERSION */
   uint32_t reserved;
-  /* Begin anew. Return null, or in one line why this machine is none for you. May be null. */
+  /* Begin anew. Return null, or in one line why you cannot drive this machine. May be null. */
   const char* (*start)(const firmware_machine* machine);
   void (*step)(const firmware_input* in, firmware_output* out);
 } firmware;

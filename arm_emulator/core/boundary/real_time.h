@@ -67,7 +67,7 @@ void arm_real_time_stop(arm_real_time* loop);
 void arm_real_time_go_on(arm_real_time* loop);
 /* The newest command wins. It may be given and replaced at any time, by one thread. */
 void arm_real_time_command(arm_real_time* loop, const arm_command* command);
-/* Copy the oldest snapshot that was not taken yet; 0 if there is none, or if a size is not that of
+/* Copy the oldest snapshot that was not taken yet; 0 if all were taken, or if a size is not that of
  * its struct. */
 int arm_real_time_take(arm_real_time* loop, arm_snapshot* out);
 /* A descriptor that is readable when there is a snapshot. */

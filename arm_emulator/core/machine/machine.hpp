@@ -425,7 +425,7 @@ class Machine {
   }
 
   // The first joint whose state is not finite, or that turns so far in one step that the result
-  // means nothing; -1 if there is none.
+  // means nothing; -1 without such a joint.
   int joint_out_of_bounds(const State<S>& s) const {
     int found = -1;
     for_each_drive<S>([&](const auto& drive, int j) {

@@ -1,4 +1,4 @@
-// Energy of a machine, and the proof by it that a motion is none.
+// Energy of a machine, which detects non-physical motion.
 #pragma once
 
 #include <cstdint>
@@ -50,7 +50,7 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
 // Keeps account of a machine's energy. Friction, gear damping and windings only take, so that it
 // never exceeds what it was at any time before and what the motors can have given since. Where it
 // does, by half of the most that was ever stored, the scheme makes it: such numbers may be finite
-// and look like a motion, but are none.
+// and look like a motion.
 template <class S>
 class EnergyBalance {
  public:

@@ -12,7 +12,7 @@ enum class Command { voltage = 1, torque = 2, current = 4, voltage_dq = 8 };
 // from one command to the next, and is part of what is saved.
 constexpr bool has_second(Command command) { return command == Command::voltage_dq; }
 
-// A limit that is 0 is none.
+// A limit of 0 does not limit.
 constexpr double limit_or_none(double limit) { return limit > 0.0 ? limit : 1e300; }
 
 // Of what follows a command with a bandwidth [Hz], to first order; 0: at once.

@@ -461,7 +461,7 @@ class LinearlyImplicit {
   LinearlyImplicit* half = nullptr;  // made when it is first needed
   int halvings = 0;
 
-  // A step that is taken in given modes; of no size where there is none.
+  // A step that is taken in given modes; empty for schemes without modes.
   struct Given {
     const typename Coulomb<S, X>::Modes* modes = nullptr;
     Past past = Past::used;

@@ -110,5 +110,5 @@ class Segment:
 
     @property
     def beat(self) -> int:
-        """Shortest time between heartbeats of a node [ns]; 0: there are none."""
+        """Shortest time between heartbeats of a node [ns]; 0: no node sends any."""
         return min((node.beat for node in self.nodes if node.beat), default=0)

@@ -114,7 +114,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
   if (!name || !*name) return refuse(log, environment, "instance name must be given");
   if (!token || std::strcmp(token, fmu::kToken) != 0)
     return refuse(log, environment, "instantiation token must be that of modelDescription.xml");
-  if (event_mode) return refuse(log, environment, "event mode must not be used, there is none");
+  if (event_mode) return refuse(log, environment, "event mode is not supported");
   if (!are_outputs(intermediate, intermediates))
     return refuse(log, environment, "intermediate variables must be outputs");
   const fmu::Watch watch = {watch_at, reinterpret_cast<void (*)()>(update), environment,

@@ -104,7 +104,7 @@ class Instance {
 
   // ------------------------------------------------------------------------------------- logging
 
-  // What a call returns: with a status that is none of success, the reason is reported. An error
+  // What a call returns: with a status other than success, the reason is reported. An error
   // ends the simulation; a reset or a state that was kept begins it again.
   Status report(Status status, const char* format, ...) __attribute__((format(printf, 3, 4))) {
     if (status == kError) values_.mode = kTerminated;

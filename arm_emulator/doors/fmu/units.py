@@ -39,7 +39,7 @@ _DISPLAYED = {
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit; `powers` of base units is None where it is none of SI, such as counts."""
+    """A unit; `powers` of base units is None where it is not of SI, such as counts."""
 
     name: str
     powers: dict[str, int] | None

@@ -176,7 +176,7 @@ def load_board(file: Path, joint_names: Sequence[str]) -> Board:
 
     Raises:
         Refusal: no such file, no YAML, a key that is not known or missing, a value out of its
-            range, registers outside of every block or used twice, or joints that there are not.
+            range, registers outside of every block or used twice, or unknown joints.
     """
     return _Reader(Section(read_yaml(file), file.name), joint_names).board()
 

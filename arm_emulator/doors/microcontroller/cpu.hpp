@@ -83,7 +83,7 @@ class Cpu {
     uc_ctl_set_cpu_model(uc_, UC_CPU_ARM_CORTEX_M4);
     uc_ctl_tlb_mode(uc_, UC_TLB_VIRTUAL);
     hook(UC_HOOK_TLB_FILL, reinterpret_cast<void*>(first_access));
-    uc_ctl_exits_enable(uc_);  // there are none: an address where it ends would end blocks, too
+    uc_ctl_exits_enable(uc_);  // no exit addresses: each would end blocks, too
     hook(UC_HOOK_BLOCK, reinterpret_cast<void*>(block_begins));
     hook(UC_HOOK_INTR, reinterpret_cast<void*>(interrupted));
     hook(UC_HOOK_INSN_INVALID, reinterpret_cast<void*>(no_instruction));
@@ -243,7 +243,7 @@ class Cpu {
   bool leave(uint32_t how) {
     const bool with_fpu = !(how & 0x10), process = (how & 0xf) == 0xd, thread = (how & 0xf) != 1;
     if ((how & 0xffffffe0u) != 0xffffffe0u || ((how & 0xf) != 1 && (how & 0xf) != 9 && !process))
-      return fail("an exception return that is none", how);
+      return fail("a wrong exception return", how);
     const int pointer = process ? UC_ARM_REG_PSP : UC_ARM_REG_MSP;
     const uint32_t at = get(pointer), size = with_fpu ? 0x68 : 0x20;
     std::array<uint32_t, 26> frame{};

@@ -1,6 +1,6 @@
 /* A microcontroller in the loop with a machine: unmodified firmware behind
  * arm_emulator/core/boundary/arm.h. The contents of a board file, as plain structs;
- * arm_emulator/doors/microcontroller/board.py reads it. An address of 0 is none. C99. */
+ * arm_emulator/doors/microcontroller/board.py reads it. An address of 0: not present. C99. */
 #ifndef MICROCONTROLLER_RUNNER_H
 #define MICROCONTROLLER_RUNNER_H
 

@@ -116,7 +116,7 @@ class Encoder(Part):
 
     @property
     def reports(self) -> tuple[Output, ...]:
-        """Its index; that there are counts goes without an encoder, too."""
+        """Its index; counts exist without an encoder, too."""
         return () if self.index == INDICES[0] else self.outputs
 
     @property

@@ -48,7 +48,7 @@ def put_limits(section: Section, limits: tuple[float, float] | None) -> None:
     """Put the URDF's limits of the joint into a section that asks for them by `at: limits`.
 
     Raises:
-        Refusal: there are none, or other ends are given, too.
+        Refusal: no limits in the URDF, or other ends are given, too.
     """
     if not section.has("at"):
         return

@@ -33,7 +33,7 @@ class Axes(Converter):
 
     def initialiser(self, joint: str, places: Mapping[str, str]) -> str:
         """Return the three sensors in C++."""
-        # The members in their order are the common ones and then the biases that there are.
+        # The members in their order: the common ones, then the biases.
         members = self.members(joint, places)
         common = [f".{name} = {value}" for name, value in members if name != "offset"]
         biases = iter(value for name, value in members if name == "offset")

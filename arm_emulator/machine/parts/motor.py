@@ -57,18 +57,18 @@ class Motor(Part):
 
     @property
     def follows_speed_at_once(self) -> bool:
-        """Whether its current follows the speed at once, for want of an inductance."""
+        """Whether its current follows the speed at once: without an inductance."""
         return False
 
     @property
     def command_limit(self) -> float | None:
-        """The bound of a command that is not a voltage [N m or A]; None: there is none."""
+        """The bound of a command that is not a voltage [N m or A]; None: unlimited."""
         limit: float | None = getattr(self, self.limit) if self.limit else None
         return limit
 
     @property
     def circuit(self) -> Circuit | None:
-        """Return the winding that a drive can close a current loop around; None: there is none."""
+        """Return the winding that a drive can close a current loop around, if it has one."""
         return None
 
     @property

@@ -118,7 +118,7 @@ int drives_list_mode(int32_t row, drives_mode* out);
 /* ------------------------------------------------------------------------------------ the bus */
 
 /* Set an entry that belongs to the bus (COB-IDs, sync manager parameters), whatever its access and
- * range; 0: there is none. */
+ * range; 0: no such entry. */
 int drives_set(drives* all, int32_t drive, uint16_t index, uint8_t sub, int64_t value);
 /* Servo periods in a drive's interpolation time 0x60C2, one at least: a bus in lock-step goes
  * through so many of them per cycle. */

@@ -31,8 +31,7 @@ class Fmmu {
   bool writes() const { return active_ && length_ > 0 && type_ & 2; }
   bool whole_bytes() const { return first_bit_ == 0 && last_bit_ == 7 && physical_bit_ == 0; }
 
-  // The share of a datagram at `address` with `size` bytes, for whole bytes; size 0 if there is
-  // none.
+  // The share of a datagram at `address` with `size` bytes, for whole bytes; size 0: no share.
   Mapped overlapping(std::uint32_t address, std::size_t size) const {
     const std::uint64_t begin = std::max<std::uint64_t>(address, logical_);
     const std::uint64_t end =

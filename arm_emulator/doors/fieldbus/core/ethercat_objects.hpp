@@ -65,7 +65,7 @@ class Door {
                       std::span<const std::uint8_t> in) const {
     return drives_write(all_, drive_, index, sub, in.data(), static_cast<std::uint32_t>(in.size()));
   }
-  // The value of a number, 0 where there is none.
+  // The value of a number; 0 without one.
   std::uint32_t number(std::uint16_t index, std::uint8_t sub) const {
     std::uint8_t bytes[8] = {};
     std::uint32_t size = 0;

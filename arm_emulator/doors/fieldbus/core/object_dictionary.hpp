@@ -1,7 +1,7 @@
 // The object dictionary of a drive: one table for EtherCAT and CANopen.
 //
 // Communication objects after CiA 301 and ETG.1000.6, those of the drive after CiA 402
-// (IEC 61800-7-201). The table states what there is; what the values of one drive are is in
+// (IEC 61800-7-201). The table lists the objects; the values of one drive are in
 // drive.hpp. Positions are in counts of the encoder at the motor, speeds in counts/s, torques in
 // 0.1 % of the rated torque 0x6076.
 #pragma once
@@ -403,7 +403,7 @@ constexpr int slot_from(std::uint16_t index, std::uint8_t sub) {
   }
   return low;
 }
-// The slot of an entry; -1: there is none.
+// The slot of an entry; -1: not in the dictionary.
 constexpr int slot_of(std::uint16_t index, std::uint8_t sub) {
   const int slot = slot_from(index, sub);
   if (slot == kSlots) return -1;
