@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.servo_loop import warn_of_loops
@@ -25,6 +26,8 @@ def check_scene(name: str) -> str:
     file = find_scene(name)
     scene = load_scene(file)
     line = f"{scene.where}: valid, {len(scene.joints)} joints: {', '.join(scene.joint_names)}"
+    for overload in overloads(scene):
+        print(f"warning: {scene.where}: {overload}", file=sys.stderr)
     missing = []
     for kind in ("servo", "motion"):
         try:

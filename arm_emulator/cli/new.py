@@ -13,22 +13,27 @@ from pathlib import Path
 import yaml
 from rich.console import Console
 
+from arm_emulator.analysis.holding import Overload, overloads
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import parse_urdf
 from arm_emulator.design.choose_joints import Choice, choose_joints
-from arm_emulator.design.joint_gains import design
+from arm_emulator.design.data_sheets import published
 from arm_emulator.design.robot_file import robot_text
 from arm_emulator.design.robot_limits import move_meshes, read_limits, write_limits
 from arm_emulator.design.scene_text import demo_text, motion_text, scene_text, servo_text
-from arm_emulator.design.sizing import Demand, Sized, rounded, size
+from arm_emulator.design.sizing import Demand, Sized, size
 from arm_emulator.design.survey import survey
-from arm_emulator.design.tuned import data_of, data_sheet
+from arm_emulator.design.tuned import data_sheet, tuned_servo
+from arm_emulator.machine.chain import LARGEST_MASS
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 SERVO_PERIOD = 1e-3  # s
+WEIGHT = 9.81  # N/kg
+# A tool of which nothing is known: a part of the mass that moves, so far off an axis by the reach.
+TOOL_PART, TOOL_AT = 0.25, 0.1
 PLACES = ("{}.yaml", "servo/{}.yaml", "motion/{}.yaml", "demo/{}.yaml", "urdf/{}.urdf")
 HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
 MOTION_PERIOD = 0.01  # s
@@ -51,6 +56,7 @@ class NewScene:
     file: Path
     choice: Choice
     drives: list[Sized]
+    overloads: list[Overload]
 
 
 def new(
@@ -60,6 +66,7 @@ def new(
     joints: Sequence[str] | None,
     arguments: Mapping[str, str],
     *,
+    payload: float | None = None,
     force: bool,
 ) -> int:
     """Write a scene for a robot, and report what was taken from it and what was guessed.
@@ -68,20 +75,28 @@ def new(
         Refusal: see `write_new`.
     """
     console = Console(highlight=False, markup=False, soft_wrap=True)
-    written = write_new(robot, out, tool, joints, arguments, force=force)
+    written = write_new(robot, out, tool, joints, arguments, payload=payload, force=force)
     choice = written.choice
     console.print(f"moves    {', '.join(choice.joints)}")
     for guess in choice.guesses:
         console.print(f"chosen   {guess}")
     for name, held in choice.held.items():
         console.print(f"held     {name} at {held.position:g}: {held.reason}")
+    sources: dict[str, None] = {}
     for drive in written.drives:
         for what, value in (("torque", drive.peak_torque), ("speed", drive.speed)):
-            if (note := drive.notes[what]) != "URDF":
-                console.print(f"guessed  {drive.joint.name}: {what} {value:.3g}: {note}")
+            how, _, source = drive.notes[what].partition(", ")
+            if how == "guess":
+                console.print(f"guessed  {drive.joint.name}: {what} {value:.3g}: {source}")
+            elif how == "published":
+                sources[source] = None
+    for source in sources:
+        console.print(f"taken    torques and speeds that are published: {source}")
     console.print(
         "guessed  all motors, gears, friction, encoders: rules are in the scene's heading"
     )
+    for overload in written.overloads:
+        console.print(f"weak     {overload}")
     console.print(f"written  {written.file}, and servo/, motion/, demo/ beside it")
     console.print(f"now try  python -m arm_emulator demo {written.file}")
     return 0
@@ -114,6 +129,7 @@ def write_new(
     joints: Sequence[str] | None = None,
     arguments: Mapping[str, str] | None = None,
     *,
+    payload: float | None = None,
     force: bool = False,
 ) -> NewScene:
     """Write a scene for a robot.
@@ -124,11 +140,14 @@ def write_new(
         tool: link that is the tool; None: chosen.
         joints: that move; None: chosen.
         arguments: of the xacro source.
+        payload: mass that the tool carries [kg].
         force: whether to write over files that are there.
 
     Raises:
         Refusal: a robot that cannot be emulated, or files that exist already or are shipped.
     """
+    if payload is not None and not 0.0 <= payload <= LARGEST_MASS:
+        raise Refusal("new", "--payload", f"be from 0 to {LARGEST_MASS:g} kg", payload)
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints)
@@ -141,15 +160,26 @@ def write_new(
         if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
-    drives, texts = _texts(robot, _links_alone(text, robot.name, choice), description, choice)
-    files = {folder / place.format(name): content for place, content in texts.items()}
+    drives, texts = _texts(robot, text, description, choice, payload or 0.0)
+    with tempfile.TemporaryDirectory() as trial:
+        made = Path(trial) / f"{name}.yaml"
+        _write(Path(trial), {place.format(name): one for place, one in texts.items()})
+        scene = load_scene(made)
+        servo = tuned_servo(made, _servo_of(scene, drives))
+    texts[PLACES[1]] = servo_text(servo, SERVO_HEADING.format(name=name))
+    _write(folder, {place.format(name): one for place, one in texts.items()})
+    return NewScene(file, choice, drives, overloads(scene))
+
+
+def _write(folder: Path, contents: Mapping[str, str]) -> None:
+    """Write files below a folder."""
     try:
-        for one, content in files.items():
-            one.parent.mkdir(parents=True, exist_ok=True)
-            one.write_text(content, encoding="utf-8")
+        for place, content in contents.items():
+            file = folder / place
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(content, encoding="utf-8")
     except OSError as error:
         raise Refusal("new", f"folder {folder}", "be writable", error.strerror) from None
-    return NewScene(file, choice, drives)
 
 
 def _name(robot: Path) -> str:
@@ -158,7 +188,7 @@ def _name(robot: Path) -> str:
     return re.sub(r"\W+", "_", stem).strip("_") or "arm"
 
 
-def _links_alone(text: str, where: str, choice: Choice) -> Scene:
+def _links_alone(text: str, where: str, choice: Choice, payload: float = 0.0) -> Scene:
     """Return the robot as a machine without motors; `where`: what to call it in refusals."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / where).write_text(text, encoding="utf-8")
@@ -172,6 +202,7 @@ def _links_alone(text: str, where: str, choice: Choice) -> Scene:
             "joints": {name: {} for name in choice.joints},
             "integrator": {"dt": SERVO_PERIOD},
             "servo_period": SERVO_PERIOD,
+            "payload": {"mass": payload},
         }
         file = Path(folder) / "robot.yaml"
         file.write_text(yaml.safe_dump(scene, allow_unicode=True), encoding="utf-8")
@@ -179,35 +210,40 @@ def _links_alone(text: str, where: str, choice: Choice) -> Scene:
 
 
 def _texts(
-    robot: Path, links: Scene, description: ET.Element, choice: Choice
+    robot: Path, text: str, description: ET.Element, choice: Choice, payload: float
 ) -> tuple[list[Sized], dict[str, str]]:
-    """Return the drives, and the files to write by their places; `description` gets limits."""
+    """Return the drives, and the files to write by their places; `description` gets limits.
+
+    The servo is not among them: its gains are those of the scene as it is written.
+    """
     name = _name(robot)
+    links = _links_alone(text, robot.name, choice)
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
-    seen = survey(links, kinematics)
+    bare = survey(links, kinematics)
+    seen = bare
+    if payload:
+        seen = survey(_links_alone(text, robot.name, choice, payload), kinematics)
+    tool = TOOL_PART * sum(joint.body.mass for joint in links.chain.joints) * WEIGHT
     limits = read_limits(description)
+    count = len(links.joints)
+    sheets = published(description.get("name", ""), count) or (None,) * count
     demands = [
         Demand(
             name=joint.name,
             kind=joint.kind,
-            start=float(seen.start[j]),
-            inertia=(float(seen.inertia[j, 0]), float(seen.inertia[j, 1])),
+            start=float(bare.start[j]),
+            inertia=(float(bare.inertia[j, 0]), float(seen.inertia[j, 1])),
             coupling=tuple(seen.coupling[j].tolist()),
             gravity_torque=float(seen.gravity_torque[j]),
+            bare_torque=float(bare.gravity_torque[j]),
+            tool_torque=tool * (1.0 if joint.kind == "prismatic" else TOOL_AT * kinematics.reach),
             effort=limits[joint.name]["effort"],
             velocity=limits[joint.name]["velocity"],
+            sheet=sheets[j],
         )
         for j, joint in enumerate(links.chain.joints)
     ]
     supply, drives = size(demands)
-    servo = ServoConfig(
-        period=SERVO_PERIOD,
-        motion_period=MOTION_PERIOD,
-        hold_after=HOLD_AFTER,
-        cut_after=CUT_AFTER,
-        supply_voltage=supply,
-        joints=tuple(_servo_of(*pair, supply) for pair in zip(demands, drives, strict=True)),
-    )
     motion = {
         "tool": choice.tool,
         "period": MOTION_PERIOD,
@@ -218,28 +254,36 @@ def _texts(
     # The robot description is where the motion controller has the joints' limits from.
     write_limits(description, {drive.joint.name: drive for drive in drives})
     move_meshes(description, robot.parent)
+    scene = scene_text(name, robot.name, choice, supply, payload, demands, drives, SERVO_PERIOD)
+    displacement = bare.displacement.tolist()
     contents = (
-        scene_text(name, robot.name, choice, supply, demands, drives, SERVO_PERIOD),
-        servo_text(servo, SERVO_HEADING.format(name=name)),
+        scene,
+        "",
         motion_text(motion, MOTION_COMMENTS),
-        demo_text(seen.displacement.tolist(), SETTLE, round(WATCHED / MOTION_PERIOD)),
+        demo_text(displacement, SETTLE, round(WATCHED / MOTION_PERIOD)),
         ET.tostring(description, encoding="unicode") + "\n",
     )
     return drives, dict(zip(PLACES, contents, strict=True))
 
 
-def _servo_of(demand: Demand, drive: Sized, supply: float) -> JointServo:
-    """Return the servo of a joint: the data sheet's numbers, and gains that follow from them."""
-    friction, sheet = drive.joint.friction.viscous, data_sheet(drive.joint, supply)
-    limit = sheet["current_limit"]
-    gains = design(*data_of(drive.joint), demand.inertia, SERVO_PERIOD, friction, supply, limit)
-    return JointServo(
-        name=demand.name,
-        **sheet,
-        velocity_limit=drive.speed,
-        position_gain=rounded(gains.position_gain),
-        velocity_gain=rounded(gains.velocity_gain),
-        integral_time=rounded(gains.integral_time),
-        observer_bandwidth=rounded(gains.observer_bandwidth),
-        link_inertia=rounded(gains.link_inertia),
+def _servo_of(scene: Scene, drives: list[Sized]) -> ServoConfig:
+    """Return the servo of a scene with its data sheets; gains are still to be computed."""
+    return ServoConfig(
+        period=SERVO_PERIOD,
+        motion_period=MOTION_PERIOD,
+        hold_after=HOLD_AFTER,
+        cut_after=CUT_AFTER,
+        supply_voltage=scene.supply_voltage,
+        joints=tuple(
+            JointServo(
+                name=joint.name,
+                **data_sheet(joint, scene.supply_voltage),
+                velocity_limit=drive.speed,
+                position_gain=1.0,
+                velocity_gain=1.0,
+                integral_time=1.0,
+                observer_bandwidth=1.0,
+            )
+            for joint, drive in zip(scene.joints, drives, strict=True)
+        ),
     )

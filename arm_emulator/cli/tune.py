@@ -11,10 +11,17 @@ from rich.table import Table
 
 from arm_emulator.base.config_files import check_own, find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.design.gain_text import write_gains
-from arm_emulator.design.tuned import Range, Tuned, compute, examine, link_inertias, predicted_swing
-from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.design.tuned import (
+    Range,
+    Tuned,
+    compute,
+    examine,
+    link_inertias,
+    predicted_swing,
+    with_and_without,
+)
+from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.gains import check_joints
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
@@ -37,10 +44,7 @@ def tune(scene_name: str, out: Path | None, payload: float | None, *, write: boo
     servo_file = find_beside(file, "servo")
     if write:
         check_own("tune", servo_file)
-    has = read_yaml(file).get("payload") is not None
-    loaded = {} if payload is None else {"payload.mass": payload}
-    scene = load_scene(file, loaded)
-    without = load_scene(file, {"payload": None}) if has or payload is not None else None
+    scene, without = with_and_without(file, payload)
     servo = load_servo_config(servo_file)
     _check(scene, servo)
     inertias = link_inertias([scene] if without is None else [scene, without])

@@ -23,7 +23,7 @@ _RULES = """\
 # Made by `arm_emulator new` from {robot}. Links are the description's.
 # Motors, gears, friction and encoders are not in it: all numbers under `motor`, `gear`, `friction`
 # and `encoder` are guesses of the right size, by these rules (docs/tutorials/your_robot.md), from
-# the peak torque and the speed beside each joint:
+# the peak torque and the speed beside each joint (motor and ratio of a published servo: its own):
 #   ratio        the joint's full speed at 3000 rpm of the motor
 #   motor        back EMF 60 % of the supply at full speed, 25 % for the winding at peak torque,
 #                L/R 1 ms, rotor accelerates with 14 000 rad/s2; current of the peak torque
@@ -41,6 +41,7 @@ def scene_text(
     robot: str,
     choice: Choice,
     supply: float,
+    payload: float,
     demands: list[Demand],
     drives: list[Sized],
     servo_period: float,
@@ -52,8 +53,11 @@ def scene_text(
         f"urdf: {_text(f'urdf/{name}.urdf')}",
         f"tool: {_text(choice.tool)}",
         "gravity: [0.0, 0.0, -9.81]  # m/s2, z up",
-        f"supply_voltage: {supply:g}  # V, guess",
+        f"supply_voltage: {supply:g}  # V, "
+        + ("of the servos" if any(one.sheet and one.sheet.servo for one in demands) else "guess"),
     ]
+    if payload:
+        lines.append(f"payload: {{mass: {payload!r}}}  # kg, at the tool")
     if choice.held:
         lines += ["", "locked:"]
         for joint, held in choice.held.items():

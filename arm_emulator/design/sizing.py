@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arm_emulator.design.data_sheets import JointSheet
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
@@ -22,12 +23,14 @@ from arm_emulator.machine.scene import Joint
 # What a limit of the description may be. Beyond, it stands for "not known".
 MOST_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s
 DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
-PLACEHOLDER = 30.0  # times the largest torque that any joint of the arm needs
+# A torque of the description stands for "not known" beyond so many times what the joint needs with
+# a tool, or where every joint has so many times as much.
+PLACEHOLDER, OVERSIZED = 50.0, 8.0
 
 GRAVITY_MARGIN = 1.3  # holds its own links, and some payload
 SPEED_UP = 0.25  # s from rest to full speed, of all joints at a time
-LEAST_SPEED_UP = 1.0  # s, with the torque of the description
 TORQUE_PART = 0.6  # of what the weight leaves of the torque, for accelerating
+LEAST_PART = 0.02  # of the torque, for accelerating where the weight leaves less
 
 SUPPLIES = ((50.0, 24.0), (2000.0, 48.0), (math.inf, 560.0))  # W of the strongest joint, V
 MOTOR_SPEED = 314.0  # rad/s at the joint's full speed: 3000 rpm, rated speed of most servo motors
@@ -56,9 +59,12 @@ class Demand:
     inertia: tuple[float, float]  # kg m2, least and most over poses
     coupling: tuple[float, ...]
     """What it feels of each joint's acceleration, its own among them, most over poses [kg m2]."""
-    gravity_torque: float  # N m, most over poses
+    gravity_torque: float  # N m, most over poses, with the payload
+    bare_torque: float  # N m, the same without the payload
+    tool_torque: float  # N m, what a tool may ask for that the description does not know
     effort: float | None  # N m
     velocity: float | None  # rad/s
+    sheet: JointSheet | None = None  # of its drive, where one is published
 
 
 @dataclass(frozen=True)
@@ -76,38 +82,51 @@ class Sized:
 def size(demands: list[Demand]) -> tuple[float, list[Sized]]:
     """Return the supply voltage [V] and a drive for every joint.
 
-    In short: peak torque and speed of the description, or what holds and moves the links;
-    ratio and back EMF by the motor's rated speed, winding by what the supply leaves at peak torque,
+    In short: peak torque and speed as published, else those of the description, else what holds and
+    moves the links. Torques of makers stay what they are: accelerations follow from them.
+    Ratio and back EMF by the motor's rated speed, winding by what the supply leaves at peak torque,
     rotor by a servo motor's acceleration, stiffness as strain wave gears of that torque have.
     """
     rated = [_speed(demand) for demand in demands]
     speeds = np.array([speed for speed, _ in rated])
-    weight = GRAVITY_MARGIN * np.array([demand.gravity_torque for demand in demands])
+    weight = np.array([demand.gravity_torque for demand in demands])
     # Not all joints accelerate at the worst at a time: the root of the sum of squares.
     coupling = np.array([demand.coupling for demand in demands])
     ramp = np.linalg.norm(coupling * speeds, axis=1)  # of a second
-    largest = PLACEHOLDER * float((weight + ramp / SPEED_UP).max())
     torques, notes = [], []
-    least_torques, needs = weight + ramp / LEAST_SPEED_UP, weight + ramp / SPEED_UP
-    for demand, (_, of_speed), least, needed in zip(
-        demands, rated, least_torques, needs, strict=True
-    ):
-        torque, about = _peak_torque(demand, float(least), float(needed), largest)
+    needs = GRAVITY_MARGIN * weight + ramp / SPEED_UP
+    shares = [
+        demand.effort / (need + demand.tool_torque)
+        for demand, need in zip(demands, needs, strict=True)
+        if demand.effort is not None
+    ]
+    most = PLACEHOLDER if min(shares, default=0.0) <= OVERSIZED else 0.0
+    for demand, (_, of_speed), needed in zip(demands, rated, needs.tolist(), strict=True):
+        torque, about = _peak_torque(demand, needed, most * (needed + demand.tool_torque))
         torques.append(torque)
         notes.append({"torque": about, "speed": of_speed})
     # All joints take the same time to full speed, as short as every torque allows.
-    left = TORQUE_PART * (np.array(torques) - weight)
+    peak = np.array(torques)
+    left = np.maximum(TORQUE_PART * (peak - weight), LEAST_PART * peak)
     seconds = max(SPEED_UP, float((ramp / left).max()))
-    power = float((np.array(torques) * speeds).max())
-    supply = next(volts for watts, volts in SUPPLIES if power <= watts)
+    supply = _supply(demands, float((peak * speeds).max()))
     return supply, [
         _drive(demand, torque, float(speed), float(speed) / seconds, note, supply)
         for demand, torque, speed, note in zip(demands, torques, speeds, notes, strict=True)
     ]
 
 
+def _supply(demands: list[Demand], power: float) -> float:
+    """Return the supply voltage of drives whose strongest has a power [W]."""
+    servos = [demand.sheet.servo for demand in demands if demand.sheet is not None]
+    known = [servo.supply for servo in servos if servo is not None]
+    return max(known) if known else next(volts for watts, volts in SUPPLIES if power <= watts)
+
+
 def _speed(demand: Demand) -> tuple[float, str]:
     """Return a joint's full speed, and where it comes from."""
+    if demand.sheet is not None:
+        return demand.sheet.speed, f"published, {demand.sheet.source}"
     given = demand.velocity
     if given is not None and 0.0 < given <= MOST_SPEED[demand.kind]:
         return given, "URDF"
@@ -115,17 +134,19 @@ def _speed(demand: Demand) -> tuple[float, str]:
     return DEFAULT_SPEED[demand.kind], f"guess, {why}"
 
 
-def _peak_torque(demand: Demand, least: float, needed: float, largest: float) -> tuple[float, str]:
-    """Return a joint's peak torque, and where it comes from."""
+def _peak_torque(demand: Demand, needed: float, largest: float) -> tuple[float, str]:
+    """Return a joint's peak torque, and where it comes from; beyond `largest` it is no figure."""
+    if demand.sheet is not None:
+        return demand.sheet.torque, f"published, {demand.sheet.source}"
     given = demand.effort
-    if given is not None and least <= given <= largest:
+    if given is not None and demand.bare_torque <= given <= largest:
         return given, "URDF"
     if given is None:
         why = "none in the URDF"
     elif given > largest:
-        why = f"the URDF's {given:g} is a placeholder"
+        why = f"the URDF's {given:g} is a placeholder, {given / needed:.2g} times what it needs"
     else:
-        why = f"the URDF's {given:g} does not move its own links"
+        why = f"the URDF's {given:g} does not hold its own links, {demand.bare_torque:.3g}"
     rule = f"{GRAVITY_MARGIN:g} times the weight and full speed in {SPEED_UP:g} s"
     return needed, f"guess, {why}: {rule}"
 
@@ -138,10 +159,16 @@ def _drive(
     notes: dict[str, str],
     supply: float,
 ) -> Sized:
-    ratio = speed / MOTOR_SPEED
-    torque_constant = BACK_EMF_PART * supply / MOTOR_SPEED
-    current = torque * ratio / torque_constant
-    resistance = RESISTANCE_PART * supply / current
+    servo = None if demand.sheet is None else demand.sheet.servo
+    if servo is None:
+        ratio = speed / MOTOR_SPEED
+        back_emf_constant = torque_constant = BACK_EMF_PART * supply / MOTOR_SPEED
+        current = torque * ratio / torque_constant
+        resistance = RESISTANCE_PART * supply / current
+    else:
+        ratio, resistance = 1.0 / servo.turns, servo.resistance
+        torque_constant, back_emf_constant = servo.torque_constant, servo.back_emf_constant
+        current = torque * ratio / torque_constant
     least, most = demand.inertia
     stiffness = max(STIFFNESS_PER_TORQUE * torque, LOWEST_RESONANCE[demand.kind] ** 2 * most)
     middle = math.sqrt(least * most)
@@ -152,7 +179,7 @@ def _drive(
             resistance=rounded(resistance),
             inductance=rounded(ELECTRICAL_TIME * resistance),
             torque_constant=rounded(torque_constant),
-            back_emf_constant=rounded(torque_constant),
+            back_emf_constant=rounded(back_emf_constant),
             rotor_inertia=rounded(torque * ratio / ROTOR_ACCELERATION),
             current_limit=rounded(current),
         ),

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
-from arm_emulator.analysis.reference import links_model
+from arm_emulator.analysis.link_loads import LinkLoads
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
 
@@ -47,16 +46,14 @@ def survey(scene: Scene, kinematics: Kinematics) -> Survey:
     rng = np.random.default_rng(0)
     N = len(low)
     poses = low + (high - low) * rng.random((POSES, N))
-    model = links_model(scene)
-    data = model.createData()
+    loads = LinkLoads(scene)
     least, coupling = np.full(N, np.inf), np.zeros((N, N))
     weight = np.zeros(N)
     for q in poses:
-        M = pin.crba(model, data, q)
-        M = np.triu(M) + np.triu(M, 1).T
+        M = loads.mass_matrix(q)
         least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(M)))
         coupling = np.maximum(coupling, np.abs(M))
-        weight = np.maximum(weight, np.abs(pin.computeGeneralizedGravity(model, data, q)))
+        weight = np.maximum(weight, np.abs(loads.weight(q)))
     start = _start(kinematics, low, high, rng)
     inertia = np.stack([least, np.diag(coupling)], axis=1)
     displacement = _displacement(kinematics, start, low, high)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 from arm_emulator.analysis.sampled_loop import Margins
 from arm_emulator.analysis.servo_at_rest import swing_at_rest
 from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
+from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_plant
 from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.scene import Joint, Scene
+from arm_emulator.machine.scene import Joint, Scene, load_scene
 from arm_emulator.machine.session import Session
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
@@ -85,6 +87,25 @@ def link_inertias(scenes: list[Scene]) -> list[Range]:
             most.append(np.diag(np.linalg.inv(M_inverse)))
     low, high = np.min(least, axis=0), np.max(most, axis=0)
     return list(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def with_and_without(file: Path, payload: float | None = None) -> tuple[Scene, Scene | None]:
+    """Return a scene, and the same without its payload; None where it has none.
+
+    Args:
+        file: the scene's.
+        payload: mass at the tool in place of the scene's [kg].
+    """
+    has = read_yaml(file).get("payload") is not None
+    loaded = {} if payload is None else {"payload.mass": payload}
+    without = load_scene(file, {"payload": None}) if has or payload is not None else None
+    return load_scene(file, loaded), without
+
+
+def tuned_servo(file: Path, servo: ServoConfig) -> ServoConfig:
+    """Return the servo with the gains that `tune` computes for a scene."""
+    scene, without = with_and_without(file)
+    return compute(scene, servo, link_inertias([scene] if without is None else [scene, without]))
 
 
 def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoConfig:

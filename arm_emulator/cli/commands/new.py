@@ -18,6 +18,7 @@ def new(
     *arguments: Annotated[str, Parameter(metavar="NAME:=VALUE")],
     tool: Annotated[str | None, Parameter(metavar="LINK")] = None,
     joints: Annotated[list[str] | None, Parameter(metavar="JOINT ...")] = None,
+    payload: Annotated[float | None, Parameter(metavar="KG")] = None,
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     force: bool = False,
 ) -> int:
@@ -28,6 +29,7 @@ def new(
         arguments: arguments of the xacro source.
         tool: where the arm ends (default: chosen).
         joints: that move, the rest is held (default: chosen).
+        payload: mass that the tool carries (default: none).
         out: of the scene's files (default: the robot's name, here).
         force: write over files that are there.
     """
@@ -39,4 +41,4 @@ def new(
         if not sign or not name:
             raise Refusal("new", "argument", "be NAME:=VALUE", one)
         given[name] = value
-    return make(robot, out, tool, joints, given, force=force)
+    return make(robot, out, tool, joints, given, payload=payload, force=force)

@@ -1,0 +1,90 @@
+"""Whether an arm's motors hold it, with its payload, wherever its joints may go."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.analysis.link_loads import Array, LinkLoads
+from arm_emulator.analysis.servo_loop import poses
+from arm_emulator.machine.parts.counterbalance import Counterbalance
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.scene import Joint, Scene
+
+POSES = 400
+NEARLY = 1.0 - 1e-9  # a motor that gives just the weight holds it
+
+
+@dataclass(frozen=True, eq=False)
+class Overload:
+    """A joint whose motor gives less than it takes to hold what is behind it."""
+
+    joint: str
+    unit: str
+    gives: float
+    takes: float  # most over the poses
+    at: Array  # that pose
+    at_start: float | None  # what the start takes, where that is too much
+    poses: int  # of `POSES` in which it is too much
+
+    def __str__(self) -> str:
+        if self.at_start is not None:
+            where = f"{self.at_start:.3g} {self.unit} at its start"
+        else:
+            pose = ", ".join(f"{angle:.2f}" for angle in self.at)
+            where = f"{self.takes:.3g} {self.unit} at q = ({pose})"
+        return (
+            f"joints.{self.joint}: its motor gives {self.gives:.3g} {self.unit}, to hold the arm "
+            f"takes {where}; too much in {self.poses} of {POSES} poses within the limits"
+        )
+
+
+def overloads(scene: Scene) -> list[Overload]:
+    """Return the joints that do not hold the arm in every pose; first among them is the start."""
+    loads = LinkLoads(scene)
+    at = np.array(poses(scene, POSES))
+    takes = np.abs(np.array([loads.weight(q) + _springs(scene, q) for q in at]))
+    found = []
+    for j, joint in enumerate(scene.joints):
+        if joint.motor is None:
+            continue
+        gives = largest_torque(joint, scene.supply_voltage)
+        too_much = NEARLY * takes[:, j] > gives
+        if too_much.any():
+            worst = int(takes[:, j].argmax())
+            found.append(
+                Overload(
+                    joint.name,
+                    "N" if scene.chain.joints[j].kind == "prismatic" else "N m",
+                    gives,
+                    float(takes[worst, j]),
+                    at[worst],
+                    float(takes[0, j]) if too_much[0] else None,
+                    int(too_much.sum()),
+                )
+            )
+    return found
+
+
+def largest_torque(joint: Joint, supply_voltage: float) -> float:
+    """Return the largest torque that a joint's motor puts on its link at rest [N m or N]."""
+    largest = joint.largest_command(supply_voltage)
+    torque = math.inf if largest is None else abs(joint.torque_per_command) * largest
+    current, data = getattr(joint.motor, "current_limit", None), joint.servo_data
+    if current is not None and data is not None:
+        torque = min(torque, current * data.torque_constant / abs(joint.gear.ratio))
+    return torque
+
+
+def _springs(scene: Scene, q: Array) -> Array:
+    """Return the torques that hold counterbalances at rest, (N,)."""
+    torque = np.zeros(len(q))
+    for j, joint in enumerate(scene.joints):
+        spring = joint.find(Counterbalance)
+        if spring is not None:
+            none = np.zeros(1)
+            at = ShaftMotion(none, q[j : j + 1], none, none, none, none, joint.gear.ratio)
+            torque[j] = float(spring.effort(at)[0])
+    return torque

@@ -1,0 +1,48 @@
+"""What the links ask of their joints: mass matrix and weight over poses, by Pinocchio.
+
+The bodies are the scene's own, so that payload and locked joints are in them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from arm_emulator.machine.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+class LinkLoads:
+    """The links of a scene, with plain joint angles in its order."""
+
+    def __init__(self, scene: Scene) -> None:
+        model = pin.Model()
+        parent = 0
+        for joint in scene.chain.joints:
+            c, s = joint.cos_alpha, joint.sin_alpha
+            tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+            C, S = np.cos(joint.theta_0), np.sin(joint.theta_0)
+            turn = np.array([[C, -S, 0.0], [S, C, 0.0], [0.0, 0.0, 1.0]])
+            kind = pin.JointModelPZ() if joint.kind == "prismatic" else pin.JointModelRZ()
+            parent = model.addJoint(parent, kind, pin.SE3(tilt @ turn, joint.p), joint.name)
+            body = joint.body
+            com = body.moment / body.mass
+            com_x = pin.skew(com)
+            inertia = pin.Inertia(body.mass, com, body.inertia + body.mass * com_x @ com_x)
+            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+        gravity = np.array(scene.gravity or (0.0, 0.0, 0.0))
+        model.gravity.linear = scene.chain.R_BW @ gravity
+        self._model, self._data = model, model.createData()
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return M(q), (N, N)."""
+        M = pin.crba(self._model, self._data, q)
+        whole: Array = np.triu(M) + np.triu(M, 1).T
+        return whole
+
+    def weight(self, q: Array) -> Array:
+        """Return the torques that hold the links at q, (N,) [N m or N]."""
+        torque: Array = pin.computeGeneralizedGravity(self._model, self._data, q).copy()
+        return torque

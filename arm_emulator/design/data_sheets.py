@@ -1,0 +1,135 @@
+"""Published figures of well-known arms and servos, which come before any rule.
+
+An arm is known by the name of its description and the number of its joints. Every entry has its
+source; torques are those that the maker states as the largest of a joint.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+USABLE = (
+    0.45  # of stall torque and no-load speed at a time: 10 % of the supply are left for control
+)
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A hobby servo: a dc motor with its gear, by its ends at one supply voltage."""
+
+    name: str
+    supply: float  # V
+    stall_torque: float  # N m at the horn
+    no_load_speed: float  # rad/s at the horn
+    turns: float  # of the motor per turn of the horn
+    source: str
+    stall_current: float | None = None  # A
+
+    @property
+    def torque(self) -> float:
+        """The largest torque that is asked for [N m]."""
+        return USABLE * self.stall_torque
+
+    @property
+    def speed(self) -> float:
+        """The largest speed that is asked for [rad/s]."""
+        return USABLE * self.no_load_speed
+
+    @property
+    def back_emf_constant(self) -> float:
+        """Of its motor [V s/rad]."""
+        return self.supply / (self.no_load_speed * self.turns)
+
+    @property
+    def torque_constant(self) -> float:
+        """Of its motor, with what the gear takes [N m/A]; the back EMF's where none is stated."""
+        if self.stall_current is None:
+            return self.back_emf_constant
+        return self.stall_torque / self.turns / self.stall_current
+
+    @property
+    def resistance(self) -> float:
+        """Of its winding [ohm]."""
+        return self.supply * self.torque_constant * self.turns / self.stall_torque
+
+
+@dataclass(frozen=True)
+class JointSheet:
+    """What is published of the drive of a joint."""
+
+    torque: float  # N m
+    speed: float  # rad/s
+    source: str
+    servo: Servo | None = None
+
+
+@dataclass(frozen=True)
+class _Arm:
+    names: str  # a pattern for the whole name
+    joints: tuple[JointSheet, ...]
+
+
+def _rpm(value: float) -> float:
+    return value * 2.0 * math.pi / 60.0
+
+
+_DYNAMIXEL = "https://emanual.robotis.com/docs/en/dxl/x/"
+STS3215 = Servo(
+    "STS3215", 12.0, 30.0 * 0.0980665, _rpm(45.0), 345.0,
+    "maker's figures at 12 V in https://robonine.com/"
+    "testing-of-feetech-sts3215-servomotor-backlash-repeatability-and-torque",
+)  # fmt: skip
+XL430_W250 = Servo(
+    "XL430-W250", 12.0, 1.5, _rpm(61.0), 258.5, _DYNAMIXEL + "xl430-w250", stall_current=1.4
+)
+XM430_W350 = Servo(
+    "XM430-W350", 12.0, 4.1, _rpm(46.0), 353.5, _DYNAMIXEL + "xm430-w350", stall_current=2.3
+)
+XM540_W270 = Servo(
+    "XM540-W270", 12.0, 10.6, _rpm(30.0), 272.5, _DYNAMIXEL + "xm540-w270", stall_current=4.4
+)
+
+_UR = "https://www.universal-robots.com/articles/ur-articles/max-joint-torques"
+_FRANKA = "https://frankarobotics.github.io/docs/control_parameters.html"
+
+
+def _servos(names: str, *servos: Servo) -> _Arm:
+    return _Arm(
+        names,
+        tuple(
+            JointSheet(one.torque, one.speed, f"{one.name}, {one.source}", one) for one in servos
+        ),
+    )
+
+
+def _sheet(names: str, torques: tuple[float, ...], degrees: tuple[float, ...], source: str) -> _Arm:
+    pairs = zip(torques, degrees, strict=True)
+    return _Arm(names, tuple(JointSheet(T, math.radians(w), source) for T, w in pairs))
+
+
+_ARMS = (
+    _servos(r"so[-_ ]?(arm)?[-_ ]?10[01].*", *[STS3215] * 5),
+    _servos(r"open_?manipulator(_?x)?", *[XM430_W350] * 4),
+    _sheet(r"ur3([-_]?(robot|cb3?))?", (56.0, 56.0, 28.0, 12.0, 12.0, 12.0),
+           (180.0,) * 3 + (360.0,) * 3, _UR),
+    _sheet(r"ur5([-_]?(robot|cb3?))?", (150.0,) * 3 + (28.0,) * 3, (180.0,) * 6, _UR),
+    _sheet(r"ur10([-_]?(robot|cb3?))?", (330.0, 330.0, 150.0, 56.0, 56.0, 56.0),
+           (120.0, 120.0) + (180.0,) * 4, _UR),
+    _sheet(r"(franka[-_]?(emika[-_]?)?)?panda([-_]?arm)?", (87.0,) * 4 + (12.0,) * 3,
+           tuple(map(math.degrees, (2.175,) * 4 + (2.61,) * 3)), _FRANKA),
+)  # fmt: skip
+
+
+def published(robot: str, joints: int) -> tuple[JointSheet, ...] | None:
+    """Return what is published of the joints of an arm, base to tool; None: it is not known.
+
+    Args:
+        robot: name of the robot in its description.
+        joints: how many of them move.
+    """
+    for arm in _ARMS:
+        if len(arm.joints) == joints and re.fullmatch(arm.names, robot, re.IGNORECASE):
+            return arm.joints
+    return None
