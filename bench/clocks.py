@@ -101,7 +101,7 @@ def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
             ran = moving()
             if not ran:
                 continue
-            # What happens while processes start and meet is not what is measured.
+            # The time while processes start and meet is not measured.
             if clock == "realtime" and ran[-1][0] - ran[0][0] >= seconds:
                 break
             if clock == "lockstep" and ran[-1][1].tick >= LOCKSTEP_TICKS:

@@ -38,7 +38,7 @@ EARTH = [0.0, 0.0, -9.81]  # m/s2
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one scheme made of a case at one step."""
+    """The result of one scheme on a case at one step."""
 
     scheme: str
     dt: float  # s

@@ -1,4 +1,4 @@
-"""What was promised of speed and accuracy, against what this run has reached."""
+"""Wanted speed and accuracy against those of this run."""
 
 from __future__ import annotations
 

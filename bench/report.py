@@ -32,7 +32,7 @@ SECTIONS = (
     "clocks",
     "first_use",
 )
-# What is measured only when it is named, how well controllers and given machines do:
+# Sections that run only when they are named: controllers and given machines:
 # docs/concepts/motion.md, docs/validation/assumed.md, docs/validation/validation.md and
 # docs/how_to/identify.md.
 BY_NAME = (
@@ -92,7 +92,7 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
         try:
             figures["sections"][name] = section.run(quick)
         except Exception as error:
-            # What has taken minutes to measure is not thrown away for one section that fails.
+            # One section that fails does not discard minutes of measurements.
             traceback.print_exc()
             figures["failed"][name] = f"{type(error).__name__}: {error}"
         figures["seconds"][name] = time.monotonic() - started

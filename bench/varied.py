@@ -1,4 +1,4 @@
-"""What it costs a step that a number is varied: python -m bench.varied [SCENE] [--scheme SCHEME]"""
+"""Time that varied numbers add to a step: python -m bench.varied [SCENE] [--scheme SCHEME]"""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ def _errors(case: tuple[_Full, str]) -> dict[str, dict[str, float] | None]:
             "tool": float(np.linalg.norm(motion.tool(q[watched]) - tool, axis=1).max()),
         }
 
-    # What differs for no reason but rounding and step is the ground of all the others.
+    # Differences by rounding and step alone are the base for all others.
     dt = DT / 2 if part == FULL else DT
     scene = _scene(full.name, "rosenbrock", _variants(full.name)[part], dt)
     return {

@@ -1,4 +1,4 @@
-"""What the emulator takes from topics: motor commands, wrenches, reports of recorders."""
+"""Messages that the emulator takes from topics: motor commands, wrenches, reports of recorders."""
 
 from __future__ import annotations
 

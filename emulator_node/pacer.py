@@ -1,4 +1,4 @@
-"""What makes ticks follow each other: answers in lock-step, a loop in real time."""
+"""The sequence of ticks: answers in lock-step, a loop in real time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the emulator publishes of its machine: states, truth, time, events."""
+"""Messages that the emulator publishes of its machine: states, truth, time, events."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Random mixtures in which each law stands alone, against an independent solution.
 
-What a mixture of many parts hides: each joint has one law of friction at most, at its link or at
-its rotor, dry or not (oracles/mixtures.py draws all of them at once, and always some that is dry),
+Defects that a mixture of many parts hides: each joint has one law of friction at most, at its link
+or at its rotor, dry or not (oracles/mixtures.py draws all of them at once, always one that is dry),
 every other command is 0, gears are rigid, elastic or have gaps. Claims:
 
 - with events located the motion is that of oracles/smoothed_reference.py, in which nothing is

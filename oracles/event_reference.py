@@ -86,7 +86,7 @@ class MachineWithModes(ReferenceMachine):
     def choose_locks(self, x: Array, V: Array, freed: int | None = None) -> None:
         """Lock every joint at rest but `freed`, then free what is overloaded, the worst first.
 
-        What the others' freedom would then drive backwards is locked again.
+        Joints that the others would then drive backwards are locked again.
         """
         hold = self.forces(x, V)[2]
         v = x[4]
@@ -175,7 +175,7 @@ def reference_with_events(
     x = machine.at_rest(scene.start, None)
     rate = machine.fastest_rate(x)
     method = "Radau" if rate > STIFF else "DOP853"
-    # What ends a mode for less than a step is not seen: as when a swinging gear breaks a link away.
+    # A mode that ends for less than a step is not seen: as when a swinging gear breaks a link away.
     longest = min(period / 40.0, 0.2 / rate)
     rows = np.clip(np.atleast_2d(commands), -machine.largest, machine.largest)
     out, events = np.empty((len(rows), machine.N)), 0

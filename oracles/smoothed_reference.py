@@ -4,8 +4,8 @@ Where the core asks whether a shaft sticks or slides, a current is at its limit,
 and finds the instants at which that changes, here are ordinary differential equations alone: dry
 friction rises from 0 to its full torque within a small speed, a current beyond its limit is pushed
 back by a large resistance, teeth and stops push where they are pressed. SciPy's LSODA takes them,
-stiff as they are, with steps of its own. What sticks creeps by some 1e-8 rad in 0.1 s, and what
-that makes of a motion falls with `Smoothing`: a tenth of it shows how much is left.
+stiff as they are, with steps of its own. A stuck joint creeps by some 1e-8 rad in 0.1 s, and the
+effect on a motion falls with `Smoothing`: a tenth of it shows how much is left.
 
 Shares no line with the core, and decides nothing.
 """

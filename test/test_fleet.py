@@ -109,7 +109,7 @@ def test_each_arm_moves_as_alone(seed: int, scheme: str, tmp_path: Path) -> None
 
 
 def test_limits_and_locks_are_met_in_lanes(tmp_path: Path) -> None:
-    """What the test above relies on: its machines stick, and their currents are at their limits."""
+    """The test above relies on this: its machines stick, and their currents are at their limits."""
     stuck = limited = 0
     for seed, scheme in ((6, "paper"), (16, "extrapolated")):
         folder = tmp_path / str(seed)
@@ -192,7 +192,7 @@ def test_bits_depend_neither_on_pieces_nor_on_neighbours(tmp_path: Path) -> None
 
 
 def test_one_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
-    """What is saved, set and restored through it counts in its lane."""
+    """Saving, setting and restoring through it act on its lane."""
     rng = np.random.default_rng(10)
     scene = mixture(tmp_path, 16)
     fleet = Fleet(scene, 9)

@@ -26,7 +26,7 @@ LONG = "FUZZ_EXAMPLES" in os.environ
 examples = settings(
     max_examples=int(os.environ.get("FUZZ_EXAMPLES", "100")),
     derandomize=not LONG,
-    # What fails once is tried first from then on.
+    # A case that failed once is tried first from then on.
     database=DirectoryBasedExampleDatabase(CORPUS / "hypothesis") if LONG else None,
     deadline=None,
     suppress_health_check=list(HealthCheck),

@@ -138,7 +138,7 @@ def test_energy_is_what_the_supply_gives_less_what_is_dissipated(gantry: Path) -
             _, plant, commands = drawn(gantry, seed, dt)
             found = balance_of(plant, commands, round(PERIOD / dt))
             left.append(found.left / (abs(found.given) + found.dissipated.sum()))
-        # What is left is the scheme's error, of order 2.
+        # The rest is the scheme's error, of order 2.
         assert left[1] < 1e-4 and left[1] < 0.35 * left[0] + 1e-9, f"seed {seed}: {left}"
 
 

@@ -1,4 +1,4 @@
-"""What may lie in a cache, who may have put it there, and how much of it stays."""
+"""Contents of a cache, their owners, and its size."""
 
 from __future__ import annotations
 
@@ -316,7 +316,7 @@ def test_only_a_folder_that_nobody_else_can_change_is_searched(
 @pytest.fixture
 def shared() -> Iterator[Path]:
     """A folder for temporary files in which everybody may write, as /tmp."""
-    # What an attacker's command was just doing when it was killed comes behind the clearing up.
+    # The last act of a killed attacker's command may come after the clean-up.
     with tempfile.TemporaryDirectory(dir="/tmp", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         folder.chmod(0o1777)

@@ -117,7 +117,7 @@ def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
 
 
 def test_it_swings_as_its_eigenvalues_state() -> None:
-    """What is withheld does swing, at the frequency and by the factor that the table reports."""
+    """A mode that is withheld does swing, at the frequency and by the factor of the table."""
     # Dry friction would hold small swings, which eigenvalues do not know.
     scene, servo = by_voltage({"joints.*.friction.coulomb": 0.0})
     loops = ModeLoops(scene, servo)

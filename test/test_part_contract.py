@@ -1,7 +1,7 @@
-"""What holds of every part that a scene may have, whatever else is special of it.
+"""Properties of every part that a scene may have.
 
 Each part alone in a drive without friction and limits, moved by commands that jump, the power cut
-on the way. What its motion is stands in the test of the part.
+on the way. The test of the part compares its motion with the truth.
 """
 
 from __future__ import annotations

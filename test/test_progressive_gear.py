@@ -221,7 +221,7 @@ def test_without_a_cube_the_gear_is_the_linear_one(tmp_path: Path, scheme: str) 
 
 @pytest.mark.parametrize("scheme", ["rosenbrock", "implicit"])
 def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, scheme: str) -> None:
-    """What a scheme does not damp never gives a wrong motion in silence."""
+    """A motion that a scheme does not damp is never wrong without a report."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 3])
     name, rows, outcomes = "joints.joint.gear.cubic_stiffness", 15, []
     file = one_gear(tmp_path, scheme, 1e-3)

@@ -1,4 +1,4 @@
-"""What the Rerun stream writes is what it was offered, and nothing that Rerun does reaches back."""
+"""The Rerun stream writes what it was offered, and no failure of Rerun reaches the emulator."""
 
 import contextlib
 import importlib.util

@@ -681,7 +681,7 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
 
 
 def test_a_delay_is_dead_time_of_the_loop() -> None:
-    """What is predicted of small motions is what the arm does: 7 periods are too many."""
+    """Small motions are as predicted: 7 periods are too many."""
     scene = load_scene(
         "three_axis", {"joints.*.encoder.delay": 7, "joints.*.current_sensor.delay": 7}
     )

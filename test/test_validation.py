@@ -29,7 +29,7 @@ from arm_emulator.validation.manutec_table import MOST, SHOWN, manutec_failures
 
 
 def figures(scene: Scene, path: Path) -> Iterator[Figure]:
-    """What is judged without a simulation."""
+    """Checks without a simulation."""
     run = load(path, scene)
     yield from torque_figures(scene, run, *torques_of(scene, run))
     yield from wind_up_figures(run, wind_up(run, scene))

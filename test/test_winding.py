@@ -172,7 +172,7 @@ def test_what_windings_dissipate_heats_them(moving: Path) -> None:
         left.append(found.left / (abs(found.given) + found.dissipated.sum()))
         stays = C * (plant.winding_temperatures - AMBIENT)
         heat.append(float(np.max(np.abs(stays - found.dissipated) / found.dissipated)))
-    # What is left is the scheme's error, of order 2.
+    # The rest is the scheme's error, of order 2.
     assert left[1] < 1e-4 and left[1] < 0.35 * left[0], f"balance: {left}"
     assert heat[1] < 1e-4 and heat[1] < 0.35 * heat[0], f"heat: {heat}"
 

@@ -89,7 +89,7 @@ class Judge:
     def methods(self) -> list[Method]:
         """All that the scene may be integrated by: in two threads if it is so now.
 
-        Where no motion meets an event there is nothing to locate.
+        Motions without an event need no location.
         """
         found = []
         for threads in sorted({1, self.scene.threads}):

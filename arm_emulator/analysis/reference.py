@@ -297,7 +297,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
         Refusal: the masses are not the scene's: its payload was not given.
     """
     robot = ET.fromstring(scene.urdf)
-    # What is of no concern here need not be as Pinocchio likes it.
+    # Pinocchio need not parse what is not used here.
     robot.set("name", "robot")
     for link in robot.findall("link"):
         for element in set(link) - set(link.findall("inertial")):

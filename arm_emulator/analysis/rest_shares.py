@@ -48,7 +48,7 @@ class RestShares:
         return np.array([one.within for one in self.ahead]) + stuck
 
     def draw(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Return by how much the links may be short of their targets beside that, (count, N)."""
+        """Return how far the links may be short of their targets beyond that, (count, N)."""
         columns = []
         for ahead, stuck in zip(self.ahead, self.stuck, strict=True):
             side = rng.choice([-1.0, 1.0], count)
@@ -105,7 +105,7 @@ def _of_joint(
     known = replace(
         at,
         theta_within=max(stuck.short, stuck.beyond) / abs(at.ratio),
-        # What other parts put on the link the gear need not.
+        # The gear need not carry what other parts put on the link.
         torque=Around(at.torque.centre - torque.centre, torque.scaled(-1.0).unknown),
     )
     shares = _ask(scene, joint, known)
@@ -130,8 +130,8 @@ def _ask(scene: Scene, joint: Joint, at: AtRest) -> list[Share]:
 def _sum(shares: list[Share], times: float) -> tuple[Around, Around, Stuck]:
     """Return `ahead`, `torque` and `stuck` of all parts together.
 
-    What the servo leaves short of its target the motion controller multiplies. What has slipped
-    beyond it is where it is.
+    The motion controller multiplies what the servo leaves of its target. A joint that has slipped
+    beyond it stays there.
     """
     ahead, torque, stuck = Around(), Around(), Stuck()
     for share in shares:

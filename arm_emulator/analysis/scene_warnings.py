@@ -1,4 +1,4 @@
-"""What a scene's user had better know, printed before anything moves."""
+"""Warnings about a scene, printed before anything moves."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ class SmallMotions:
     def braked(self, joint: int) -> tuple[Array, Array]:
         """Return J and B while a brake holds the rotor of a joint, with its link if that is stiff.
 
-        What is held stays where it is: its states are rows of zeros.
+        Held joints stay: their states are rows of zeros.
         """
         J, B = self.J.copy(), self.B.copy()
         (own,) = np.nonzero(self.theta_m[joint])

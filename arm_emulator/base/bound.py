@@ -89,7 +89,7 @@ CURRENT = Bound("current", "A", 1e9)
 FORCE = Bound("force", "N", 1e6)
 MOMENT = Bound("moment", "N m", 1e6)
 POINT = Bound("point", "m", 1e3)
-# Where the tool shall be, in the world.
+# Target of the tool, in the world.
 TOOL_POSITION = Bound("position", "m", 1e6)
 
 # Beyond, half a count is lost in the rounding of a number.

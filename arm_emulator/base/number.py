@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Range:
-    """What a number may be.
+    """Unit, range and text of a number.
 
     Attributes:
         unit: empty for shares, counts and factors.

@@ -1,6 +1,6 @@
 """C headers read by cffi: the one statement of structs, constants and signatures.
 
-Reading a header takes some 30 ms. What comes of it is kept in the cache of libraries, in the form
+Reading a header takes some 30 ms. The result is kept in the cache of libraries, in the form
 that ``_cffi_backend`` takes, which is read back in less than one.
 """
 

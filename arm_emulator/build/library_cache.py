@@ -304,7 +304,7 @@ def largest_size() -> float:
 def make_room(library: Path, allowed: float) -> None:
     """Remove the least recently used libraries until a folder holds no more than it may.
 
-    What interrupted compilations have left goes, too.
+    Files that interrupted compilations have left are removed, too.
 
     Args:
         library: the newest; it stays, whatever its size.

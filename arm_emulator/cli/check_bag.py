@@ -2,8 +2,8 @@
 
 A run depends on nothing but the commands of each servo period, and every motor state reports those
 of the period before it. So the machine, driven by these, must come to the recorded states; and
-in lock-step they must be those of the recorded commands. What was changed by hand is
-changed again: a reset or a switch of the power is computed, and a machine that was set or restored
+in lock-step they must be those of the recorded commands. Changes by hand are repeated: a reset or a
+switch of the power is computed, and a machine that was set or restored
 is put where its event has it. A run is what lies between two resets; it is checked if the bag has
 it from tick 0 on.
 """

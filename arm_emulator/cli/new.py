@@ -51,7 +51,7 @@ MOTION_COMMENTS = {
 
 @dataclass(frozen=True)
 class NewScene:
-    """What was written, and how it came about."""
+    """The files written, and the reasons for their numbers."""
 
     file: Path
     choice: Choice

@@ -1,8 +1,8 @@
 """Where the tool will rest beside its target, computed before anything moves.
 
 The motion controller moves an arm whose joints are always where it wants them; where that ends is
-where the joints shall be. What keeps the true tool from being there is what the parts of the scene
-state of themselves (`rest_shares`), through the Jacobian.
+where the joints shall be. The deviation is the sum of what the parts of the scene declare
+(`rest_shares`), through the Jacobian.
 """
 
 from __future__ import annotations

@@ -31,8 +31,7 @@ ROWS_PER_PERIOD = 2.5  # of the low-pass: more add nothing
 class FineMotion:
     """Every sample of a record, so fast that reversals are sharp. Arrays are (K, N).
 
-    What goes with speed or angle in a way that is not linear is worked out here, and low-passed
-    then as the torque is.
+    Nonlinear functions of speed or angle are computed here, then low-passed as the torque is.
     """
 
     t: Array  # s, (K,)

@@ -2,7 +2,7 @@
 
 Gauss-Newton (with Levenberg's damping) on how far free runs, driven by the measured torques, leave
 the record. Differences are those of a `Fleet`, an arm for each unknown and start, so that what is
-fitted is what is run. What the scene states counts as in the first stage.
+fitted is what is run. The scene's own numbers count as in the first stage.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 An effect is one or more columns beside the model's, at one joint or the same at all: friction that
 falls with speed, a wave over the angle, a delay. That which explains most of what is left, by
-likelihood with as many samples as are independent, is taken; then the next. What the numbers looked
-for would be beside these columns, against what they are without, is how far they may be off.
+likelihood with as many samples as are independent, is taken; then the next. The numbers fitted with
+these columns, less those without, are their uncertainty.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
         position, speed = wanted[k] - q[k], rate[k] - state.omega_m * ratio
         tau[k] = ratio * (stiff[0] * position + stiff[1] * speed)
         plant.advance(tau[k], scene.steps_per_period)
-    # What acts around an instant is half of the command before it.
+    # Half of the command before an instant acts around it.
     applied = 0.5 * (tau + np.vstack([tau[:1], tau[:-1]]))
     spread = applied.std(axis=0)
     return MeasuredRun(

@@ -2,8 +2,8 @@
 
 Least squares, each joint weighted by its own unexplained torque; what the scene states counts as a
 measurement with a standard deviation of its own. So a number on which the motion does not depend
-keeps the scene's value, and its confidence shows it. Rows that stand out count little. What is left
-is searched for effects that the model lacks, and the confidence is that beside these.
+keeps the scene's value, and its confidence shows it. Rows that stand out count little. The residual
+is searched for effects that the model lacks, and the confidence includes them.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
             noise[j] = _spread(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
             samples += r.sum() / last
         used = _directions(slopes(values[fitted])[: rows.sum()] * widths)
-        # What the fit has bent to itself is missing in the residual.
+        # The residual lacks what the fit has absorbed.
         noise *= np.sqrt(samples / max(samples - used, 0.2 * samples))
         noise = np.clip(noise, 1e-9 * spread, spread)
     return values, weights, motion

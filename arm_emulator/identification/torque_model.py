@@ -4,8 +4,8 @@ At the link, per joint, with motors that turn along with their links:
 
     tau / Ng = Y phi + sum of what the parts at the link take + of those at the rotor / Ng + e
 
-phi follows from log-Cholesky parameters. What a part takes it states itself, as a function of its
-numbers (`Part.effort`); of which of them it is linear is found out by trying. e is the offset of
+phi follows from log-Cholesky parameters. Each part declares its torque as a function of its numbers
+(`Part.effort`); of which of them it is linear is found out by trying. e is the offset of
 the measured torque, and no number of the machine.
 """
 

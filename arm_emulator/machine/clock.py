@@ -1,4 +1,4 @@
-"""Who lets the servo periods of a session pass: its owner, or a loop that owns time."""
+"""The clock of a session: its owner, or a loop that owns time."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from arm_emulator.machine.plant import Plant
 
 
 class ControlCode:
-    """Whoever gives the commands of a run. What is written here holds where no more is to be done.
+    """Whoever gives the commands of a run. These are the defaults.
 
     Attributes:
         name: for refusals.

@@ -1,6 +1,6 @@
 """A scene: one YAML file and one URDF, checked once and frozen.
 
-What the file does not mention does not exist in the machine. Every refusal states where, which
+The machine has no part that the file does not mention. Every refusal states where, which
 quantity, which rule, which value.
 """
 
@@ -98,7 +98,7 @@ class Joint:
     def torque_driven(self) -> Joint:
         """Return the joint with a motor that gives what torque it is commanded, all else kept.
 
-        What stands between a voltage or a current and the torque of the windings goes.
+        Parts between a voltage or a current and the torque of the windings are left out.
         """
         if self.motor is None or self.command == TorqueMotor.command:
             return self
@@ -239,7 +239,7 @@ class Scene:
 
     @property
     def warnings(self) -> list[str]:
-        """What a user of this scene had better know, one line each."""
+        """Warnings about this scene, one line each."""
         now = self.integrator
         sticking = [one.name for one in self.joints if any(part.sticks for part in one.parts)]
         if not sticking or now.events == "located" or now.scheme not in LOCATING_SCHEMES:

@@ -57,7 +57,7 @@ class Instructor:
     and tool paths the newest holds, from its time on: one that begins takes over from the angles
     and speeds commanded so far, so that nothing jumps.
 
-    What it computes is checked. If it is not finite, or beyond the bound of joint positions, the
+    Its results are checked. If one is not finite, or beyond the bound of joint positions, the
     instructor forgets everything and holds the arm where it is.
 
     Args:

@@ -18,7 +18,7 @@ from arm_emulator.motion.tool_path import ToolLimits
 
 
 class Laws:
-    """What takes an arm to a tool target, and along a tool path.
+    """The control laws for tool targets and for tool paths.
 
     Paths are followed by the quadratic program, whatever the method for targets is: eq. (6) knows
     no speed.

@@ -1,4 +1,4 @@
-"""What became of a tool target, a joint trajectory or a tool path: one report per change."""
+"""Result of a tool target, a joint trajectory or a tool path: one report per change."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Kind(enum.IntEnum):
 
 
 class State(enum.IntEnum):
-    """What became of it; the numbers are those of msg/MotionStatus.msg."""
+    """The result; the numbers are those of msg/MotionStatus.msg."""
 
     ACCEPTED = 1
     MOVING = 2

@@ -81,8 +81,8 @@ def predicted_residual(
     d / (2 w). So crossing does not leave the bound, but for the part of a count by which the motor
     overshoots the edge (below 0.01 counts with the scene three_axis, 0.1 with ur5 and panda).
 
-    What an encoder on the motor cannot see is the gear's wind-up u between motor and link, T / Kg
-    of a linear gear. It displaces the tool by ``X(q + u) - X(q)``, for example by the arm's weight.
+    An encoder on the motor does not see the gear's wind-up u between motor and link, T / Kg of a
+    linear gear. It displaces the tool by ``X(q + u) - X(q)``, for example by the arm's weight.
     No weight w and no number of instructions takes that away.
 
     Args:

@@ -182,8 +182,8 @@ class BagWriter:
         """Write a message of the topic with this number.
 
         Raises:
-            OSError: the disk does not take it, or has failed before. What a file lacks in its midst
-                is never written behind: after a failure nothing is.
+            OSError: the disk does not take it, or has failed before. After a failure
+                nothing more is written: a file never has a gap.
         """
         topic = self._topics[number]
         with self._noting_failure():

@@ -1,7 +1,7 @@
 """A second node of one kind on the same topics: named on both sides, by node, host and process.
 
 Every node publishes in its diagnostics its kind, its topic, where it runs and since
-when. Who was started first comes first, and everybody knows who that is.
+when. The node that was started first serves, and all nodes know which one that is.
 """
 
 from __future__ import annotations

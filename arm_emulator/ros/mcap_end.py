@@ -1,7 +1,7 @@
 """An end for an MCAP file that has none: its writer was killed, or the disk was full.
 
-All whole chunks stay as and where they are. What was cut off behind them goes, and the index that
-readers look for at the end of a file is written in its place. Format: https://mcap.dev/spec
+All whole chunks stay as and where they are. The incomplete rest behind them is removed, and the
+index that readers look for at the end of a file is written. Format: https://mcap.dev/spec
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Chunk:
 
 @dataclass
 class _Whole:
-    """What a file without an end holds, up to where it was cut off."""
+    """Contents of a file without an end, up to where it was cut off."""
 
     chunks: list[_Chunk] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)  # in no chunk

@@ -54,7 +54,7 @@ DESCRIPTION_QOS = QoSProfile(
 )
 # Changes by hand: who comes late gets those before, since what follows depends on them.
 EVENT_QOS = QoSProfile(depth=KEPT, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# Who comes late learns at once who is there.
+# A late subscriber learns at once which nodes run.
 DIAGNOSTICS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 NANOSECONDS = 1_000_000_000

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 
-# What Linux leaves free beside its ephemeral ports. The upper ones come first: people and their
-# scripts take small numbers, and may come to a domain at any time without asking.
+# Domains whose ports are not among Linux's ephemeral ports. The upper ones come first: people and
+# their scripts take small numbers, and may join a domain at any time.
 DOMAINS = (range(215, 232), range(1, 102))
 LARGEST = 232
 PORTS = 250  # of a domain, from 7400 on (DDSI-RTPS 9.6.2)

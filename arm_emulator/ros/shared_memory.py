@@ -2,7 +2,7 @@
 
 Fast DDS keeps half a MiB in /dev/shm for each participant, beside a file on which its owner holds
 a lock as long as it lives. A process that ends removes both; one that is killed cannot, and
-nobody else does. What has no owner any more is removed here, as `fastdds shm clean` does. Its ports
+nobody else does. Segments without an owner are removed here, as by `fastdds shm clean`. Its ports
 stay: they are taken up again by the next process, and others may write to them.
 """
 

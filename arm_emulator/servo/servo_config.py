@@ -193,7 +193,7 @@ class ServoConfig:
         if "joints" in given:
             raise Refusal(where, "joints", "be a mapping", given["joints"])
         for name in tables:
-            # What ROS makes of a section under a name with dots is not what was meant.
+            # ROS changes the meaning of a section under a name with dots.
             if name not in names and any("." in known for known in names):
                 rule = "be a joint (one whose name has dots is written out in parameter files)"
                 raise Refusal(where, f"joints.{name}", rule, name, "joints.NAME.gear_ratio: VALUE")

@@ -1,7 +1,7 @@
 """The identified KUKA under our own servo, which gets the command that the real one got.
 
 Nothing is published of windings and encoders. Those assumed here are there since our servo
-commands voltages; its current control hides them. Nor is the real controller known: that ours
+commands voltages; its current control hides them. The real controller is not known: that ours
 needs the same torques for the same motion is a matter of the machine, by how much it lags behind
 its command is a matter of the gains.
 """

@@ -1,4 +1,4 @@
-"""What the Rerun viewer shows of a recording, and where."""
+"""Layout of the Rerun viewer."""
 
 from __future__ import annotations
 

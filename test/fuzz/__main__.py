@@ -1,8 +1,8 @@
 """`make fuzz`: python -m fuzz [--minutes 10] [--seed 1] [--scenes N] [--files N] [--messages N]
 [--machines N] [--frames N].
 
-Without numbers, scenes, files, machines and frames share the time that messages leave. What fails
-is printed with the command that shows it again.
+Without numbers, scenes, files, machines and frames share the time that messages leave. A failure is
+printed with the command that repeats it.
 """
 
 from __future__ import annotations

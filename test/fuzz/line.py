@@ -1,4 +1,4 @@
-"""What the parts of the fuzzer report the one that runs them: one JSON object per line."""
+"""Reports of the fuzzer's parts to the process that runs them: one JSON object per line."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def paces(user: User) -> Iterator[None]:
 def fuzz(seed: int, clock: str, count: int, folder: Path) -> dict[str, int]:
     """Send `count` messages; return how many were refused, and taken or lost.
 
-    What the nodes state to each other may be refused, too, when they are reported absurd things.
+    Nodes may refuse each other's messages, too, after absurd ones.
     """
     rng = random.Random(f"{seed} {clock}")
     run = load_offline_run("three_axis")

@@ -229,7 +229,7 @@ int arm_set_parameter(arm_machine* machine, const char* name, double value);
 enum arm_axes { ARM_LINK_AXES = 0, ARM_WORLD_AXES = 1 };
 #define ARM_LARGEST_WRENCH 1e9 /* of each number */
 
-/* What the surroundings do to the link that a joint moves: a force and a moment at a point that is
+/* External wrench on the link that a joint moves: a force and a moment at a point that is
  * fixed to the link. Their axes are those of the link's frame in the URDF, with which they turn, or
  * those of the world. */
 typedef struct arm_wrench {

@@ -37,7 +37,7 @@ int arm_fleet_run(arm_fleet* fleet, int32_t first, int32_t arms, const double* c
 /* ------------------------------------------------------------------------- all arms in one call
  *
  * A mask has a byte for each arm: 0 leaves it out; a null mask takes all. Rows are of the whole
- * fleet, those of arms that are left out are not read. What is refused has changed nothing: the
+ * fleet, those of arms that are left out are not read. A refused call changes nothing: the
  * reason is with `arm_fleet_machine(fleet, arm_fleet_refused(fleet))`, see `arm_why`. */
 
 /* The arm that refused the newest of these calls; -1: none. */

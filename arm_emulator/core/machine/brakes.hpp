@@ -1,5 +1,5 @@
-// When the brakes of a machine close and open: each some steps after it is wanted to. What was
-// wanted and is no more before that time has no effect.
+// When the brakes of a machine close and open: each some steps after it is wanted to. A change that
+// is taken back before that time has no effect.
 #pragma once
 
 #include <cstdint>

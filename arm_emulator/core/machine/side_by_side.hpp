@@ -1,6 +1,6 @@
 // Machines of one scene that take their steps together, each in a lane of its own.
 //
-// What they do together is only a quicker way to where each of them gets alone: a machine whose
+// Together they reach, faster, what each of them reaches alone: a machine whose
 // lane does not arrive at a sound state takes the same steps once more by itself, and finds its way
 // or its fault as it would without neighbours.
 #pragma once

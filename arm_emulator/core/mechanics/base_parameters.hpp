@@ -4,8 +4,8 @@
 //
 // For a revolute joint that is the mass, the first moment along z, and a tensor diag(a, a, 0); with
 // a = Iyy every link is left with m = 0, h_z = 0, Iyy = 0, and the compiler folds what they would
-// multiply. A prismatic joint does not turn its link: the whole tensor moves. What reaches the base
-// does not move at all; of it only the potential energy remains.
+// multiply. A prismatic joint does not turn its link: the whole tensor moves. Inertia at the base
+// does not move; of it only the potential energy remains.
 #pragma once
 
 #include "mechanics/placement.hpp"

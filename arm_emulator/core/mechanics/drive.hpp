@@ -13,7 +13,7 @@
 //
 // Each part names a part that is linear, by `linear()`: itself if it is, else the one that stands
 // in its place in the matrix A of the schemes. What the two differ by is the drive's rest, which
-// enters each stage (linearly_implicit.hpp). What is not smooth is a mode of its part (mode.hpp).
+// enters each stage (linearly_implicit.hpp). Non-smooth behaviour is a mode of its part (mode.hpp).
 #pragma once
 
 #include <tuple>

@@ -1,4 +1,4 @@
-// What the surroundings do to the links: on each link a force and a moment at a point that is fixed
+// External wrenches on the links: on each link a force and a moment at a point that is fixed
 // to it, held until they are set anew. They are data of each machine.
 //
 // They enter the recursion of links.hpp, as what a link need not be given by its joint:

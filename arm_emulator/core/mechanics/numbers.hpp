@@ -162,7 +162,8 @@ class Numbers<S, double> {
   ExternalWrenches<S, double> outside;
 };
 
-// Those of machines side by side, one in each lane. What is not varied is one number for all.
+// Those of machines side by side, one in each lane. A number that is not varied is the same for
+// all.
 template <class S, class X>
 class Numbers {
  public:

@@ -1,4 +1,4 @@
-// What the machine is at one instant.
+// State of the machine at one instant.
 #pragma once
 
 #include "mechanics/scene.hpp"

@@ -1,4 +1,4 @@
-// What a part of a drive does that is not smooth: a current at its limit, a stuck rotor, a tooth
+// Non-smooth behaviour of a part of a drive: a current at its limit, a stuck rotor, a tooth
 // that touches. In each of its modes the part is smooth.
 //
 // A mode states which of two equations holds, and gives one number that enters there: the limit,

@@ -90,7 +90,7 @@ class PythonCanBus:
                 number, data = int(message.arbitration_id), bytes(message.data or b"")
                 if 0 <= number < 1 << 11 and len(data) <= 8:
                     return Frame(number, data, bool(message.is_remote_frame))
-        # What others send may be anything, and so is what python-can raises about it.
+        # Others may send anything, and python-can may raise anything about it.
         except Exception as error:
             if _of_the_system(error):
                 raise Refusal("canopen", "bus", "stay open", error) from None

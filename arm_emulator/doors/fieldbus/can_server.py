@@ -27,7 +27,8 @@ _OK = b"< ok >"
 class CanServer:
     """A bus whose members are TCP connections and this process.
 
-    Frames of a member go to all others. What is no frame is answered with an error and counted;
+    Frames of a member go to all others. Bytes that are no frame are answered with an error and
+    counted;
     who sends anything but lines is dropped.
 
     Attributes:

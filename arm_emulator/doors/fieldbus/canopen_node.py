@@ -87,7 +87,7 @@ class Node:
         self._receives: list[_Pdo] = []
         self._sends: list[_Pdo] = []
         self._set_defaults()
-        # What a reset of the communication goes back to.
+        # Values after a reset of the communication.
         self._defaults = {
             (one.index, one.sub): drives.read(drive, one.index, one.sub)
             for one in dictionary()

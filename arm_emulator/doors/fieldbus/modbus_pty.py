@@ -18,7 +18,7 @@ from arm_emulator.doors.fieldbus.modbus_line import ModbusLine
 from arm_emulator.doors.fieldbus.modbus_rtu import Receiver, Station
 from arm_emulator.doors.fieldbus.serial_line import LineErrors, bytes_time, silence_time
 
-# What is on its way from another process comes later than on a line. Only bytes that are no whole
+# Bytes from another process arrive later than on a line. Only bytes that are no whole
 # request wait for that long.
 LONGEST_GAP = 20_000_000  # ns
 REPORT_SILENCE = 5.0  # s

@@ -118,8 +118,8 @@ class Receiver:
 
     A request ends where a silence of 3.5 characters begins. Where the receiver need not wait for
     it, it does not: bytes that have the length of their function, and the right checksum,
-    are a request as soon as they are there. What is not, stays until the silence, and is dropped
-    then unless all of it together has the right checksum.
+    are a request as soon as they are there. Other bytes stay until the silence, and are dropped
+    then unless all together have the right checksum.
 
     Attributes:
         damaged: how often bytes were dropped.

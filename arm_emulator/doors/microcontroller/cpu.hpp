@@ -29,8 +29,8 @@ class Bus {
 };
 
 // Instructions run in blocks: up to a branch, or what else ends the straight line. Time goes on,
-// and interrupts come, between blocks only; so do they when a debugger walks through a block in
-// steps, which is why it changes nothing.
+// and interrupts come, between blocks only; so do steps of a debugger through a block, which
+// therefore change nothing.
 class Cpu {
  public:
   enum class Stop {

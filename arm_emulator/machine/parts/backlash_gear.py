@@ -29,7 +29,7 @@ class BacklashGear(ElasticGear):
         share = super().rests(at)
         if abs(at.torque.centre) > at.torque.within + NO_TORQUE or isinstance(share, str):
             return share
-        # What a link feels as it stops takes its play, too.
+        # The link's stop takes its play, too.
         felt = [one for one in at.torque.unknown if one.shape is Shape.SIDE]
         shape, often = (Shape.SIDE, felt[0].often) if felt else (Shape.ENDS, 0.5)
         play = Around(0.0, (Unknown(0.5 * self.backlash, shape, often=often),))

@@ -33,7 +33,7 @@ class Cogging(Part):
         return {"waves": read_waves(section, "waves", "N m")}
 
     def rests(self, at: AtRest) -> Share | str:
-        """What stands still is taken up by the servo's integral."""
+        """The servo's integral takes up a constant torque."""
         return Share()
 
     @property

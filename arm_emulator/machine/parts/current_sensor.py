@@ -18,5 +18,5 @@ class CurrentSensor(AnalogSensor):
     channel = 2
 
     def rests(self, at: AtRest) -> Share | str:
-        """What it is wrong by for good is taken up by the servo's integral."""
+        """The servo's integral takes up a constant error."""
         return Share(current_noise=self.noise or 0.0)

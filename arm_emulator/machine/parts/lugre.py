@@ -34,7 +34,7 @@ class LuGre(Part):
         g = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
         rate = self.bristle_stiffness * np.abs(w) / g  # 1/s, at which they let go
         kept = np.exp(-np.gradient(motion.t) * rate)
-        # Where they slip in no time, this is where they end.
+        # Bristles that slip at once end here.
         end = np.sign(w) * g / self.bristle_stiffness
         step = np.where(rate > 0.0, (1.0 - kept) * end, 0.0)
         z = np.empty_like(w)

@@ -83,7 +83,7 @@ class Motor(Part):
         return None
 
     def rests(self, at: AtRest) -> Share | str:
-        """What stands still is taken up by the servo's integral."""
+        """The servo's integral takes up a constant torque."""
         return Share()
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:

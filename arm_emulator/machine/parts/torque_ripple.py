@@ -16,7 +16,7 @@ from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_s
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueRipple(Decorator):
-    """What a motor makes of its current goes with the angle of its rotor."""
+    """A motor's torque per current varies with the angle of its rotor."""
 
     section = "motor.ripple"
     layer = 3
@@ -27,7 +27,7 @@ class TorqueRipple(Decorator):
     waves: tuple[Wave, ...] = ()  # of 1
 
     def effort(self, motion: ShaftMotion) -> Array:
-        """What the motor gives less than its constants state."""
+        """The torque that the ripple takes from the motor's."""
         torque: Array = -wave_sum(self.waves, motion.angle) * motion.motor_torque
         return torque
 
@@ -36,7 +36,7 @@ class TorqueRipple(Decorator):
         return {"waves": read_waves(section, "waves", "1")}
 
     def rests(self, at: AtRest) -> Share | str:
-        """What stands still is taken up by the servo's integral."""
+        """The servo's integral takes up a constant torque."""
         return Share()
 
     def check(self, section: Section) -> None:  # noqa: D102

@@ -9,7 +9,7 @@ static const servo_real FARTHEST = (servo_real)1e6;
 static const servo_real HALF = (servo_real)0.5;
 static const servo_real NANOSECONDS = (servo_real)1e9;
 
-/* What every joint takes in every period is compiled into its callers: calls cost as much. */
+/* Code that every joint runs in every period is inlined: calls cost as much. */
 #ifdef __GNUC__
 #define SERVO_INLINE static inline __attribute__((always_inline))
 #else

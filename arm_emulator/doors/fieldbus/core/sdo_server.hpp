@@ -175,7 +175,7 @@ class SdoServer {
     out.push_back(head(static_cast<std::uint8_t>(0x60 | echo()), at_));
     return abort_code::none;
   }
-  // What came with the first message is all of it, or segments follow.
+  // The first message holds all of it, or segments follow.
   std::uint32_t begin_whole_download(Request request, bool sized) {
     const Request data = request.subspan(8);
     if (!sized && in_mailbox()) return abort_code::command;
