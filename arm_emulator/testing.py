@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import Plant
@@ -46,6 +48,41 @@ def drive(plant: Plant, law: Law, ticks: int) -> Array:
         plant.exchange(np.asarray(law(tick, plant.measured)), tick)
         q[tick] = plant.state.q
     return q
+
+
+@contextlib.contextmanager
+def network(
+    scene: str | Path = "three_axis",
+    *,
+    without: Sequence[str] = (),
+    log: Path | None = None,
+    **emulator: object,
+) -> Iterator[None]:
+    """Run the nodes of a scene in lock-step, in a ROS domain that nobody else is in, for a block.
+
+    Whatever the block starts is in that domain, too. ROS and the messages must be there.
+
+    Args:
+        scene: a scene by name or file, with its gains beside it.
+        without: nodes that the test starts itself: "emulator", "servo", "motion_controller".
+        log: folder for the output of the nodes; None: where that of the test goes.
+        emulator: parameters of the emulator, such as ``record=folder``.
+
+    Raises:
+        Refusal: no such node, or a configuration file is missing.
+        AssertionError: a node ended within the block, or not as it should at its end.
+    """
+    from arm_emulator.ros.bringup import NODES, Bringup
+    from arm_emulator.ros.ros_domain import own_domain
+
+    for name in (wrong for wrong in without if wrong not in NODES):
+        raise Refusal("testing.network", "without", "name nodes", name, ", ".join(NODES))
+    only = tuple(name for name in NODES if name not in without)
+    with own_domain(), Bringup(str(scene), emulator=emulator, log=log, only=only) as nodes:
+        yield
+        assert (ended := nodes.ended()) is None, f"{ended} ended within the test"
+        codes = nodes.stop()
+        assert set(codes.values()) <= {0}, f"exit codes {codes}"
 
 
 def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) -> None:

@@ -1,38 +1,39 @@
 """Computed torque on the three-axis arm: M(q) a + nle of the model, through ideal torque motors."""
 
-import sys
-
+import matplotlib.pyplot as plt
 import numpy as np
 
 from arm_emulator import Plant, Recording, load_scene
 
-TORQUE = {"kind": "torque", "rotor_inertia": 1e-6}
-scene = load_scene("three_axis", {"joints.*.motor": TORQUE, "joints.*.gear": {"ratio": 0.01}})
-plant, ratio, start = Plant(scene), scene.gear_ratios, scene.start
-viscous = np.array([joint.friction.viscous for joint in scene.joints])
-carried = 1e-6 / ratio**2  # kg m2, of the rotors at the links
-Kp, Kd, omega = 400.0, 40.0, np.pi  # 1/s2, 1/s, rad/s
-angle, reach = 2.0 * np.pi / np.array([joint.counts_per_turn for joint in scene.joints]), 0.3
-q_before, v = start, np.zeros(3)
-with Recording(plant, names=("q",)) as run:
-    for tick in range(2000):
-        t = tick * scene.servo_period
-        q = (plant.measured.encoder_counts + 0.5) * angle * ratio
-        v = v + 0.2 * ((q - q_before) / scene.servo_period - v)  # an encoder measures no speed
-        q_before = q
-        q_d = start + reach * (1.0 - np.cos(omega * t)) / 2.0
-        v_d, a_d = (
-            reach * omega / 2.0 * np.sin(omega * t),
-            reach * omega**2 / 2 * np.cos(omega * t),
-        )
-        a = a_d + Kd * (v_d - v) + Kp * (q_d - q)
-        tau = plant.links.inverse_dynamics(q, v, a) + carried * a + viscous * v
-        plant.exchange(tau * ratio, tick)
-        run.take()
-wanted = start + reach * (1.0 - np.cos(omega * run.t[:, None])) / 2.0
-print(f"largest error {1e3 * np.abs(run['q'] - wanted).max():.2f} mrad")
-if len(sys.argv) > 1:  # a file for the picture
-    import matplotlib.pyplot as plt
+MOTOR = {"kind": "torque", "rotor_inertia": 1e-6}  # with the gear 0.01 kg m2 at the link
+MACHINE = {"joints.*.motor": MOTOR, "joints.*.gear": {"ratio": 0.01}}
+CARRIED, VISCOUS = 0.01, 0.5  # kg m2, N m s/rad
+Kp, Kd, REACH, OMEGA = 400.0, 40.0, 0.3, np.pi  # 1/s2, 1/s, rad, rad/s
 
-    plt.plot(run.t, 1e3 * (run["q"] - wanted), label=scene.joint_names)
-    plt.xlabel("t [s]"), plt.ylabel("error [mrad]"), plt.legend(), plt.savefig(sys.argv[1])
+
+def wanted(t, start):
+    s, c = np.sin(OMEGA * t), np.cos(OMEGA * t)
+    return start + REACH * (1 - c) / 2, REACH * OMEGA * s / 2, REACH * OMEGA**2 * c / 2
+
+
+def follow(scene, ticks=2000):
+    plant, v, q_before = Plant(scene), np.zeros(3), scene.start
+    run = Recording(plant, names=("q",))
+    for tick in range(ticks):
+        q = (plant.measured.encoder_counts + 0.5) * plant.link_angle_per_count
+        v = v + 0.2 * ((q - q_before) / scene.servo_period - v)  # an encoder measures no speed
+        q_before, (q_d, v_d, a_d) = q, wanted(tick * scene.servo_period, scene.start)
+        a = a_d + Kd * (v_d - v) + Kp * (q_d - q)
+        tau = plant.links.inverse_dynamics(q, v, a) + CARRIED * a + VISCOUS * v
+        plant.exchange(tau * scene.gear_ratios)
+        run.take()
+    return run.t, run["q"]
+
+
+if __name__ == "__main__":
+    t, q = follow(scene := load_scene("three_axis", MACHINE))
+    error = 1e3 * (q - wanted(t[:, None], scene.start)[0])
+    print(f"largest error {np.abs(error).max():.2f} mrad")
+    plt.plot(t, error, label=scene.joint_names)
+    plt.xlabel("t [s]"), plt.ylabel("error [mrad]"), plt.legend()
+    plt.savefig("computed_torque.png")

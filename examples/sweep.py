@@ -4,18 +4,26 @@ import numpy as np
 
 from arm_emulator import Fleet, load_scene
 
-ARMS, TICKS = 200, 1000
-scene = load_scene(
-    "three_axis", {"payload": 0, "varied": ["payload.mass", "joints.elbow.friction.viscous"]}
-)
-rng = np.random.default_rng(1)
-friction, mass = rng.uniform(2.0, 6.0, ARMS), rng.uniform(0.0, 3.0, ARMS)
-numbers = {"joints.elbow.friction.viscous": friction, "payload.mass": mass}
-fleet = Fleet(scene, ARMS, varied=numbers)
-voltages = np.zeros((TICKS, 3))
-voltages[: TICKS // 2, 2] = 6.0
-q = fleet.run(voltages, scene.steps_per_period)
-moved = q[-1, :, 2] - scene.start[2]
-for name, values in (("friction", friction), ("mass", mass)):
-    print(f"correlation with {name}: {np.corrcoef(values, moved)[0, 1]:.3f}")
-print(f"moved {moved.min():.3f} to {moved.max():.3f} rad, {len(fleet.diverged)} diverged")
+FRICTION, MASS = "joints.elbow.friction.viscous", "payload.mass"
+MACHINE = {"payload": 0, "varied": [FRICTION, MASS]}
+PULSE = np.zeros((1000, 3))  # V, a row per servo period
+PULSE[:500, 1:] = [6.0, 4.0]
+
+
+def sweep(scene, friction, mass):
+    fleet = Fleet(scene, len(mass), varied={FRICTION: friction, MASS: mass})
+    return fleet.run(PULSE, scene.steps_per_period)
+
+
+def drawn(arms):
+    rng = np.random.default_rng(1)
+    return rng.uniform(0.3, 3.0, arms), rng.uniform(0.0, 3.0, arms)
+
+
+if __name__ == "__main__":
+    scene = load_scene("three_axis", MACHINE)
+    friction, mass = drawn(200)
+    moved = sweep(scene, friction, mass)[-1, :, 2] - scene.start[2]
+    for name, values in ((FRICTION, friction), (MASS, mass)):
+        print(f"correlation with {name}: {np.corrcoef(values, moved)[0, 1]:.3f}")
+    print(f"moved {moved.min():.3f} to {moved.max():.3f} rad")

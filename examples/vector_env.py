@@ -1,37 +1,41 @@
-"""A vectorised environment in the manner of gymnasium: arms shall reach targets of their own."""
+"""64 arms as a vectorised environment of gymnasium: each shall reach a target of its own."""
 
+import gymnasium as gym
 import numpy as np
+from gymnasium.vector.utils import batch_space
 
-from arm_emulator import Fleet, load_scene
+from arm_emulator import Fleet
 
 
-class ReachEnv:
-    """64 arms; actions are shares of the supply, observations what encoders measure and targets."""
+class ReachEnv(gym.vector.VectorEnv):
+    """Actions are shares of the supply; observations are what encoders measure, and targets."""
 
-    def __init__(self, num_envs=64, last=200):
-        self.scene = load_scene("three_axis")
-        self.fleet, self.num_envs, self.last = Fleet(self.scene, num_envs), num_envs, last
-        self.unit = np.array([2.0 * np.pi / j.counts_per_turn for j in self.scene.joints])
+    metadata = {"autoreset_mode": gym.vector.AutoresetMode.NEXT_STEP}
+
+    def __init__(self, scene="three_axis", num_envs=64, last=200):
+        self.num_envs, self.last, self.fleet = num_envs, last, Fleet(scene, num_envs)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (3,))
+        self.single_observation_space = gym.spaces.Box(-np.inf, np.inf, (6,))
+        spaces = self.single_action_space, self.single_observation_space
+        self.action_space, self.observation_space = (batch_space(s, num_envs) for s in spaces)
 
     def reset(self, *, seed=None, options=None):
-        self.rng = np.random.default_rng(seed)
-        self.target, self.age = np.zeros((self.num_envs, 3)), np.zeros(self.num_envs, int)
-        self._begin(np.ones(self.num_envs, bool))
-        return self._observe(), {}
+        super().reset(seed=seed)
+        self.age = np.zeros(self.num_envs, int)
+        self.target, self.ended = np.zeros((self.num_envs, 3)), self.age == 0
+        return self._begin(), {}
 
     def step(self, actions):
-        self.fleet.exchange(np.clip(actions, -1.0, 1.0) * self.scene.supply_voltage)
-        self.age += 1
+        self.fleet.exchange(np.clip(actions, -1.0, 1.0) * self.fleet.scene.supply_voltage)
         reward = -np.abs(self.fleet.state.q - self.target).sum(axis=1)  # judged by the truth
+        seen, reward = self._begin(), np.where(self.ended, 0.0, reward)
         fallen, over = self.fleet.faults >= 0, self.age >= self.last
-        self._begin(fallen | over)
-        return self._observe(), reward, fallen, over, {}
+        self.ended = fallen | over
+        return seen, reward, fallen, over, {}
 
-    def _begin(self, arms):
-        self.fleet.reset(arms, q=self.scene.start + self.rng.uniform(-0.2, 0.2, (self.num_envs, 3)))
-        goals = self.scene.start + self.rng.uniform(-0.5, 0.5, (self.num_envs, 3))
-        self.target[arms], self.age[arms] = goals[arms], 0
-
-    def _observe(self):
-        q = self.fleet.measured.encoder_counts * self.unit * self.scene.gear_ratios
+    def _begin(self):
+        at = self.fleet.scene.start + self.np_random.uniform(-0.5, 0.5, (2, self.num_envs, 3))
+        self.fleet.reset(self.ended, q=at[0])
+        self.target[self.ended], self.age = at[1, self.ended], np.where(self.ended, 0, self.age + 1)
+        q = (self.fleet.measured.encoder_counts + 0.5) * self.fleet.link_angle_per_count
         return np.concatenate([q, self.target], axis=1).astype(np.float32)

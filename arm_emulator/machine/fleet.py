@@ -31,7 +31,7 @@ from arm_emulator.machine.plant import (
     options_of,
     refusal_of,
 )
-from arm_emulator.machine.plant_state import ROWS, check_start
+from arm_emulator.machine.plant_state import ROWS, check_start, link_angle_per_count
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.shares import Shares
 from arm_emulator.machine.turns import Turns, in_turn
@@ -66,6 +66,7 @@ class Fleet(Turns):
     Attributes:
         scene: of all arms.
         lanes: arms that advance together; 1 for scenes with two threads or located events.
+        link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
 
     Args:
         scene: from `load_scene`, or what that takes: a name or a file.
@@ -99,6 +100,7 @@ class Fleet(Turns):
         workers = check_count("Fleet", "workers", workers, 1, 4096)
         self.core = fleet_library_of(scene)
         self.lanes = int(self.core.arm_fleet_lanes())
+        self.link_angle_per_count = link_angle_per_count(scene)
         values = np.tile([one.value for one in scene.varied], (self._count, 1))
         options = options_of(scene, np.ascontiguousarray(values, np.float64))
         self._fleet = self.core.arm_fleet_new(options, self._count)

@@ -21,6 +21,7 @@ from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.ros.ctrl_c import END_SIGNALS
 from arm_emulator.ros.end_with_parent import parent_environment
 
+NODES = ("emulator", "servo", "motion_controller")
 STOP_PATIENCE = 15.0  # s, wall: for a node to end by itself, on a busy machine too
 
 
@@ -57,7 +58,7 @@ class Bringup:
         start: str = "first_answer",
         emulator: Mapping[str, object] | None = None,
         log: Path | None = None,
-        only: tuple[str, ...] = ("emulator", "servo", "motion_controller"),
+        only: tuple[str, ...] = NODES,
         namespace: str = "",
         use_sim_time: bool = False,
         params_file: Path | None = None,
@@ -170,8 +171,7 @@ def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | No
 def _python_path() -> dict[str, str]:
     """Return where nodes find our modules: where we are, and nothing of the working folder."""
     folders = [one for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]
-    ours = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    return {"PYTHONPATH": os.pathsep.join([*folders, ours])}
+    return {"PYTHONPATH": os.pathsep.join([*folders, str(Path(__file__).resolve().parents[2])])}
 
 
 def _hold_signals_back() -> None:
