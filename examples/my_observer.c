@@ -1,5 +1,5 @@
 /* A servo with an observer for the three-axis arm: speed of each motor and the load on it, from
- * encoder and current; a cascade over both. docs/how_to/library.md shows how to run it. */
+ * encoder and current; a cascade over both. docs/how_to/programs.md shows how to run it. */
 #include "firmware.h"
 
 enum { JOINTS = 3 };

@@ -14,9 +14,8 @@ class ReachEnv(gym.vector.VectorEnv):
 
     def __init__(self, scene="three_axis", num_envs=64, last=200):
         self.num_envs, self.last, self.fleet = num_envs, last, Fleet(scene, num_envs)
-        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (3,))
-        self.single_observation_space = gym.spaces.Box(-np.inf, np.inf, (6,))
-        spaces = self.single_action_space, self.single_observation_space
+        spaces = gym.spaces.Box(-1.0, 1.0, (3,)), gym.spaces.Box(-np.inf, np.inf, (6,))
+        self.single_action_space, self.single_observation_space = spaces
         self.action_space, self.observation_space = (batch_space(s, num_envs) for s in spaces)
 
     def reset(self, *, seed=None, options=None):

@@ -6,62 +6,102 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-OURS = ("computed_torque", "sweep", "vector_env", "my_tests")
+from arm_emulator.build.compiler_command import find_compiler
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+OURS = (
+    "computed_torque.py", "sweep.py", "vector_env.py", "my_network_tests.py", "my_tests.py",
+    "my_observer.c",
+)  # fmt: skip
 
 
-def run(name: str, *arguments: str) -> str:
-    command = [sys.executable, str(EXAMPLES / f"{name}.py"), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
+def run(folder: Path, *command: str | Path) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_none_is_longer_than_a_page(name: str) -> None:
-    assert len((EXAMPLES / f"{name}.py").read_text().splitlines()) <= 40
+def test_none_is_longer_than_a_page_and_all_are_shown_on_one(name: str) -> None:
+    assert len((EXAMPLES / name).read_text().splitlines()) <= 40
+    page = (ROOT / "docs" / "how_to" / "programs.md").read_text()
+    assert f"<!-- generated: file examples/{name} -->" in page
 
 
 def test_computed_torque_follows(tmp_path: Path) -> None:
-    picture = tmp_path / "error.png"
-    found = re.search(r"largest error ([\d.]+) mrad", run("computed_torque", str(picture)))
+    shown = run(tmp_path, sys.executable, EXAMPLES / "computed_torque.py")
+    found = re.search(r"largest error ([\d.]+) mrad", shown)
     # An encoder's count is 0.06 mrad of a link; the filtered speed is 5 periods late, at up to
     # 1.5 rad/s2 and Kd / Kp = 0.1 s: some 0.75 mrad.
     assert found and float(found[1]) < 1.0
-    assert picture.stat().st_size > 1000
+    assert (tmp_path / "computed_torque.png").stat().st_size > 1000
 
 
-def test_a_sweep_finds_what_matters() -> None:
-    shown = run("sweep")
-    found = re.search(r"friction: (-[\d.]+)", shown)
-    assert found and float(found[1]) < -0.95 and "0 diverged" in shown
+def test_a_sweep_finds_what_matters(tmp_path: Path) -> None:
+    shown = run(tmp_path, sys.executable, EXAMPLES / "sweep.py")
+    friction, mass = map(float, re.findall(r": (-[\d.]+)$", shown, re.M))
+    assert friction < -0.9 and -0.5 < mass < 0.0
 
 
-def test_arms_of_an_environment_begin_anew_each_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def env(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     from vector_env import ReachEnv  # type: ignore[import-not-found]
 
-    env = ReachEnv(num_envs=16, last=60)
+    return ReachEnv(num_envs=16, last=60)
+
+
+def test_an_environment_keeps_the_rules_of_gymnasium(env: Any) -> None:
     seen, _ = env.reset(seed=1)
-    assert seen.shape == (16, 6)
+    again, _ = env.reset(seed=1)
+    assert np.array_equal(seen, again), "a seed decides"
+    for name in ("observation", "action"):
+        space, single = getattr(env, f"{name}_space"), getattr(env, f"single_{name}_space")
+        assert space.shape == (16, *single.shape) and space.dtype == single.dtype
+    env.action_space.seed(1)
+    seen, reward, fallen, over, _ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(seen) and reward.shape == (16,)
+    assert fallen.dtype == over.dtype == np.bool_ and env.metadata["autoreset_mode"]
+
+
+def test_arms_of_an_environment_begin_anew_each_for_itself(env: Any) -> None:
+    seen, _ = env.reset(seed=1)
     env.age[:8] = 20  # half of them end earlier
     began = env.fleet.state.q
-    for step in range(1, 41):
-        seen, reward, _, over, _ = env.step(4.0 * (seen[:, 3:] - seen[:, :3]))
+    for step in range(1, 42):
+        target = seen[:, 3:]
+        seen, reward, _, over, _ = env.step(4.0 * (target - seen[:, :3]))
         assert (reward <= 0.0).all() and over[:8].all() == (step == 40) and not over[8:].any()
+    # In the step after their last one these began anew: no reward, another target.
+    assert (reward[:8] == 0.0).all() and (reward[8:] < 0.0).all()
+    assert (seen[:8, 3:] != target[:8]).all() and (seen[8:, 3:] == target[8:]).all()
     t = env.fleet.state.t
-    assert (t[:8] == 0.0).all() and np.allclose(t[8:], 40 * env.scene.servo_period)
+    assert (t[:8] == 0.0).all() and np.allclose(t[8:], 41 * env.fleet.scene.servo_period)
     assert (np.abs(env.fleet.state.q[8:] - began[8:]).max(axis=1) > 1e-3).all(), "none moved"
 
 
-def test_the_tests_of_a_user_pass() -> None:
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
-    done = subprocess.run(
-        [*command, str(EXAMPLES / "my_tests.py")],
-        capture_output=True, text=True, check=False, timeout=300, cwd=EXAMPLES.parent,
-    )  # fmt: skip
-    assert done.returncode == 0 and "5 passed" in done.stdout, done.stdout
+@pytest.mark.parametrize(("name", "passed"), [("my_tests", 5), ("my_network_tests", 1)])
+def test_the_tests_of_a_user_pass(name: str, passed: int, tmp_path: Path) -> None:
+    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", f"--basetemp={tmp_path / 'all'}"]
+    shown = run(ROOT, sys.executable, *words, EXAMPLES / f"{name}.py")
+    assert f"{passed} passed" in shown
+
+
+def test_a_servo_with_an_observer_brings_the_arm_to_its_targets(tmp_path: Path) -> None:
+    library = tmp_path / "libobserver.so"
+    flags = ["-x", "c", "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-fPIC"]
+    include = f"-I{ROOT / 'arm_emulator/core/boundary'}"
+    source = EXAMPLES / "my_observer.c"
+    run(tmp_path, *find_compiler(), *flags, "-shared", include, source, "-o", library)
+    table = ROOT / "arm_emulator/servo/c/template/targets.csv"
+    words = ["-m", "arm_emulator", "run", "three_axis", "--servo", library, "--targets", table]
+    shown = run(tmp_path, sys.executable, *words)
+    off = re.findall(r"[xyz] ([+-][\d.]+)", shown)
+    # Half a count at each motor is 0.03 mrad of a link, at 0.6 m.
+    assert len(off) == 3 and np.abs(np.array(off, float)).max() < 0.02, shown

@@ -22,11 +22,11 @@ class Measured:
     units are (M, 3). Of a fleet they are (count, N) and (count, M, 3).
 
     Args:
-        arrays: of ``arm_measurement``, by their names there.
+        arrays: of ``arm_measurement``, by their names there, as one record.
         rows: names of the readings, a row each.
     """
 
-    arrays: dict[str, NDArray[Any]]
+    arrays: NDArray[np.void]
     rows: tuple[str, ...]
 
     def __getattr__(self, name: str) -> NDArray[Any]:
@@ -61,15 +61,20 @@ class MeasuredPlace:
     def __init__(self, scene: Scene, *arms: int) -> None:
         N, M = len(scene.joints), len(scene.imus)
         self._rows = tuple(one.name for one in readings_of(scene))
-        self.joints = ARM.rows("arm_joint_measurement", *arms, N)
-        self.arrays: dict[str, NDArray[Any]] = {
-            "joint": self.joints,
-            "sensors": ARM.rows("arm_joint_sensors", *arms, N),
-            "imu": ARM.rows("arm_imu_measurement", *arms, M),
-            "current_d": np.zeros((*arms, N)),
-            READINGS: np.zeros((*arms, len(self._rows), N)),
+        kinds = {
+            "joint": (ARM.dtype("arm_joint_measurement"), (*arms, N)),
+            "sensors": (ARM.dtype("arm_joint_sensors"), (*arms, N)),
+            "imu": (ARM.dtype("arm_imu_measurement"), (*arms, M)),
+            "current_d": ("f8", (*arms, N)),
+            READINGS: ("f8", (*arms, len(self._rows), N)),
         }
+        # One record, copied as bytes: NumPy copies structs number by number.
+        self._type = np.dtype([(name, *kind) for name, kind in kinds.items()])
+        self._bytes = np.zeros(self._type.itemsize, np.uint8)
+        record = np.ndarray((), self._type, self._bytes.data)
+        self.arrays: dict[str, NDArray[Any]] = {name: record[name] for name in kinds}
+        self.joints = self.arrays["joint"]
 
     def read(self) -> Measured:
         """Return what is there now, as a copy."""
-        return Measured({name: one.copy() for name, one in self.arrays.items()}, self._rows)
+        return Measured(np.ndarray((), self._type, self._bytes.copy().data), self._rows)

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 from mujoco import rollout
 
-MODEL = str(Path(__file__).with_name("three_axis.xml"))
+MODEL = str(Path(__file__).with_name("three_axis_mujoco.xml"))
 START, RATIO, PERIOD, COUNT = np.array([0.0, 0.5, 0.8]), 0.01, 1e-3, 2 * np.pi / 1024
 FULL, SUPPLY = mujoco.mjtState.mjSTATE_FULLPHYSICS, 48.0  # V
 
@@ -26,9 +26,8 @@ class ReachEnv(gym.vector.VectorEnv):
         self.data = [mujoco.MjData(self.model) for _ in os.sched_getaffinity(0)]
         self.steps = round(PERIOD / self.model.opt.timestep)
         self.state = np.zeros((num_envs, mujoco.mj_stateSize(self.model, FULL)))
-        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (3,))
-        self.single_observation_space = gym.spaces.Box(-np.inf, np.inf, (6,))
-        spaces = self.single_action_space, self.single_observation_space
+        spaces = gym.spaces.Box(-1.0, 1.0, (3,)), gym.spaces.Box(-np.inf, np.inf, (6,))
+        self.single_action_space, self.single_observation_space = spaces
         self.action_space, self.observation_space = (batch_space(s, num_envs) for s in spaces)
 
     def reset(self, *, seed=None, options=None):

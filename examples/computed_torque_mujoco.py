@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-MODEL = str(Path(__file__).with_name("three_axis_torque.xml"))
+MODEL = str(Path(__file__).with_name("three_axis_torque_mujoco.xml"))
 START, RATIO, PERIOD, COUNT = np.array([0.0, 0.5, 0.8]), 0.01, 1e-3, 2 * np.pi / 1024
 Kp, Kd, REACH, OMEGA = 400.0, 40.0, 0.3, np.pi  # 1/s2, 1/s, rad, rad/s
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-MODEL = str(Path(__file__).with_name("three_axis.xml"))
+MODEL = str(Path(__file__).with_name("three_axis_mujoco.xml"))
 START, RATIO, PERIOD = np.array([0.0, 0.5, 0.8]), 0.01, 1e-3
 PULSE = np.zeros((1000, 3))  # V, a row per control period
 PULSE[:500, 1:] = [6.0, 4.0]
