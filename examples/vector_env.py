@@ -21,20 +21,20 @@ class ReachEnv(gym.vector.VectorEnv):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.age = np.zeros(self.num_envs, int)
-        self.target, self.ended = np.zeros((self.num_envs, 3)), self.age == 0
-        return self._begin(), {}
+        self.target, self.ended = np.zeros((self.num_envs, 3)), self.age > 0
+        return self._begin(~self.ended), {}
 
     def step(self, actions):
         self.fleet.exchange(np.clip(actions, -1.0, 1.0) * self.fleet.scene.supply_voltage)
         reward = -np.abs(self.fleet.state.q - self.target).sum(axis=1)  # judged by the truth
-        seen, reward = self._begin(), np.where(self.ended, 0.0, reward)
+        seen, reward = self._begin(self.ended), np.where(self.ended, 0.0, reward)
         fallen, over = self.fleet.faults >= 0, self.age >= self.last
         self.ended = fallen | over
         return seen, reward, fallen, over, {}
 
-    def _begin(self):
+    def _begin(self, arms):
         at = self.fleet.scene.start + self.np_random.uniform(-0.5, 0.5, (2, self.num_envs, 3))
-        self.fleet.reset(self.ended, q=at[0])
-        self.target[self.ended], self.age = at[1, self.ended], np.where(self.ended, 0, self.age + 1)
+        self.fleet.reset(arms, q=at[0])
+        self.target[arms], self.age = at[1, arms], np.where(arms, 0, self.age + 1)
         q = (self.fleet.measured.encoder_counts + 0.5) * self.fleet.link_angle_per_count
         return np.concatenate([q, self.target], axis=1).astype(np.float32)

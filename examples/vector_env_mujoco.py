@@ -33,8 +33,8 @@ class ReachEnv(gym.vector.VectorEnv):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.age = np.zeros(self.num_envs, int)
-        self.target, self.ended = np.zeros((self.num_envs, 3)), self.age == 0
-        return self._begin(), {}
+        self.target, self.ended = np.zeros((self.num_envs, 3)), self.age > 0
+        return self._begin(~self.ended), {}
 
     def step(self, actions):
         voltage = np.clip(actions, -1.0, 1.0) * SUPPLY
@@ -42,15 +42,15 @@ class ReachEnv(gym.vector.VectorEnv):
         states, _ = self.pool.rollout(self.model, self.data, self.state, control)
         self.state = states[:, -1]
         reward = -np.abs(self.state[:, 4:7] - self.target).sum(axis=1)  # judged by the truth
-        seen, reward = self._begin(), np.where(self.ended, 0.0, reward)
+        seen, reward = self._begin(self.ended), np.where(self.ended, 0.0, reward)
         fallen, over = ~np.isfinite(self.state).all(axis=1), self.age >= self.last
         self.ended = fallen | over
         return seen, reward, fallen, over, {}
 
-    def _begin(self):
+    def _begin(self, arms):
         at = START + self.np_random.uniform(-0.5, 0.5, (2, self.num_envs, 3))
-        self.state[self.ended] = 0.0
-        self.state[self.ended, 1:7] = np.concatenate([at[0] / RATIO, at[0]], axis=1)[self.ended]
-        self.target[self.ended], self.age = at[1, self.ended], np.where(self.ended, 0, self.age + 1)
+        self.state[arms] = 0.0
+        self.state[arms, 1:7] = np.concatenate([at[0] / RATIO, at[0]], axis=1)[arms]
+        self.target[arms], self.age = at[1, arms], np.where(arms, 0, self.age + 1)
         q = (np.floor(self.state[:, 1:4] / COUNT) + 0.5) * COUNT * RATIO
         return np.concatenate([q, self.target], axis=1).astype(np.float32)

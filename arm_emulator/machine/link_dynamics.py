@@ -15,6 +15,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import pointer
 from arm_emulator.machine.chain import Array
 
+LARGEST = float(np.max(POSITION.largest))  # rad or m
 UNITS = {"q": "rad or m", "v": "rad/s or m/s", "a": "rad/s2 or m/s2", "tau": "N m or N"}
 
 
@@ -92,8 +93,8 @@ class LinkDynamics:
             if not _within(array, math.inf) and not np.isfinite(array).all():
                 raise Refusal(where, quantity, f"be finite [{UNITS[quantity]}]", array)
             rows.append(array)
-        if not _within(rows[0], POSITION.largest) and np.abs(rows[0]).max() > POSITION.largest:
-            raise Refusal(where, "q", f"be at most {POSITION.largest:g} rad or m", rows[0])
+        if not _within(rows[0], LARGEST) and np.abs(rows[0]).max() > LARGEST:
+            raise Refusal(where, "q", f"be at most {LARGEST:g} rad or m", rows[0])
         return rows
 
 
