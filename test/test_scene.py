@@ -65,7 +65,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"locked": {"elbow": "open"}}, "locked.elbow must be a number [rad or m], got 'open'"),
     ({"urdf": "none.urdf"}, "urdf must be a file, got none.urdf"),
     ({"name": None}, "name must be a text, got nothing"),
-    ({"colour": "red"}, "key colour must be known, got 'colour'; valid: cores, demo, energy_flow, external_wrench,"),
+    ({"colour": "red"}, "key colour must be known, got 'colour'; valid: assumed, cores, demo, energy_flow, external_wrench,"),
 ]  # fmt: skip
 
 EXTRA = LINK.format(

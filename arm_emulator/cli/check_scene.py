@@ -26,6 +26,8 @@ def check_scene(name: str) -> str:
     file = find_scene(name)
     scene = load_scene(file)
     line = f"{scene.where}: valid, {len(scene.joints)} joints: {', '.join(scene.joint_names)}"
+    if scene.assumed:
+        line += f"; bodies assumed: {', '.join(scene.assumed)}"
     for overload in overloads(scene):
         print(f"warning: {scene.where}: {overload}", file=sys.stderr)
     missing = []

@@ -17,21 +17,23 @@ from arm_emulator.analysis.holding import Overload, overloads
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import parse_urdf
+from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import published
 from arm_emulator.design.robot_file import robot_text
 from arm_emulator.design.robot_limits import move_meshes, read_limits, write_limits
-from arm_emulator.design.scene_text import demo_text, motion_text, scene_text, servo_text
+from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
 from arm_emulator.design.sizing import Demand, Sized, size
 from arm_emulator.design.survey import survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
-from arm_emulator.machine.chain import LARGEST_MASS
+from arm_emulator.machine.chain import LARGEST_MASS, Array, moved_bodies
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 SERVO_PERIOD = 1e-3  # s
 WEIGHT = 9.81  # N/kg
+MOST_DENSITY = 3e4  # kg/m3: beyond, no body is
 # A tool of which nothing is known: a part of the mass that moves, so far off an axis by the reach.
 TOOL_PART, TOOL_AT = 0.25, 0.1
 PLACES = ("{}.yaml", "servo/{}.yaml", "motion/{}.yaml", "demo/{}.yaml", "urdf/{}.urdf")
@@ -57,6 +59,7 @@ class NewScene:
     choice: Choice
     drives: list[Sized]
     overloads: list[Overload]
+    assumed: list[Assumed]
 
 
 def new(
@@ -67,6 +70,7 @@ def new(
     arguments: Mapping[str, str],
     *,
     payload: float | None = None,
+    density: float = DENSITY,
     force: bool,
 ) -> int:
     """Write a scene for a robot, and report what was taken from it and what was guessed.
@@ -75,7 +79,9 @@ def new(
         Refusal: see `write_new`.
     """
     console = Console(highlight=False, markup=False, soft_wrap=True)
-    written = write_new(robot, out, tool, joints, arguments, payload=payload, force=force)
+    written = write_new(
+        robot, out, tool, joints, arguments, payload=payload, density=density, force=force
+    )
     choice = written.choice
     console.print(f"moves    {', '.join(choice.joints)}")
     for guess in choice.guesses:
@@ -95,6 +101,8 @@ def new(
     console.print(
         "guessed  all motors, gears, friction, encoders: rules are in the scene's heading"
     )
+    for one in written.assumed:
+        console.print(f"assumed  body of {one.link}: {one.how}")
     for overload in written.overloads:
         console.print(f"weak     {overload}")
     console.print(f"written  {written.file}, and servo/, motion/, demo/ beside it")
@@ -130,6 +138,7 @@ def write_new(
     arguments: Mapping[str, str] | None = None,
     *,
     payload: float | None = None,
+    density: float = DENSITY,
     force: bool = False,
 ) -> NewScene:
     """Write a scene for a robot.
@@ -141,6 +150,7 @@ def write_new(
         joints: that move; None: chosen.
         arguments: of the xacro source.
         payload: mass that the tool carries [kg].
+        density: of bodies that the description leaves out [kg/m3].
         force: whether to write over files that are there.
 
     Raises:
@@ -151,6 +161,9 @@ def write_new(
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints)
+    assumed = _assume(description, robot, choice, density)
+    if assumed:
+        text = ET.tostring(description, encoding="unicode")
     name = _name(robot)
     folder = Path(name) if out is None else out
     file = folder / f"{name}.yaml"
@@ -160,7 +173,7 @@ def write_new(
         if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
-    drives, texts = _texts(robot, text, description, choice, payload or 0.0)
+    drives, texts = _texts(robot, text, description, choice, payload or 0.0, assumed)
     with tempfile.TemporaryDirectory() as trial:
         made = Path(trial) / f"{name}.yaml"
         _write(Path(trial), {place.format(name): one for place, one in texts.items()})
@@ -168,7 +181,25 @@ def write_new(
         servo = tuned_servo(made, _servo_of(scene, drives))
     texts[PLACES[1]] = servo_text(servo, SERVO_HEADING.format(name=name))
     _write(folder, {place.format(name): one for place, one in texts.items()})
-    return NewScene(file, choice, drives, overloads(scene))
+    return NewScene(file, choice, drives, overloads(scene), assumed)
+
+
+def _assume(description: ET.Element, robot: Path, choice: Choice, density: float) -> list[Assumed]:
+    """Give what moves and has no body one, in the description; return which links."""
+    if not 0.0 < density <= MOST_DENSITY:
+        raise Refusal("new", "--density", f"be > 0 and at most {MOST_DENSITY:g} kg/m3", density)
+    locked = {name: held.position for name, held in choice.held.items()}
+    bodies = moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
+    shapes = {
+        link.get("name", ""): bool(link.findall("collision") or link.findall("visual"))
+        for link in description.findall("link")
+    }
+    wanted: dict[str, Array] = {}
+    for body in bodies:
+        if body.fault is not None:
+            lacking = [link for link in body.links if shapes[link]] or list(body.links[:1])
+            wanted |= {link: body.tip for link in lacking}
+    return assume_bodies(description, robot.parent, wanted, density)
 
 
 def _write(folder: Path, contents: Mapping[str, str]) -> None:
@@ -210,7 +241,12 @@ def _links_alone(text: str, where: str, choice: Choice, payload: float = 0.0) ->
 
 
 def _texts(
-    robot: Path, text: str, description: ET.Element, choice: Choice, payload: float
+    robot: Path,
+    text: str,
+    description: ET.Element,
+    choice: Choice,
+    payload: float,
+    assumed: list[Assumed],
 ) -> tuple[list[Sized], dict[str, str]]:
     """Return the drives, and the files to write by their places; `description` gets limits.
 
@@ -254,7 +290,8 @@ def _texts(
     # The robot description is where the motion controller has the joints' limits from.
     write_limits(description, {drive.joint.name: drive for drive in drives})
     move_meshes(description, robot.parent)
-    scene = scene_text(name, robot.name, choice, supply, payload, demands, drives, SERVO_PERIOD)
+    given = Given(robot.name, choice, payload, assumed)
+    scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
     displacement = bare.displacement.tolist()
     contents = (
         scene,

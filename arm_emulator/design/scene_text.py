@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
+from arm_emulator.design.assumed_bodies import Assumed
 from arm_emulator.design.choose_joints import Choice
 from arm_emulator.design.sizing import Demand, Sized
 from arm_emulator.machine.parts.current_loop import CurrentLoop
@@ -36,19 +37,28 @@ _RULES = """\
 """
 
 
+@dataclass(frozen=True)
+class Given:
+    """What a scene is made of."""
+
+    robot: str  # name of its file
+    choice: Choice
+    payload: float  # kg
+    assumed: list[Assumed]
+
+
 def scene_text(
     name: str,
-    robot: str,
-    choice: Choice,
+    given: Given,
     supply: float,
-    payload: float,
     demands: list[Demand],
     drives: list[Sized],
     servo_period: float,
 ) -> str:
     """Return the scene file, with where each number comes from."""
+    choice = given.choice
     lines = [
-        _RULES.format(robot=robot, file=f"{name}.yaml"),
+        _RULES.format(robot=given.robot, file=f"{name}.yaml"),
         f"name: {_text(name)}",
         f"urdf: {_text(f'urdf/{name}.urdf')}",
         f"tool: {_text(choice.tool)}",
@@ -56,8 +66,11 @@ def scene_text(
         f"supply_voltage: {supply:g}  # V, "
         + ("of the servos" if any(one.sheet and one.sheet.servo for one in demands) else "guess"),
     ]
-    if payload:
-        lines.append(f"payload: {{mass: {payload!r}}}  # kg, at the tool")
+    if given.payload:
+        lines.append(f"payload: {{mass: {given.payload!r}}}  # kg, at the tool")
+    if given.assumed:
+        lines += ["", "assumed:  # links whose bodies are of one density, from"]
+        lines += [f"  - {_text(one.link)}  # {one.how}" for one in given.assumed]
     if choice.held:
         lines += ["", "locked:"]
         for joint, held in choice.held.items():

@@ -202,6 +202,62 @@ def read_chain(
     Raises:
         Refusal: it is no URDF, or its machine is no serial chain with sound inertias.
     """
+    moving = _with_bodies(robot, where, asks, locked, tool, payload)
+    faults = [fault for one in moving if (fault := _fault_of_body(one, where)) is not None]
+    if faults:
+        raise _all_of(faults, where)
+    return _assemble(moving, where)
+
+
+@dataclass(frozen=True)
+class MovedBody:
+    """What a joint moves: a link with all that is fixed to it."""
+
+    joint: str
+    links: tuple[str, ...]
+    tip: Array
+    """Origin of the next joint, of the last one's links the farthest, in the first link's frame."""
+    fault: Refusal | None
+    """Why the equations of motion are not solvable with it."""
+
+
+def moved_bodies(
+    robot: ET.Element, where: str, asks: str, *, locked: Mapping[str, float], tool: str
+) -> list[MovedBody]:
+    """Return what each moving joint of a URDF moves, base to tip; arguments as `read_chain`'s.
+
+    Raises:
+        Refusal: it is no URDF, or its machine is no serial chain.
+    """
+    moving = _with_bodies(robot, where, asks, locked, tool, None)
+    tips = [one.placement.p for one in moving[1:]]
+    tips.append(max((frame.p for frame in moving[-1].frames), key=lambda p: float(p @ p)))
+    return [
+        MovedBody(one.joint.name, tuple(one.links), tip, _fault_of_body(one, where))
+        for one, tip in zip(moving, tips, strict=True)
+    ]
+
+
+def _all_of(faults: list[Refusal], where: str) -> Refusal:
+    """Return one refusal of several bodies, with all causes and the way out."""
+    way_out = "`arm_emulator new` assumes bodies from shapes, or give links an <inertial>"
+    if len(faults) == 1:
+        one = faults[0]
+        return Refusal(where, one.quantity, one.rule, one.got, way_out)
+    causes = "; ".join(f"{one.quantity} {one.got}" for one in faults)
+    rule = "have mass and inertia"
+    return Refusal(where, f"bodies of {len(faults)} joints", rule, causes, f"{way_out}: {causes}")
+
+
+def _with_bodies(
+    robot: ET.Element,
+    where: str,
+    asks: str,
+    locked: Mapping[str, float],
+    tool: str,
+    payload: Body | None,
+) -> list[_Moving]:
+    """Return the chain of moving joints with what they move."""
     links = _names_of(robot, "link", where)
     joints = _read_joints(robot, links, where)
     known = {joint.name for joint in joints}
@@ -233,7 +289,7 @@ def read_chain(
         )
         if payload is not None and tool in one.links:
             one.body += payload.seen_from(one.frames[one.links.index(tool)])
-    return _assemble(moving, where)
+    return moving
 
 
 def _check_kind(joint: _UrdfJoint, locked: Mapping[str, float], where: str) -> None:
@@ -543,8 +599,6 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
     seen from this link, lies in the plane x = 0: then the turn to the next link is Rx(alpha) and
     nothing else, as in the convention of Denavit, Hartenberg and Khalil.
     """
-    for one in moving:
-        _check_body(one, where)
     # E: rotation of each link's core frame in its URDF frame, at gamma = 0.
     E = [_frame_with_z(one.joint.axis) for one in moving]
     gammas: list[float] = []
@@ -586,8 +640,8 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
     return Chain(tuple(joints), R_WB.T, np.array([R.T for R in turned]), carried)
 
 
-def _check_body(one: _Moving, where: str) -> None:
-    """Refuse a joint's whole moved body if the equations of motion are not solvable with it.
+def _fault_of_body(one: _Moving, where: str) -> Refusal | None:
+    """Return why the equations of motion are not solvable with what a joint moves.
 
     The mass matrix is positive definite in every pose if no body has a negative principal moment
     and each has inertia about its own joint's axis (mass, along the axis of a prismatic one). So a
@@ -596,21 +650,22 @@ def _check_body(one: _Moving, where: str) -> None:
     body, what = one.body, f"moved by joint {one.joint.name} (links {', '.join(one.links)})"
     if not body.mass >= SMALLEST_MASS:
         rule = "be > 0 kg" if body.mass <= 0.0 else f"be >= {SMALLEST_MASS:g} kg"
-        raise Refusal(where, f"mass {what}", rule, body.mass)
+        return Refusal(where, f"mass {what}", rule, body.mass)
     com_x = _cross(body.moment / body.mass)
     moments = np.linalg.eigvalsh(body.inertia + body.mass * com_x @ com_x)
     rounding = 1e-12 * np.abs(body.inertia).max()
     thin = moments[0] <= 1e-9 * moments[2] + rounding
     shown = "(" + ", ".join(f"{moment:.3g}" for moment in moments) + ")"
     if moments[0] < -1e-9 * moments[2] - rounding:
-        raise Refusal(where, f"inertia {what}", "have principal moments >= 0 kg m2", shown)
+        return Refusal(where, f"inertia {what}", "have principal moments >= 0 kg m2", shown)
     if thin and moments[2] - moments[1] > 1e-3 * moments[2] + rounding:
         rule = "be positive definite (of a thin rod: with two equal principal moments)"
-        raise Refusal(where, f"inertia {what}", rule, shown)
+        return Refusal(where, f"inertia {what}", rule, shown)
     about = float(one.joint.axis @ body.inertia @ one.joint.axis)
     least = max(SMALLEST_INERTIA, float(rounding))
     if MOVING_KINDS[one.joint.kind] == "revolute" and about < least:
-        raise Refusal(where, f"inertia about the axis {what}", f"be >= {least:.2g} kg m2", about)
+        return Refusal(where, f"inertia about the axis {what}", f"be >= {least:.2g} kg m2", about)
+    return None
 
 
 def _frame_with_z(axis: Array) -> Array:

@@ -197,6 +197,7 @@ class Scene:
     load: Load | None  # the payload, where its mass is varied
     imus: tuple[Imu, ...]
     seed: int  # of the noise of sensors
+    assumed: tuple[str, ...] = ()  # links whose bodies nobody has measured
 
     @property
     def sensed(self) -> bool:
@@ -365,6 +366,7 @@ def _build(root: Section, file: Path) -> Scene:
                 rule = "not name both payload.mass and numbers of the link that carries it"
                 raise Refusal(where, "varied", rule, one.name)
     external_wrench, energy_flow = root.flag("external_wrench"), root.flag("energy_flow")
+    assumed = _links_named(root, "assumed", robot)
     for key in BESIDE:
         if root.has(key):
             root.text(key)
@@ -389,7 +391,17 @@ def _build(root: Section, file: Path) -> Scene:
         load=load,
         imus=imus,
         seed=seed,
+        assumed=assumed,
     )
+
+
+def _links_named(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:
+    """Return the links of the URDF that a list names."""
+    known = [link.get("name") for link in robot.findall("link")]
+    for name in root.entries(key):
+        if name not in known:
+            raise root.refusal(key, "name links of the URDF", name)
+    return tuple(map(str, root.entries(key)))
 
 
 def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] | None:

@@ -19,6 +19,7 @@ def new(
     tool: Annotated[str | None, Parameter(metavar="LINK")] = None,
     joints: Annotated[list[str] | None, Parameter(metavar="JOINT ...")] = None,
     payload: Annotated[float | None, Parameter(metavar="KG")] = None,
+    density: Annotated[float, Parameter(metavar="KG/M3")] = 1200.0,
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     force: bool = False,
 ) -> int:
@@ -30,6 +31,7 @@ def new(
         tool: where the arm ends (default: chosen).
         joints: that move, the rest is held (default: chosen).
         payload: mass that the tool carries (default: none).
+        density: of bodies that the description leaves out.
         out: of the scene's files (default: the robot's name, here).
         force: write over files that are there.
     """
@@ -41,4 +43,4 @@ def new(
         if not sign or not name:
             raise Refusal("new", "argument", "be NAME:=VALUE", one)
         given[name] = value
-    return make(robot, out, tool, joints, given, payload=payload, force=force)
+    return make(robot, out, tool, joints, given, payload=payload, density=density, force=force)
