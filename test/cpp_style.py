@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import clang_tidy
+
 from arm_emulator.build.unit import Unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.doors.fmu.unit import VERSIONS, unit_of
@@ -21,12 +23,19 @@ from arm_emulator.machine.scene import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 LANGUAGE = "-std=c++20"
+CLANG_TIDY = str(clang_tidy.get_executable("clang-tidy"))
+VARIANTS: tuple[dict[str, object], ...] = (
+    {},
+    {"integrator.scheme": "extrapolated", "integrator.events": "located"},
+    {"integrator.scheme": "paper", "threads": 2},
+)
 
 
 def units() -> Iterator[Unit]:
-    """Yield what has C++ in it, a scene's own code once."""
+    """Yield what has C++ in it: of scenes, each kind of integration once."""
     scene = load_scene("three_axis")
-    yield machine_unit(scene)
+    for variant in VARIANTS:
+        yield machine_unit(load_scene("three_axis", variant))
     yield fleet_unit(scene)
     yield real_time_unit()
     yield ethercat_unit()
@@ -44,7 +53,7 @@ def main() -> int:
     for unit in units():
         file = folder / f"unit_{unit.name}.cpp"  # units include files of their name
         file.write_text(unit.source, encoding="utf-8")
-        command = [f"{ROOT}/.venv/bin/clang-tidy", "--quiet", *sys.argv[1:], str(file), "--"]
+        command = [CLANG_TIDY, "--quiet", *sys.argv[1:], str(file), "--"]
         includes = [f"-I{one.resolve()}" for one in unit.folders]
         done = subprocess.run(
             [*command, LANGUAGE, *includes], check=False, capture_output=True, text=True

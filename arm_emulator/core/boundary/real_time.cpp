@@ -27,45 +27,45 @@ namespace arm_loop {
 // reader never waits for the writer: it keeps what it had.
 class Cell {
  public:
-  explicit Cell(int joints) : modes(joints), values(joints) {}
+  explicit Cell(int joints) : modes_(joints), values_(joints) {}
 
   void write(const arm_command& command) {
-    const std::uint32_t s = sequence.load(std::memory_order_relaxed);
-    sequence.store(s + 1, std::memory_order_relaxed);
+    const std::uint32_t s = sequence_.load(std::memory_order_relaxed);
+    sequence_.store(s + 1, std::memory_order_relaxed);
     std::atomic_thread_fence(std::memory_order_release);
-    tick.store(command.tick, std::memory_order_relaxed);
-    for (std::size_t j = 0; j < values.size(); ++j) {
+    tick_.store(command.tick, std::memory_order_relaxed);
+    for (std::size_t j = 0; j < values_.size(); ++j) {
       const arm_joint_command& joint = command.joint[j];
-      modes[j].store(
+      modes_[j].store(
           static_cast<std::uint64_t>(joint.enable) << 32 | static_cast<std::uint32_t>(joint.mode),
           std::memory_order_relaxed);
-      values[j].store(joint.value, std::memory_order_relaxed);
+      values_[j].store(joint.value, std::memory_order_relaxed);
     }
-    sequence.store(s + 2, std::memory_order_release);
+    sequence_.store(s + 2, std::memory_order_release);
   }
 
   // Leaves `command` alone if a write is under way. `scratch` has room for as many joints.
   void read(arm_command& command, std::vector<arm_joint_command>& joints,
             std::vector<arm_joint_command>& scratch) const {
-    const std::uint32_t s = sequence.load(std::memory_order_acquire);
-    const std::int64_t answers = tick.load(std::memory_order_relaxed);
-    for (std::size_t j = 0; j < values.size(); ++j) {
-      const std::uint64_t mode = modes[j].load(std::memory_order_relaxed);
+    const std::uint32_t s = sequence_.load(std::memory_order_acquire);
+    const std::int64_t answers = tick_.load(std::memory_order_relaxed);
+    for (std::size_t j = 0; j < values_.size(); ++j) {
+      const std::uint64_t mode = modes_[j].load(std::memory_order_relaxed);
       scratch[j] = {static_cast<std::int32_t>(mode & 0xffffffff),
                     static_cast<std::uint32_t>(mode >> 32),
-                    values[j].load(std::memory_order_relaxed)};
+                    values_[j].load(std::memory_order_relaxed)};
     }
     std::atomic_thread_fence(std::memory_order_acquire);
-    if (s % 2 == 1 || sequence.load(std::memory_order_relaxed) != s) return;
+    if (s % 2 == 1 || sequence_.load(std::memory_order_relaxed) != s) return;
     command.tick = answers;
     joints = scratch;  // of equal length: nothing is allocated
   }
 
  private:
-  std::atomic<std::uint32_t> sequence = 0;
-  std::atomic<std::int64_t> tick = -1;
-  std::vector<std::atomic<std::uint64_t>> modes;  // enable, mode
-  std::vector<std::atomic<double>> values;
+  std::atomic<std::uint32_t> sequence_ = 0;
+  std::atomic<std::int64_t> tick_ = -1;
+  std::vector<std::atomic<std::uint64_t>> modes_;  // enable, mode
+  std::vector<std::atomic<double>> values_;
 };
 
 // The arrays of an arm_truth, with an entry per joint.
@@ -80,37 +80,37 @@ class Ring {
       : N(static_cast<std::size_t>(joints)),
         M(static_cast<std::size_t>(imus)),
         R(static_cast<std::size_t>(readings)),
-        numbers(kSnapshots * (1 + (std::size(kRows) + 1 + R) * N)),
-        measured(kSnapshots * N),
-        sensors(kSnapshots * N),
-        units(kSnapshots * M),
-        snapshots(kSnapshots) {
-    double* next = numbers.data();
+        numbers_(kSnapshots * (1 + (std::size(kRows) + 1 + R) * N)),
+        measured_(kSnapshots * N),
+        sensors_(kSnapshots * N),
+        units_(kSnapshots * M),
+        snapshots_(kSnapshots) {
+    double* next = numbers_.data();
     for (std::size_t k = 0; k < kSnapshots; ++k) {
-      arm_snapshot& snapshot = snapshots[k] = {};
+      arm_snapshot& snapshot = snapshots_[k] = {};
       snapshot.truth.size = sizeof snapshot.truth;
       snapshot.truth.energy = next++;
       for (const auto row : kRows) snapshot.truth.*row = next, next += N;
       snapshot.current_d = next, next += N;
       snapshot.readings = next, next += R * N;
-      snapshot.joint = measured.data() + k * N;
-      snapshot.sensors = sensors.data() + k * N;
-      snapshot.imu = units.data() + k * M;
+      snapshot.joint = measured_.data() + k * N;
+      snapshot.sensors = sensors_.data() + k * N;
+      snapshot.imu = units_.data() + k * M;
     }
   }
 
   // Where the next snapshot goes, null if nobody has taken the oldest one.
   arm_snapshot* free() {
-    const std::size_t w = written.load(std::memory_order_relaxed);
-    return w - taken.load(std::memory_order_acquire) == kSnapshots ? nullptr
-                                                                   : &snapshots[w % kSnapshots];
+    const std::size_t w = written_.load(std::memory_order_relaxed);
+    return w - taken_.load(std::memory_order_acquire) == kSnapshots ? nullptr
+                                                                    : &snapshots_[w % kSnapshots];
   }
-  void publish() { written.fetch_add(1, std::memory_order_release); }
+  void publish() { written_.fetch_add(1, std::memory_order_release); }
 
   bool take(arm_snapshot& out) {
-    const std::size_t t = taken.load(std::memory_order_relaxed);
-    if (t == written.load(std::memory_order_acquire)) return false;
-    const arm_snapshot& from = snapshots[t % kSnapshots];
+    const std::size_t t = taken_.load(std::memory_order_relaxed);
+    if (t == written_.load(std::memory_order_acquire)) return false;
+    const arm_snapshot& from = snapshots_[t % kSnapshots];
     out.tick = from.tick, out.answered = from.answered;
     out.lateness = from.lateness, out.spent = from.spent;
     out.truth.fault = from.truth.fault, out.truth.time = from.truth.time;
@@ -122,7 +122,7 @@ class Ring {
     if (out.imu) std::copy_n(from.imu, M, out.imu);
     if (out.current_d) std::copy_n(from.current_d, N, out.current_d);
     if (out.readings) std::copy_n(from.readings, R * N, out.readings);
-    taken.store(t + 1, std::memory_order_release);
+    taken_.store(t + 1, std::memory_order_release);
     return true;
   }
 
@@ -130,35 +130,35 @@ class Ring {
   static constexpr std::size_t kSnapshots = 16384;  // 16 s at 1 kHz: a busy machine may let us wait
 
   const std::size_t N, M, R;  // joints, inertial measurement units, readings
-  std::vector<double> numbers;
-  std::vector<arm_joint_measurement> measured;
-  std::vector<arm_joint_sensors> sensors;
-  std::vector<arm_imu_measurement> units;
-  std::vector<arm_snapshot> snapshots;
-  alignas(64) std::atomic<std::size_t> written = 0;
-  alignas(64) std::atomic<std::size_t> taken = 0;
+  std::vector<double> numbers_;
+  std::vector<arm_joint_measurement> measured_;
+  std::vector<arm_joint_sensors> sensors_;
+  std::vector<arm_imu_measurement> units_;
+  std::vector<arm_snapshot> snapshots_;
+  alignas(64) std::atomic<std::size_t> written_ = 0;
+  alignas(64) std::atomic<std::size_t> taken_ = 0;
 };
 
 // How late the thread woke up.
 class Lateness {
  public:
   void note(std::int64_t lateness) {
-    if (lateness > worst.load(std::memory_order_relaxed)) worst.store(lateness);
+    if (lateness > worst_.load(std::memory_order_relaxed)) worst_.store(lateness);
     const std::int64_t bin = lateness / 1000;
-    bins[bin < kBins ? bin : kBins - 1].fetch_add(1, std::memory_order_relaxed);
+    bins_[bin < kBins ? bin : kBins - 1].fetch_add(1, std::memory_order_relaxed);
   }
   void clear() {
-    worst.store(0);
-    for (auto& bin : bins) bin.store(0);
+    worst_.store(0);
+    for (auto& bin : bins_) bin.store(0);
   }
-  std::int64_t largest() const { return worst.load(); }
+  std::int64_t largest() const { return worst_.load(); }
 
   // What the share `part` of the wake-ups stayed below [ns], by the microsecond.
   std::int64_t quantile(double part) const {
     std::int64_t total = 0, below = 0;
-    for (const auto& bin : bins) total += bin.load(std::memory_order_relaxed);
+    for (const auto& bin : bins_) total += bin.load(std::memory_order_relaxed);
     for (int bin = 0; bin < kBins; ++bin) {
-      below += bins[bin].load(std::memory_order_relaxed);
+      below += bins_[bin].load(std::memory_order_relaxed);
       if (static_cast<double>(below) >= part * static_cast<double>(total))
         return (bin + 1) * 1000LL;
     }
@@ -167,8 +167,8 @@ class Lateness {
 
  private:
   static constexpr int kBins = 4096;  // by the microsecond, the last bin is "more"
-  std::atomic<std::int64_t> worst = 0;
-  std::atomic<std::uint32_t> bins[kBins] = {};
+  std::atomic<std::int64_t> worst_ = 0;
+  std::atomic<std::uint32_t> bins_[kBins] = {};
 };
 
 std::int64_t now() {

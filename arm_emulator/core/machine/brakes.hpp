@@ -17,42 +17,42 @@ class Brakes {
   Brakes() { put(false); }
 
   // Whether brake k is wanted closed.
-  bool wants(int k) const { return wanted[k] != 0; }
+  bool wants(int k) const { return wanted_[k] != 0; }
   // Want brake k to be closed, or open, `delay` steps after step `now`.
   void want(int k, bool closed, bool is_closed, std::int64_t now, std::int64_t delay) {
-    wanted[k] = closed;
-    at[k] = closed == is_closed ? never : now + delay;
+    wanted_[k] = closed;
+    at_[k] = closed == is_closed ? never : now + delay;
   }
   // Have them all as they are wanted.
   void put(bool closed) {
-    for (int k = 0; k < B; ++k) wanted[k] = closed, at[k] = never;
+    for (int k = 0; k < B; ++k) wanted_[k] = closed, at_[k] = never;
   }
 
   // The step at which the next one changes.
   std::int64_t next() const {
     std::int64_t first = never;
-    for (int k = 0; k < B; ++k) first = at[k] < first ? at[k] : first;
+    for (int k = 0; k < B; ++k) first = at_[k] < first ? at_[k] : first;
     return first;
   }
   // change(k, closed) for those that are due at step `now`.
   template <class Change>
   void at_step(std::int64_t now, Change&& change) {
     for (int k = 0; k < B; ++k) {
-      if (at[k] > now) continue;
-      at[k] = never;
-      change(k, wanted[k] != 0);
+      if (at_[k] > now) continue;
+      at_[k] = never;
+      change(k, wanted_[k] != 0);
     }
   }
 
   // number(x) for everything that is remembered, in a fixed order.
   template <class Number>
   void for_each_number(Number&& number) {
-    for (int k = 0; k < B; ++k) number(wanted[k]), number(at[k]);
+    for (int k = 0; k < B; ++k) number(wanted_[k]), number(at_[k]);
   }
 
  private:
-  std::int64_t wanted[B + 1] = {};
-  std::int64_t at[B + 1];
+  std::int64_t wanted_[B + 1] = {};
+  std::int64_t at_[B + 1];
 };
 
 }  // namespace arm

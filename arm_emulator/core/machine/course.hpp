@@ -17,14 +17,15 @@ class Course {
   // null. `stride`: numbers from one row to the next, of both.
   Course(const double* const (&given)[width], double* const (&positions)[width],
          std::int64_t stride, std::int64_t steps_per_row, std::int64_t left_of_this = 0)
-      : steps(steps_per_row), step_over(stride), left(left_of_this) {
-    for (int lane = 0; lane < width; ++lane) command[lane] = given[lane], q[lane] = positions[lane];
+      : steps(steps_per_row), step_over_(stride), left_(left_of_this) {
+    for (int lane = 0; lane < width; ++lane)
+      command_[lane] = given[lane], q_[lane] = positions[lane];
   }
 
   // What is left to do for one lane.
   template <int single>
   Course<S, double, single> of_lane(int lane) const {
-    return {{command[lane]}, {q[lane]}, step_over, steps, left};
+    return {{command_[lane]}, {q_[lane]}, step_over_, steps, left_};
   }
 
   // Begin the next row: `u` becomes its commands within their bounds. Returns where they differ
@@ -33,27 +34,27 @@ class Course {
     Mask<X> differ = {};
     X wanted[N];
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      for (int lane = 0; lane < width; ++lane) set_lane(wanted[j], lane, command[lane][j]);
+      for (int lane = 0; lane < width; ++lane) set_lane(wanted[j], lane, command_[lane][j]);
     });
     bound_commands(numbers, x, wanted);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       differ |= wanted[j] != u[j];
       u[j] = wanted[j];
     });
-    for (const double*& next : command) {
-      next += step_over;
-      if (width > 1) __builtin_prefetch(next + kAhead * step_over);
+    for (const double*& next : command_) {
+      next += step_over_;
+      if (width > 1) __builtin_prefetch(next + kAhead * step_over_);
     }
-    left = steps;
+    left_ = steps;
     return differ;
   }
   ARM_INLINE void end_row(const State<S, X>& x) {
     for (int lane = 0; lane < width; ++lane) {
-      if (!q[lane]) continue;
+      if (!q_[lane]) continue;
       for_each<N>([&](auto j)
-                      __attribute__((always_inline)) { q[lane][j] = lane_of(x.q[j], lane); });
-      q[lane] += step_over;
-      if (width > 1) __builtin_prefetch(q[lane] + kAhead * step_over, 1);
+                      __attribute__((always_inline)) { q_[lane][j] = lane_of(x.q[j], lane); });
+      q_[lane] += step_over_;
+      if (width > 1) __builtin_prefetch(q_[lane] + kAhead * step_over_, 1);
     }
   }
 
@@ -64,7 +65,7 @@ class Course {
                         State<S, X>& y, X (&u)[row], X& power, X& most) {
     X given = h * power;
     for (int s = 0; s < count; ++s) {
-      if (left == 0) {
+      if (left_ == 0) {
         const Mask<X> differ = begin_row(numbers, y, u);
         if (any(differ)) {
           power = select(differ, EnergyBalance<S>::largest_power(numbers, y, u), power);
@@ -78,7 +79,7 @@ class Course {
         power = now;
       }
       most += given;
-      if (--left == 0) end_row(y);
+      if (--left_ == 0) end_row(y);
     }
   }
 
@@ -87,10 +88,10 @@ class Course {
  private:
   // Rows of many machines lie far apart: those to come are fetched so many ahead.
   static constexpr int kAhead = 8;
-  const double* command[width];  // of the next row
-  double* q[width];              // for the positions after this row
-  std::int64_t step_over;
-  std::int64_t left;  // steps of this row
+  const double* command_[width];  // of the next row
+  double* q_[width];              // for the positions after this row
+  std::int64_t step_over_;
+  std::int64_t left_;  // steps of this row
 };
 
 }  // namespace arm

@@ -30,16 +30,16 @@ class Machine {
   // `core`: of the second thread, if there is one; -1: any.
   // `parameters`: values of the varied numbers.
   Machine(double dt, int core, const double* parameters)
-      : h(dt), numbers(parameters), threads(dt, core, numbers) {
+      : h_(dt), numbers_(parameters), threads_(dt, core, numbers_) {
     for (int k = 0; k < S::brakes; ++k)
       for (int way = 0; way < 2; ++way)
-        delay[k][way] = static_cast<std::int64_t>(S::brake_delays[k][way] / dt + 0.5);
+        delay_[k][way] = static_cast<std::int64_t>(S::brake_delays[k][way] / dt + 0.5);
   }
 
   // Schedule all threads as the calling one; false if the system does not permit it.
-  bool join_schedule() { return threads.join_schedule(); }
+  bool join_schedule() { return threads_.join_schedule(); }
   // In a forked child: have the threads that the parent has.
-  void begin_thread() { threads.begin_thread(); }
+  void begin_thread() { threads_.begin_thread(); }
 
   // All that decides how a machine goes on from one instant.
   struct Instant {
@@ -79,79 +79,79 @@ class Machine {
   };
 
   Instant instant() const {
-    Instant instant = {x, threads.memory(), balance, work, {}, power, steps_taken};
-    for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied[j];
+    Instant instant = {x_, threads_.memory(), balance_, work_, {}, power_, steps_taken_};
+    for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied_[j];
     return instant;
   }
-  Whole whole() const { return {instant(), checked, fault, brakes}; }
+  Whole whole() const { return {instant(), checked_, fault_, brakes_}; }
   ARM_ONCE void restore(const Whole& whole) {
     go_back(whole.now);
-    checked = whole.checked;
-    fault = static_cast<int>(whole.fault);
-    brakes = whole.brakes;
+    checked_ = whole.checked;
+    fault_ = static_cast<int>(whole.fault);
+    brakes_ = whole.brakes;
   }
 
   // Set a varied number, between two steps. The motion goes on from where it is.
   ARM_ONCE void set_parameter(int k, double value) {
     change([&] {
-      numbers.set(k, value);
-      ++edition;
-      threads.renew();
+      numbers_.set(k, value);
+      ++edition_;
+      threads_.renew();
     });
-    balance.reset(numbers, x);
-    power = EnergyBalance<S>::largest_power(numbers, x, applied);
-    checked = instant();
+    balance_.reset(numbers_, x_);
+    power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
+    checked_ = instant();
   }
   // Set what acts on link i from outside, between two steps.
   ARM_ONCE void set_external_wrench(int i, const ExternalWrench<double>& wrench) {
     account_for_work();
-    change([&] { numbers.set_external_wrench(i, wrench); });
+    change([&] { numbers_.set_external_wrench(i, wrench); });
   }
 
   // Want brake k closed, or open. It follows after its delay, in whole steps.
   void want_brake(int k, bool closed) {
-    if (brakes.wants(k) == closed) return;
-    brakes.want(k, closed, brake_closed(k), steps_taken, delay[k][closed ? 0 : 1]);
+    if (brakes_.wants(k) == closed) return;
+    brakes_.want(k, closed, brake_closed(k), steps_taken_, delay_[k][closed ? 0 : 1]);
     follow_brakes();
   }
-  bool brake_closed(int k) const { return numbers.value(S::parameters + k) != 0.0; }
+  bool brake_closed(int k) const { return numbers_.value(S::parameters + k) != 0.0; }
   // Have all brakes closed, or open, without delay.
   void put_brakes(bool closed) {
-    brakes.put(closed);
+    brakes_.put(closed);
     for (int k = 0; k < S::brakes; ++k) set_brake(k, closed);
   }
   // Let those brakes change whose time has come.
   void follow_brakes() {
-    if (fault < 0)
-      brakes.at_step(steps_taken, [this](int k, bool closed) { set_brake(k, closed); });
+    if (fault_ < 0)
+      brakes_.at_step(steps_taken_, [this](int k, bool closed) { set_brake(k, closed); });
   }
   // Steps until the next brake changes.
   std::int64_t steps_to_brakes() const {
-    return fault < 0 ? brakes.next() - steps_taken : Brakes<S>::never;
+    return fault_ < 0 ? brakes_.next() - steps_taken_ : Brakes<S>::never;
   }
 
-  double parameter(int k) const { return numbers.value(k); }
-  const Numbers<S>& numbers_now() const { return numbers; }
+  double parameter(int k) const { return numbers_.value(k); }
+  const Numbers<S>& numbers_now() const { return numbers_; }
   // It changes whenever the numbers do.
-  std::int64_t numbers_edition() const { return edition; }
+  std::int64_t numbers_edition() const { return edition_; }
 
   // Put the machine at a state without a past. Time goes on, or begins anew at 0.
   ARM_ONCE void put(const State<S>& at, bool anew) {
-    x = at;
-    threads.reset(x);
-    balance.reset(numbers, x);
-    work.reset(x);
-    fault = -1;
-    for (double& u : applied) u = 0.0;
-    power = EnergyBalance<S>::largest_power(numbers, x, applied);
-    if (anew) steps_taken = 0;
-    checked = instant();
+    x_ = at;
+    threads_.reset(x_);
+    balance_.reset(numbers_, x_);
+    work_.reset(x_);
+    fault_ = -1;
+    for (double& u : applied_) u = 0.0;
+    power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
+    if (anew) steps_taken_ = 0;
+    checked_ = instant();
   }
 
   // Put the links at (q, v) at time 0, the motors along with them: no current, gears unloaded.
   void reset(const double* q, const double* v) {
     State<S> at = {};
-    numbers.for_each_drive([&](const auto& drive, int j) {
+    numbers_.for_each_drive([&](const auto& drive, int j) {
       const auto behind = drive.at_rest_behind(q[j], v[j]);
       for (int k = 0; k < drive.states; ++k) at.z[k][j] = behind.z[k];
       at.q[j] = q[j];
@@ -170,59 +170,59 @@ class Machine {
   // The same for `rows` rows of commands. The links' positions after each row go to `q`.
   int follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
     Course course({command}, {q}, N, steps);
-    if (steps == 0 && fault < 0)
-      for (std::int64_t row = 0; row < rows; ++row) course.end_row(x);
+    if (steps == 0 && fault_ < 0)
+      for (std::int64_t row = 0; row < rows; ++row) course.end_row(x_);
     return follow(course, rows * steps);
   }
 
   // The same for the next `count` steps of a course.
   using Course = arm::Course<S, double, Stepper::row>;
   int follow(Course& course, std::int64_t count) {
-    if (fault >= 0) return fault;
-    threads.begin(count, x);
+    if (fault_ >= 0) return fault_;
+    threads_.begin(count, x_);
     while (count > 0) {
-      const int due = steps_to_check(steps_taken);
+      const int due = steps_to_check(steps_taken_);
       int chunk = count < due ? static_cast<int>(count) : due;
       [[maybe_unused]] const std::int64_t to_brakes = steps_to_brakes();
       if constexpr (S::brakes > 0)
         if (to_brakes < chunk) chunk = static_cast<int>(to_brakes);
-      if (run(course, chunk) >= 0) return fault = creep_to_the_fault(course, chunk);
+      if (run(course, chunk) >= 0) return fault_ = creep_to_the_fault(course, chunk);
       count -= chunk;
       if (chunk == due) {
         account_for_work();
-        if (balance.due_after(kCheckEvery)) fault = balance.broken_by(numbers, x, h);
-        if (fault >= 0) {
-          go_back(checked);
-          return fault;
+        if (balance_.due_after(kCheckEvery)) fault_ = balance_.broken_by(numbers_, x_, h_);
+        if (fault_ >= 0) {
+          go_back(checked_);
+          return fault_;
         }
-        checked = instant();
+        checked_ = instant();
       }
       if constexpr (S::brakes > 0) {
         if (to_brakes > chunk) continue;
-        threads.end();
+        threads_.end();
         follow_brakes();
-        threads.begin(count, x);
+        threads_.begin(count, x_);
       }
     }
-    threads.end();
+    threads_.end();
     return -1;
   }
 
   // The same as `advance`. What the joints are given and dissipate [J] is added to `flow`.
   int advance_metered(const double* command, std::int64_t steps, EnergyFlow<S>& flow) {
-    EnergyMeter<S> meter(numbers);
+    EnergyMeter<S> meter(numbers_);
     double u[Stepper::row] = {};
     for (int j = 0; j < N; ++j) u[j] = command[j];
     bound(u);
-    if constexpr (locates) threads.watch(&meter);
-    int joint = fault;
+    if constexpr (locates) threads_.watch(&meter);
+    int joint = fault_;
     for (; joint < 0 && steps > 0; --steps) {
-      const State<S> before = x;
+      const State<S> before = x_;
       joint = advance(command, 1);
       if constexpr (!locates)
-        if (joint < 0) meter.part(before, x, u, modes_at(before, u), h);
+        if (joint < 0) meter.part(before, x_, u, modes_at(before, u), h_);
     }
-    if constexpr (locates) threads.watch(static_cast<EnergyMeter<S>*>(nullptr));
+    if constexpr (locates) threads_.watch(static_cast<EnergyMeter<S>*>(nullptr));
     flow.add(meter.total, 1.0);
     return joint;
   }
@@ -231,42 +231,42 @@ class Machine {
   static constexpr bool has_second =
       any_drive<S>([](const auto& drive) { return drive.has_second; });
   void put_second(const double* value) {
-    numbers.for_each_drive([&](const auto& drive, int j) {
-      auto at = input_of(drive, j, x, 0.0);
+    numbers_.for_each_drive([&](const auto& drive, int j) {
+      auto at = input_of(drive, j, x_, 0.0);
       drive.put_second(at, value[j], S::supply_voltage);
-      put_states(drive, j, 0, at, x);
+      put_states(drive, j, 0, at, x_);
     });
-    power = EnergyBalance<S>::largest_power(numbers, x, applied);
+    power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
   }
   void second_currents(double* current) const {
-    numbers.for_each_drive([&](const auto& drive, int j) {
-      current[j] = drive.second_current(input_of(drive, j, x, 0.0));
+    numbers_.for_each_drive([&](const auto& drive, int j) {
+      current[j] = drive.second_current(input_of(drive, j, x_, 0.0));
     });
   }
 
   // The temperatures of the windings [degC], NaN where none is known, and which are too hot.
   static constexpr bool heats = any_drive<S>([](const auto& drive) { return drive.heats; });
   void winding_temperatures(double* temperature) const {
-    numbers.for_each_drive([&](const auto& drive, int j) {
-      temperature[j] = drive.winding_temperature(input_of(drive, j, x, 0.0));
+    numbers_.for_each_drive([&](const auto& drive, int j) {
+      temperature[j] = drive.winding_temperature(input_of(drive, j, x_, 0.0));
     });
   }
   void too_hot(bool* hot) const {
-    numbers.for_each_drive(
-        [&](const auto& drive, int j) { hot[j] = drive.too_hot(input_of(drive, j, x, 0.0)); });
+    numbers_.for_each_drive(
+        [&](const auto& drive, int j) { hot[j] = drive.too_hot(input_of(drive, j, x_, 0.0)); });
   }
 
   // Put commands within the bounds of their motors.
-  void bound(double* u) const { bound_commands(numbers, x, u); }
+  void bound(double* u) const { bound_commands(numbers_, x_, u); }
 
   // What the joints are given and dissipate now, under these commands [W].
   EnergyFlow<S> powers(const double* command) const {
     double u[N];
     for (int j = 0; j < N; ++j) u[j] = command[j];
     bound(u);
-    State<S> at = x;
-    follow_at_once(numbers, at, u);
-    return powers_of(numbers, at, u, modes_at(at, u));
+    State<S> at = x_;
+    follow_at_once(numbers_, at, u);
+    return powers_of(numbers_, at, u, modes_at(at, u));
   }
 
   // Whether the state of joint j is finite, and one step turns it by so little that the result has
@@ -288,15 +288,15 @@ class Machine {
     return kCheckEvery - static_cast<int>(steps % kCheckEvery);
   }
 
-  std::int64_t steps() const { return steps_taken; }
-  double time() const { return static_cast<double>(steps_taken) * h; }
-  int faulty_joint() const { return fault; }
-  const State<S>& state() const { return x; }
+  std::int64_t steps() const { return steps_taken_; }
+  double time() const { return static_cast<double>(steps_taken_) * h_; }
+  int faulty_joint() const { return fault_; }
+  const State<S>& state() const { return x_; }
 
   // Current [A], angle [rad] and speed [rad/s] of each motor.
   void report(double* current, double* angle, double* speed) const {
-    numbers.for_each_drive([&](const auto& drive, int j) {
-      const auto at = input_of(drive, j, x, 0.0);
+    numbers_.for_each_drive([&](const auto& drive, int j) {
+      const auto at = input_of(drive, j, x_, 0.0);
       current[j] = drive.current(at);
       angle[j] = drive.motor_angle(at);
       speed[j] = drive.motor_speed(at);
@@ -306,10 +306,10 @@ class Machine {
   // Accelerations of the joints under what acts on them now [rad/s2].
   void accelerations(double (&a)[N]) const {
     typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(numbers, x.q, x.v, links);
-    Coulomb<S, double> coulomb(numbers);
+    Links<S>::dynamics_apart(numbers_, x_.q, x_.v, links);
+    Coulomb<S, double> coulomb(numbers_);
     const double none[N] = {};
-    Modes<S>(numbers, x, none, links).accelerations(x, none, links, a, coulomb);
+    Modes<S>(numbers_, x_, none, links).accelerations(x_, none, links, a, coulomb);
   }
 
   // Torque that each gear puts on its link [N m]; a rigid gear's is what is left for the link when
@@ -318,13 +318,13 @@ class Machine {
     double a[N] = {};
     if constexpr (any_drive<S>([](const auto& drive) { return drive.carries_rotor; }))
       accelerations(a);
-    numbers.for_each_drive([&](const auto& drive, int j) {
-      T[j] = drive.gear_torque(input_of(drive, j, x, 0.0), a[j]);
+    numbers_.for_each_drive([&](const auto& drive, int j) {
+      T[j] = drive.gear_torque(input_of(drive, j, x_, 0.0), a[j]);
     });
   }
 
   // Kinetic, potential, elastic and magnetic energy of links, gears and motors [J].
-  double energy() const { return energy_of<S>(numbers, x).total(); }
+  double energy() const { return energy_of<S>(numbers_, x_).total(); }
 
  private:
   void set_brake(int k, bool closed) {
@@ -333,13 +333,13 @@ class Machine {
 
   // What the external wrenches have done comes to the energy that there may be.
   void account_for_work() {
-    if constexpr (S::external_wrench) balance.allow(balance.most() + work.since(numbers, x));
+    if constexpr (S::external_wrench) balance_.allow(balance_.most() + work_.since(numbers_, x_));
   }
 
   // Change the numbers. Torques that the scheme has kept from the step before become those that the
   // links would have taken with the new numbers: the jump is no motion of the links.
   void change(auto&& set) {
-    typename Threads::Memory past = threads.memory();
+    typename Threads::Memory past = threads_.memory();
     if constexpr (S::scheme == Scheme::extrapolated) {
       auto& kept = scheme_of(past);
       double before[N], after[N];
@@ -350,7 +350,7 @@ class Machine {
     } else {
       set();
     }
-    threads.restore(past);
+    threads_.restore(past);
   }
   static auto& scheme_of(typename Threads::Memory& past) {
     if constexpr (requires { past.stepper; })
@@ -361,16 +361,16 @@ class Machine {
   // What links and rotors take here for the accelerations `a`.
   void torques_for(const double* a, double (&torque)[N]) const {
     typename Links<S>::Kinematics kinematics;
-    Links<S>::kinematics(x.q, kinematics);
-    Links<S>::inverse_dynamics(numbers, kinematics, x.v, a, torque);
-    for (int j = 0; j < N; ++j) torque[j] += numbers.carried(j) * a[j];
+    Links<S>::kinematics(x_.q, kinematics);
+    Links<S>::inverse_dynamics(numbers_, kinematics, x_.v, a, torque);
+    for (int j = 0; j < N; ++j) torque[j] += numbers_.carried(j) * a[j];
   }
 
   Modes<S> modes_at(State<S> x, const double* u) const {
     typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(numbers, x.q, x.v, links);
-    follow_at_once(numbers, x, u);
-    return Modes<S>(numbers, x, u, links);
+    Links<S>::dynamics_apart(numbers_, x.q, x.v, links);
+    follow_at_once(numbers_, x, u);
+    return Modes<S>(numbers_, x, u, links);
   }
 
   static constexpr double kLargestTurn = 3.14159265358979;  // rad (or m) in one step
@@ -379,47 +379,48 @@ class Machine {
   // happened. Neither inlined nor cloned: every step, however it is asked for, runs the same
   // instructions and gives the same bits.
   ARM_APART int run(Course& course, int count) {
-    const typename Threads::Memory past = threads.memory();
+    const typename Threads::Memory past = threads_.memory();
     Course there = course;
-    State<S> y = x;  // here, as what follows, where the compiler may keep it in registers
+    State<S> y = x_;  // here, as what follows, where the compiler may keep it in registers
     alignas(64) double u[Stepper::row];
-    for (int j = 0; j < Stepper::row; ++j) u[j] = applied[j];
-    double most = balance.most();
-    double given = is_check(steps_taken) ? EnergyBalance<S>::largest_power(numbers, y, u) : power;
-    there.march(numbers, threads, h, count, y, u, given, most);
+    for (int j = 0; j < Stepper::row; ++j) u[j] = applied_[j];
+    double most = balance_.most();
+    double given =
+        is_check(steps_taken_) ? EnergyBalance<S>::largest_power(numbers_, y, u) : power_;
+    there.march(numbers_, threads_, h_, count, y, u, given, most);
     const int joint = joint_out_of_bounds(y);
     if (joint >= 0) {
-      threads.end();
-      threads.restore(past);
+      threads_.end();
+      threads_.restore(past);
       return joint;
     }
     course = there;
-    x = y;
-    for (int j = 0; j < Stepper::row; ++j) applied[j] = u[j];
-    power = given;
-    balance.allow(most);
-    steps_taken += count;
+    x_ = y;
+    for (int j = 0; j < Stepper::row; ++j) applied_[j] = u[j];
+    power_ = given;
+    balance_.allow(most);
+    steps_taken_ += count;
     return -1;
   }
 
   ARM_ONCE void go_back(const Instant& to) {
-    threads.end();
-    threads.restore(to.past);
-    x = to.x;
-    balance = to.balance;
-    work = to.work;
-    for (int j = 0; j < Stepper::row; ++j) applied[j] = to.u[j];
-    power = to.power;
-    steps_taken = to.steps_taken;
+    threads_.end();
+    threads_.restore(to.past);
+    x_ = to.x;
+    balance_ = to.balance;
+    work_ = to.work;
+    for (int j = 0; j < Stepper::row; ++j) applied_[j] = to.u[j];
+    power_ = to.power;
+    steps_taken_ = to.steps_taken;
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
   ARM_ONCE int creep_to_the_fault(Course& course, int chunk) {
     for (int s = 0; s < chunk; ++s) {
-      threads.begin(1, x);
+      threads_.begin(1, x_);
       const int joint = run(course, 1);
       if (joint >= 0) return joint;
-      threads.end();
+      threads_.end();
     }
     __builtin_unreachable();  // the same steps as before end at the same fault
   }
@@ -429,25 +430,25 @@ class Machine {
   int joint_out_of_bounds(const State<S>& s) const {
     int found = -1;
     for_each_drive<S>([&](const auto& drive, int j) {
-      if (found < 0 && !within_bounds(drive, j, s, h)) found = j;
+      if (found < 0 && !within_bounds(drive, j, s, h_)) found = j;
     });
     return found;
   }
 
-  double h;
-  Numbers<S> numbers;
-  Threads threads;
-  State<S> x = {};
-  EnergyBalance<S> balance;
-  ExternalWork<S> work;
-  Brakes<S> brakes;
-  std::int64_t delay[S::brakes + 1][2] = {};  // of brakes, in steps: to close, to open
-  double applied[Stepper::row] = {};
-  double power = 0.0;
-  std::int64_t steps_taken = 0;
-  std::int64_t edition = 0;
-  int fault = -1;  // the joint that went out of bounds
-  Instant checked = {};
+  double h_;
+  Numbers<S> numbers_;
+  Threads threads_;
+  State<S> x_ = {};
+  EnergyBalance<S> balance_;
+  ExternalWork<S> work_;
+  Brakes<S> brakes_;
+  std::int64_t delay_[S::brakes + 1][2] = {};  // of brakes, in steps: to close, to open
+  double applied_[Stepper::row] = {};
+  double power_ = 0.0;
+  std::int64_t steps_taken_ = 0;
+  std::int64_t edition_ = 0;
+  int fault_ = -1;  // the joint that went out of bounds
+  Instant checked_ = {};
 };
 
 }  // namespace arm

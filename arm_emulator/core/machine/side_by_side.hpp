@@ -18,9 +18,9 @@ class SideBySide {
 
   // At least one machine and at most `width`; they stay where they are.
   SideBySide(double step, Machine* const* machines, int count)
-      : h(step), used(count), numbers(machines[0]->numbers_now()), threads(step, -1, numbers) {
-    for (int lane = 0; lane < used; ++lane) machine[lane] = machines[lane];
-    for (std::int64_t& edition : editions) edition = -1;
+      : h_(step), used_(count), numbers_(machines[0]->numbers_now()), threads_(step, -1, numbers_) {
+    for (int lane = 0; lane < used_; ++lane) machine_[lane] = machines[lane];
+    for (std::int64_t& edition : editions_) edition = -1;
   }
   SideBySide(const SideBySide&) = delete;
 
@@ -34,28 +34,29 @@ class SideBySide {
     double* positions[width];
     std::int64_t began[width];
     for (int lane = 0; lane < width; ++lane) {
-      commands[lane] = command + (lane < used ? lane : 0) * N;
-      positions[lane] = lane < used ? q + lane * N : nullptr;
-      if (lane < used) began[lane] = machine[lane]->steps();
+      commands[lane] = command + (lane < used_ ? lane : 0) * N;
+      positions[lane] = lane < used_ ? q + lane * N : nullptr;
+      if (lane < used_) began[lane] = machine_[lane]->steps();
     }
     Course course(commands, positions, stride, steps);
     for (std::int64_t left = rows * steps; left > 0;) {
       int count = left < kSection ? static_cast<int>(left) : kSection;
       if constexpr (S::brakes > 0)
-        for (int lane = 0; lane < used; ++lane)
-          if (machine[lane]->steps_to_brakes() < count)
-            count = static_cast<int>(machine[lane]->steps_to_brakes());
+        for (int lane = 0; lane < used_; ++lane)
+          if (machine_[lane]->steps_to_brakes() < count)
+            count = static_cast<int>(machine_[lane]->steps_to_brakes());
       section(course, count);
       left -= count;
       if constexpr (S::brakes > 0) {
-        for (int lane = 0; lane < used; ++lane) machine[lane]->follow_brakes();
+        for (int lane = 0; lane < used_; ++lane) machine_[lane]->follow_brakes();
         take_numbers();
       }
     }
-    for (int lane = 0; lane < used; ++lane) {
-      std::int64_t row = steps > 0 ? (machine[lane]->steps() - began[lane]) / steps : 0;
+    for (int lane = 0; lane < used_; ++lane) {
+      std::int64_t row = steps > 0 ? (machine_[lane]->steps() - began[lane]) / steps : 0;
       for (; row < rows; ++row)
-        for (int j = 0; j < N; ++j) positions[lane][row * stride + j] = machine[lane]->state().q[j];
+        for (int j = 0; j < N; ++j)
+          positions[lane][row * stride + j] = machine_[lane]->state().q[j];
     }
   }
 
@@ -81,33 +82,33 @@ class SideBySide {
 
   void take_numbers() {
     bool renewed = false;
-    for (int lane = 0; lane < used; ++lane) {
-      const std::int64_t edition = machine[lane]->numbers_edition();
-      if (edition == editions[lane]) continue;
-      editions[lane] = edition;
-      numbers.set(lane, machine[lane]->numbers_now());
+    for (int lane = 0; lane < used_; ++lane) {
+      const std::int64_t edition = machine_[lane]->numbers_edition();
+      if (edition == editions_[lane]) continue;
+      editions_[lane] = edition;
+      numbers_.set(lane, machine_[lane]->numbers_now());
       renewed = true;
     }
-    if (renewed) threads.renew();
+    if (renewed) threads_.renew();
     if constexpr (S::external_wrench)
       for (int lane = 0; lane < width; ++lane)
-        numbers.set_external_wrenches(lane, numbers_of(lane));
+        numbers_.set_external_wrenches(lane, numbers_of(lane));
   }
 
   void section(Course& course, int count) {
     const Course start = course;
     Whole whole[width];
     int sound = -1;  // a lane whose machine is not at fault
-    for (int lane = 0; lane < used; ++lane) {
-      whole[lane] = machine[lane]->whole();
+    for (int lane = 0; lane < used_; ++lane) {
+      whole[lane] = machine_[lane]->whole();
       if (whole[lane].fault < 0) sound = lane;
     }
     if (sound < 0) return;
     Abreast at;
     typename Threads::Memory past = {};
     for (int lane = 0; lane < width; ++lane)
-      put(lane, whole[lane < used && whole[lane].fault < 0 ? lane : sound].now, at, past);
-    threads.restore(past);
+      put(lane, whole[lane < used_ && whole[lane].fault < 0 ? lane : sound].now, at, past);
+    threads_.restore(past);
 
     Mask<X> lost = {};
     for (int left = count; left > 0;) {
@@ -119,25 +120,25 @@ class SideBySide {
       march(course, steps, at);
       left -= steps;
       for_each_drive<S>(
-          [&](const auto& drive, int j) { lost |= ~Machine::within_bounds(drive, j, at.x, h); });
+          [&](const auto& drive, int j) { lost |= ~Machine::within_bounds(drive, j, at.x, h_); });
       for (int lane = 0; lane < width; ++lane) {
         at.steps_taken[lane] += steps;
         if (lost[lane] || !Machine::is_check(at.steps_taken[lane])) continue;
         if constexpr (S::external_wrench) account_for_work(lane, at);
         if (at.balance[lane].due_after(Machine::kCheckEvery) && !balanced(lane, at))
           lost[lane] = -1;
-        else if (left < Machine::kCheckEvery && lane < used)
+        else if (left < Machine::kCheckEvery && lane < used_)
           take(lane, at, whole[lane].checked);
       }
     }
-    for (int lane = 0; lane < used; ++lane) {
+    for (int lane = 0; lane < used_; ++lane) {
       if (whole[lane].fault >= 0) continue;
       if (lost[lane]) {
         auto alone = start.template of_lane<Machine::Stepper::row>(lane);
-        machine[lane]->follow(alone, count);
+        machine_[lane]->follow(alone, count);
       } else {
         take(lane, at, whole[lane].now);
-        machine[lane]->restore(whole[lane]);
+        machine_[lane]->restore(whole[lane]);
       }
     }
   }
@@ -151,8 +152,8 @@ class SideBySide {
     Mask<X> checked = {};
     for (int lane = 0; lane < width; ++lane)
       if (Machine::is_check(at.steps_taken[lane])) checked[lane] = -1;
-    power = select(checked, Balance::largest_power(numbers, y, u), power);
-    course.march(numbers, threads, h, steps, y, u, power, most);
+    power = select(checked, Balance::largest_power(numbers_, y, u), power);
+    course.march(numbers_, threads_, h_, steps, y, u, power, most);
     at.x = y;
     for (int j = 0; j < Method::row; ++j) at.u[j] = u[j];
     at.power = power, at.most = most;
@@ -165,14 +166,14 @@ class SideBySide {
   }
 
   const Numbers<S>& numbers_of(int lane) const {
-    return machine[lane < used ? lane : 0]->numbers_now();
+    return machine_[lane < used_ ? lane : 0]->numbers_now();
   }
 
   // Whether the energy of a lane is one that a machine can have.
   bool balanced(int lane, Abreast& at) {
     typename Machine::Instant now = {};
     take(lane, at, now);
-    const int joint = now.balance.broken_by(numbers_of(lane), now.x, h);
+    const int joint = now.balance.broken_by(numbers_of(lane), now.x, h_);
     at.balance[lane] = now.balance;
     at.most[lane] = now.balance.most();
     return joint < 0;
@@ -199,7 +200,7 @@ class SideBySide {
   }
 
   void take(int lane, Abreast& at, typename Machine::Instant& now) {
-    typename Threads::Memory past = threads.memory();
+    typename Threads::Memory past = threads_.memory();
     double numbers[sizeof now / sizeof(double)];
     double *to = numbers, *from = numbers;
     for_each_number(at.x, past, [&](const X& number) { *to++ = number[lane]; });
@@ -212,12 +213,12 @@ class SideBySide {
     now.steps_taken = at.steps_taken[lane];
   }
 
-  double h;
-  int used;
-  Machine* machine[width];
-  std::int64_t editions[width];  // of the numbers that are in use; none are at first
-  Numbers<S, X> numbers;
-  Threads threads;
+  double h_;
+  int used_;
+  Machine* machine_[width];
+  std::int64_t editions_[width];  // of the numbers that are in use; none are at first
+  Numbers<S, X> numbers_;
+  Threads threads_;
 };
 
 // A machine that has nobody beside it.
@@ -227,18 +228,18 @@ class SideBySide<S, 1> {
   using Machine = arm::Machine<S>;
   static constexpr int N = S::N;
 
-  SideBySide(double, Machine* const* machines, int) : machine(machines[0]) {}
+  SideBySide(double, Machine* const* machines, int) : machine_(machines[0]) {}
 
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
               double* q) {
     for (; rows > 0; --rows, command += stride, q += stride) {
-      machine->advance(command, steps);
-      for (int j = 0; j < N; ++j) q[j] = machine->state().q[j];
+      machine_->advance(command, steps);
+      for (int j = 0; j < N; ++j) q[j] = machine_->state().q[j];
     }
   }
 
  private:
-  Machine* machine;
+  Machine* machine_;
 };
 
 }  // namespace arm

@@ -35,7 +35,7 @@ class Coulomb {
   static constexpr bool loaded =
       any_drive<S>([](const auto& drive) { return drive.holds_by_load; });
 
-  explicit Coulomb(const Numbers<S, X>& numbers) : n(numbers) {}
+  explicit Coulomb(const Numbers<S, X>& numbers) : n_(numbers) {}
 
   // Let friction be that at x, where modes(drive, j, lane) are those of the drives, and what holds
   // a joint at rest that at `pulled`, where the torque that pulls it is taken.
@@ -44,14 +44,14 @@ class Coulomb {
             [[maybe_unused]] const X* u, [[maybe_unused]] const ModesOf& modes) {
     if constexpr (varies) {
       for (int lane = 0; lane < kWidth<X>; ++lane)
-        n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
           const auto now = modes(drive, j, lane);
           const auto at = [&](const State<S, X>& state) {
             return drive.with(input_in_lane(drive, j, state, u[j], lane), now);
           };
-          set_lane(of.Dc[j], lane, drive.sliding(at(x), now.held()));
-          set_lane(of.Ds[j], lane, drive.holding(at(pulled), now.held()));
-          set_lane(of.dry[j], lane, drive.is_dry());
+          set_lane(of_.Dc[j], lane, drive.sliding(at(x), now.held()));
+          set_lane(of_.Ds[j], lane, drive.holding(at(pulled), now.held()));
+          set_lane(of_.dry[j], lane, drive.is_dry());
         });
     }
   }
@@ -59,13 +59,14 @@ class Coulomb {
   template <class ModesOf>
   void add_change(const State<S, X>& y, const X* u, const ModesOf& modes, X* change) const {
     for (int lane = 0; lane < kWidth<X>; ++lane)
-      n.for_each_drive_of(lane, [&](const auto& drive, int j) {
-        if (!drive.friction_varies || lane_of(X{} + select(locked[j], X{} + 1.0, X{}), lane) != 0.0)
+      n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
+        if (!drive.friction_varies ||
+            lane_of(X{} + select(locked_[j], X{} + 1.0, X{}), lane) != 0.0)
           return;
         const auto now = modes(drive, j, lane);
         const auto at = drive.with(input_in_lane(drive, j, y, u[j], lane), now);
-        const double more = drive.sliding(at, now.held()) - lane_of(of.Dc[j], lane);
-        set_lane(change[j], lane, lane_of(change[j], lane) - more * lane_of(direction[j], lane));
+        const double more = drive.sliding(at, now.held()) - lane_of(of_.Dc[j], lane);
+        set_lane(change[j], lane, lane_of(change[j], lane) - more * lane_of(direction_[j], lane));
       });
   }
 
@@ -73,15 +74,15 @@ class Coulomb {
   // decisions serve `solve_again` for a second right-hand side of the same step.
   ARM_INLINE void solve(Matrix& W, const X* v, X* x) {
     if constexpr (!present) {
-      factors.factor(W);
-      factors.solve(x);
+      factors_.factor(W);
+      factors_.solve(x);
     } else {
       begin(v);
       Descent down;
       for (int j = 0; j < N; ++j) down.rhs[j] = x[j];
       do {
         factor_unlocked(W);
-        for (int j = 0; j < N; ++j) x[j] = down.rhs[j] - Dc(j) * direction[j];
+        for (int j = 0; j < N; ++j) x[j] = down.rhs[j] - Dc(j) * direction_[j];
         solve_again(x);
       } while (lock_one(down, x) || free_one(W, down, x));
     }
@@ -90,8 +91,10 @@ class Coulomb {
   // The decisions alone. Joints that all slide, or all rest, need no solution for them.
   void decide(Matrix& W, const double* v, double* rhs) {
     int resting = begin(v);
-    for (int j = 0; resting == N && j < N; ++j)
-      if (magnitude(held[j] = rhs[j]) > Ds(j)) resting = -1;
+    for (int j = 0; resting == N && j < N; ++j) {
+      held_[j] = rhs[j];
+      if (magnitude(held_[j]) > Ds(j)) resting = -1;
+    }
     if (resting != 0 && resting != N) solve(W, v, rhs);
   }
 
@@ -103,7 +106,7 @@ class Coulomb {
   };
   Modes modes() const {
     Modes modes;
-    for (int j = 0; j < N; ++j) modes.locked[j] = locked[j], modes.direction[j] = direction[j];
+    for (int j = 0; j < N; ++j) modes.locked[j] = locked_[j], modes.direction[j] = direction_[j];
     return modes;
   }
 
@@ -111,36 +114,36 @@ class Coulomb {
   void solve_in(const Modes& modes, const Matrix& W, X* x) {
     X rhs[N];
     for (int j = 0; j < N; ++j) {
-      locked[j] = modes.locked[j], direction[j] = modes.direction[j];
+      locked_[j] = modes.locked[j], direction_[j] = modes.direction[j];
       rhs[j] = x[j];
     }
     factor_unlocked(W);
-    for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction[j];
+    for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
     solve_again(x);
     for (int j = 0; j < N; ++j)
-      if (locked[j]) held[j] = torque_of_lock(j, W, rhs, x);
+      if (locked_[j]) held_[j] = torque_of_lock(j, W, rhs, x);
   }
   // The torques of locks alone, with the decisions made.
   void hold_in(const Modes& modes, const Matrix& W, X* x) {
     bool all_rest = true;
     for (int j = 0; j < N; ++j) all_rest = all_rest && modes.locked[j];
     if (!all_rest) return solve_in(modes, W, x);
-    for (int j = 0; j < N; ++j) held[j] = x[j];
+    for (int j = 0; j < N; ++j) held_[j] = x[j];
   }
 
   // What the lock of joint j could take beside what it takes, below 0 if it does not hold [N m].
-  ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(held[j]); }
+  ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(held_[j]); }
 
   ARM_INLINE void solve_again(X* x) const {
     if constexpr (present)
-      for (int j = 0; j < N; ++j) x[j] = select(locked[j], X{}, x[j]);
-    factors.solve(x);
+      for (int j = 0; j < N; ++j) x[j] = select(locked_[j], X{}, x[j]);
+    factors_.solve(x);
   }
 
   // Torque against the motion of joint j, or of the lock that holds it.
   ARM_INLINE X force(int j) const {
     if constexpr (present)
-      return select(locked[j], held[j], Dc(j) * direction[j]);
+      return select(locked_[j], held_[j], Dc(j) * direction_[j]);
     else
       return X{};
   }
@@ -149,7 +152,7 @@ class Coulomb {
   ARM_INLINE void stop_at_reversal(X* v) const {
     if constexpr (present)
       for (int j = 0; j < N; ++j)
-        v[j] = select(where(dry(j), v[j] * direction[j] <= 0.0), X{}, v[j]);
+        v[j] = select(where(dry(j), v[j] * direction_[j] <= 0.0), X{}, v[j]);
   }
 
  private:
@@ -157,10 +160,10 @@ class Coulomb {
   ARM_INLINE int begin(const X* v) {
     int resting = 0;
     for (int j = 0; j < N; ++j) {
-      direction[j] = select(where(dry(j), v[j] > 0.0), X{} + 1.0,
-                            select(where(dry(j), v[j] < 0.0), X{} - 1.0, X{}));
-      locked[j] = where(dry(j), v[j] == 0.0);
-      if constexpr (kWidth<X> == 1) resting += locked[j] ? 1 : 0;
+      direction_[j] = select(where(dry(j), v[j] > 0.0), X{} + 1.0,
+                             select(where(dry(j), v[j] < 0.0), X{} - 1.0, X{}));
+      locked_[j] = where(dry(j), v[j] == 0.0);
+      if constexpr (kWidth<X> == 1) resting += locked_[j] ? 1 : 0;
     }
     return resting;
   }
@@ -170,8 +173,8 @@ class Coulomb {
     Matrix free = {};
     for (int j = 0; j < N; ++j)
       for (int k = j; k < N; ++k)
-        free[j][k] = select(locked[j] | locked[k], X{} + (j == k ? 1.0 : 0.0), W[j][k]);
-    factors.factor(free);
+        free[j][k] = select(locked_[j] | locked_[k], X{} + (j == k ? 1.0 : 0.0), W[j][k]);
+    factors_.factor(free);
   }
 
   ARM_INLINE static X torque_of_lock(int j, const Matrix& W, const X* rhs, const X* x) {
@@ -195,7 +198,7 @@ class Coulomb {
     if (down.rounds == 0) return false;
     X part = X{} + 1.0, first = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
-      const auto back = where(down.broken[j], x[j] * direction[j] < 0.0);
+      const auto back = where(down.broken[j], x[j] * direction_[j] < 0.0);
       const X along = select(back, down.x[j] / select(back, down.x[j] - x[j], X{} + 1.0), part);
       const auto sooner = where(back, along < part);
       first = select(sooner, X{} + j, first);
@@ -205,8 +208,8 @@ class Coulomb {
       const auto stops = first == static_cast<double>(j);
       const X there = down.x[j] + part * (x[j] - down.x[j]);
       down.x[j] = select(stops, X{}, select(down.broken[j], there, X{}));
-      direction[j] = select(stops, X{}, direction[j]);
-      locked[j] = locked[j] | as_bits(stops);
+      direction_[j] = select(stops, X{}, direction_[j]);
+      locked_[j] = locked_[j] | as_bits(stops);
     }
     return any(first >= 0.0);
   }
@@ -215,9 +218,9 @@ class Coulomb {
   bool free_one(const Matrix& W, Descent& down, const X* x) {
     X excess = {}, way = {}, worst = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
-      const X torque = held[j] = torque_of_lock(j, W, down.rhs, x);
+      const X torque = held_[j] = torque_of_lock(j, W, down.rhs, x);
       const X most = select(down.broken[j], X{} + Dc(j), X{} + Ds(j));
-      const X over = select(locked[j], magnitude(torque) - most, X{});
+      const X over = select(locked_[j], magnitude(torque) - most, X{});
       const auto more = over > excess;
       worst = select(more, X{} + j, worst);
       excess = select(more, over, excess);
@@ -226,9 +229,9 @@ class Coulomb {
     if (!any(worst >= 0.0) || down.rounds++ == kMostRounds) return false;
     for (int j = 0; j < N; ++j) {
       const auto freed = worst == static_cast<double>(j);
-      locked[j] = locked[j] & ~as_bits(freed);
+      locked_[j] = locked_[j] & ~as_bits(freed);
       down.broken[j] = down.broken[j] | as_bits(freed);
-      direction[j] = select(freed, way, direction[j]);
+      direction_[j] = select(freed, way, direction_[j]);
     }
     return true;
   }
@@ -249,31 +252,31 @@ class Coulomb {
 
   ARM_INLINE auto Dc(int j) const {
     if constexpr (varies)
-      return of.Dc[j];
+      return of_.Dc[j];
     else
-      return n.Dc(j);
+      return n_.Dc(j);
   }
   ARM_INLINE auto Ds(int j) const {
     if constexpr (varies)
-      return of.Ds[j];
+      return of_.Ds[j];
     else
-      return n.Ds(j);
+      return n_.Ds(j);
   }
 
   // Whether a joint may be locked: whether it has a law of dry friction.
   ARM_INLINE auto dry(int j) const {
     if constexpr (varies)
-      return of.dry[j] > 0.0;
+      return of_.dry[j] > 0.0;
     else
-      return n.Dc(j) > 0.0;
+      return n_.Dc(j) > 0.0;
   }
 
-  const Numbers<S, X>& n;
-  [[no_unique_address]] std::conditional_t<varies, Taken, Nothing> of;
-  Cholesky<N, X> factors;
-  Mask<X> locked[N] = {};
-  X direction[N] = {};
-  X held[N] = {};  // torque of a lock [N m]
+  const Numbers<S, X>& n_;
+  [[no_unique_address]] std::conditional_t<varies, Taken, Nothing> of_;
+  Cholesky<N, X> factors_;
+  Mask<X> locked_[N] = {};
+  X direction_[N] = {};
+  X held_[N] = {};  // torque of a lock [N m]
 };
 
 }  // namespace arm

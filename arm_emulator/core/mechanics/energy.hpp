@@ -58,9 +58,9 @@ class EnergyBalance {
 
   void reset(const Numbers<S>& n, const State<S>& x) {
     const Energy E = energy_of<S>(n, x);
-    at_most = E.total();
-    largest_stored = E.stored;
-    steps = 0;
+    at_most_ = E.total();
+    largest_stored_ = E.stored;
+    steps_ = 0;
   }
 
   // What the motors give at most under the commands u [W].
@@ -84,14 +84,14 @@ class EnergyBalance {
   }
 
   // The most that there can be [J]: the power that the motors can give is added step by step.
-  double most() const { return at_most; }
-  void allow(double E) { at_most = E; }
+  double most() const { return at_most_; }
+  void allow(double E) { at_most_ = E; }
 
   // `count` steps have been taken. Whether a look is due now.
   bool due_after(int count) {
-    steps += count;
-    if (steps < kCheckEvery) return false;
-    steps = 0;
+    steps_ += count;
+    if (steps_ < kCheckEvery) return false;
+    steps_ = 0;
     return true;
   }
   // The steps have led to x. Returns -1, or the joint that holds the most of an energy that came
@@ -99,23 +99,23 @@ class EnergyBalance {
   int broken_by(const Numbers<S>& n, const State<S>& x, double h) {
     int greediest = 0;
     const Energy E = energy_of<S>(n, x, &greediest);
-    if (E.stored > largest_stored) largest_stored = E.stored;
-    const double gained = E.total() - at_most;
+    if (E.stored > largest_stored_) largest_stored_ = E.stored;
+    const double gained = E.total() - at_most_;
     const double rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));
     // A joint that stops within a step has pulled at the others till its end (coulomb.hpp): with
     // Dc, for h at most, which gives them (Dc h)^2 / (2 M) where they hardly move.
     const double jolt = kStops * E.jolt * h * h;
-    if (gained > kTolerance * largest_stored + rounding + jolt) return greediest;
-    if (gained < 0.0) at_most = E.total();
+    if (gained > kTolerance * largest_stored_ + rounding + jolt) return greediest;
+    if (gained < 0.0) at_most_ = E.total();
     return -1;
   }
 
   // number(x) for everything that it remembers, in a fixed order.
   template <class Number>
   void for_each_number(Number&& number) {
-    number(at_most);
-    number(largest_stored);
-    number(steps);
+    number(at_most_);
+    number(largest_stored_);
+    number(steps_);
   }
 
  private:
@@ -124,9 +124,9 @@ class EnergyBalance {
   static constexpr double kStops = 10.0;     // so many of them between two looks
   static constexpr double kRounding = 1e-9;  // of 1 J, and of the potential energy
 
-  double at_most = 0.0;         // J
-  double largest_stored = 0.0;  // J
-  std::int64_t steps = 0;       // since the last look
+  double at_most_ = 0.0;         // J
+  double largest_stored_ = 0.0;  // J
+  std::int64_t steps_ = 0;       // since the last look
 };
 
 }  // namespace arm

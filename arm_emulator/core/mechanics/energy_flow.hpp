@@ -52,22 +52,22 @@ class EnergyMeter {
  public:
   static constexpr int N = S::N;
 
-  explicit EnergyMeter(const Numbers<S>& numbers) : n(numbers) {}
+  explicit EnergyMeter(const Numbers<S>& numbers) : n_(numbers) {}
 
   // A part from x to y, in these modes, t long.
   void part(State<S> x, State<S> y, const double* u, const Modes<S>& modes, double t) {
-    follow_at_once(n, x, u);
-    follow_at_once(n, y, u);
+    follow_at_once(n_, x, u);
+    follow_at_once(n_, y, u);
     const State<S> middle = middle_of(x, y, u, modes, t);
-    total.add(powers_of(n, x, u, modes), t / 6.0);
-    total.add(powers_of(n, middle, u, modes), 4.0 * t / 6.0);
-    total.add(powers_of(n, y, u, modes), t / 6.0);
+    total.add(powers_of(n_, x, u, modes), t / 6.0);
+    total.add(powers_of(n_, middle, u, modes), 4.0 * t / 6.0);
+    total.add(powers_of(n_, y, u, modes), t / 6.0);
   }
 
   EnergyFlow<S> total;
 
  private:
-  const Numbers<S>& n;
+  const Numbers<S>& n_;
 
   State<S> middle_of(const State<S>& x, const State<S>& y, const double* u, const Modes<S>& modes,
                      double t) const {
@@ -82,7 +82,7 @@ class EnergyMeter {
       put(middle.q[j], x.q[j], y.q[j], before.q[j], after.q[j]);
       put(middle.v[j], x.v[j], y.v[j], before.v[j], after.v[j]);
     }
-    follow_at_once(n, middle, u);
+    follow_at_once(n_, middle, u);
     return middle;
   }
 
@@ -90,11 +90,11 @@ class EnergyMeter {
   State<S> rates_of(const State<S>& x, const double* u, const Modes<S>& modes) const {
     State<S> rates = {};
     typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(n, x.q, x.v, links);
+    Links<S>::dynamics_apart(n_, x.q, x.v, links);
     double a[N];
-    Coulomb<S, double> coulomb(n);
+    Coulomb<S, double> coulomb(n_);
     modes.accelerations(x, u, links, a, coulomb);
-    n.for_each_drive([&](const auto& drive, int j) {
+    n_.for_each_drive([&](const auto& drive, int j) {
       const auto now = modes.of(drive, j);
       const auto D = drive.D(now.held());
       const auto is = drive.rates(drive.with(input_of(drive, j, x, u[j]), now), now.held());

@@ -15,15 +15,15 @@ class ExternalWork {
 
   void reset(const State<S>& x) {
     if constexpr (S::external_wrench)
-      for (int j = 0; j < N; ++j) q[j] = x.q[j];
+      for (int j = 0; j < N; ++j) q_[j] = x.q[j];
   }
 
   // From the state before, or the reset, to x.
   double since(const Numbers<S>& n, const State<S>& x) {
     double there[N], here[N], work = 0.0;
-    torques(n, q, there);
+    torques(n, q_, there);
     torques(n, x.q, here);
-    for (int j = 0; j < N; ++j) work += 0.5 * (there[j] + here[j]) * (x.q[j] - q[j]);
+    for (int j = 0; j < N; ++j) work += 0.5 * (there[j] + here[j]) * (x.q[j] - q_[j]);
     reset(x);
     return work;
   }
@@ -32,7 +32,7 @@ class ExternalWork {
   template <class Number>
   void for_each_number(Number&& number) {
     if constexpr (S::external_wrench)
-      for (double& one : q) number(one);
+      for (double& one : q_) number(one);
   }
 
  private:
@@ -42,7 +42,7 @@ class ExternalWork {
     Links<S>::external_torques(n, kinematics, tau);
   }
 
-  double q[S::external_wrench ? N : 1] = {};
+  double q_[S::external_wrench ? N : 1] = {};
 };
 
 }  // namespace arm

@@ -14,21 +14,21 @@ class LinksMemo {
 
   // By the same instructions, whether it is known or not.
   const Dynamics& at(const Numbers<S>& n, const State<S>& x) {
-    bool same = known;
-    for (int j = 0; j < S::N; ++j) same &= q[j] == x.q[j] && v[j] == x.v[j];
-    if (same) return links;
-    for (int j = 0; j < S::N; ++j) q[j] = x.q[j], v[j] = x.v[j];
-    Links<S>::dynamics_apart(n, x.q, x.v, links);
-    known = true;
-    return links;
+    bool same = known_;
+    for (int j = 0; j < S::N; ++j) same &= q_[j] == x.q[j] && v_[j] == x.v[j];
+    if (same) return links_;
+    for (int j = 0; j < S::N; ++j) q_[j] = x.q[j], v_[j] = x.v[j];
+    Links<S>::dynamics_apart(n, x.q, x.v, links_);
+    known_ = true;
+    return links_;
   }
   // The numbers have changed, or may have.
-  void forget() { known = false; }
+  void forget() { known_ = false; }
 
  private:
-  double q[S::N], v[S::N];
-  Dynamics links;
-  bool known = false;
+  double q_[S::N], v_[S::N];
+  Dynamics links_;
+  bool known_ = false;
 };
 
 }  // namespace arm

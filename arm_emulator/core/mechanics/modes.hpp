@@ -26,13 +26,13 @@ class Modes {
 
   // Those of the settled state x (see below) with its links' part.
   Modes(const Numbers<S>& numbers, const State<S>& x, const double* u, const Dynamics& links)
-      : n(&numbers) {
-    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      : n_(&numbers) {
+    n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0)
         this->drive[j] = resized<M>(drive.modes_at(input_of(drive, j, x, u[j])));
     });
     if constexpr (Friction::present) {
-      Friction coulomb(*n);
+      Friction coulomb(*n_);
       Dynamics at = links;
       double a[N];
       torques(x, u, at, a);
@@ -61,16 +61,16 @@ class Modes {
   double margin(const State<S>& x, const double* u, LinksMemo<S>& memo) const {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
-    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+    n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (Friction::present && friction.direction[j] != 0.0)
         at_most(x.v[j] * friction.direction[j]);
       if constexpr (Drive::modes > 0)
         at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
     if (least < 0.0 || !any_locked()) return least;
-    Dynamics links = memo.at(*n, x);
+    Dynamics links = memo.at(*n_, x);
     double a[N];
-    Friction coulomb(*n);
+    Friction coulomb(*n_);
     torques(x, u, links, a);
     coulomb.take(x, x, u, of_drives());
     coulomb.hold_in(friction, links.M.at, a);
@@ -82,7 +82,7 @@ class Modes {
   // Put x where its modes hold it: joints that have come to rest are at rest, a current is not
   // beyond its limit, and without inductance it is what the voltage makes it.
   void settle(State<S>& x, const double* u) const {
-    n->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+    n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (friction.locked[j] || x.v[j] * friction.direction[j] < 0.0) x.v[j] = 0.0;
       if constexpr (Drive::modes > 0) {
         auto at = input_of(drive, j, x, u[j]);
@@ -90,11 +90,11 @@ class Modes {
         put_states(drive, j, 0, at, x);
       }
     });
-    follow_at_once(*n, x, u);
+    follow_at_once(*n_, x, u);
   }
 
  private:
-  const Numbers<S>* n;
+  const Numbers<S>* n_;
 
   auto of_drives() const {
     return [&](const auto& drive, int j, int) { return of(drive, j); };
@@ -109,7 +109,7 @@ class Modes {
   // What is left for the links to accelerate with, beside dry friction; M with the rotors that they
   // carry.
   void torques(const State<S>& x, const double* u, Dynamics& links, double* rhs) const {
-    n->for_each_drive([&](const auto& drive, int j) {
+    n_->for_each_drive([&](const auto& drive, int j) {
       links.M.at[j][j] += drive.carried();
       const auto modes = of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), modes);

@@ -101,13 +101,13 @@ class Numbers<S, double> {
   using Number = double;
 
   // Of the values of the varied numbers, the brakes open.
-  constexpr explicit Numbers(const double* values) : p(values), sheet(p.p) {}
+  constexpr explicit Numbers(const double* values) : p_(values), sheet_(p_.p) {}
 
-  double value(int k) const { return p.p[k]; }
+  double value(int k) const { return p_.p[k]; }
   // Set a varied number: the caller has seen to its bounds.
   void set(int k, double value) {
-    p.p[k] = value;
-    sheet = Sheet<S>(p.p);
+    p_.p[k] = value;
+    sheet_ = Sheet<S>(p_.p);
   }
 
   // body(drive, j) for the drive of every joint.
@@ -127,16 +127,16 @@ class Numbers<S, double> {
   template <class Index>
   ARM_INLINE constexpr Body<double> body(Index i) const {
     if constexpr (varied)
-      return Constants<S>::body(i, sheet.base.body[i]);
+      return Constants<S>::body(i, sheet_.base.body[i]);
     else
       return Constants<S>::sheet.base.body[i];
   }
   constexpr const Body<double>& fixed() const { return now().base.fixed; }
 
   ARM_INLINE constexpr const ExternalWrench<double>& external_wrench(int i) const {
-    return outside.on[i];
+    return outside_.on[i];
   }
-  void set_external_wrench(int i, const ExternalWrench<double>& wrench) { outside.on[i] = wrench; }
+  void set_external_wrench(int i, const ExternalWrench<double>& wrench) { outside_.on[i] = wrench; }
 
   ARM_INLINE constexpr double carried(int j) const { return now().carried[j]; }
   ARM_INLINE constexpr double Dc(int j) const { return now().Dc[j]; }
@@ -145,7 +145,7 @@ class Numbers<S, double> {
  private:
   ARM_INLINE constexpr const Sheet<S>& now() const {
     if constexpr (varied)
-      return sheet;
+      return sheet_;
     else
       return Constants<S>::sheet;
   }
@@ -157,9 +157,9 @@ class Numbers<S, double> {
     }
   };
 
-  Values p;
-  Sheet<S> sheet;
-  ExternalWrenches<S, double> outside;
+  Values p_;
+  Sheet<S> sheet_;
+  ExternalWrenches<S, double> outside_;
 };
 
 // Those of machines side by side, one in each lane. A number that is not varied is the same for
@@ -178,19 +178,19 @@ class Numbers {
 
   // `one` must stay where it is.
   void set(int lane, const Numbers<S>& one) {
-    of[lane] = &one;
+    of_[lane] = &one;
     if constexpr (varied) {
       for (int j = 0; j < N; ++j) {
         const Body<double> from = one.body(j);
-        Body<X>& to = bodies[j];
+        Body<X>& to = bodies_[j];
         set_lane(to.m, lane, from.m);
         set_lane(to.h.x, lane, from.h.x), set_lane(to.h.y, lane, from.h.y);
         set_lane(to.h.z, lane, from.h.z);
         set_lane(to.I.xx, lane, from.I.xx), set_lane(to.I.yy, lane, from.I.yy);
         set_lane(to.I.zz, lane, from.I.zz), set_lane(to.I.xy, lane, from.I.xy);
         set_lane(to.I.xz, lane, from.I.xz), set_lane(to.I.yz, lane, from.I.yz);
-        set_lane(rotor[j], lane, one.carried(j));
-        set_lane(coulomb[j], lane, one.Dc(j)), set_lane(breakaway[j], lane, one.Ds(j));
+        set_lane(rotor_[j], lane, one.carried(j));
+        set_lane(coulomb_[j], lane, one.Dc(j)), set_lane(breakaway_[j], lane, one.Ds(j));
       }
     }
   }
@@ -200,18 +200,18 @@ class Numbers {
   ARM_INLINE constexpr void for_each_drive(TheBody&& body) const
     requires(!varied)
   {
-    of[0]->for_each_drive(body);
+    of_[0]->for_each_drive(body);
   }
   // The same of one lane.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive_of(int lane, TheBody&& body) const {
-    of[lane]->for_each_drive(body);
+    of_[lane]->for_each_drive(body);
   }
 
   template <class Index>
   ARM_INLINE constexpr Body<Number> body(Index i) const {
     if constexpr (varied)
-      return Constants<S>::body(i, bodies[i]);
+      return Constants<S>::body(i, bodies_[i]);
     else
       return Constants<S>::sheet.base.body[i];
   }
@@ -223,16 +223,16 @@ class Numbers {
       double numbers[sizeof given / sizeof(double)];
       double *to = numbers, *from = numbers;
       given.for_each_number([&](double number) { *to++ = number; });
-      outside.on[i].for_each_number([&](X& number) { set_lane(number, lane, *from++); });
+      outside_.on[i].for_each_number([&](X& number) { set_lane(number, lane, *from++); });
     }
   }
   ARM_INLINE constexpr const ExternalWrench<X>& external_wrench(int i) const {
-    return outside.on[i];
+    return outside_.on[i];
   }
 
-  ARM_INLINE constexpr Number carried(int j) const { return number(rotor, j, &Sheet<S>::carried); }
-  ARM_INLINE constexpr Number Dc(int j) const { return number(coulomb, j, &Sheet<S>::Dc); }
-  ARM_INLINE constexpr Number Ds(int j) const { return number(breakaway, j, &Sheet<S>::Ds); }
+  ARM_INLINE constexpr Number carried(int j) const { return number(rotor_, j, &Sheet<S>::carried); }
+  ARM_INLINE constexpr Number Dc(int j) const { return number(coulomb_, j, &Sheet<S>::Dc); }
+  ARM_INLINE constexpr Number Ds(int j) const { return number(breakaway_, j, &Sheet<S>::Ds); }
 
  private:
   using Row = Number[varied ? N : 1];
@@ -244,10 +244,10 @@ class Numbers {
       return (Constants<S>::sheet.*row)[j];
   }
 
-  const Numbers<S>* of[width] = {};
-  Body<Number> bodies[varied ? N : 1] = {};
-  Row rotor = {}, coulomb = {}, breakaway = {};
-  ExternalWrenches<S, X> outside;
+  const Numbers<S>* of_[width] = {};
+  Body<Number> bodies_[varied ? N : 1] = {};
+  Row rotor_ = {}, coulomb_ = {}, breakaway_ = {};
+  ExternalWrenches<S, X> outside_;
 };
 
 }  // namespace arm

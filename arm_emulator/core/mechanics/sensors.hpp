@@ -92,23 +92,23 @@ class Sensors<S> {
     see(machine, tick, [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
       memory.begin(e, theta, n, tick, anew);
     });
-    for (Readings& one : line) one = line[place(0)];
+    for (Readings& one : line_) one = line_[place(0)];
   }
 
   // Look, if the machine has come to another tick since.
   template <class Machine>
   void look(const Machine& machine, std::int64_t tick) {
-    if (tick == newest) return;
+    if (tick == newest_) return;
     see(machine, tick, [&](EncoderMemory& memory, const Encoder& e, double theta, const Noise& n) {
       memory.look(e, theta, n, tick);
     });
   }
 
   const EncoderReading& encoder(int j) const {
-    return line[place(structure.encoder[j].delay)].encoder[j];
+    return line_[place(structure.encoder[j].delay)].encoder[j];
   }
   const EncoderReading& link_encoder(int j) const {
-    return line[place(structure.link_encoder[j].delay)].link_encoder[j];
+    return line_[place(structure.link_encoder[j].delay)].link_encoder[j];
   }
   // body(quantity, its readings by joint) for every kind of analog sensor.
   template <class Body>
@@ -116,20 +116,20 @@ class Sensors<S> {
     for_each_kind([&]<int k>(std::integral_constant<int, k>) {
       constexpr const auto& row = std::get<k>(structure.analog);
       body(typename std::tuple_element_t<k, Rows>::Quantity{},
-           [&](int j) { return line[place(row.at[j].delay)].analog[k][j]; });
+           [&](int j) { return line_[place(row.at[j].delay)].analog[k][j]; });
     });
   }
-  const ImuReading& imu(int m) const { return line[place(structure.imu[m].delay)].imu[m]; }
+  const ImuReading& imu(int m) const { return line_[place(structure.imu[m].delay)].imu[m]; }
 
   // number(x) for all that they remember, in a fixed order.
   template <class Number>
   void for_each_number(Number&& number) {
-    number(newest);
+    number(newest_);
     for (int j = 0; j < N; ++j) {
-      motor_disc[j].for_each_number(number);
-      link_disc[j].for_each_number(number);
+      motor_disc_[j].for_each_number(number);
+      link_disc_[j].for_each_number(number);
     }
-    for (Readings& one : line) one.for_each_number(number);
+    for (Readings& one : line_) one.for_each_number(number);
   }
 
  private:
@@ -146,7 +146,7 @@ class Sensors<S> {
 
   // Where the readings of so many ticks ago are.
   int place(int ago) const {
-    const std::int64_t tick = newest + kLength - ago;
+    const std::int64_t tick = newest_ + kLength - ago;
     return static_cast<int>(tick % kLength);
   }
 
@@ -160,15 +160,15 @@ class Sensors<S> {
     machine.report(current, angle, speed);
     const Glance<Machine> glance = {machine, current, angle, speed};
     const auto& x = machine.state();
-    newest = tick;
-    Readings& now = line[place(0)];
+    newest_ = tick;
+    Readings& now = line_[place(0)];
     for (int j = 0; j < N; ++j) {
       const int who = kChannels * j;
-      turn(motor_disc[j], suite.encoder[j], angle[j], noises(who));
-      now.encoder[j] = motor_disc[j].now;
+      turn(motor_disc_[j], suite.encoder[j], angle[j], noises(who));
+      now.encoder[j] = motor_disc_[j].now;
       if (structure.link_encoder[j].kind != EncoderKind::none) {
-        turn(link_disc[j], suite.link_encoder[j], x.q[j], noises(who + 1));
-        now.link_encoder[j] = link_disc[j].now;
+        turn(link_disc_[j], suite.link_encoder[j], x.q[j], noises(who + 1));
+        now.link_encoder[j] = link_disc_[j].now;
       }
     }
     for_each_kind([&]<int k>(std::integral_constant<int, k>) {
@@ -195,9 +195,9 @@ class Sensors<S> {
     }
   }
 
-  std::int64_t newest = 0;  // tick of the newest look
-  EncoderMemory motor_disc[N], link_disc[N];
-  Readings line[kLength];  // of the newest ticks, each at its tick modulo their number
+  std::int64_t newest_ = 0;  // tick of the newest look
+  EncoderMemory motor_disc_[N], link_disc_[N];
+  Readings line_[kLength];  // of the newest ticks, each at its tick modulo their number
 };
 
 }  // namespace arm

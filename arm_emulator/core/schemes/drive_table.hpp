@@ -278,18 +278,18 @@ class DriveTables {
   using Numbers = Number[In::count][row];
   using Inputs = arm::Row<N, X>[In::count];
 
-  DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker) : make(maker), n(numbers) {
+  DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker) : make_(maker), n_(numbers) {
     fill();
   }
   // With joints in modes that are given.
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, const Modes (&modes)[N])
-      : make(maker), n(numbers) {
+      : make_(maker), n_(numbers) {
     for (int lane = 0; lane < width; ++lane) fill_lane(lane, modes);
   }
   // For steps of another length, in the same modes.
   void retime(const Make& maker) {
-    make = maker;
-    for (int j = 0; j < N; ++j) copy(make.template operator()<R>(drives[j]), j, 0);
+    make_ = maker;
+    for (int j = 0; j < N; ++j) copy(make_.template operator()<R>(drives_[j]), j, 0);
   }
   static_assert(!any_drive<S>([](const auto& drive) {
     return !LinearDrive<K, M>::is_sound(drive);
@@ -302,11 +302,11 @@ class DriveTables {
   }
   // The same for one lane. All parts are in their usual modes, if no others are given.
   void fill_lane(int lane, const Modes* modes = nullptr) {
-    n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+    n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
       unsigned held = 0;
       if constexpr (modal) {
-        now[lane][j] = modes ? modes[j] : Modes{};
-        held = now[lane][j].held();
+        now_[lane][j] = modes ? modes[j] : Modes{};
+        held = now_[lane][j].held();
         put_offsets(j, lane);
       }
       copy(table_of(drive, held, j), j, lane);
@@ -316,16 +316,16 @@ class DriveTables {
   // Have joint j in these modes.
   void serve(int j, int lane, const Modes& modes) {
     const unsigned held = modes.held();
-    if (held != now[lane][j].held()) change_table(j, lane, held);
-    now[lane][j] = modes;
+    if (held != now_[lane][j].held()) change_table(j, lane, held);
+    now_[lane][j] = modes;
     put_offsets(j, lane);
   }
-  const Modes& served(int j, int lane) const { return now[lane][j]; }
+  const Modes& served(int j, int lane) const { return now_[lane][j]; }
   // The same for the drive of a joint, as it counts its modes.
   auto modes() const {
     return [this]<class Drive>(const Drive&, int j, int lane) {
       if constexpr (Drive::modes > 0)
-        return resized<Drive::modes>(now[lane][j]);
+        return resized<Drive::modes>(now_[lane][j]);
       else
         return typename Drive::Modes{};
     };
@@ -333,7 +333,7 @@ class DriveTables {
   // Whether all joints are served in their usual modes.
   bool serves_usual() const {
     bool usual = true;
-    for (const auto& lane : now)
+    for (const auto& lane : now_)
       for (const Modes& modes : lane) usual = usual && modes == Modes{};
     return usual;
   }
@@ -341,7 +341,7 @@ class DriveTables {
   // The numbers of the modes that are in use.
   ARM_INLINE void put_modes(Inputs& in) const {
     for_each<M, kMostInputs>([&](auto m) __attribute__((always_inline)) {
-      in[In::offset + m] = arm::Row<N, X>::load(offsets[m]);
+      in[In::offset + m] = arm::Row<N, X>::load(offsets_[m]);
     });
   }
 
@@ -361,15 +361,15 @@ class DriveTables {
     Rest rest;
     if constexpr (own) {
       for (int lane = 0; lane < width; ++lane)
-        n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+        n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
           if constexpr (!Drive::is_linear) put_rest(drive, j, lane, x, u, rest);
         });
     } else if constexpr (modal) {
-      n.for_each_drive_of(0, [&]<class Drive>(const Drive& drive, int j) {
+      n_.for_each_drive_of(0, [&]<class Drive>(const Drive& drive, int j) {
         if constexpr (!Drive::is_linear) put_rest(drive, j, 0, x, u, rest);
       });
     } else {
-      n.for_each_drive_of(
+      n_.for_each_drive_of(
           0, [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
             if constexpr (!Drive::is_linear) {
               const auto is = drive.rest(input_of(drive, j, x, u[j]), 0);
@@ -384,7 +384,7 @@ class DriveTables {
   // What joint j, at `start`, is after a step of the paper's scheme in the modes in use.
   template <class TheDrive, class Input>
   Input end_of(const TheDrive& drive, int j, int lane, const Input& start) const {
-    const Modes& modes = now[lane][j];
+    const Modes& modes = now_[lane][j];
     Input end = start;
     for (int k = 0; k < TheDrive::states; ++k) {
       const auto number = [&](int input) { return lane_of(dz[k][input][j], lane); };
@@ -408,10 +408,10 @@ class DriveTables {
   // Have x where the modes in use hold it, against rounding.
   void settle(State<S, X>& x, const X (&u)[row]) const {
     for (int lane = 0; lane < width; ++lane) {
-      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+      n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
         if constexpr (Drive::modes > 0) {
           auto at = input_in_lane(drive, j, x, u[j], lane);
-          drive.settle(at, resized<Drive::modes>(now[lane][j]));
+          drive.settle(at, resized<Drive::modes>(now_[lane][j]));
           put_states(drive, j, lane, at, x);
         }
       });
@@ -462,7 +462,7 @@ class DriveTables {
   template <class Drive>
   void put_rest(const Drive& drive, int j, int lane, const State<S, X>& x, const X (&u)[row],
                 Rest& rest) const {
-    const auto& modes = now[lane][j];
+    const auto& modes = now_[lane][j];
     const auto at =
         drive.with(input_in_lane(drive, j, x, u[j], lane), resized<Drive::modes>(modes));
     const auto is = drive.rest(at, modes.held());
@@ -472,16 +472,16 @@ class DriveTables {
 
   template <class TheDrive>
   ARM_APART DriveTable<K, M, R> table_of(const TheDrive& drive, unsigned held, int j) {
-    drives[retimed ? j : 0] = LinearDrive<K, M>::of(drive, held);
-    return make.template operator()<R>(drives[retimed ? j : 0]);
+    drives_[retimed ? j : 0] = LinearDrive<K, M>::of(drive, held);
+    return make_.template operator()<R>(drives_[retimed ? j : 0]);
   }
   ARM_APART void change_table(int joint, int lane, unsigned held) {
-    n.for_each_drive_of(lane, [&](const auto& drive, int j) {
+    n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
       if (j == joint) copy(table_of(drive, held, j), j, lane);
     });
   }
   void put_offsets(int j, int lane) {
-    for (int m = 0; m < M; ++m) set_lane(offsets[m][j], lane, now[lane][j].at[m].offset);
+    for (int m = 0; m < M; ++m) set_lane(offsets_[m][j], lane, now_[lane][j].at[m].offset);
   }
 
   void copy(const DriveTable<K, M, R>& table, int j, int lane) {
@@ -495,12 +495,12 @@ class DriveTables {
     set_lane(diagonal[j], lane, table.diagonal);
   }
 
-  Make make;
-  const arm::Numbers<S, X>& n;
+  Make make_;
+  const arm::Numbers<S, X>& n_;
   static constexpr bool retimed = S::events == Events::located && width == 1;
-  LinearDrive<K, M> drives[retimed ? N : 1];
-  Modes now[modal ? width : 1][N];
-  alignas(64) X offsets[modal ? M : 1][row] = {};
+  LinearDrive<K, M> drives_[retimed ? N : 1];
+  Modes now_[modal ? width : 1][N];
+  alignas(64) X offsets_[modal ? M : 1][row] = {};
 };
 
 }  // namespace arm

@@ -46,26 +46,26 @@ class LinearlyImplicit {
   static constexpr int row = Tables::row;
 
   LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers)
-      : h(step), n(numbers), tables(numbers, {step, stages}), coulomb(numbers) {}
+      : h_(step), n_(numbers), tables_(numbers, {step, stages}), coulomb_(numbers) {}
   // For steps in modes that are known.
   LinearlyImplicit(double step, const arm::Numbers<S, X>& numbers, const Modes<S>& modes)
-      : h(step), n(numbers), tables(numbers, {step, stages}, modes.drive), coulomb(numbers) {}
+      : h_(step), n_(numbers), tables_(numbers, {step, stages}, modes.drive), coulomb_(numbers) {}
 
   // The same for steps of another length.
   void retime(double step) {
-    h = step;
-    tables.retime({step, stages});
+    h_ = step;
+    tables_.retime({step, stages});
   }
 
-  ~LinearlyImplicit() { delete half; }
+  ~LinearlyImplicit() { delete half_; }
   LinearlyImplicit(const LinearlyImplicit&) = delete;
   LinearlyImplicit& operator=(const LinearlyImplicit&) = delete;
 
   // The numbers have changed.
   void renew() {
-    tables.fill();
-    usual = true;
-    if (half) half->renew();
+    tables_.fill();
+    usual_ = true;
+    if (half_) half_->renew();
   }
 
   // The links' accelerations in the first stage, and the torques M a + nle that they take there.
@@ -82,14 +82,14 @@ class LinearlyImplicit {
 
   // Begin at a state with no past.
   void reset(const State<S, X>& x) {
-    past = {};
+    past_ = {};
     if constexpr (!extrapolates) return;
     typename Links<S, X>::Kinematics kinematics;
     Links<S, X>::kinematics(x.q, kinematics);
-    Links<S, X>::inverse_dynamics(n, kinematics, x.v, nullptr, past.torque);
+    Links<S, X>::inverse_dynamics(n_, kinematics, x.v, nullptr, past_.torque);
   }
-  const Memory& memory() const { return past; }
-  void restore(const Memory& memory) { past = memory; }
+  const Memory& memory() const { return past_; }
+  void restore(const Memory& memory) { past_ = memory; }
 
   // Whether what a stage takes from the step before is there, and one as long as this.
   enum class Past { used, unknown };
@@ -100,31 +100,31 @@ class LinearlyImplicit {
     Inputs in;
     begin(x, u, in);
     if constexpr (Tables::modal) {
-      for (int j = 0; j < N; ++j) tables.serve(j, 0, modes.drive[j]);
-      tables.put_modes(in);
+      for (int j = 0; j < N; ++j) tables_.serve(j, 0, modes.drive[j]);
+      tables_.put_modes(in);
     }
     Accelerations k1;
     begin_links(x, u, in, k1);
-    given = {&modes.friction, from};
+    given_ = {&modes.friction, from};
     stages_of(x, u, links, in, k1);
     move_links(x, in);
     move_drives(x, in);
-    given = {};
+    given_ = {};
   }
 
   // Make a past of a step that led from `start` to x otherwise.
   void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row]) {
     if constexpr (extrapolates) {
       Dynamics links;
-      Links<S, X>::dynamics_apart(n, x.q, x.v, links);
+      Links<S, X>::dynamics_apart(n_, x.q, x.v, links);
       X a[N];
-      Modes<S>(n, x, u, links).accelerations(x, u, links, a, coulomb);
+      Modes<S>(n_, x, u, links).accelerations(x, u, links, a, coulomb_);
       typename Links<S, X>::Kinematics kinematics;
       Links<S, X>::kinematics(start.q, kinematics);
-      Links<S, X>::inverse_dynamics(n, kinematics, start.v, a, past.torque);
+      Links<S, X>::inverse_dynamics(n_, kinematics, start.v, a, past_.torque);
       for (int j = 0; j < N; ++j) {
-        past.a[j] = a[j];
-        past.torque[j] += n.carried(j) * a[j];
+        past_.a[j] = a[j];
+        past_.torque[j] += n_.carried(j) * a[j];
       }
     }
   }
@@ -160,7 +160,7 @@ class LinearlyImplicit {
   using Numbers = Row<N, X>;
 
   ARM_INLINE void begin(State<S, X>& x, const X (&u)[row], Inputs& in) const {
-    if constexpr (kJumps<S>) begin_at_once(n, x, u);
+    if constexpr (kJumps<S>) begin_at_once(n_, x, u);
     for_each<K, kMostStates>([&](auto k)
                                  __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
     in[In::q] = Numbers::load(x.q);
@@ -172,25 +172,25 @@ class LinearlyImplicit {
   // What the links' first stage takes from the drives goes to `k1.torque`.
   ARM_INLINE void begin_links(const State<S, X>& x, const X (&u)[row], Inputs& in,
                               Accelerations& k1) const {
-    if constexpr (!Tables::linear) tables.rest_at(x, u).put(in);
-    Tables::template answer<In::k1>(tables.rhs_1, in).store(k1.torque);
+    if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
+    Tables::template answer<In::k1>(tables_.rhs_1, in).store(k1.torque);
   }
 
   // k1 and k2 of the links. `k1.torque` holds rhs_1.
   ARM_INLINE void stages_of(const State<S, X>& x, const X (&u)[row], Dynamics& links, Inputs& in,
                             Accelerations& k1) {
-    for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n.carried(j); });
+    for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n_.carried(j); });
     if constexpr (Coulomb<S, X>::loaded)
-      coulomb.take(x, pulled_at_rest(x, in), u, tables.modes());
+      coulomb_.take(x, pulled_at_rest(x, in), u, tables_.modes());
     else
-      coulomb.take(x, x, u, tables.modes());
+      coulomb_.take(x, x, u, tables_.modes());
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
-    if constexpr (extrapolates) past = k1;
+    if constexpr (extrapolates) past_ = k1;
     if constexpr (S::scheme == Scheme::rosenbrock) evaluate_change(x, k1, change);
     if constexpr (extrapolates && locates)
-      if (given.past == Past::unknown) evaluate_change(x, k1, change);
+      if (given_.past == Past::unknown) evaluate_change(x, k1, change);
     if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
     if constexpr (stages == 2) second_stage(links, change, in);
   }
@@ -200,9 +200,9 @@ class LinearlyImplicit {
   ARM_INLINE State<S, X> pulled_at_rest(const State<S, X>& x, const Inputs& in) const {
     State<S, X> pulled = x;
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      Numbers z = Tables::template answer<In::k1>(tables.k_z[k], in);
+      Numbers z = Tables::template answer<In::k1>(tables_.k_z[k], in);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
-        z.at[g] = in[k].at[g] + gamma * h * z.at[g];
+        z.at[g] = in[k].at[g] + gamma * h_ * z.at[g];
       });
       z.store(pulled.z[k]);
     });
@@ -213,28 +213,28 @@ class LinearlyImplicit {
                               Accelerations& k1) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k1.a[j] = k1.torque[j] - links.nle[j];
-      links.M.at[j][j] += tables.diagonal[j];
+      links.M.at[j][j] += tables_.diagonal[j];
     });
     solve(links, x, k1);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      k1.torque[j] -= coulomb.force(j) + tables.diagonal[j] * k1.a[j];
+      k1.torque[j] -= coulomb_.force(j) + tables_.diagonal[j] * k1.a[j];
     });
     in[In::k1] = Numbers::gather(k1.a);
   }
 
   ARM_INLINE void solve(Dynamics& links, const State<S, X>& x, Accelerations& k1) {
     if constexpr (locates)
-      if (given.modes) return coulomb.solve_in(*given.modes, links.M.at, k1.a);
-    coulomb.solve(links.M.at, x.v, k1.a);
+      if (given_.modes) return coulomb_.solve_in(*given_.modes, links.M.at, k1.a);
+    coulomb_.solve(links.M.at, x.v, k1.a);
   }
 
   ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) const {
     alignas(64) X k2[row];
-    Tables::template answer<In::k2>(tables.rhs_2, in).store(k2);
+    Tables::template answer<In::k2>(tables_.rhs_2, in).store(k2);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      k2[j] += change[j] - kSqrt2 * (links.nle[j] + coulomb.force(j));
+      k2[j] += change[j] - kSqrt2 * (links.nle[j] + coulomb_.force(j));
     });
-    coulomb.solve_again(k2);
+    coulomb_.solve_again(k2);
     in[In::k2] = Numbers::gather(k2);
   }
 
@@ -249,17 +249,17 @@ class LinearlyImplicit {
       number.store(to);
     };
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      const Numbers rate = Tables::template answer<In::change>(tables.k_z[k], in);
-      store([&](auto g) { return in[k].at[g] + h * rate.at[g]; }, y.z[k]);
+      const Numbers rate = Tables::template answer<In::change>(tables_.k_z[k], in);
+      store([&](auto g) { return in[k].at[g] + h_ * rate.at[g]; }, y.z[k]);
     });
     store(
         [&](auto g) {
-          return in[In::q].at[g] + h * (in[In::v].at[g] + gamma * h * in[In::k1].at[g]);
+          return in[In::q].at[g] + h_ * (in[In::v].at[g] + gamma * h_ * in[In::k1].at[g]);
         },
         y.q);
-    store([&](auto g) { return in[In::v].at[g] + h * in[In::k1].at[g]; }, y.v);
-    if constexpr (Coulomb<S, X>::varies) coulomb.add_change(y, u, tables.modes(), change);
-    const auto rest = tables.rest_at(y, u);
+    store([&](auto g) { return in[In::v].at[g] + h_ * in[In::k1].at[g]; }, y.v);
+    if constexpr (Coulomb<S, X>::varies) coulomb_.add_change(y, u, tables_.modes(), change);
+    const auto rest = tables_.rest_at(y, u);
     for_each<Tables::R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
       const Numbers there = Numbers::gather(rest.at[r]);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
@@ -274,13 +274,13 @@ class LinearlyImplicit {
     typename Links<S, X>::Kinematics kinematics;
     X q[N], v[N];
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      q[j] = x.q[j] + h * (x.v[j] + gamma * h * k1.a[j]);
-      v[j] = x.v[j] + h * k1.a[j];
+      q[j] = x.q[j] + h_ * (x.v[j] + gamma * h_ * k1.a[j]);
+      v[j] = x.v[j] + h_ * k1.a[j];
     });
     Links<S, X>::kinematics(q, kinematics);
-    Links<S, X>::inverse_dynamics(n, kinematics, v, k1.a, change);
+    Links<S, X>::inverse_dynamics(n_, kinematics, v, k1.a, change);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      change[j] = k1.torque[j] - change[j] - n.carried(j) * k1.a[j];
+      change[j] = k1.torque[j] - change[j] - n_.carried(j) * k1.a[j];
     });
   }
 
@@ -289,12 +289,12 @@ class LinearlyImplicit {
   ARM_INLINE void extrapolate_change(const Dynamics& links, X (&change)[row]) const {
     const auto& M = links.M.at;
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      change[j] = past.torque[j] - links.nle[j] - M[j][j] * past.a[j];
+      change[j] = past_.torque[j] - links.nle[j] - M[j][j] * past_.a[j];
     });
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       for_each_from<N>(next(j), [&](auto k) __attribute__((always_inline)) {
-        change[j] -= M[j][k] * past.a[k];
-        change[k] -= M[j][k] * past.a[j];
+        change[j] -= M[j][k] * past_.a[k];
+        change[k] -= M[j][k] * past_.a[j];
       });
     });
   }
@@ -303,19 +303,20 @@ class LinearlyImplicit {
     Numbers q, v;
     for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
       const auto k1 = in[In::k1].at[g], k2 = in[In::k2].at[g];
-      q.at[g] = in[In::q].at[g] + h * (in[In::v].at[g] + gamma * h * (k1 + 0.5 * k2));
-      v.at[g] = in[In::v].at[g] + h * (gamma * k1 + 0.5 * k2);
+      q.at[g] = in[In::q].at[g] + h_ * (in[In::v].at[g] + gamma * h_ * (k1 + 0.5 * k2));
+      v.at[g] = in[In::v].at[g] + h_ * (gamma * k1 + 0.5 * k2);
     });
     q.store(x.q);
     v.store(x.v);
     if constexpr (locates)
-      if (given.modes) return;
-    coulomb.stop_at_reversal(x.v);
+      if (given_.modes) return;
+    coulomb_.stop_at_reversal(x.v);
   }
 
   ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) const {
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      Numbers z = Tables::template answer<(stages == 2 ? In::count : In::change)>(tables.dz[k], in);
+      Numbers z =
+          Tables::template answer<(stages == 2 ? In::count : In::change)>(tables_.dz[k], in);
       for_each<Numbers::groups>([&](auto g)
                                     __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
@@ -329,13 +330,13 @@ class LinearlyImplicit {
   // 2^-kMostHalvings of a step too late. (Shorter ones need not help: a rotor that a wound-up gear
   // begins to pull gathers its speed with h^3, which the error of a step exceeds at any h.)
   void step_in_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
-    const Memory memory = past;
-    const bool begins_usual = usual && is_usual(x, u);
+    const Memory memory = past_;
+    const bool begins_usual = usual_ && is_usual(x, u);
     if (!begins_usual) serve_modes_at(x, u);
     State<S, X> y;
     Mask<X> hold = {};
     for (int round = 0; round <= 2 * N * Tables::M; ++round) {
-      past = memory;
+      past_ = memory;
       attempt(x, u, links, in, y);
       if (begins_usual && round == 0 && is_usual(y, u)) {
         x = y;
@@ -344,22 +345,22 @@ class LinearlyImplicit {
       hold = modes_hold(x, y, u);
       if (all(hold)) {
         x = y;
-        tables.settle(x, u);
-        usual = tables.serves_usual();
+        tables_.settle(x, u);
+        usual_ = tables_.serves_usual();
         return;
       }
     }
-    usual = false;
-    tables.settle(y, u);
-    Memory later = past;
-    past = memory;
-    if (halvings < kMostHalvings)
+    usual_ = false;
+    tables_.settle(y, u);
+    Memory later = past_;
+    past_ = memory;
+    if (halvings_ < kMostHalvings)
       halve(x, u);
     else
       keep_modes(x, u, links, in);
     if constexpr (kWidth<X> > 1) {  // lanes whose modes hold have no need of halves
       keep(hold, y, x);
-      keep(hold, later, past);
+      keep(hold, later, past_);
     }
   }
 
@@ -368,7 +369,7 @@ class LinearlyImplicit {
                State<S, X>& y) {
     Accelerations k1;
     y = x;
-    tables.put_modes(in);
+    tables_.put_modes(in);
     begin_links(y, u, in, k1);
     stages_of(y, u, links, in, k1);
     move_links(y, in);
@@ -381,14 +382,14 @@ class LinearlyImplicit {
     State<S, X> y;
     attempt(x, u, links, in, y);
     x = y;
-    tables.settle(x, u);
+    tables_.settle(x, u);
   }
 
   // Whether x surely calls for the usual modes of all drives.
   ARM_INLINE bool is_usual(const State<S, X>& x, const X (&u)[row]) const {
     bool all = true;
     for (int lane = 0; lane < kWidth<X>; ++lane)
-      n.for_each_drive_of(
+      n_.for_each_drive_of(
           lane, [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
             if constexpr (Drive::modes > 0)
               all &= drive.is_usual(input_in_lane(drive, j, x, u[j], lane));
@@ -397,10 +398,10 @@ class LinearlyImplicit {
   }
   void serve_modes_at(const State<S, X>& x, const X (&u)[row]) {
     for (int lane = 0; lane < kWidth<X>; ++lane)
-      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+      n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
         if constexpr (Drive::modes > 0)
-          tables.serve(j, lane,
-                       resized<Tables::M>(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
+          tables_.serve(j, lane,
+                        resized<Tables::M>(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
       });
   }
 
@@ -415,19 +416,19 @@ class LinearlyImplicit {
   static void each_number(Memory& memory, auto&& number) { memory.for_each_number(number); }
 
   void halve(State<S, X>& x, const X (&u)[row]) {
-    if (!half) {
-      half = new LinearlyImplicit(0.5 * h, n);
-      half->halvings = halvings + 1;
+    if (!half_) {
+      half_ = new LinearlyImplicit(0.5 * h_, n_);
+      half_->halvings_ = halvings_ + 1;
     }
-    half->past = past;
+    half_->past_ = past_;
     for (int part = 0; part < 2; ++part) {
       Dynamics links;
       Inputs in;
-      Links<S, X>::dynamics(n, x.q, x.v, links);
+      Links<S, X>::dynamics(n_, x.q, x.v, links);
       begin(x, u, in);
-      half->step_in_modes(x, u, links, in);
+      half_->step_in_modes(x, u, links, in);
     }
-    past = half->past;
+    past_ = half_->past_;
   }
 
   // Whether all modes hold at the end y of a step from x; those that do not are changed.
@@ -435,15 +436,15 @@ class LinearlyImplicit {
     X changed = {};
     for (int lane = 0; lane < kWidth<X>; ++lane) {
       if (!is_finite(lane_of(y.v[0], lane))) continue;  // it has diverged, whatever its modes
-      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+      n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
         if constexpr (Drive::modes > 0) {
-          const auto& now = tables.served(j, lane);
+          const auto& now = tables_.served(j, lane);
           const auto wanted = resized<Tables::M>(
               drive.wanted(input_in_lane(drive, j, x, u[j], lane),
                            input_in_lane(drive, j, y, u[j], lane), resized<Drive::modes>(now)));
           if (wanted == now) return;
           set_lane(changed, lane, 1.0);
-          tables.serve(j, lane, wanted);
+          tables_.serve(j, lane, wanted);
         }
       });
     }
@@ -452,14 +453,14 @@ class LinearlyImplicit {
 
   static constexpr int kMostHalvings = 12;
 
-  double h;
-  const arm::Numbers<S, X>& n;
-  Tables tables;
-  bool usual = true;  // all joints are served in their usual modes
-  Memory past = {};
-  Coulomb<S, X> coulomb;
-  LinearlyImplicit* half = nullptr;  // made when it is first needed
-  int halvings = 0;
+  double h_;
+  const arm::Numbers<S, X>& n_;
+  Tables tables_;
+  bool usual_ = true;  // all joints are served in their usual modes
+  Memory past_ = {};
+  Coulomb<S, X> coulomb_;
+  LinearlyImplicit* half_ = nullptr;  // made when it is first needed
+  int halvings_ = 0;
 
   // A step that is taken in given modes; empty for schemes without modes.
   struct Given {
@@ -467,7 +468,7 @@ class LinearlyImplicit {
     Past past = Past::used;
   };
   struct Nothing {};
-  [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given;
+  [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given_;
 };
 
 template <class S, class X>

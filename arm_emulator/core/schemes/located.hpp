@@ -27,41 +27,41 @@ class Located {
   using Memory = typename Method::Memory;
   static constexpr int N = S::N, row = Method::row;
 
-  Located(double step, const Numbers<S>& numbers) : h(step), n(numbers), whole(step, numbers) {}
+  Located(double step, const Numbers<S>& numbers) : h_(step), n_(numbers), whole_(step, numbers) {}
   void renew() {
-    memo.forget();
-    whole.renew();
+    memo_.forget();
+    whole_.renew();
   }
   void reset(const State<S>& x) {
-    memo.forget();
-    whole.reset(x);
+    memo_.forget();
+    whole_.reset(x);
   }
-  Memory memory() const { return whole.memory(); }
+  Memory memory() const { return whole_.memory(); }
   void restore(const Memory& memory) {
-    memo.forget();
-    whole.restore(memory);
+    memo_.forget();
+    whole_.restore(memory);
   }
 
   // The links' part at x.
-  const Dynamics& links_at(const State<S>& x) { return memo.at(n, x); }
+  const Dynamics& links_at(const State<S>& x) { return memo_.at(n_, x); }
 
   // Pass the smooth parts of steps to a meter, or to nobody.
-  void watch(EnergyMeter<S>* by) { meter = by; }
+  void watch(EnergyMeter<S>* by) { meter_ = by; }
 
   template <class Exchange>
   void step(State<S>& x, const double (&u)[row], Dynamics& links, Exchange& exchange) {
     exchange.take(links);
-    follow_at_once(n, x, u);
-    const Modes<S> modes(n, x, u, links);
-    const Memory memory = whole.memory();
+    follow_at_once(n_, x, u);
+    const Modes<S> modes(n_, x, u, links);
+    const Memory memory = whole_.memory();
     State<S> y = x;
-    whole.step_in(modes, y, u, links, Past::used);
-    if (modes.margin(y, u, memo) < 0.0) {
-      whole.restore(memory);
+    whole_.step_in(modes, y, u, links, Past::used);
+    if (modes.margin(y, u, memo_) < 0.0) {
+      whole_.restore(memory);
       cut(x, y, u, modes, links);
     } else {
       modes.settle(y, u);
-      if (meter) meter->part(x, y, u, modes, h);
+      if (meter_) meter_->part(x, y, u, modes, h_);
       x = y;
     }
     exchange.give(x);
@@ -76,31 +76,31 @@ class Located {
   // A step from x to y of which not all modes hold.
   void cut(State<S>& x, State<S> y, const double (&u)[row], Modes<S> modes, Dynamics links) {
     const State<S> start = x;
-    double left = h;
-    for (int events = 0; left > kInstant * h; ++events) {
-      Method part(left, n, modes);
+    double left = h_;
+    for (int events = 0; left > kInstant * h_; ++events) {
+      Method part(left, n_, modes);
       if (events == kMostEvents) {
         y = x;
         Nobody nobody;
         part.reset(y);
         part.step(y, u, links, nobody);
-        follow_at_once(n, y, u);
-        if (meter) meter->part(x, y, u, modes, left);
+        follow_at_once(n_, y, u);
+        if (meter_) meter_->part(x, y, u, modes, left);
         x = y;
         break;
       }
       y = x;
       part.step_in(modes, y, u, links, Past::unknown);
       double t = left;
-      if (modes.margin(y, u, memo) < 0.0) t = first_event(x, y, u, modes, links, left, part);
+      if (modes.margin(y, u, memo_) < 0.0) t = first_event(x, y, u, modes, links, left, part);
       modes.settle(y, u);
-      if (meter) meter->part(x, y, u, modes, t);
+      if (meter_) meter_->part(x, y, u, modes, t);
       x = y;
       left -= t;
-      links = memo.at(n, x);
-      modes = Modes<S>(n, x, u, links);
+      links = memo_.at(n_, x);
+      modes = Modes<S>(n_, x, u, links);
     }
-    whole.remember(start, x, u);
+    whole_.remember(start, x, u);
   }
 
   // The time at which the first mode ceases to hold, somewhat below `left`, by inverse quadratic
@@ -112,18 +112,18 @@ class Located {
       double t, margin;
       bool holds() const { return !(margin < 0.0); }
     };
-    Trial last = {0.0, modes.margin(x, u, memo)}, other = {left, modes.margin(y, u, memo)};
+    Trial last = {0.0, modes.margin(x, u, memo_)}, other = {left, modes.margin(y, u, memo_)};
     double share = last.margin > 0.0 ? last.margin / (last.margin - other.margin) : 0.5;
     for (int trial = 0; trial < kMostTrials; ++trial) {
       const double width = other.t - last.t;  // of either sign
-      const double least = 0.5 * kInstant * h / magnitude(width);
+      const double least = 0.5 * kInstant * h_ / magnitude(width);
       if (least >= 0.5) break;
       share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
       const double t = last.t + share * width;
       State<S> end = x;
       part.retime(t);
       part.step_in(modes, end, u, links, Past::unknown);
-      const Trial now = {t, modes.margin(end, u, memo)};
+      const Trial now = {t, modes.margin(end, u, memo_)};
       if (!now.holds()) y = end;
       Trial before = last;
       if (now.holds() != last.holds()) before = other, other = last;
@@ -149,11 +149,11 @@ class Located {
     void give(const State<S>&) {}
   };
 
-  double h;
-  const Numbers<S>& n;
-  Method whole;
-  LinksMemo<S> memo;
-  EnergyMeter<S>* meter = nullptr;
+  double h_;
+  const Numbers<S>& n_;
+  Method whole_;
+  LinksMemo<S> memo_;
+  EnergyMeter<S>* meter_ = nullptr;
 };
 
 }  // namespace arm

@@ -15,35 +15,36 @@ class OneThread {
   using Memory = typename Stepper::Memory;
   using Dynamics = typename Links<S, X>::Dynamics;
 
-  OneThread(double step, int, const Numbers<S, X>& numbers) : n(numbers), stepper(step, numbers) {}
+  OneThread(double step, int, const Numbers<S, X>& numbers)
+      : n_(numbers), stepper_(step, numbers) {}
   bool join_schedule() { return true; }
   void begin_thread() {}
   // The numbers have changed.
-  void renew() { stepper.renew(); }
-  void reset(const State<S, X>& x) { stepper.reset(x); }
-  Memory memory() const { return stepper.memory(); }
-  void restore(const Memory& memory) { stepper.restore(memory); }
+  void renew() { stepper_.renew(); }
+  void reset(const State<S, X>& x) { stepper_.reset(x); }
+  Memory memory() const { return stepper_.memory(); }
+  void restore(const Memory& memory) { stepper_.restore(memory); }
   void begin(std::int64_t, const State<S, X>&) {}
   void end() {}
   ARM_INLINE void step(State<S, X>& x, const X (&u)[Stepper::row]) {
     Dynamics links;
     // Inlined, so that its constants fold with the step's; loops over many joints have none, and
     // run faster in a function of their own.
-    if constexpr (requires { stepper.links_at(x); })
-      links = stepper.links_at(x);
+    if constexpr (requires { stepper_.links_at(x); })
+      links = stepper_.links_at(x);
     else if constexpr (S::N > kUnrollNested)
-      Links<S, X>::dynamics_apart(n, x.q, x.v, links);
+      Links<S, X>::dynamics_apart(n_, x.q, x.v, links);
     else
-      Links<S, X>::dynamics(n, x.q, x.v, links);
-    stepper.step(x, u, links, *this);
+      Links<S, X>::dynamics(n_, x.q, x.v, links);
+    stepper_.step(x, u, links, *this);
   }
-  void watch(auto* meter) { stepper.watch(meter); }
+  void watch(auto* meter) { stepper_.watch(meter); }
   ARM_INLINE void take(Dynamics&) {}  // it is there already
   ARM_INLINE void give(const State<S, X>&) {}
 
  private:
-  const Numbers<S, X>& n;
-  Stepper stepper;
+  const Numbers<S, X>& n_;
+  Stepper stepper_;
 };
 
 }  // namespace arm

@@ -19,11 +19,11 @@ class PaperScheme {
   static constexpr int row = Tables::row;
 
   PaperScheme(double step, const Numbers<S, X>& numbers)
-      : h(step), n(numbers), tables(numbers, {step}), coulomb(numbers) {}
+      : h_(step), n_(numbers), tables_(numbers, {step}), coulomb_(numbers) {}
   PaperScheme(const PaperScheme&) = delete;
 
   // The numbers have changed.
-  void renew() { tables.fill(); }
+  void renew() { tables_.fill(); }
 
   // It takes nothing from the past.
   struct Memory {
@@ -49,7 +49,7 @@ class PaperScheme {
  private:
   // Eq. (3), the links held at sample k; `torque` is what the drives put on the links after it.
   ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
-    if constexpr (kJumps<S>) begin_at_once(n, x, u);
+    if constexpr (kJumps<S>) begin_at_once(n_, x, u);
     typename Tables::Inputs in;
     for_each<K, kMostStates>(
         [&](auto k) __attribute__((always_inline)) { in[k] = Row<N, X>::load(x.z[k]); });
@@ -57,58 +57,58 @@ class PaperScheme {
     in[In::v] = Row<N, X>::load(x.v);
     in[In::u] = Row<N, X>::load(u);
     if constexpr (Tables::modal) choose_modes(x, u, in);
-    if constexpr (!Tables::linear) tables.rest_at(x, u).put(in);
-    Tables::template answer<In::k1>(tables.rhs_1, in).store(torque);
+    if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
+    Tables::template answer<In::k1>(tables_.rhs_1, in).store(torque);
     for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
-      auto z = Tables::template answer<In::k1>(tables.dz[k], in);
+      auto z = Tables::template answer<In::k1>(tables_.dz[k], in);
       for_each<z.groups>([&](auto g) __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
     });
-    if constexpr (Tables::modal) tables.settle(x, u);
+    if constexpr (Tables::modal) tables_.settle(x, u);
   }
 
   // The modes that hold at the end of the step, the link held: each drive finds its own.
   void choose_modes(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
     for (int lane = 0; lane < kWidth<X>; ++lane) {
-      n.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
+      n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
         if constexpr (Drive::modes > 0) {
           const auto start = input_in_lane(drive, j, x, u[j], lane);
           auto modes = drive.modes_at(start);
           for (int round = 0; round <= 2 * drive.modes; ++round) {
-            tables.serve(j, lane, resized<Tables::M>(modes));
-            const auto wanted = drive.wanted(start, tables.end_of(drive, j, lane, start), modes);
+            tables_.serve(j, lane, resized<Tables::M>(modes));
+            const auto wanted = drive.wanted(start, tables_.end_of(drive, j, lane, start), modes);
             if (wanted == modes) return;
             modes = wanted;
           }
         }
       });
     }
-    tables.put_modes(in);
+    tables_.put_modes(in);
   }
 
   // Eq. (4) with the motors at sample k + 1.
   ARM_INLINE void accelerations(const State<S, X>& x, const X (&u)[row], Dynamics& links,
                                 X (&a)[row]) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      links.M.at[j][j] += n.carried(j);
+      links.M.at[j][j] += n_.carried(j);
       a[j] -= links.nle[j];
     });
-    coulomb.take(x, x, u, tables.modes());
-    coulomb.solve(links.M.at, x.v, a);
+    coulomb_.take(x, x, u, tables_.modes());
+    coulomb_.solve(links.M.at, x.v, a);
   }
 
   ARM_INLINE void integrate(State<S, X>& x, const X (&a)[row]) const {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      x.q[j] += h * x.v[j];
-      x.v[j] += h * a[j];
+      x.q[j] += h_ * x.v[j];
+      x.v[j] += h_ * a[j];
     });
-    coulomb.stop_at_reversal(x.v);
+    coulomb_.stop_at_reversal(x.v);
   }
 
-  double h;
-  const Numbers<S, X>& n;
-  Tables tables;
-  Coulomb<S, X> coulomb;
+  double h_;
+  const Numbers<S, X>& n_;
+  Tables tables_;
+  Coulomb<S, X> coulomb_;
 };
 
 template <class S, class X>

@@ -40,7 +40,7 @@ namespace arm {
 class Spin {
  public:
   void operator()() {
-    if (++count % 256 == 0) std::this_thread::yield();
+    if (++count_ % 256 == 0) std::this_thread::yield();
 #ifdef __x86_64__
     else
       __builtin_ia32_pause();
@@ -48,7 +48,7 @@ class Spin {
   }
 
  private:
-  int count = 0;
+  int count_ = 0;
 };
 
 template <class S, class Stepper>
@@ -59,12 +59,14 @@ class TwoThreads {
 
   // `core`: of the Newton-Euler thread; -1, and other systems than Linux: wherever these put it.
   TwoThreads(double step, int core, const Numbers<S>& numbers)
-      : h(step), n(numbers), stepper(step, numbers), place(core), newton_euler([this] { work(); }) {
+      : h_(step), n_(numbers), stepper_(step, numbers), place_(core), newton_euler_([this] {
+          work();
+        }) {
     put_on_core();
   }
 
   ~TwoThreads() {
-    stopping.store(true);
+    stopping_.store(true);
     wake();
   }
 
@@ -74,13 +76,13 @@ class TwoThreads {
     int policy = SCHED_OTHER;
     sched_param priority = {};
     pthread_getschedparam(pthread_self(), &policy, &priority);
-    return pthread_setschedparam(newton_euler.native_handle(), policy, &priority) == 0;
+    return pthread_setschedparam(newton_euler_.native_handle(), policy, &priority) == 0;
   }
 
   // In a forked child, which has not got the Newton-Euler thread, between two bursts: begin one.
   void begin_thread() {
     // The handle is of a thread of the parent: nobody may wait for it.
-    new (&newton_euler) std::jthread([this] { work(); });
+    new (&newton_euler_) std::jthread([this] { work(); });
     put_on_core();
   }
 
@@ -108,67 +110,68 @@ class TwoThreads {
   };
 
   // The numbers have changed; `restore` comes next.
-  void renew() { stepper.renew(); }
+  void renew() { stepper_.renew(); }
 
   // Begin at a state with no past.
   void reset(const State<S>& x) {
     for (int j = 0; j < N; ++j) {
-      past.v[j] = x.v[j];
-      for (Place& place : past.links) place.q[j] = x.q[j], place.v[j] = x.v[j];
+      past_.v[j] = x.v[j];
+      for (Place& place : past_.links) place.q[j] = x.q[j], place.v[j] = x.v[j];
     }
-    stepper.reset(x);
-    past.stepper = stepper.memory();
-    restore(past);
+    stepper_.reset(x);
+    past_.stepper = stepper_.memory();
+    restore(past_);
   }
 
   Memory memory() const {
-    Memory memory = past;
-    memory.stepper = stepper.memory();
+    Memory memory = past_;
+    memory.stepper = stepper_.memory();
     return memory;
   }
 
   // Go back to a memory. The links' parts are worked out anew, by the same instructions.
   void restore(const Memory& memory) {
-    past = memory;
-    stepper.restore(memory.stepper);
-    for (int i = 0; i < D; ++i) evaluate(past.links[i], parcels[slot(asked.load() - D + i)].links);
+    past_ = memory;
+    stepper_.restore(memory.stepper);
+    for (int i = 0; i < D; ++i)
+      evaluate(past_.links[i], parcels_[slot(asked_.load() - D + i)].links);
   }
 
   // A burst of `count` steps is coming, one by one, from the state x.
   void begin(std::int64_t count, const State<S>& x) {
     if (count == 0) return;
-    target.store(asked.load() + count);
+    target_.store(asked_.load() + count);
     hand_over(x);
     wake();
   }
 
   // The burst is over, or broken off. The Newton-Euler thread goes to sleep.
   void end() {
-    target.store(asked.load());
-    wait_for(asked.load());
+    target_.store(asked_.load());
+    wait_for(asked_.load());
   }
 
   // From sample k to k + 1. Sample k is with the Newton-Euler thread already.
   ARM_INLINE void step(State<S>& x, const double (&u)[Stepper::row]) {
-    for (int j = 0; j < N; ++j) past.v[j] = x.v[j];
-    for (int i = 1; i < D; ++i) past.links[i - 1] = past.links[i];
-    past.links[D - 1] = samples[slot(newest())];
+    for (int j = 0; j < N; ++j) past_.v[j] = x.v[j];
+    for (int i = 1; i < D; ++i) past_.links[i - 1] = past_.links[i];
+    past_.links[D - 1] = samples_[slot(newest())];
     Dynamics links;
-    stepper.step(x, u, links, *this);
+    stepper_.step(x, u, links, *this);
   }
 
   // The stepper asks for the links' part in step k: that of sample k - D.
   ARM_INLINE void take(Dynamics& links) {
     const std::int64_t k = newest();
     wait_for(k - D + 1);
-    const Parcel& parcel = parcels[slot(k - D)];
+    const Parcel& parcel = parcels_[slot(k - D)];
     parcel.fetch();
     parcel.copy_to(links);
   }
 
   // The stepper has the links of sample k + 1, before it is done with the motors.
   ARM_INLINE void give(const State<S>& x) {
-    if (asked.load(std::memory_order_relaxed) < target.load(std::memory_order_relaxed))
+    if (asked_.load(std::memory_order_relaxed) < target_.load(std::memory_order_relaxed))
       hand_over(x);
   }
 
@@ -178,21 +181,21 @@ class TwoThreads {
   static std::size_t slot(std::int64_t k) { return static_cast<std::size_t>(k + slots) % slots; }
 
   // The sample that was handed over last.
-  std::int64_t newest() const { return asked.load(std::memory_order_relaxed) - 1; }
+  std::int64_t newest() const { return asked_.load(std::memory_order_relaxed) - 1; }
 
   ARM_INLINE void hand_over(const State<S>& x) {
-    const std::int64_t k = asked.load(std::memory_order_relaxed);
-    Sample& sample = samples[slot(k)];
+    const std::int64_t k = asked_.load(std::memory_order_relaxed);
+    Sample& sample = samples_[slot(k)];
     // With a constant change of v per step: D steps ahead v has changed by D of them, and the sum
     // of the speeds that the links moved on with, by `sum`.
     const double ahead = S::exchange == Exchange::predict ? D : 0.0;
     constexpr double sum = 0.5 * (D - 1) + end_of_step;
     for (int j = 0; j < N; ++j) {
-      const double change = x.v[j] - past.v[j];
+      const double change = x.v[j] - past_.v[j];
       sample.v[j] = x.v[j] + ahead * change;
-      sample.q[j] = x.q[j] + ahead * h * (x.v[j] + sum * change);
+      sample.q[j] = x.q[j] + ahead * h_ * (x.v[j] + sum * change);
     }
-    asked.store(k + 1, std::memory_order_release);
+    asked_.store(k + 1, std::memory_order_release);
   }
 
   // The paper's links move on with the speed at a step's beginning, implicit ones with that at its
@@ -228,68 +231,69 @@ class TwoThreads {
 
   // Not inlined: the same bits whichever thread works.
   __attribute__((noinline)) void evaluate(const Place& at, Dynamics& result) const {
-    Links<S>::dynamics(n, at.q, at.v, result);
+    Links<S>::dynamics(n_, at.q, at.v, result);
   }
 
   void put_on_core() {
 #ifdef __linux__
-    if (place < 0) return;
+    if (place_ < 0) return;
     cpu_set_t cores;
     CPU_ZERO(&cores);
-    CPU_SET(static_cast<unsigned>(place), &cores);
-    pthread_setaffinity_np(newton_euler.native_handle(), sizeof cores, &cores);
+    CPU_SET(static_cast<unsigned>(place_), &cores);
+    pthread_setaffinity_np(newton_euler_.native_handle(), sizeof cores, &cores);
 #endif
   }
 
   // The Newton-Euler thread.
   void work() {
-    std::int64_t k = done.load(),
+    std::int64_t k = done_.load(),
                  here = k;  // samples that are worked on, that have been handed over
     for (;;) {
-      const std::uint32_t seen = alarm.load();
-      while (here > k || k < target.load(std::memory_order_relaxed)) {
+      const std::uint32_t seen = alarm_.load();
+      while (here > k || k < target_.load(std::memory_order_relaxed)) {
         Spin spin;
         while (here <= k) {
-          here = asked.load(std::memory_order_acquire);
-          if (here > k || k >= target.load(std::memory_order_relaxed)) break;
+          here = asked_.load(std::memory_order_acquire);
+          if (here > k || k >= target_.load(std::memory_order_relaxed)) break;
           spin();
         }
         if (here <= k) break;
-        Parcel& parcel = parcels[slot(k)];
-        if (here > k + 1) samples[slot(k + 1)].fetch();
-        evaluate(samples[slot(k)], parcel.links);
-        done.store(++k, std::memory_order_release);
+        Parcel& parcel = parcels_[slot(k)];
+        if (here > k + 1) samples_[slot(k + 1)].fetch();
+        evaluate(samples_[slot(k)], parcel.links);
+        done_.store(++k, std::memory_order_release);
       }
-      if (stopping.load()) return;
-      alarm.wait(seen);
+      if (stopping_.load()) return;
+      alarm_.wait(seen);
     }
   }
 
   // Until the links' parts of the first `k` samples are there.
   void wait_for(std::int64_t k) const {
     Spin spin;
-    while (done.load(std::memory_order_acquire) < k) spin();
+    while (done_.load(std::memory_order_acquire) < k) spin();
   }
 
   void wake() {
-    alarm.fetch_add(1);
-    alarm.notify_one();
+    alarm_.fetch_add(1);
+    alarm_.notify_one();
   }
 
-  double h;
-  const Numbers<S>& n;
-  Memory past = {};
-  Sample samples[slots] = {};
-  Parcel parcels[slots] = {};
+  double h_;
+  const Numbers<S>& n_;
+  Memory past_ = {};
+  Sample samples_[slots] = {};
+  Parcel parcels_[slots] = {};
   // Each counter on a cache line of its own: who writes it does not disturb who reads the other.
-  alignas(64) std::atomic<std::int64_t> asked = 0;   // samples handed to the Newton-Euler thread
-  alignas(64) std::atomic<std::int64_t> done = 0;    // links' parts that are ready
-  alignas(64) std::atomic<std::int64_t> target = 0;  // samples that the burst will have handed over
-  std::atomic<std::uint32_t> alarm = 0;              // changes to wake the sleeper
-  std::atomic<bool> stopping = false;
-  alignas(64) Stepper stepper;
-  int place;                  // core of the thread; -1: any
-  std::jthread newton_euler;  // last: it uses all of the above
+  alignas(64) std::atomic<std::int64_t> asked_ = 0;  // samples handed to the Newton-Euler thread
+  alignas(64) std::atomic<std::int64_t> done_ = 0;   // links' parts that are ready
+  alignas(64) std::atomic<std::int64_t> target_ =
+      0;                                  // samples that the burst will have handed over
+  std::atomic<std::uint32_t> alarm_ = 0;  // changes to wake the sleeper
+  std::atomic<bool> stopping_ = false;
+  alignas(64) Stepper stepper_;
+  int place_;                  // core of the thread; -1: any
+  std::jthread newton_euler_;  // last: it uses all of the above
 };
 
 }  // namespace arm

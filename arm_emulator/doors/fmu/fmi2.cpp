@@ -89,12 +89,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
   if (!reason) {
     const fmu::Log log = {log_to, reinterpret_cast<void (*)()>(given.logger),
                           given.componentEnvironment, ""};
-    try {
-      auto* one = new Instance(name, logging, log);
-      if (one->make()) return one;
-      delete one;
-    } catch (const std::bad_alloc&) {
-    }
+    if (Instance* one = fmu::make_instance(name, logging, log)) return one;
     reason = "the machine cannot be made";
   }
   if (given.logger)

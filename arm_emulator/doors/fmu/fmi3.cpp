@@ -119,12 +119,8 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     return refuse(log, environment, "intermediate variables must be outputs");
   const fmu::Watch watch = {watch_at, reinterpret_cast<void (*)()>(update), environment,
                             early_return};
-  try {
-    auto* one = new Instance(name, logging, log_of(log, environment), watch);
-    if (one->make()) return one;
-    delete one;
-  } catch (const std::bad_alloc&) {
-  }
+  if (Instance* one = fmu::make_instance(name, logging, log_of(log, environment), watch))
+    return one;
   return refuse(log, environment, "the machine cannot be made");
 }
 fmi3Instance fmi3InstantiateModelExchange(fmi3String, fmi3String, fmi3String, fmi3Boolean,

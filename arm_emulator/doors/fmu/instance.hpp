@@ -13,6 +13,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
+#include <memory>
 #include <new>
 #include <type_traits>
 #include <utility>
@@ -634,5 +635,16 @@ class Instance {
                                   data_.shown.current_d,
                                   data_.shown.readings};
 };
+
+// A new instance; null if memory is short or the machine cannot be made.
+template <class... Given>
+Instance* make_instance(Given&&... given) {
+  try {
+    auto one = std::make_unique<Instance>(std::forward<Given>(given)...);
+    return one->make() ? one.release() : nullptr;
+  } catch (const std::bad_alloc&) {
+    return nullptr;
+  }
+}
 
 }  // namespace fmu
