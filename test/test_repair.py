@@ -25,10 +25,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
+from arm_emulator.base.mcap_end import write_all
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
 from arm_emulator.ros.bag import Bag, BagWriter, Topic, repair
-from arm_emulator.ros.mcap_end import write_all
 from arm_emulator.ros.message_types import definition_of
 
 CUTS = 60 if FULL else 20

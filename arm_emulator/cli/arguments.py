@@ -37,7 +37,11 @@ def run_with(one: Command, words: Sequence[str]) -> int:
 
 def page_of(one: Command) -> str:
     """Return the help page of a command."""
-    arguments = _app(one).assemble_argument_collection(parse_docstring=True)
+    arguments = [
+        argument
+        for argument in _app(one).assemble_argument_collection(parse_docstring=True)
+        if not argument.children  # which stand for it
+    ]
     text = inspect.getdoc(one.function) or ""
     positional = [_shown(argument) for argument in arguments if _is_positional(argument)]
     usage = " ".join(["usage: arm_emulator", one.name, *positional, "[OPTIONS]"])

@@ -10,6 +10,7 @@ from pathlib import Path
 from arm_emulator.analysis.mode_loops import withheld_words
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.doors.fieldbus.can_bus import Bus, BusService, can_bus
 from arm_emulator.doors.fieldbus.can_server import CanServer
@@ -19,6 +20,7 @@ from arm_emulator.doors.fieldbus.eds import eds
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import check_servo, load_gains
+from arm_emulator.runs.recorder import Recorder
 
 
 def load_segment(scene_name: str, first: int = 1, *, lockstep: bool = True) -> Segment:
@@ -68,6 +70,7 @@ def canopen(
     bitrate: int | None,
     first: int,
     clock: str,
+    kept: Kept = NOTHING,
 ) -> int:
     """Serve a bus until Ctrl-C.
 
@@ -83,10 +86,11 @@ def canopen(
             print(f"canopen: node {node.number}: {joint}")
         for line in withheld_words(scene, segment.drives.withheld):
             print(f"canopen: {line}")
-        print("canopen: ready", flush=True)
         period = None if lockstep else round(scene.servo_period * 1e9)
         try:
-            BusService(on, segment, period).serve()
+            with Recorder(segment.drives.plant, kept, waits=lockstep):
+                print("canopen: ready", flush=True)
+                BusService(on, segment, period).serve()
         finally:
             if on.ignored:
                 print(f"canopen: {on.ignored} times something came that was no frame of ours")

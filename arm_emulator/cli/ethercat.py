@@ -10,23 +10,26 @@ from pathlib import Path
 from arm_emulator.analysis.mode_loops import withheld_words
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.doors.fieldbus.esi import esi
 from arm_emulator.doors.fieldbus.ethercat import Segment
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.gains import check_servo, load_gains
+from arm_emulator.runs.recorder import Recorder
 
 _TURN = 0.1  # s after which Ctrl-C is looked for
 
 
-def serve(scene_name: str, interface: str, lockstep: bool) -> int:
+def serve(scene_name: str, interface: str, lockstep: bool, kept: Kept = NOTHING) -> int:
     """Serve a master until Ctrl-C.
 
     Args:
         scene_name: scene file or name.
         interface: network interface.
         lockstep: a servo period per frame of process data; else by the clock.
+        kept: what is recorded and shown.
 
     Raises:
         Refusal: the scene, its gains or the interface are not taken.
@@ -45,10 +48,11 @@ def serve(scene_name: str, interface: str, lockstep: bool) -> int:
         flags = int(Path(f"/sys/class/net/{interface}/flags").read_text(), 16)
         if not flags & 1:
             print(f"ethercat: {interface} is down: ip link set {interface} up", file=sys.stderr)
-    print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
     try:
-        while not segment.figures.diverged:
-            segment.serve(descriptor, _TURN)
+        with Recorder(segment.drives.plant, kept, waits=lockstep):
+            print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
+            while not segment.figures.diverged:
+                segment.serve(descriptor, _TURN)
         print(f"scene {scene.name}: the machine has diverged", file=sys.stderr)
         return 1
     finally:

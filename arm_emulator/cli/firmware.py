@@ -16,6 +16,7 @@ from pathlib import Path
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.run import ctrl_c_ends_at_once, report, ticks_of
 from arm_emulator.doors.microcontroller.board import Board, load_board
@@ -23,6 +24,7 @@ from arm_emulator.doors.microcontroller.elf_image import ElfImage
 from arm_emulator.doors.microcontroller.microcontroller import FirmwareEnd, Microcontroller
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.table_run import TableRun, off_target
 from arm_emulator.runs.target_table import load_target_table
 
@@ -38,6 +40,7 @@ def run(
     seconds: float | None,
     gdb: int | None,
     uarts: Sequence[str],
+    kept: Kept = NOTHING,
 ) -> int:
     """Run for some logical time, and print the outcome; 1 if the firmware or the machine fails.
 
@@ -57,6 +60,7 @@ def run(
         lines = open_.enter_context(_lines(board, uarts))
         chip = Microcontroller(board, ElfImage(elf), scene, lines)
         one = TableRun(scene, table, chip)
+        open_.enter_context(Recorder(one.session.plant, kept, waits=True, stays=True))
         with ctrl_c_ends_at_once():
             if gdb is not None:
                 _wait_for_gdb(chip, gdb, elf)
@@ -67,17 +71,19 @@ def run(
                 print(explain(fault), file=sys.stderr)
                 return 1
         wall = time.perf_counter() - started
-    off = off_target(one.session, table, ticks) if table else None
-    report(one.session, ticks, wall, off)
-    figures = chip.figures
-    awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
-    each = figures.instructions / ticks
-    happened = {"faults": figures.faults, "resets": figures.resets}
-    more = "".join(f", {count} {what}" for what, count in happened.items() if count)
-    print(f"microcontroller   {each:.0f} instructions per servo period, {awake:.1%} awake{more}")
-    if figures.faults:
-        print(f"first fault       {chip.fault}")
-    return 0
+        off = off_target(one.session, table, ticks) if table else None
+        report(one.session, ticks, wall, off)
+        figures = chip.figures
+        awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
+        each = figures.instructions / ticks
+        happened = {"faults": figures.faults, "resets": figures.resets}
+        more = "".join(f", {count} {what}" for what, count in happened.items() if count)
+        print(
+            f"microcontroller   {each:.0f} instructions per servo period, {awake:.1%} awake{more}"
+        )
+        if figures.faults:
+            print(f"first fault       {chip.fault}")
+        return 0
 
 
 def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:

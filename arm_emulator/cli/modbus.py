@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from arm_emulator.analysis.scene_warnings import warn_of_scene
+from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
 from arm_emulator.doors.fieldbus.modbus_line import CLOCKS, ModbusLine
@@ -14,6 +15,7 @@ from arm_emulator.doors.fieldbus.serial_line import LineErrors, check_baud
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session
+from arm_emulator.runs.recorder import Recorder
 
 
 def modbus(
@@ -26,6 +28,7 @@ def modbus(
     seed: int,
     watchdog: int,
     link: Path | None,
+    kept: Kept = NOTHING,
 ) -> int:
     """Serve masters until Ctrl-C.
 
@@ -46,7 +49,8 @@ def modbus(
         session = Session(scene, "lockstep", "first_answer")
     try:
         converter = Converter(session, watchdog)
-        with serial_port(baud, link) as port:
+        waits = clock != "realtime"
+        with serial_port(baud, link) as port, Recorder(session.plant, kept, waits):
             at = f"{port.path}{f' ({link})' if link else ''}"
             print(f"modbus: scene {scene.name} ({len(scene.joints)} joints), station {station}")
             print(f"modbus: {at}, {baud} baud, clock {clock}", flush=True)

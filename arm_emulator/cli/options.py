@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from arm_emulator.base.kept import Kept
+
 SceneName = Annotated[str, Parameter(metavar="SCENE", help="scene file or name")]
 Clock = Annotated[
     Literal["lockstep", "realtime"],
@@ -18,6 +20,7 @@ Seconds = Annotated[
     float | None,
     Parameter(metavar="S", help="logical time (default: 10, or as long as the table lasts)"),
 ]
+Keep = Annotated[Kept, Parameter(name="*")]
 TargetFile = Annotated[
     Path | None,
     Parameter(metavar="TABLE", help="joint targets: CSV with t and the joints' names"),

@@ -17,6 +17,7 @@ from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData
 from arm_emulator.machine.diverged import Diverged
@@ -26,17 +27,24 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.guarded import guarded
 from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
 from arm_emulator.runs.target_table import TargetTable
 
 
-def run(scene_name: str, seconds: float, displacement: Sequence[float] | None) -> int:
+def run(
+    scene_name: str,
+    seconds: float,
+    displacement: Sequence[float] | None,
+    kept: Kept = NOTHING,
+) -> int:
     """Run for some logical time with the tool displaced, and print the outcome.
 
     Args:
         scene_name: scene file or name.
         seconds: of logical time.
         displacement: of the tool in the world (3,) [m]; None: the arm holds where it starts.
+        kept: what is recorded and shown.
     """
     one = load_offline_run(scene_name)
     session, kinematics = one.session, one.controller.kinematics
@@ -51,18 +59,25 @@ def run(scene_name: str, seconds: float, displacement: Sequence[float] | None) -
     )
     if displacement is not None:
         one.instructor.add(0, target)
-    started = time.perf_counter()
-    try:
-        one.advance(ticks)
-    except Diverged as fault:
-        print(explain(fault), file=sys.stderr)
-        return 1
-    wall = time.perf_counter() - started
-    report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
+    with Recorder(session.plant, kept, waits=True, stays=True):
+        started = time.perf_counter()
+        try:
+            one.advance(ticks)
+        except Diverged as fault:
+            print(explain(fault), file=sys.stderr)
+            return 1
+        wall = time.perf_counter() - started
+        report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
     return 0
 
 
-def run_table(scene_name: str, seconds: float | None, table: Path, library: Path | None) -> int:
+def run_table(
+    scene_name: str,
+    seconds: float | None,
+    table: Path,
+    library: Path | None,
+    kept: Kept = NOTHING,
+) -> int:
     """Run for some logical time, or for that of the table, and print the outcome.
 
     Raises:
@@ -70,7 +85,7 @@ def run_table(scene_name: str, seconds: float | None, table: Path, library: Path
     """
 
     def work(progress: CData | None = None) -> int:
-        return _run_table(scene_name, seconds, table, library, progress)
+        return _run_table(scene_name, seconds, table, library, kept, progress)
 
     return work() if library is None else guarded(library.name, work)
 
@@ -80,6 +95,7 @@ def _run_table(
     seconds: float | None,
     table: Path,
     library: Path | None,
+    kept: Kept,
     progress: CData | None,
 ) -> int:
     one, targets = load_table_run(scene_name, table, library, progress)
@@ -89,24 +105,25 @@ def _run_table(
     else:
         warn_of_scene(scene)
     with contextlib.closing(one):
-        return _report(one, targets, seconds)
+        return _report(one, targets, seconds, kept)
 
 
-def _report(one: TableRun, targets: TargetTable, seconds: float | None) -> int:
+def _report(one: TableRun, targets: TargetTable, seconds: float | None, kept: Kept) -> int:
     session = one.session
     scene = session.scene
     if seconds is None:
         seconds = targets.seconds or 10.0
     ticks = ticks_of(seconds, scene)
-    started = time.perf_counter()
-    try:
-        with ctrl_c_ends_at_once():
-            one.advance(ticks)
-    except Diverged as fault:
-        print(explain(fault), file=sys.stderr)
-        return 1
-    wall = time.perf_counter() - started
-    report(session, ticks, wall, off_target(session, targets, ticks))
+    with Recorder(session.plant, kept, waits=True, stays=True):
+        started = time.perf_counter()
+        try:
+            with ctrl_c_ends_at_once():
+                one.advance(ticks)
+        except Diverged as fault:
+            print(explain(fault), file=sys.stderr)
+            return 1
+        wall = time.perf_counter() - started
+        report(session, ticks, wall, off_target(session, targets, ticks))
     return 0
 
 

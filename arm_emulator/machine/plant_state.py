@@ -14,6 +14,16 @@ from arm_emulator.machine.scene import Scene
 
 SET = ("current", "theta_m", "omega_m", "q", "v")  # what decides on the others of `PlantState`
 ROWS = (*SET, "gear_torque")
+_UNITS = {"current": "A", "theta_m": "rad", "omega_m": "rad/s"}
+_UNITS_OF_LINKS = {
+    "revolute": {"q": "rad", "v": "rad/s", "gear_torque": "N m"},
+    "prismatic": {"q": "m", "v": "m/s", "gear_torque": "N"},
+}
+
+
+def unit_of(row: str, kind: str) -> str:
+    """Return the unit of one of `ROWS` at a revolute or prismatic joint."""
+    return (_UNITS | _UNITS_OF_LINKS[kind])[row]
 
 
 @dataclass(frozen=True)

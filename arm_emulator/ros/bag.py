@@ -37,8 +37,9 @@ try:
     from mcap.records import Channel, Schema
     from mcap.writer import CompressionType, Writer
 
-    from arm_emulator.ros.mcap_end import NO_ROOM, flush_to_disk, give_end, write_all
-    from arm_emulator.ros.mcap_records import MESSAGE, CutOff, Damaged, McapFile, Record
+    from arm_emulator.base.mcap_end import NO_ROOM, flush_to_disk, give_end, write_all
+    from arm_emulator.base.mcap_records import MESSAGE, CutOff, Damaged, McapFile, Record
+    from arm_emulator.base.unbuffered_file import UnbufferedFile
 except ImportError as error:  # a stock ROS 2 machine has none
     raise Refusal(
         "bags", "Python package mcap", "be installed", error, "pip install mcap"
@@ -122,7 +123,7 @@ class BagWriter:
             raise Refusal("record", f"folder {folder}", "be writable", error.strerror) from None
         try:
             (folder / UNFINISHED).write_bytes(bytes(self._room))
-            self._stream = _Unbuffered(self._file)
+            self._stream = UnbufferedFile(self._file)
             self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)  # type: ignore[arg-type]
             self._mcap.start("ros2", "arm_emulator")
             self.flush()
@@ -269,33 +270,6 @@ class BagWriter:
             self._begin, self._end = bag.spans[0].begin, bag.spans[0].end
         for topic in self.topics:
             topic.count = kept[topic.name].count if topic.name in kept else 0
-
-
-class _Unbuffered:
-    """A new file whose every write reaches the system, or fails.
-
-    A buffer would keep what the system did not take, and hand it over later, behind a gap.
-    """
-
-    def __init__(self, file: Path) -> None:
-        self._raw = file.open("xb", buffering=0)
-        self._at = 0
-        self.fileno, self.close = self._raw.fileno, self._raw.close
-
-    @property
-    def closed(self) -> bool:
-        return self._raw.closed
-
-    def write(self, data: bytes) -> int:
-        write_all(self._raw, data)
-        self._at += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        return self._at
-
-    def flush(self) -> None:
-        """Nothing waits here."""
 
 
 class Span(NamedTuple):

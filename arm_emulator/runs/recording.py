@@ -9,17 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_numbers
+from arm_emulator.base.kept import check_suffix
+from arm_emulator.base.record_file import arrow_table, open_record
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS
+from arm_emulator.machine.record_row import RecordRow, columns_of, row_type, values_of
 
 TRUTH = (*ROWS, "energy")
 MEASURED = tuple(f"measured.{name}" for name in KNOWN)
-SUFFIXES = (".parquet", ".csv", ".npz")
 
 
 class Recording:
@@ -29,7 +32,7 @@ class Recording:
 
     Args:
         plant: the machine.
-        file: .parquet, .csv or .npz; None: nothing is written.
+        file: .mcap, .csv, .parquet or .npz; None: nothing is written.
         names: quantities of the true state (`PlantState`, energy), or measured ones as
             ``measured.current``.
 
@@ -49,12 +52,11 @@ class Recording:
                 valid = ", ".join((*TRUTH, *MEASURED))
                 raise Refusal("Recording", "name", "be a quantity", name, valid)
         self._file = None if file is None else Path(file)
-        if self._file is not None and self._file.suffix not in SUFFIXES:
-            rule = "end in a known kind"
-            raise Refusal("Recording", "file", rule, self._file.name, ", ".join(SUFFIXES))
+        if self._file is not None:
+            check_suffix("Recording", "file", self._file)
         self._plant, self._names = plant, tuple(names)
-        self._t: list[float] = []
-        self._rows: dict[str, list[Any]] = {name: [] for name in self._names}
+        self._row = RecordRow(plant)
+        self._taken: list[Rows] = [np.zeros(0, row_type(plant.scene))]
 
     def __enter__(self) -> Recording:
         return self
@@ -70,15 +72,7 @@ class Recording:
 
     def take(self) -> None:
         """Take a row: the machine as it is now."""
-        state, measured = self._plant.state, self._plant.measured
-        self._t.append(state.t)
-        for name, rows in self._rows.items():
-            if name == "energy":
-                rows.append(self._plant.energy)
-            elif name in ROWS:
-                rows.append(getattr(state, name))
-            else:
-                rows.append(getattr(measured, name.removeprefix("measured.")))
+        self._taken.append(self._row.take())
 
     def run(self, commands: ArrayLike, steps: int, *, every: int = 1) -> None:
         """Apply rows of commands as `Plant.run` does, and take a row after each or some of them.
@@ -99,42 +93,49 @@ class Recording:
             self.take()
 
     @property
+    def _rows(self) -> Rows:
+        self._taken = [np.concatenate(self._taken)]
+        return self._taken[0]
+
+    @property
     def t(self) -> Array:
         """Logical times of the rows (K,) [s]."""
-        return np.array(self._t)
+        return self._rows["t"].copy()
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return the rows of a quantity, (K, N)."""
-        return np.array(self._rows[name])
+        return values_of(self._rows, name, self._plant.scene).copy()
+
+    @property
+    def _columns(self) -> list[Column]:
+        """Those of the quantities that were asked for."""
+        known = columns_of(self._plant.scene)
+        wanted = [("t",), *(tuple(name.split(".")) for name in self._names)]
+        return [one for path in wanted for one in known if one.path[: len(path)] == path]
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all quantities as columns (K,): ``q.elbow``, ``measured.current.elbow``."""
-        columns: dict[str, NDArray[Any]] = {"t": self.t}
-        joints = self._plant.scene.joint_names
-        for name in self._names:
-            rows = self[name]
-            rows = rows.reshape(len(rows), -1)
-            of = joints if rows.shape[1] == len(joints) else range(rows.shape[1])
-            single = name == "energy"
-            for one, column in zip(of, rows.T, strict=False):
-                columns[name if single else f"{name}.{one}"] = column
-        return columns
+        return {one.name: one.of(self._rows) for one in self._columns}
 
     def table(self) -> Any:
-        """Return the columns as a table of Arrow (pyarrow must be installed)."""
-        import pyarrow as pa
-
-        return pa.table(self.columns())
+        """Return the columns as a table of Arrow, with units (pyarrow must be installed)."""
+        return arrow_table(self._columns, self._rows)
 
     def write(self, file: Path) -> None:
-        """Write the columns to a file, by its suffix."""
-        columns = self.columns()
-        if file.suffix == ".parquet":
-            import pyarrow.parquet as pq
+        """Write the columns to a file, by its suffix; one that exists is replaced.
 
-            pq.write_table(self.table(), file)
-        elif file.suffix == ".npz":
-            np.savez(file, **columns)  # type: ignore[arg-type]
-        else:
-            names, rows = ",".join(columns), np.column_stack(list(columns.values()))
-            np.savetxt(file, rows, "%.17g", ",", header=names, comments="")
+        Raises:
+            Refusal: another suffix, or a file that cannot be written.
+        """
+        check_suffix("Recording", "file", file)
+        part = file.with_name(f".{file.stem}.part{file.suffix}")
+        part.unlink(missing_ok=True)
+        record = open_record("Recording", part, self._columns)
+        try:
+            record.write(self._rows)
+            record.close()
+            part.replace(file)
+        except OSError as error:
+            record.give_up()
+            part.unlink(missing_ok=True)
+            raise Refusal("Recording", f"file {file}", "be writable", error.strerror) from None

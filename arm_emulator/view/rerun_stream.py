@@ -151,6 +151,11 @@ class RerunStream:
         return self._open
 
     @property
+    def waiting(self) -> int:
+        """Samples that wait to be shown."""
+        return len(self._queue)
+
+    @property
     def dropped(self) -> int:
         """Samples that were not shown, because the queue was full or Rerun refused them."""
         return self._queue.dropped + self._lost

@@ -7,8 +7,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.base.kept import NOTHING
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Clock, SceneName
+from arm_emulator.cli.options import Clock, Keep, SceneName
 
 
 @command(until_stopped=True)
@@ -23,6 +24,7 @@ def canopen(
     first_node: Annotated[int, Parameter(metavar="ID")] = 1,
     clock: Clock = "lockstep",
     eds: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    kept: Keep = NOTHING,
 ) -> int:
     """Serve masters of CANopen until Ctrl-C.
 
@@ -37,6 +39,7 @@ def canopen(
     from arm_emulator.cli.canopen import canopen as serve
     from arm_emulator.cli.canopen import write_eds
 
+    kept.check("canopen")
     if eds is not None:
         return write_eds(scene, eds)
     return serve(
@@ -47,4 +50,5 @@ def canopen(
         bitrate=bitrate,
         first=first_node,
         clock=clock,
+        kept=kept,
     )

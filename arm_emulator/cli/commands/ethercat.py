@@ -7,9 +7,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.options import Keep, SceneName
 
 
 @command(until_stopped=True)
@@ -21,6 +22,7 @@ def ethercat(
     esi: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     lockstep: bool = False,
     realtime: bool = False,
+    kept: Keep = NOTHING,
 ) -> int:
     """Serve a master of EtherCAT until Ctrl-C.
 
@@ -32,10 +34,11 @@ def ethercat(
     """
     from arm_emulator.cli.ethercat import serve, write_esi
 
+    kept.check("ethercat")
     if lockstep and realtime:
         raise Refusal("ethercat", "--realtime", "stand without --lockstep", "both")
     if esi is not None:
         return write_esi(scene, esi)
     if interface is None:
         raise Refusal("ethercat", "--interface", "name a network interface", "none")
-    return serve(scene, interface, not realtime)
+    return serve(scene, interface, not realtime, kept)

@@ -7,8 +7,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.base.kept import NOTHING
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName, Seconds, TargetFile
+from arm_emulator.cli.options import Keep, SceneName, Seconds, TargetFile
 
 
 @command()
@@ -22,6 +23,7 @@ def firmware(
     seconds: Seconds = None,
     gdb: Annotated[int | None, Parameter(metavar="PORT")] = None,
     uart: Annotated[list[str] | None, Parameter(metavar="NAME=WHERE ...")] = None,
+    kept: Keep = NOTHING,
 ) -> int:
     """Run unmodified firmware of a microcontroller in the loop with a machine.
 
@@ -33,4 +35,14 @@ def firmware(
     """
     from arm_emulator.cli.firmware import run
 
-    return run(board, firmware, scene, targets=targets, seconds=seconds, gdb=gdb, uarts=uart or ())
+    kept.check("firmware")
+    return run(
+        board,
+        firmware,
+        scene,
+        targets=targets,
+        seconds=seconds,
+        gdb=gdb,
+        uarts=uart or (),
+        kept=kept,
+    )

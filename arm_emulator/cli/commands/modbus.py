@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from arm_emulator.base.kept import NOTHING
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.options import Keep, SceneName
 
 
 @command(until_stopped=True)
@@ -24,6 +25,7 @@ def modbus(
     watchdog: Annotated[int, Parameter(metavar="MS")] = 100,
     link: Annotated[Path | None, Parameter(metavar="PATH")] = None,
     registers: bool = False,
+    kept: Keep = NOTHING,
 ) -> int:
     """Serve masters of Modbus RTU until Ctrl-C.
 
@@ -41,6 +43,7 @@ def modbus(
     from arm_emulator.cli.modbus import modbus as serve
     from arm_emulator.cli.modbus import print_registers
 
+    kept.check("modbus")
     if registers:
         return print_registers(scene)
     return serve(
@@ -52,4 +55,5 @@ def modbus(
         seed=seed,
         watchdog=watchdog,
         link=link,
+        kept=kept,
     )

@@ -7,9 +7,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName, Seconds, TargetFile
+from arm_emulator.cli.options import Keep, SceneName, Seconds, TargetFile
 
 
 @command()
@@ -21,6 +22,7 @@ def run(
     displacement: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
     targets: TargetFile = None,
     servo: Annotated[Path | None, Parameter(metavar="LIBRARY")] = None,
+    kept: Keep = NOTHING,
 ) -> int:
     """Run machine, servo and motion controller in one process, in lock-step.
 
@@ -30,14 +32,15 @@ def run(
         targets: joint targets in place of the motion controller: CSV with t and the joints' names.
         servo: control code in C in place of our servo; with --targets.
     """
+    kept.check("run")
     if targets is not None:
         if displacement is not None:
             raise Refusal("run", "--displacement", "stand without --targets", "both")
         from arm_emulator.cli.run import run_table
 
-        return run_table(scene, seconds, targets, servo)
+        return run_table(scene, seconds, targets, servo, kept)
     if servo is not None:
         raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
     from arm_emulator.cli.run import run as work
 
-    return work(scene, 10.0 if seconds is None else seconds, displacement)
+    return work(scene, 10.0 if seconds is None else seconds, displacement, kept)

@@ -26,7 +26,7 @@
 extern "C" {
 #endif
 
-#define ARM_VERSION 4
+#define ARM_VERSION 5
 
 typedef struct arm_machine arm_machine; /* one machine of the library's scene */
 
@@ -203,6 +203,11 @@ int arm_measure(const arm_machine* machine, arm_measurement* out);
 /* Switch the power of all drives: without it every command is 0, and brakes close after their
  * delay. A machine begins with it. A reset leaves it as it is, with brakes to fit. */
 void arm_power(arm_machine* machine, int on);
+
+/* Call `listener` at the end of every exchange that is not refused, on the thread that exchanges;
+ * null: nobody listens. It may look at the machine. Since version 5. */
+void arm_listen(arm_machine* machine, void (*listener)(void* with, const arm_machine* machine),
+                void* with);
 
 /* What refused the newest call on this machine. */
 int arm_why(const arm_machine* machine, arm_refusal* out);

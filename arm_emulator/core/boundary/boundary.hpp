@@ -315,6 +315,8 @@ struct arm_machine {
   bool measures_time = false;
   Instant::duration spent = {};  // wall time of steps, while it is measured
   arm::GivenWrench given[Scene::external_wrench ? N : 1] = {};
+  void (*listener)(void*, const arm_machine*) = nullptr;  // called at the end of every exchange
+  void* listens_with = nullptr;
   mutable arm_refusal why = {sizeof(arm_refusal), -1, "", "", 0.0};
 };
 
@@ -443,7 +445,15 @@ int arm_exchange(arm_machine* machine, const arm_command* command, arm_measureme
   machine->go(machine->steps_per_period,
               [&](std::int64_t steps) { machine->machine.advance(machine->applied, steps); });
   machine->measure(out);
+  if (machine->listener) machine->listener(machine->listens_with, machine);
   return machine->result();
+}
+
+ARM_ONCE void arm_listen(arm_machine* machine, void (*listener)(void*, const arm_machine*),
+                         void* with) {
+  if (!machine) return;
+  machine->listener = listener;
+  machine->listens_with = with;
 }
 
 int arm_measure(const arm_machine* machine, arm_measurement* out) {

@@ -31,9 +31,9 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from arm_emulator.base.mcap_records import CutOff, Damaged, McapFile, Record
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import open_file
-from arm_emulator.ros.mcap_records import CutOff, Damaged, McapFile, Record
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 

@@ -1,0 +1,52 @@
+"""What is kept of a run without a network, as the user asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from arm_emulator.base.refusal import Refusal
+
+SUFFIXES = (".mcap", ".csv", ".parquet", ".npz")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What is kept or shown of a run.
+
+    Args:
+        record: new file of what is true and what is measured (.mcap, .csv, .parquet or .npz).
+        rerun: port at which a Rerun viewer may connect, or an .rrd file to write.
+    """
+
+    record: Path | None = None
+    rerun: str | None = None
+
+    def check(self, where: str) -> None:
+        """Refuse what cannot be meant, before anything is begun.
+
+        Raises:
+            Refusal: a file of another kind, or neither port nor file.
+        """
+        if self.record is not None:
+            check_suffix(where, "--record", self.record)
+        if self.rerun is not None and not (self.is_port or self.rerun.endswith(".rrd")):
+            raise Refusal(where, "--rerun", "be a port or end in .rrd", self.rerun)
+
+    @property
+    def is_port(self) -> bool:
+        """Whether a viewer may connect."""
+        return self.rerun is not None and self.rerun.isascii() and self.rerun.isdecimal()
+
+
+NOTHING = Kept()
+
+
+def check_suffix(where: str, quantity: str, file: Path) -> None:
+    """Refuse files of another kind than those of rows.
+
+    Raises:
+        Refusal: see above.
+    """
+    if file.suffix not in SUFFIXES:
+        raise Refusal(where, quantity, "end in a known kind", file.name, ", ".join(SUFFIXES))

@@ -1,0 +1,290 @@
+"""Files of rows, by their suffix: whole at every moment, or not there.
+
+Rows reach the system as they come. What a full disk has taken stays a whole file, in the kinds that
+grow row by row; the others appear under their name when they are whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from arm_emulator.base.column import Column, Rows
+from arm_emulator.base.kept import SUFFIXES, check_suffix
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.wheel import need_wheel
+
+CHUNK_SIZE = 2**18  # bytes of MCAP
+ROWS_OF_GROUP = 2**14  # of Parquet
+NANOSECONDS = 1_000_000_000
+MEASURED = "measured"  # the first part of the path of what is
+CLOCK = ("t", "tick")  # in both channels of MCAP
+
+
+class RecordFile(Protocol):
+    """A new file that rows go to."""
+
+    def write(self, rows: Rows) -> None:
+        """Append rows (K,).
+
+        Raises:
+            OSError: the disk does not take all of them.
+        """
+
+    def close(self) -> None:
+        """Make it whole.
+
+        Raises:
+            OSError: see `write`.
+        """
+
+    def give_up(self) -> None:
+        """Leave a whole file of what was taken before the disk failed, or none."""
+
+
+def open_record(where: str, file: Path, columns: Sequence[Column]) -> RecordFile:
+    """Return a new file of the kind that its suffix names.
+
+    Raises:
+        Refusal: another suffix, a file that exists or cannot be made, or a package is missing.
+    """
+    check_suffix(where, "file", file)
+    if file.exists():
+        raise Refusal(where, f"file {file}", "be new", "one that exists")
+    try:
+        return KINDS[file.suffix](file, columns)
+    except OSError as error:
+        raise Refusal(where, f"file {file}", "be writable", error.strerror) from None
+
+
+class CsvFile:
+    """A heading with units, then a line per row; a number that is none is an empty cell."""
+
+    def __init__(self, file: Path, columns: Sequence[Column]) -> None:
+        from arm_emulator.base.unbuffered_file import UnbufferedFile
+
+        self._columns, self._stream = columns, UnbufferedFile(file)
+        self._stream.write(",".join(_cell(one.heading) for one in columns).encode() + b"\n")
+        self._whole = self._stream.tell()
+
+    def write(self, rows: Rows) -> None:
+        """Append lines."""
+        lines = map(",".join, zip(*_texts(self._columns, rows, ""), strict=True))
+        self._stream.write("".join(f"{line}\n" for line in lines).encode())
+        self._whole = self._stream.tell()
+
+    def close(self) -> None:
+        """Make it whole."""
+        from arm_emulator.base.mcap_end import flush_to_disk
+
+        flush_to_disk(self._stream.fileno())
+        self._stream.close()
+
+    def give_up(self) -> None:
+        """Take back a line that is not whole."""
+        self._stream.truncate(self._whole)
+        self._stream.close()
+
+
+class McapFile:
+    """Channels ``truth`` and ``measured``, a JSON object each per row, with schemas of units."""
+
+    def __init__(self, file: Path, columns: Sequence[Column]) -> None:
+        need_wheel("record", "mcap", "mcap")
+        from mcap.writer import CompressionType, Writer
+
+        from arm_emulator.base.unbuffered_file import UnbufferedFile
+
+        self._file, self._stream = file, UnbufferedFile(file)
+        self._mcap = Writer(self._stream, CHUNK_SIZE, CompressionType.ZSTD)  # type: ignore[arg-type]
+        self._mcap.start("", "arm_emulator")
+        self._count = 0
+        truth = [one for one in columns if one.path[0] != MEASURED]
+        measured = [one for one in columns if one.path[0] == MEASURED]
+        clock = [one for one in truth if one.name in CLOCK]
+        self._topics = [self._topic("truth", truth), self._topic(MEASURED, clock + measured)]
+
+    def _topic(self, name: str, columns: list[Column]) -> tuple[int, list[Column], str]:
+        """Return number, columns and template of a channel."""
+        tree = _tree(columns)
+        text = json.dumps({"title": name, **_schema(tree)}).encode()
+        schema = self._mcap.register_schema(f"arm_emulator.{name}", "jsonschema", text)
+        return self._mcap.register_channel(name, "json", schema), columns, _template(tree)
+
+    def write(self, rows: Rows) -> None:
+        """Append a message per row and channel, at its logical time."""
+        times = np.rint(rows["t"] * NANOSECONDS).astype(np.int64).tolist()
+        lines = [
+            [(channel, template % texts) for texts in zip(*_texts(of, rows, "null"), strict=True)]
+            for channel, of, template in self._topics
+        ]
+        for time, *messages in zip(times, *lines, strict=True):
+            for channel, text in messages:
+                self._mcap.add_message(channel, time, text.encode(), time, self._count)
+            self._count += 1
+        self._mcap.flush()
+
+    def close(self) -> None:
+        """Write the index."""
+        from arm_emulator.base.mcap_end import flush_to_disk
+
+        self._mcap.finish()
+        flush_to_disk(self._stream.fileno())
+        self._stream.close()
+
+    def give_up(self) -> None:
+        """End it behind the last chunk that is whole."""
+        from arm_emulator.base.mcap_end import give_end
+
+        self._stream.close()
+        give_end(self._file)
+
+
+class _WholeAtTheEnd:
+    """A file that cannot be read before it is whole: till then it has another name."""
+
+    def __init__(self, file: Path, columns: Sequence[Column]) -> None:
+        self._file, self._columns = file, columns
+        self._part = file.with_name(f".{file.name}.{os.getpid()}.part")
+        self._part.touch(exist_ok=False)
+
+    def _publish(self) -> None:
+        from arm_emulator.base.mcap_end import flush_to_disk
+
+        with self._part.open("rb") as stream:
+            flush_to_disk(stream.fileno())
+        self._part.rename(self._file)
+
+    def give_up(self) -> None:
+        """Leave nothing."""
+        self._part.unlink(missing_ok=True)
+
+
+class ParquetFile(_WholeAtTheEnd):
+    """A column per number, the unit in the metadata of its field."""
+
+    def __init__(self, file: Path, columns: Sequence[Column]) -> None:
+        need_wheel("record", "pyarrow", "pyarrow")
+        import pyarrow.parquet as pq
+
+        super().__init__(file, columns)
+        self._waiting: list[Rows] = []
+        self._schema: Any = None
+        self._open = pq.ParquetWriter
+        self._writer: Any = None
+
+    def write(self, rows: Rows) -> None:
+        """Append rows, which are written group by group."""
+        self._waiting.append(rows)
+        if sum(map(len, self._waiting)) >= ROWS_OF_GROUP:
+            self._write_group()
+
+    def _write_group(self) -> None:
+        if not self._waiting:
+            return
+        table = arrow_table(self._columns, np.concatenate(self._waiting))
+        self._waiting = []
+        if self._writer is None:
+            self._writer = self._open(self._part, table.schema)
+        self._writer.write_table(table)
+
+    def close(self) -> None:
+        """Write the last group and the index."""
+        self._write_group()
+        if self._writer is not None:
+            self._writer.close()
+        self._publish()
+
+    def give_up(self) -> None:
+        """Leave nothing."""
+        with contextlib.suppress(Exception):
+            self._writer.close()
+        super().give_up()
+
+
+class NpzFile(_WholeAtTheEnd):
+    """An array per column in an archive of NumPy's."""
+
+    def __init__(self, file: Path, columns: Sequence[Column]) -> None:
+        super().__init__(file, columns)
+        self._waiting: list[Rows] = []
+
+    def write(self, rows: Rows) -> None:
+        """Take rows, which are written at the end."""
+        self._waiting.append(rows)
+
+    def close(self) -> None:
+        """Write all."""
+        rows = np.concatenate(self._waiting)
+        with self._part.open("wb") as stream:
+            np.savez(stream, **{one.name: one.of(rows) for one in self._columns})  # type: ignore[arg-type]
+        self._publish()
+
+
+KINDS: dict[str, Callable[[Path, Sequence[Column]], RecordFile]] = dict(
+    zip(SUFFIXES, (McapFile, CsvFile, ParquetFile, NpzFile), strict=True)
+)
+
+
+def arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
+    """Return rows as a table of Arrow, the units in the metadata of its fields."""
+    import pyarrow as pa
+
+    arrays = [pa.array(np.ascontiguousarray(one.of(rows))) for one in columns]
+    fields = [
+        pa.field(one.name, array.type, metadata={"unit": one.unit} if one.unit else None)
+        for one, array in zip(columns, arrays, strict=True)
+    ]
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+
+
+def _texts(columns: Sequence[Column], rows: Rows, none: str) -> list[list[str]]:
+    """Return the numbers of columns as texts that give the same bits; `none` where none is."""
+    texts = []
+    for one in columns:
+        values = one.of(rows)
+        written = list(map(repr, values.tolist()))
+        for k in np.flatnonzero(~np.isfinite(values)):
+            written[k] = none
+        texts.append(written)
+    return texts
+
+
+def _cell(text: str) -> str:
+    return '"{}"'.format(text.replace('"', '""')) if set(text) & set(',"\n') else text
+
+
+Tree = dict[str, Any]  # columns in groups by their paths
+_NUMBER = "\0"  # stands for a number in a template; no name has it
+
+
+def _tree(columns: Sequence[Column]) -> Tree:
+    tree: Tree = {}
+    for one in columns:
+        at, path = tree, one.path[1:] if one.path[0] == MEASURED else one.path
+        for part in path[:-1]:
+            at = at.setdefault(part, {})
+        at[path[-1]] = one
+    return tree
+
+
+def _template(tree: Tree) -> str:
+    """Return an object of JSON with `%s` for each number."""
+    text = json.dumps(tree, separators=(",", ":"), default=lambda _: _NUMBER)
+    return text.replace("%", "%%").replace(json.dumps(_NUMBER), "%s")
+
+
+def _schema(tree: Tree) -> dict[str, Any]:
+    properties = {
+        key: _schema(one)
+        if isinstance(one, dict)
+        else {"type": ["number", "null"], "description": one.unit}
+        for key, one in tree.items()
+    }
+    return {"type": "object", "properties": properties}

@@ -1,0 +1,111 @@
+"""Rows of a machine for a reader in another process: core/boundary/record_ring.h."""
+
+from __future__ import annotations
+
+import mmap
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.column import Rows
+from arm_emulator.build.c_header import NULL, Header, Library
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import Unit, library
+from arm_emulator.core import BOUNDARY
+
+RING = Header(BOUNDARY / "record_ring.h")
+CAPACITY = 2**13  # rows: 8 s at 1 kHz
+
+
+@cache
+def record_ring() -> Library:
+    """Return the compiled ring, compiling it if no cached library fits.
+
+    Raises:
+        Refusal: there is neither a sound cached library nor a working compiler.
+    """
+    return library(record_ring_unit())
+
+
+def record_ring_unit() -> Unit:
+    """Return the ring as what is compiled."""
+    name, part, about = "record_ring", "record_ring.c", "the ring of records"
+    return Unit(name, f'#include "{part}"\n', C_FLAGS, (BOUNDARY,), (RING,), name, about, part)
+
+
+class SharedRing:
+    """Memory that both processes map.
+
+    Attributes:
+        pointer: to ``record_ring``.
+        rows: all its places (CAPACITY,).
+
+    Args:
+        descriptor: of the memory, of `size` bytes.
+        kind: of a row.
+    """
+
+    def __init__(self, descriptor: int, kind: np.dtype[Any]) -> None:
+        self._memory = mmap.mmap(descriptor, SharedRing.size(kind))
+        head = RING.sizeof("record_ring")
+        self.pointer = RING.ffi.cast("record_ring *", RING.ffi.from_buffer(self._memory))
+        self.rows: Rows = np.frombuffer(self._memory, kind, CAPACITY, head)
+        self._calls = record_ring()
+
+    @staticmethod
+    def size(kind: np.dtype[Any]) -> int:
+        """Return the bytes of a ring."""
+        return RING.sizeof("record_ring") + CAPACITY * kind.itemsize
+
+    @property
+    def dropped(self) -> int:
+        """Rows that found no room."""
+        return int(self.pointer.dropped)
+
+    def take(self) -> Rows:
+        """Return the rows that wait, as a copy, which may be none; their places are free then."""
+        count = self._calls.record_waiting(self.pointer)
+        places = (self.pointer.taken + np.arange(count)) % CAPACITY
+        rows: Rows = self.rows[places]
+        self._calls.record_release(self.pointer, count)
+        return rows
+
+
+class RingWriter:
+    """The machine's side.
+
+    Args:
+        ring: the memory.
+        core: library of the machine.
+        row: where the core writes a row.
+        reader: the end of a pipe that reports when the reader has ended.
+        waits: whether the machine waits for room, or drops what finds none.
+    """
+
+    def __init__(self, ring: SharedRing, core: Library, row: Any, reader: int, waits: bool) -> None:
+        self._keeps = ring, row  # what the struct points to
+        self._core, self._calls = core, record_ring()
+        self._writer = RING.new(
+            "record_writer",
+            waits=waits,
+            reader=reader,
+            measure=core.arm_measure,
+            get_truth=core.arm_get_truth,
+            measurement=row.measurement,
+            truth=row.truth,
+            row=RING.ffi.cast("record_row *", RING.ffi.from_buffer(row.rows)),
+            row_bytes=row.rows.itemsize,
+            capacity=CAPACITY,
+            ring=ring.pointer,
+            rows=RING.ffi.cast("char *", RING.ffi.from_buffer(ring.rows)),
+        )
+
+    def listen(self, machine: Any) -> None:
+        """Write a row now, and one at the end of each exchange."""
+        self._calls.record_take(self._writer, machine)
+        self._core.arm_listen(machine, self._calls.record_take, self._writer)
+
+    def leave(self, machine: Any) -> None:
+        """Write no more rows."""
+        self._core.arm_listen(machine, NULL, NULL)

@@ -1,0 +1,72 @@
+"""Rows of a run shown in Rerun."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.column import Column, Rows
+from arm_emulator.view.rerun_stream import RerunStream
+
+NANOSECONDS = 1_000_000_000
+MOST_WAITING = 10_000  # samples
+BREATH = 1e-3  # s
+LONGEST_END = 60.0  # s
+
+
+class RerunRows:
+    """Shows all rows, and takes no more than Rerun does.
+
+    Args:
+        where: the port at which a viewer may connect, or an .rrd file.
+        columns: of the rows.
+        angle_per_count: of the encoders (N,) [rad or m].
+        view: what `RerunStream` gets beside.
+
+    Raises:
+        Refusal: see `RerunStream`.
+    """
+
+    def __init__(
+        self,
+        where: str,
+        columns: Sequence[Column],
+        angle_per_count: NDArray[np.float64],
+        view: Mapping[str, Any],
+    ) -> None:
+        place = {"port": int(where)} if where.isdecimal() else {"file": where}
+        self._stream = RerunStream(**view, **place)
+        self._angle_per_count = angle_per_count
+        self._columns: dict[str, list[Column]] = {}
+        for one in columns:
+            self._columns.setdefault(".".join(one.path[:-1]), []).append(one)
+        self._further = list(view["further"])
+
+    def _of(self, rows: Rows, group: str) -> NDArray[np.float64]:
+        return np.column_stack([one.of(rows) for one in self._columns[group]]).astype(np.float64)
+
+    def show(self, rows: Rows) -> None:
+        """Show rows (K,)."""
+        counts = self._of(rows, "measured.encoder_counts")
+        quantities = [
+            *(self._of(rows, name) for name in ("q", "v", "gear_torque", "current")),
+            self._of(rows, "measured.applied"),
+            (counts + 0.5) * self._angle_per_count,
+            *(self._of(rows, f"measured.{name}") for name in self._further),
+        ]
+        times = np.rint(rows["t"] * NANOSECONDS).astype(np.int64).tolist()
+        for time_ns, *sample in zip(times, *quantities, strict=True):
+            while self._stream.waiting >= MOST_WAITING:
+                time.sleep(BREATH)
+            q, v, torque, current, applied, measured, *further = sample
+            self._stream.offer(time_ns, q, v, torque, current, applied, measured, further)
+
+    def close(self) -> str:
+        """Write what waits; return what went wrong, in words."""
+        self._stream.close(LONGEST_END)
+        lost = f"{self._stream.dropped} samples are not shown" if self._stream.dropped else ""
+        return self._stream.trouble or lost
