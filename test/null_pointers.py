@@ -21,6 +21,7 @@ from arm_emulator.machine.compiler import fleet_library_of, real_time_library
 from arm_emulator.machine.core_calls import ARM, FIRMWARE_LOOP, FLEET, REAL_TIME
 from arm_emulator.machine.firmware_loop import firmware_loop
 from arm_emulator.machine.plant import Plant, options_of
+from arm_emulator.machine.record_ring import RING, record_ring
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.servo.drives import Drives as ServoDrives
@@ -64,13 +65,14 @@ def main() -> None:
     size = plant.core.arm_saved_size()
     values = {
         ("arm_save", 2): size, ("arm_restore", 2): size, ("drives_write", 5): size,
-        ("ethercat_frame", 2): size, ("ethercat_serve", 1): -1,
+        ("ethercat_frame", 2): size, ("arm_listen", 1): NULL, ("ethercat_serve", 1): -1,
     }  # fmt: skip
     libraries = [
         (ARM, fleet_library),
         (FLEET, fleet_library),
         (REAL_TIME, real_time_library()),
         (FIRMWARE_LOOP, firmware_loop()),
+        (RING, record_ring()),
         (SERVO, servo_law()),
         (DRIVES, segment.drives.calls),
         (SEGMENT, segment.drives.calls),

@@ -76,15 +76,20 @@ def test_a_recording_is_a_table(tmp_path: Path) -> None:
             plant.exchange({"waist": 5.0, "shoulder": 0.0, "elbow": 1.0})
             run.take()
     rows = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True, deletechars="")
-    assert np.array_equal(rows["q.elbow"], run["q"][:, 2])
-    assert rows["t"][-1] == plant.t and rows["energy"][-1] == plant.energy
-    assert np.array_equal(rows["measured.current.waist"], run["measured.current"][:, 0])
+    # Headings have units; NumPy makes names of them.
+    assert np.array_equal(rows["q.elbow_[rad]"], run["q"][:, 2])
+    assert rows["t_[s]"][-1] == plant.t and rows["energy_[J]"][-1] == plant.energy
+    assert np.array_equal(rows["measured.current.waist_[A]"], run["measured.current"][:, 0])
     for wrong in ({"names": ("speed",)}, {"file": "run.txt"}):
         with pytest.raises(Refusal):
             Recording(plant, **wrong)  # type: ignore[arg-type]
     pa = pytest.importorskip("pyarrow")
     table = run.table()
-    assert isinstance(table, pa.Table) and table["q.elbow"].to_pylist() == rows["q.elbow"].tolist()
+    assert (
+        isinstance(table, pa.Table)
+        and table["q.elbow"].to_pylist() == rows["q.elbow_[rad]"].tolist()
+    )
+    assert table.schema.field("q.elbow").metadata == {b"unit": b"rad"}
 
 
 def test_a_run_is_recorded_every_so_often() -> None:

@@ -20,7 +20,8 @@ from arm_emulator.base.kept import SUFFIXES, check_suffix
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 
-CHUNK_SIZE = 2**18  # bytes of MCAP
+CHUNK_SIZE = 2**30  # bytes of MCAP: chunks end between rows, not where they are full
+ROWS_OF_CHUNK = 256
 ROWS_OF_GROUP = 2**14  # of Parquet
 NANOSECONDS = 1_000_000_000
 MEASURED = "measured"  # the first part of the path of what is
@@ -69,8 +70,9 @@ class CsvFile:
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
         from arm_emulator.base.unbuffered_file import UnbufferedFile
 
-        self._columns, self._stream = columns, UnbufferedFile(file)
+        self._file, self._columns, self._stream = file, columns, UnbufferedFile(file)
         self._stream.write(",".join(_cell(one.heading) for one in columns).encode() + b"\n")
+        # Up to where lines are whole for sure.
         self._whole = self._stream.tell()
 
     def write(self, rows: Rows) -> None:
@@ -88,7 +90,10 @@ class CsvFile:
 
     def give_up(self) -> None:
         """Take back a line that is not whole."""
-        self._stream.truncate(self._whole)
+        with self._file.open("rb") as stream:
+            stream.seek(self._whole)
+            taken = stream.read().rfind(b"\n") + 1
+        self._stream.truncate(self._whole + taken)
         self._stream.close()
 
 
@@ -128,6 +133,8 @@ class McapFile:
             for channel, text in messages:
                 self._mcap.add_message(channel, time, text.encode(), time, self._count)
             self._count += 1
+            if self._count % ROWS_OF_CHUNK == 0:
+                self._mcap.flush()
         self._mcap.flush()
 
     def close(self) -> None:

@@ -42,7 +42,8 @@ def main() -> None:
     try:
         _take_all(ring, files, show)
     except OSError as error:
-        trouble = f"the disk takes no more: {error.strerror or error}"
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        trouble = f"the disk takes no more: {reason}"
     report("; ".join(filter(None, (trouble, end()))))
 
 

@@ -24,6 +24,7 @@ from arm_emulator.doors.fmu.unit import unit_of
 from arm_emulator.doors.fmu.variables import scalars, variables
 from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
+from arm_emulator.machine.record_ring import record_ring_unit
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
@@ -72,6 +73,7 @@ def units(folder: Path) -> Iterator[Unit]:
         yield machine_unit(scene)
         yield fleet_unit(scene)
     yield from (servo_unit(), servo_step_unit(), firmware_loop_unit(), real_time_unit())
+    yield record_ring_unit()
     yield from (drives_unit(), ethercat_unit())
     if find_spec("unicorn"):
         from arm_emulator.doors.microcontroller.microcontroller import runner_unit

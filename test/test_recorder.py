@@ -1,0 +1,391 @@
+"""Runs without a network, recorded and shown: every tick, whatever lets time pass or ends it."""
+
+from __future__ import annotations
+
+import csv
+import inspect
+import itertools
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+from test_outputs import everything
+
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.kept import SUFFIXES, Kept
+from arm_emulator.base.record_file import open_record
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.canopen import load_segment
+from arm_emulator.cli.command import command_names, load_command
+from arm_emulator.doors.fieldbus.ethercat import Segment
+from arm_emulator.machine.loop_clock import real_time_session
+from arm_emulator.machine.outputs import outputs_of, units_of
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import ROWS
+from arm_emulator.machine.record_row import RecordRow, columns_of
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.runs.recorder import Recorder
+
+PATIENCE = 60.0  # s
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """A machine that has every output."""
+    return everything(tmp_path_factory.mktemp("recorded"))
+
+
+def read(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
+    """Return a file's columns and their units, read by others."""
+    return READERS[file.suffix](file)
+
+
+def _csv(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
+    with file.open(newline="") as stream:
+        head, *rows = csv.reader(stream)
+    named = [re.fullmatch(r"(.*?)(?: \[(.*)\])?", one) for one in head]
+    assert all(named)
+    names, units = zip(*((one[1], one[2] or "") for one in named if one), strict=True)
+    columns = [
+        [float(cell) if cell else None for cell in column] for column in zip(*rows, strict=True)
+    ]
+    return dict(zip(names, columns, strict=True)), dict(zip(names, units, strict=True))
+
+
+def _mcap(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
+    from mcap.reader import make_reader
+
+    columns: dict[str, list[Any]] = {}
+    units: dict[str, str] = {}
+
+    def leaves(tree: dict[str, Any], path: str) -> Iterator[tuple[str, Any]]:
+        for key, value in tree.items():
+            if isinstance(value, dict) and not isinstance(value.get("type"), list):
+                yield from leaves(value.get("properties", value), f"{path}{key}.")
+            else:
+                yield path + key, value
+
+    with file.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            group = "measured." if channel.topic == "measured" else ""
+            described = leaves(json.loads(schema.data)["properties"], group)
+            units |= {name: leaf["description"] for name, leaf in described}
+            data = json.loads(message.data)
+            assert message.log_time == round(data["t"] * 1e9)
+            for name, value in leaves(data, group):
+                columns.setdefault(name, []).append(value)
+    for clock in ("t", "tick"):
+        assert columns.pop(f"measured.{clock}") == columns[clock]
+        units.pop(f"measured.{clock}")
+    return columns, units
+
+
+def _parquet(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(file)
+    units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in table.schema}
+    return table.to_pydict(), units
+
+
+def _npz(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
+    with np.load(file) as archive:
+        return {name: archive[name].tolist() for name in archive}, {}
+
+
+READERS: dict[str, Callable[[Path], tuple[dict[str, list[Any]], dict[str, str]]]] = {
+    ".csv": _csv, ".mcap": _mcap, ".parquet": _parquet, ".npz": _npz,
+}  # fmt: skip
+
+
+def truth_of(plant: Plant) -> dict[str, Any]:
+    """Everything that a record has to have, by the plant's own account."""
+    scene, state, measured = plant.scene, plant.state, plant.measured
+    found: dict[str, Any] = {"t": state.t, "energy": plant.energy}
+    found |= {
+        f"{name}.{joint}": float(value)
+        for name in ROWS
+        for joint, value in zip(scene.joint_names, getattr(state, name), strict=True)
+    }
+    for output in outputs_of(scene):
+        values = getattr(measured, output.name).tolist()
+        for owner, value in zip(
+            [imu.name for imu in scene.imus] if output.per_unit else scene.joint_names,
+            values, strict=True,
+        ):  # fmt: skip
+            of = zip("xyz", value, strict=True) if output.per_unit else [("", value)]
+            found |= {f"measured.{output.name}.{owner}.{k}".rstrip("."): one for k, one in of}
+    return found
+
+
+def test_every_kind_of_file_is_tested() -> None:
+    assert set(READERS) == set(SUFFIXES)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_file_has_truth_and_measurement_of_every_tick(
+    scene: Scene, tmp_path: Path, suffix: str
+) -> None:
+    plant, file = Plant(scene), tmp_path / f"run{suffix}"
+    draw = np.random.default_rng(3)
+    with Recorder(plant, Kept(file), waits=True):
+        expected = [truth_of(plant)]
+        for tick in range(40):
+            plant.exchange(draw.uniform(-20.0, 20.0, len(scene.joints)), tick)
+            expected.append(truth_of(plant))
+    plant.exchange([0.0, 0.0])  # which is not recorded any more
+    columns, units = read(file)
+    assert columns.pop("tick") == list(range(41))
+    assert set(columns) == set(expected[0])
+    for name, values in columns.items():
+        assert values == [row[name] for row in expected], f"{name}: to the last bit"
+    if units:
+        assert units["t"] == "s" and units["q.turn"] == "rad" and units["v.slide"] == "m/s"
+        assert units["gear_torque.turn"] == "N m" and units["gear_torque.slide"] == "N"
+        for output in outputs_of(scene):
+            for joint, unit in zip(scene.joint_names, units_of(scene, output), strict=False):
+                if not output.per_unit:
+                    assert units[f"measured.{output.name}.{joint}"] == unit
+
+
+def test_what_is_no_number_is_an_empty_cell_and_null(scene: Scene, tmp_path: Path) -> None:
+    rows = RecordRow(Plant(scene)).take()
+    rows["q"][0, 1], rows["v"][0, 0] = np.nan, -np.inf
+    for suffix in (".csv", ".mcap"):
+        record = open_record("test", tmp_path / f"odd{suffix}", columns_of(scene))
+        record.write(rows)
+        record.close()
+        columns, _ = read(tmp_path / f"odd{suffix}")
+        assert columns["q.slide"] == columns["v.turn"] == [None] and columns["q.turn"] != [None]
+
+
+def in_real_time(file: Path) -> tuple[Plant, Callable[[], None]]:
+    session = real_time_session(load_scene("three_axis"), "paused")
+
+    def go() -> None:
+        session.paused = False
+        time.sleep(0.2)
+        session.close()
+
+    return session.plant, go
+
+
+def in_lock_step(file: Path) -> tuple[Plant, Callable[[], None]]:
+    one = load_offline_run("three_axis")
+    return one.session.plant, lambda: one.advance(10_000)  # more than the ring has room for
+
+
+def on_canopen(file: Path) -> tuple[Plant, Callable[[], None]]:
+    segment = load_segment("three_axis")
+    return segment.drives.plant, lambda: segment.drives.period(500)
+
+
+def on_ethercat(file: Path) -> tuple[Plant, Callable[[], None]]:
+    name = "three_axis"
+    servo = load_gains(find_scene(name)).servo
+    segment = Segment(load_scene(name), servo, lockstep=False)
+
+    def go() -> None:
+        for k in range(1, 201):
+            segment.period(k * 1_000_000)
+
+    return segment.drives.plant, go
+
+
+@pytest.mark.parametrize("door", [in_real_time, in_lock_step, on_canopen, on_ethercat])
+def test_loops_in_c_are_recorded_period_by_period(
+    tmp_path: Path, door: Callable[[Path], tuple[Plant, Callable[[], None]]]
+) -> None:
+    file = tmp_path / "run.csv"
+    plant, go = door(file)
+    with Recorder(plant, Kept(file), waits=door is not in_real_time):
+        go()
+    columns, _ = read(file)
+    last = round(plant.t / plant.scene.servo_period)
+    assert columns["tick"] == list(range(last + 1)) and last >= 50
+    assert [
+        columns[f"q.{joint}"][-1] for joint in plant.scene.joint_names
+    ] == plant.state.q.tolist()
+
+
+def await_rows(process: subprocess.Popen[str], folder: Path) -> None:
+    """Wait until the recorder has begun, and then for some rows."""
+    end = time.monotonic() + PATIENCE
+    while not any(folder.iterdir()):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end, "rows that the test waits for"
+        time.sleep(0.02)
+    time.sleep(1.0)
+
+
+def wait_until_whole(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
+    """Read a file whose writer ends by itself soon."""
+    end = time.monotonic() + PATIENCE
+    while True:
+        try:
+            return read(file)
+        except Exception:
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("how", "suffix"),
+    some(
+        [
+            (signal.SIGKILL, ".csv"),
+            (signal.SIGINT, ".mcap"),
+            (signal.SIGKILL, ".parquet"),
+            *itertools.product([signal.SIGKILL, signal.SIGINT], SUFFIXES),
+        ],
+        3,
+    ),
+)
+def test_a_run_that_is_ended_leaves_a_whole_file(
+    tmp_path: Path, how: signal.Signals, suffix: str
+) -> None:
+    file = tmp_path / f"run{suffix}"
+    words = ["run", "three_axis", "--seconds", "1e6", "--record", str(file)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "arm_emulator", *words],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        await_rows(process, tmp_path)
+        process.send_signal(how)
+        process.wait(PATIENCE)
+    finally:
+        process.kill()
+        process.communicate()
+    columns, _ = wait_until_whole(file)
+    assert len(columns["t"]) > 100
+    np.testing.assert_allclose(np.diff(columns["t"]), 1e-3, rtol=1e-6)
+    assert {len(values) for values in columns.values()} == {len(columns["t"])}
+    assert not list(tmp_path.glob(".*")), "nothing else is left"
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own that is soon full."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=300k", "small", str(disk)]
+    mounted = subprocess.run(mount, capture_output=True, text=True, check=False)
+    if mounted.returncode != 0:
+        pytest.skip(f"no disk can be mounted: {mounted.stderr.strip()}")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_full_disk_is_reported_and_leaves_a_whole_file_or_none(
+    small_disk: Path, suffix: str
+) -> None:
+    file, one = small_disk / f"run{suffix}", load_offline_run("three_axis")
+    recorder = Recorder(one.session.plant, Kept(file), waits=True)
+    one.advance(20_000)
+    with pytest.raises(Refusal, match="take every row, got the disk takes no more: No space"):
+        recorder.close()
+    if suffix in (".csv", ".mcap"):
+        columns, _ = read(file)
+        assert 100 < len(columns["t"]) < 20_000
+        assert columns["tick"] == list(range(len(columns["t"])))
+    else:
+        assert not list(small_disk.iterdir()), "what cannot be read is not left"
+
+
+def test_rerun_gets_the_run(tmp_path: Path) -> None:
+    chunk = pytest.importorskip("rerun.chunk")
+    plant, file = Plant("three_axis"), tmp_path / "run.rrd"
+    with Recorder(plant, Kept(tmp_path / "run.csv", str(file)), waits=True):
+        for _ in range(50):
+            plant.exchange([5.0, 0.0, 1.0])
+    columns, _ = read(tmp_path / "run.csv")
+    shown: list[float] = []
+    for one in chunk.RrdReader(file).stream().filter(content="/signals/q/elbow"):
+        batch = one.to_record_batch()
+        if "Scalars:scalars" in batch.schema.names:
+            shown += [value[0] for value in batch["Scalars:scalars"].to_pylist()]
+    assert shown == columns["q.elbow"]
+
+
+def recording_commands() -> list[str]:
+    """Commands that take --record and --rerun."""
+    found = []
+    for name in command_names():
+        one = load_command(name)
+        assert one is not None
+        if "kept" in inspect.signature(one.function).parameters:
+            found.append(name)
+    return found
+
+
+def test_every_run_without_a_network_can_be_kept() -> None:
+    assert recording_commands() == ["canopen", "ethercat", "firmware", "modbus", "run"]
+
+
+@pytest.mark.parametrize("name", recording_commands())
+def test_wrong_places_are_refused_before_anything_is_begun(name: str) -> None:
+    words = ["no_board.yaml", "no.elf"] if name == "firmware" else ["no_scene"]
+    for option, got, line in (
+        ("--record", "run.txt", "--record must end in a known kind, got run.txt; valid: .mcap, "),
+        ("--record", "run", "--record must end in a known kind, got run; valid: .mcap, "),
+        ("--rerun", "run.csv", "--rerun must be a port or end in .rrd, got run.csv"),
+    ):
+        with pytest.raises(Refusal, match=re.escape(f"{name}: {line}")):
+            one = load_command(name)
+            assert one is not None
+            from arm_emulator.cli.arguments import run_with
+
+            run_with(one, [*words, option, got])
+
+
+def test_files_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    plant, there = Plant("three_axis"), tmp_path / "there.csv"
+    there.write_text("mine")
+    for file, line in (
+        (there, "there.csv must be new, got one that exists"),
+        (tmp_path / "none" / "run.mcap", "run.mcap must be writable, got No such file"),
+        (tmp_path / "none" / "run.parquet", "run.parquet must be writable, got No such file"),
+    ):
+        with pytest.raises(Refusal, match=line):
+            Recorder(plant, Kept(file), waits=True)
+    assert there.read_text() == "mine"
+
+
+@pytest.mark.parametrize("words", [["canopen", "--clock", "realtime", "--listen", "0"],
+                                   ["modbus", "--clock", "realtime"]])  # fmt: skip
+def test_buses_record_until_ctrl_c(tmp_path: Path, words: list[str]) -> None:
+    file = tmp_path / "run.csv"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "arm_emulator", *words, "--record", str(file)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        end = time.monotonic() + PATIENCE
+        while not file.exists() or file.read_bytes().count(b"\n") < 2:
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+    finally:
+        process.kill()
+        process.communicate()
+    columns, _ = read(file)
+    assert columns["tick"] == list(range(len(columns["t"])))
