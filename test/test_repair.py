@@ -290,6 +290,7 @@ def test_after_the_first_failure_nothing_is_written_behind_it(
         bag = tmp_path / f"{case}"
         with monkeypatch.context() as patch:
             patch.setattr("arm_emulator.ros.bag.write_all", writes)
+            patch.setattr("arm_emulator.base.unbuffered_file.write_all", writes)
             if number is None:
                 talk(bag, 100, case)
             else:
