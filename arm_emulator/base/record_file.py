@@ -65,7 +65,7 @@ def open_record(where: str, file: Path, columns: Sequence[Column]) -> RecordFile
 
 
 class CsvFile:
-    """A heading with units, then a line per row; a number that is none is an empty cell."""
+    """A heading with units, then a line per row; what is not finite is an empty cell."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
         from arm_emulator.base.unbuffered_file import UnbufferedFile

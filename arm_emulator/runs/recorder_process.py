@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def report(what: Refusal | str | None) -> None:
-    """Hand the run a refusal or that there is none, and at the end what went wrong."""
+    """Hand the run a refusal or None, and at the end what went wrong."""
     with contextlib.suppress(BrokenPipeError):  # the run was killed
         pickle.dump(what, sys.stdout.buffer)
         sys.stdout.flush()
