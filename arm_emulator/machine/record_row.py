@@ -65,8 +65,7 @@ def row_type(scene: Scene) -> np.dtype[np.void]:
 
 def measured_in(rows: Rows, scene: Scene) -> Measured:
     """Return what rows (K,) have of `Plant.measured`, (K, N) each."""
-    arrays = {name: rows[name] for name in (*STRUCTS, "current_d", READINGS)}
-    return Measured(arrays, tuple(one.name for one in readings_of(scene)))
+    return Measured(rows, tuple(one.name for one in readings_of(scene)))
 
 
 def columns_of(scene: Scene) -> list[Column]:
