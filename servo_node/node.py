@@ -50,7 +50,7 @@ from arm_emulator.ros.node_shell import (
 )
 from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo import FloatArray, Servo
-from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, describe
+from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
 from arm_emulator.servo.watchdog import WatchdogState
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
@@ -107,9 +107,9 @@ class ServoNode(Node):
             )
         self._config = ServoConfig.from_mapping(given, PARAMETERS)
         for name in given:
-            words, one = describe(name)
+            one = declared(name)
             descriptor = ParameterDescriptor(
-                description=words,
+                description=one.described if one else name.replace("_", " "),
                 read_only=name.rsplit(".", 1)[-1] not in SETTABLE,
                 dynamic_typing=True,
             )

@@ -18,10 +18,10 @@ from arm_emulator.base.bound import (
     EFFORT,
     POSITION,
     VELOCITY,
-    Bound,
     encoder_counts,
 )
 from arm_emulator.base.config_files import find_config
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session
@@ -67,27 +67,25 @@ def test_a_bound_takes_exactly_what_is_within(seed: int) -> None:
         if rng.random() < 0.3:
             values[rng.randrange(N)] = number(rng)
         within = all(abs(x) <= y for x, y in zip(values, np.broadcast_to(largest, N), strict=True))
-        bound = Bound("q", "rad", largest)
+        bound = Number.within("q", "rad", largest)
         if within:
-            assert bound.vector("here", values, N).tolist() == values
+            assert bound.row("here", values, N).tolist() == values
         else:
-            with pytest.raises(
-                Refusal, match=r"^here: q must be (finite|within \+-\S+) \[rad\], got"
-            ):
-                bound.vector("here", values, N)
+            with pytest.raises(Refusal, match=r"^here: q must be numbers within \+-\S+ rad, got"):
+                bound.row("here", values, N)
 
 
 @pytest.mark.parametrize("values", NO_NUMBERS)
 def test_what_is_no_number_is_refused(values: Any) -> None:
     with pytest.raises(Refusal, match=r"^here: q must "):
-        POSITION.named("q").vector("here", values, 3)
+        POSITION.named("q").row("here", values, 3)
 
 
 def test_encoder_counts_keep_the_joint_and_the_hold_of_it_within_its_position() -> None:
     for seed in range(100):
         angle = 10.0 ** random.Random(seed).uniform(-15, 2)
-        largest = float(np.min(encoder_counts([angle]).largest))
-        assert (largest + 0.5) * angle <= POSITION.largest
+        largest = float(np.min(encoder_counts([angle]).at_most))
+        assert (largest + 0.5) * angle <= POSITION.most
         assert largest + 0.5 != largest + 1.0, "half a count must not be lost"
 
 
@@ -105,14 +103,14 @@ def test_the_servo_refuses_extreme_numbers_and_stays_as_it_was(scene: str) -> No
     servo = Servo(config)
     counts, zero = [10.0] * N, [0.0] * N
 
-    def wrong(bound: Bound) -> list[float]:
+    def wrong(bound: Number) -> list[float]:
         values = [rng.uniform(-1.0, 1.0) for _ in range(N)]
-        values[rng.randrange(N)] = rng.choice((huge(rng), math.nan, math.inf, 1.01 * bound.largest))
+        values[rng.randrange(N)] = rng.choice((huge(rng), math.nan, math.inf, 1.01 * bound.most))
         return values
 
     for _ in range(50):
         servo.update(counts, zero, [0.1] * N)
-    largest_count = Bound("counts", "", 2.0**53)
+    largest_count = Number.within("counts", "", 2.0**53)
     ways: list[Callable[[], Any]] = [
         lambda: servo.observe(wrong(largest_count), zero),
         lambda: servo.observe(counts, wrong(CURRENT)),
@@ -136,7 +134,7 @@ def test_the_servo_stays_finite_within_the_bounds(scene: str) -> None:
     rng, config = random.Random(scene), servo_config(scene)
     N = len(config.joints)
     servo = Servo(config)
-    counts_bound = encoder_counts([joint.count_angle for joint in config.joints]).largest
+    counts_bound = encoder_counts([joint.count_angle for joint in config.joints]).at_most
 
     def within(largest: Any) -> Any:
         return np.array([rng.choice((-1.0, 0.0, 1e-300, 0.3, 1.0)) for _ in range(N)]) * largest
@@ -144,10 +142,10 @@ def test_the_servo_stays_finite_within_the_bounds(scene: str) -> None:
     for _ in range(2000):
         voltage = servo.update(
             np.floor(within(counts_bound)),
-            within(CURRENT.largest),
-            within(POSITION.largest),
-            within(VELOCITY.largest),
-            within(EFFORT.largest),
+            within(CURRENT.most),
+            within(POSITION.most),
+            within(VELOCITY.most),
+            within(EFFORT.most),
         )
         assert (np.abs(voltage) <= config.supply_voltage).all()
     assert servo.restarts == 0
@@ -342,7 +340,7 @@ def test_a_session_refuses_extreme_numbers_and_stays_as_it_was(clock: str) -> No
     for tick in range(100):
         for _ in range(5):
             voltage = [rng.gauss(0.0, 1.0) for _ in names]
-            voltage[rng.randrange(3)] = rng.choice((huge(rng), math.nan, 1.01 * COMMAND.largest))
+            voltage[rng.randrange(3)] = rng.choice((huge(rng), math.nan, 1.01 * COMMAND.most))
             with pytest.raises(Refusal):
                 one.offer(tick, names, voltage)
             with pytest.raises(Refusal):
@@ -351,7 +349,7 @@ def test_a_session_refuses_extreme_numbers_and_stays_as_it_was(clock: str) -> No
                 one.offer(tick, names, rng.choice(([None] * 3, ["x"] * 3, [10**400] * 3)))
         for session in (one, other):
             # As much as there may be: the drives apply the supply voltage.
-            session.offer(tick, names, [1.0, -2.0, COMMAND.largest if tick % 7 else 0.0])
+            session.offer(tick, names, [1.0, -2.0, COMMAND.most if tick % 7 else 0.0])
             session.advance()
         assert one.state.q.tobytes() == other.state.q.tobytes(), f"tick {tick}"
 

@@ -79,10 +79,10 @@ BAD: list[tuple[object, str]] = [
     (3.0, "must be a list"),
     ([1.0, 2.0], "must list waves of [order, amplitude in N m]"),
     ([[1.0]], "must list waves of [order, amplitude in N m]"),
-    ([[0.0, 1.0]], "must have waves of orders > 0"),
-    ([[float("nan"), 1.0]], "must list waves of numbers"),
-    ([[6.0, "much"]], "must list waves of numbers"),
-    ([[6.0, True]], "must list waves of numbers"),
+    ([[0.0, 1.0]], "must list waves whose order is a number > 0"),
+    ([[float("nan"), 1.0]], "must list waves whose order is a number"),
+    ([[6.0, "much"]], "must list waves whose amplitude is a number within +-1000 N m"),
+    ([[6.0, True]], "must list waves whose amplitude is a number within +-1000 N m"),
     ([[6.0, 0.1]] * 17, "must have at most 16 waves"),
 ]
 

@@ -15,8 +15,10 @@ import pytest
 import yaml
 from documents import DOCS, DOCUMENTS, ROOT, page_of
 
+from arm_emulator.base.number import Number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.compiler_command import find_compiler
+from arm_emulator.machine import scene
 from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
 from bench import pages
 from docs import hooks
@@ -100,11 +102,10 @@ def test_files_named_in_text_exist(document: Path) -> None:
 def test_every_key_of_a_scene_is_listed() -> None:
     """What parts declare is compared in test_parts.py."""
     source = (ROOT / "arm_emulator" / "machine" / "scene.py").read_text()
-    keys = set(
-        re.findall(
-            r"\.(?:number|text|choice|integer|vector|(?:required_)?section)\(\s*\"(\w+)\"", source
-        )
-    )
+    keys = set(re.findall(r"\.(?:text|choice|(?:required_)?section)\(\s*\"(\w+)\"", source))
+    keys |= {one.name for one in vars(scene).values() if isinstance(one, Number)}
+    for kind in (scene.Scene, scene.Integrator, scene.Joint):
+        keys |= set(numbers_of(kind))
     assert {"gravity", "servo_period", "threads"} <= keys  # the pattern still finds them
     text = page_of("scene").read_text()
     rows = "\n".join(line.split("|")[1] for line in text.splitlines() if line.startswith("| `"))

@@ -107,7 +107,7 @@ def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
     name = f"axis_{j + 1}"
     return {
         "NaN": (other(tau=nan), f"tau of {name} must be finite"),
-        "huge": (other(tau=huge), f"tau of {name} must be within"),
+        "huge": (other(tau=huge), f"tau of {name} must be numbers within"),
         "nothing drives": (
             other(tau=np.where(np.arange(6) == j, 0.0, RUN_A.tau)),
             f"torque of {name} must change",

@@ -79,7 +79,9 @@ def test_lanes_move_as_single_arms(machine: Scene) -> None:
     """With numbers, commands, power and starts of their own."""
     rng = np.random.default_rng(4)
     values = {
-        one.name: np.clip(one.value * rng.uniform(0.8, 1.2, COUNT), one.least, one.most)
+        one.name: np.clip(
+            one.value * rng.uniform(0.8, 1.2, COUNT), one.number.least, one.number.most
+        )
         for one in machine.varied
     }
     most = np.array([most for _, most in JOINTS[machine.name]])

@@ -44,7 +44,7 @@ REFUSED_NODES = [
     ),
     (
         ("motion_controller_node.node", "-p", "weight:=2.0"),
-        "node motion_controller: parameter weight must be a number from 1e-06 to 1.0, got 2.0",
+        "node motion_controller: parameter weight must be a number from 1e-06 to 1, got 2.0",
     ),
     (
         ("emulator_node.node", "-p", "clock:=sundial"),
@@ -52,7 +52,7 @@ REFUSED_NODES = [
     ),
     (
         ("emulator_node.node", "-p", "timeout:=-1.0"),
-        "node emulator: parameter timeout must be a number from 0.1 to 3600.0 s, got -1.0",
+        "node emulator: parameter timeout must be a number from 0.1 to 3600 s, got -1.0",
     ),
     (
         ("emulator_node.node", "-p", "timout:=3.0"),
@@ -76,7 +76,7 @@ REFUSED_NODES = [
     ),
     (
         ("motion_controller_node.node", "-p", "weight:=half"),
-        "node motion_controller: parameter weight must be a number from 1e-06 to 1.0, got 'half'",
+        "node motion_controller: parameter weight must be a number from 1e-06 to 1, got 'half'",
     ),
 ]
 # What ROS itself does not take; it states a line of its own before.

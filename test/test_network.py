@@ -119,15 +119,24 @@ BAD: dict[str, list[tuple[Maker, str]]] = {
         (lambda k: motor_command(k, [1.0, 2.0]), "command must have one value per joint name (3)"),
         (
             lambda k: motor_command(k, [1.0, NAN, 2.0]),
-            "command must be finite [V, N m or A], got [1.0, nan",
+            "command must be numbers within +-1e+09 V, N m or A, got [1.0, nan",
         ),
-        (lambda k: motor_command(k, [1.0, 2.0, -INF]), "command must be finite [V, N m or A]"),
+        (
+            lambda k: motor_command(k, [1.0, 2.0, -INF]),
+            "command must be numbers within +-1e+09 V, N m or A",
+        ),
         (lambda k: motor_command(k, [], []), NAMES_RULE),
     ],
     "joint_targets": [
         (lambda k: joint_state(k * 10**6, [0.0, 0.5]), "position must have one value per joint"),
-        (lambda k: joint_state(k * 10**6, [0.0, NAN, 0.5]), "position must be finite [rad]"),
-        (lambda k: joint_state(k * 10**6, ZERO, velocity=[INF, 0.0, 0.0]), "velocity must be fini"),
+        (
+            lambda k: joint_state(k * 10**6, [0.0, NAN, 0.5]),
+            "position must be numbers within +-1e+06 rad",
+        ),
+        (
+            lambda k: joint_state(k * 10**6, ZERO, velocity=[INF, 0.0, 0.0]),
+            "velocity must be numbers within",
+        ),
         (lambda k: joint_state(k * 10**6, ZERO, effort=[1.0]), "effort must have one value per"),
         (lambda k: joint_state(k * 10**6, ZERO, ["waist", "elbow", "knee"]), NAMES_RULE),
         (lambda k: joint_state(10**18, ZERO), "header.stamp must be that of the joint states it"),
@@ -136,14 +145,26 @@ BAD: dict[str, list[tuple[Maker, str]]] = {
         (lambda k: motor_state(k + 1, joint_names=["a", "b", "c"]), NAMES_RULE),
         (lambda k: motor_state(k + 1, encoder_counts=[1, 2]), "encoder_counts must have one value"),
         (lambda k: motor_state(k + 1, current=[0.0] * 4), "current must have one value per joint"),
-        (lambda k: motor_state(k + 1, current=[0.0, NAN, 0.0]), "current must be finite [A]"),
+        (
+            lambda k: motor_state(k + 1, current=[0.0, NAN, 0.0]),
+            "current must be numbers within +-1e+09 A",
+        ),
         (lambda k: motor_state(k + 1, tick=k + 2), "header.stamp must be tick x servo period"),
     ],
     "tool_target": [
-        (lambda _: pose([NAN, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]), "position must be finite"),
-        (lambda _: pose([0.1, 0.0, INF], [0.0, 0.0, 0.0, 1.0]), "position must be finite"),
+        (
+            lambda _: pose([NAN, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]),
+            "position must be numbers within +-1e+06 m",
+        ),
+        (
+            lambda _: pose([0.1, 0.0, INF], [0.0, 0.0, 0.0, 1.0]),
+            "position must be numbers within +-1e+06 m",
+        ),
         (lambda _: pose([0.1, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]), "orientation must be a quaternion"),
-        (lambda _: pose([0.1, 0.0, 0.5], [0.0, NAN, 0.0, 1.0]), "orientation must be finite"),
+        (
+            lambda _: pose([0.1, 0.0, 0.5], [0.0, NAN, 0.0, 1.0]),
+            "orientation must be finite numbers",
+        ),
         (
             lambda _: pose([0.1, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0], "camera"),
             "header.frame_id must be the arm's base, got camera; valid: world",
@@ -151,7 +172,10 @@ BAD: dict[str, list[tuple[Maker, str]]] = {
     ],
     "joint_states": [
         (lambda _: joint_state(10**18, [0.0, 0.5], ["waist", "elbow"]), NAMES_RULE),
-        (lambda _: joint_state(10**18, [0.0, NAN, 0.5]), "position must be finite [rad]"),
+        (
+            lambda _: joint_state(10**18, [0.0, NAN, 0.5]),
+            "position must be numbers within +-1e+06 rad",
+        ),
         (lambda _: joint_state(10**18, []), "position must have one value per joint name (3)"),
     ],
 }

@@ -2,35 +2,49 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib
 import math
-import re
-import sys
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
+import yaml
+from refused_numbers import check_refusals, fits
 
-from arm_emulator.base.number import Range
+from arm_emulator.base import bound
+from arm_emulator.base.number import LARGEST, SMALLEST, Number, numbers_of
+from arm_emulator.base.parameters import checked, parameters_of
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.demo.demo_plan import DemoPlan
+from arm_emulator.doors.microcontroller.board import Board, Channel, Encoder, Uart, load_board
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from emulator_node.node import EmulatorParameters
+from servo_node.node import ServoNodeParameters
 
-SIGNS = {">": lambda x, y: x > y, ">=": lambda x, y: x >= y, "<=": lambda x, y: x <= y}
+ROOT = Path(__file__).resolve().parents[1]
+CONFIG = ROOT / "config"
 UNITS = ("", "ohm", "N m s/rad")
+Read = Callable[[Any], object]
 
 
-def drawn(rng: np.random.Generator) -> Range:
+def drawn(rng: np.random.Generator) -> Number:
     low, high = sorted(rng.uniform(-10.0, 10.0, 2).round(1).tolist())
-    whole = bool(rng.random() < 0.3)
+    whole, in_size = bool(rng.random() < 0.3), bool(rng.random() < 0.3)
+    if in_size:
+        low, high = 0.0, abs(high)
     if whole:
         low, high = math.floor(low), math.ceil(high) + 1
     bounds = [{}, {"above": low}, {"at_least": low}, {"at_most": high},
               {"at_least": low, "at_most": high}, {"above": low, "at_most": high}]  # fmt: skip
-    return Range(str(rng.choice(UNITS)), **bounds[rng.integers(len(bounds))], whole=whole)
-
-
-def as_words_report(words: str, value: float, whole: bool) -> bool:
-    """Whether a value fits the words of a refusal, by reading them."""
-    kept = not whole or float(value).is_integer()
-    for sign, bound in re.findall(r"(>=|<=|>) (-?[\d.]+)", words):
-        kept = kept and SIGNS[sign](value, float(bound))
-    between = re.search(r"from (-?[\d.]+) to (-?[\d.]+)", words)
-    return kept and (not between or float(between[1]) <= value <= float(between[2]))
+    chosen: Any = bounds[rng.integers(len(bounds))]
+    return Number("x", str(rng.choice(UNITS)), **chosen, whole=whole, in_size=in_size)
 
 
 def test_words_and_range_agree() -> None:
@@ -40,31 +54,217 @@ def test_words_and_range_agree() -> None:
         one = drawn(rng)
         ends = [x for x in (one.above, one.at_least, one.at_most) if x is not None]
         near = [math.nextafter(x, to) for x in ends for to in (-math.inf, math.inf)]
-        values = [*ends, *near, *rng.uniform(-15.0, 15.0, 5).tolist(), 0.0, 3, -4]
-        for value in values:
-            assert one.holds(value) == as_words_report(one.rule, value, one.whole), (one, value)
-            taken += one.holds(value)
-            if one.holds(value):
-                assert one.least <= value <= one.most, (one, value)
+        near = [x for x in near if not 0.0 < abs(x) < SMALLEST]
+        values = [*ends, *rng.uniform(-15.0, 15.0, 5).tolist(), 0.0, 3, -4]
+        for value in [*values, *(-x for x in values), *near]:
+            within = one.holds(value)
+            assert value in near or within == fits(one.rule, value), (one, value)
+            taken += within
+            if within:
+                assert one.ends[0] <= value <= one.ends[1], (one, value)
+                assert one.take("here", np.float64(value)) == value
         assert one.rule.startswith("be a whole number" if one.whole else "be a number")
-        assert one.rule.endswith(one.unit) and "  " not in one.rule
-        assert one.interval.endswith(f"[{one.unit}]" if one.unit else one.interval[-1])
+        assert (one.unit in one.rule) and "  " not in one.rule
+        check_refusals(one, "x", partial(one.take, "here"))
     assert taken > 1000
 
 
-def test_what_is_no_number_is_in_no_range() -> None:
-    for value in (None, True, False, "1", math.nan, math.inf, -math.inf, 10**400, [1.0]):
-        assert not Range().holds(value), value
-    assert not Range(nonzero=True).holds(0) and Range(nonzero=True).holds(-1e-300)
-    assert Range(whole=True).holds(3.0) and not Range(whole=True).holds(3.5)
+def test_a_row_holds_what_each_of_its_numbers_does() -> None:
+    rng = np.random.default_rng(23)
+    verdicts = set()
+    for _ in range(2000):
+        one = drawn(rng)
+        row = rng.choice([0.0, 1.0, -3.5, 9.0, 1e16, math.nan, -math.inf], int(rng.integers(1, 5)))
+        holds = all(map(one.holds, row))
+        verdicts.add(holds)
+        for values in (row.tolist(), row[np.newaxis]):
+            if holds:
+                one.check("here", values)
+            else:
+                with pytest.raises(Refusal, match=r"^here: x must be (whole )?numbers"):
+                    one.check("here", values)
+    assert verdicts == {True, False}
 
 
 def test_words_are_short() -> None:
     """As users read them."""
-    assert Range("ohm", above=0).rule == "be a number > 0 ohm"
-    assert Range("ohm", above=0).interval == "number in (0, inf) [ohm]"
-    assert Range(at_least=0, at_most=48, whole=True).rule == "be a whole number from 0 to 48"
-    assert Range(at_least=0, at_most=48, whole=True).interval == "whole number in [0, 48]"
-    assert Range(nonzero=True).interval == "number other than 0"
-    assert Range("s").interval == "number in (-inf, inf) [s]"
-    assert (Range().least, Range().most) == (-sys.float_info.max, sys.float_info.max)
+    assert Number("R", "ohm", above=0).rule == "be a number > 0 ohm"
+    assert Number(at_least=0, at_most=48, whole=True).range == "whole number from 0 to 48"
+    assert Number(above=0, in_size=True).range == "number other than 0"
+    assert Number("k", "1/A", above=0, at_most=2, in_size=True).range == (
+        "number of size > 0 and <= 2 1/A"
+    )
+    assert Number.within("q", "rad", 1e6).range == "number within +-1e+06 rad"
+    assert Number("t", "s").range == "number [s]"
+    assert Number("share", "1", at_most=math.inf).rule == "be a finite number"
+    assert Number("hold_after", "s", above=0).described == "hold after: number > 0 s"
+    assert Number("x", text="what it is", at_least=1).described == "what it is: number >= 1"
+    assert Number().ends == (-LARGEST, LARGEST) and Number(above=0).least == SMALLEST
+    with pytest.raises(Refusal, match=r"x must be a number from 1e-15 to 1e\+15 m, got 1e-20"):
+        Number("x", "m", above=0.0).take("here", 1e-20)
+    with pytest.raises(
+        Refusal, match=r"^here: q must be numbers within \+-2 rad, got \[0.0, 3.0\]$"
+    ):
+        Number.within("q", "rad", np.array([4.0, 2.0])).row("here", [0.0, 3.0], 2)
+
+
+# Every number of every room, by the reader of its room
+
+
+def as_in_yaml(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def scene_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
+    def read(path: str, more: dict[str, Any], value: Any) -> object:
+        # None would take the key out of the scene.
+        return load_scene("three_axis", more | {path: "nothing" if value is None else value})
+
+    scene = load_scene("three_axis")
+    for owner, above in ((scene, ""), (scene.integrator, "integrator."),
+                         (scene.joints[0], f"joints.{scene.joints[0].name}.")):  # fmt: skip
+        for key, one in numbers_of(type(owner)).items():
+            yield one, above + key, partial(read, above + key, {})
+    mass = Number("mass", "kg", at_least=0.0)
+    yield mass, "payload.mass", partial(read, "payload.mass", {"payload": {"mass": 1.0}})
+    encoder: dict[str, Any] = {"kind": "absolute", "counts_per_turn": 4096, "bits": 16}
+    encoder = {"joints.elbow.encoder": encoder | {"ripple": 0.1}}
+    for key, most in (("counts_per_turn", 10**9), ("delay", 100), ("ripple_order", 10**6)):
+        one = Number(key, at_least=key != "delay", at_most=most, whole=True)
+        path = f"joints.elbow.encoder.{key}"
+        yield one, path, partial(read, path, encoder)
+    bits = Number("bits", at_least=12, at_most=48, whole=True)
+    path = "joints.elbow.encoder.bits"
+    yield bits, path, partial(read, path, encoder)
+
+
+def servo_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
+    config = load_servo_config(CONFIG / "servo/three_axis.yaml")
+    joint = vars(config.joints[0]) | {"current_limit": 9.0, "voltage_limit": 9.0}
+    tables: dict[str, Any] = {"joints.one": {n: x for n, x in joint.items() if n != "name"}}
+    tables[""] = {n: getattr(config, n) for n in numbers_of(ServoConfig)}
+
+    def read(table: str, key: str, value: Any) -> object:
+        given = {name: dict(own) for name, own in tables.items()}
+        given[table][key] = value
+        whole = given[""] | {"joint_names": ["one"], "joints": {"one": given["joints.one"]}}
+        return ServoConfig.from_mapping(whole, "servo")
+
+    for table, kind in (("", ServoConfig), ("joints.one", type(config.joints[0]))):
+        for key, one in numbers_of(kind).items():
+            yield one, f"{table}.{key}".lstrip("."), partial(read, table, key)
+
+
+def node_parameters(_: Path) -> Iterator[tuple[Number, str, Read]]:
+    def read(field: dataclasses.Field[Any], value: Any) -> object:
+        return checked(value, field, "node")
+
+    for kind in (EmulatorParameters, ServoNodeParameters, MotionConfig):
+        for field in parameters_of(kind).values():
+            if type(field.default) in (int, float):
+                one = numbers_of(kind)[field.name]
+                yield one, f"parameter {field.name}", partial(read, field)
+
+
+def board_numbers(folder: Path) -> Iterator[tuple[Number, str, Read]]:
+    sections: dict[str, Any] = {
+        "": {"clock": 1e8, "interrupts": 60},
+        "encoders.a": {"at": 0x40000010, "bits": 16},
+        "adc.ADC": {"status": 0x40000020, "flag": 2},
+        "adc.ADC.channels.a": {"at": 0x40000028, "bits": 12, "counts_per_ampere": -4, "offset": 9},
+        "uart.line": {"status": 0x40000060, "data": 0x40000064, "control": 0x40000068},
+        "memory.flash": {"at": 0, "size": 65536},
+        "registers.all": {"at": 0x40000000, "size": 4096},
+    }
+
+    def read(path: str, key: str, value: Any) -> object:
+        board: dict[str, Any] = {}
+        for above, own in sections.items():
+            section = board
+            for name in filter(None, above.split(".")):
+                section = section.setdefault(name, {})
+            section |= own | ({key: as_in_yaml(value)} if above == path else {})
+        file = folder / "board.yaml"
+        file.write_text(yaml.dump(board))
+        return load_board(file, ["a"])
+
+    for path, kind in (("", Board), ("encoders.a", Encoder), ("uart.line", Uart),
+                       ("adc.ADC.channels.a", Channel)):  # fmt: skip
+        for key, one in numbers_of(kind).items():
+            if key == "offset":
+                one = dataclasses.replace(one, at_most=2.0**12 - 1.0)
+            yield one, f"{path}.{key}".lstrip("."), partial(read, path, key)
+    bit = Number("flag", at_least=0, at_most=31, whole=True)
+    yield bit, "adc.ADC.flag", partial(read, "adc.ADC", "flag")
+
+
+def demo_numbers(folder: Path) -> Iterator[tuple[Number, str, Read]]:
+    plan = yaml.safe_load((CONFIG / "demo/three_axis.yaml").read_text())
+    scene = folder / "arm.yaml"
+    scene.write_text("demo: plan.yaml\n")
+
+    def read(key: str, value: Any) -> object:
+        (folder / "plan.yaml").write_text(yaml.dump(plan | {key: as_in_yaml(value)}))
+        return DemoPlan.load(scene, 10**6)
+
+    settle = Number("settle", at_least=0.0, at_most=1000.0)
+    yield settle, "settle", partial(read, "settle")
+    count = Number("instructions", at_least=1, at_most=10**6, whole=True)
+    yield count, "instructions", partial(read, "instructions")
+
+
+@cache
+def varied_plant() -> Plant:
+    return Plant(load_scene("three_axis", {"varied": ["joints.elbow.*", "links.*"]}))
+
+
+def varied_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
+    plant = varied_plant()
+    for one in plant.scene.varied:
+        yield one.number, one.name, partial(plant.set_parameter, one.name)
+
+
+ROOMS = (scene_numbers, servo_numbers, node_parameters, board_numbers, demo_numbers, varied_numbers)
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.__name__)
+def test_a_number_out_of_its_range_is_refused_alike_in_every_room(
+    room: Callable[[Path], Iterator[tuple[Number, str, Read]]], tmp_path: Path
+) -> None:
+    drawn = [check_refusals(one, name, read) for one, name, read in room(tmp_path)]
+    assert drawn and sum(drawn) > 20 * len(drawn)
+
+
+def declarations() -> Iterator[Number]:
+    """Every number that a module of the package declares, by itself or in a dataclass."""
+    for file in (ROOT / "arm_emulator").rglob("*.py"):
+        if "number import" not in file.read_text() or file.name == "__main__.py":
+            continue
+        module = importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
+        for thing in vars(module).values():
+            if isinstance(thing, Number):
+                yield thing
+            elif dataclasses.is_dataclass(thing) and isinstance(thing, type):
+                yield from numbers_of(thing).values()
+
+
+def test_every_declaration_refuses_in_the_same_form() -> None:
+    found = list(declarations())
+    assert len(found) > 150, "the walk finds what is declared"
+    for one in found:
+        if np.ndim(one.at_most) == 0 and one.at_most != math.inf:
+            name = one.name or "it"
+            check_refusals(one, name, partial(one.named(name).take, "here"))
+
+
+def test_commands_and_measurements_are_refused_in_rows_alike() -> None:
+    rows = [one for one in vars(bound).values() if isinstance(one, Number)]
+    assert len(rows) > 10
+    for one in rows:
+        for bad in (math.nan, math.inf, -math.inf, 2.0 * one.most, -2.0 * one.most):
+            if abs(bad) < math.inf or one.at_most != math.inf:
+                with pytest.raises(Refusal, match=rf"^here: {one.name} must be (finite )?numbers"):
+                    one.row("here", [0.0, bad, 0.0], 3)
+        for no_row in ("abc", None, [None], [True, 1.0, 2.0], [[1.0], [2.0, 3.0]]):
+            with pytest.raises(Refusal, match=rf"^here: {one.name} must be (finite )?numbers"):
+                one.row("here", no_row, 3)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import re
 from pathlib import Path
@@ -13,10 +12,11 @@ import numpy as np
 import pytest
 from documents import DOCS, page_of
 
+from arm_emulator.base.number import LARGEST, REQUIRED, SMALLEST
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.section import LARGEST, SMALLEST, Section
+from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.known import PARTS
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, PartNumber
 from arm_emulator.machine.parts.sensors import ANALOG, SENSORS
 from arm_emulator.machine.parts.torque_table import TorqueTable
 
@@ -25,11 +25,7 @@ OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), *ANALOG)
 parts = pytest.mark.parametrize("part", OF_NUMBERS, ids=lambda part: part.__name__)
 
 
-def defaults(part: type[Part]) -> dict[str, Any]:
-    return {field.name: field.default for field in dataclasses.fields(part)}
-
-
-def drawn_number(one: Number, rng: np.random.Generator) -> float:
+def drawn_number(one: PartNumber, rng: np.random.Generator) -> float:
     """A number within its bounds; small and large ones are as likely."""
     if one.whole:
         return int(rng.integers(int(one.least), int(one.most) + 1))
@@ -54,7 +50,7 @@ def drawn_section(part: type[Part], rng: np.random.Generator) -> dict[str, float
 def drawn_numbers(part: type[Part], rng: np.random.Generator) -> dict[str, float]:
     data: dict[str, float] = {}
     for key, one in part.numbers().items():
-        if defaults(part)[key] is not dataclasses.MISSING and rng.random() < 0.3:
+        if one.default is not REQUIRED and rng.random() < 0.3:
             continue
         value = drawn_number(one, rng)
         if one.follows is not None:
@@ -72,7 +68,7 @@ def read(part: type[Part], data: dict[str, Any]) -> Part:
     return found
 
 
-def out_of_bounds(key: str, one: Number, data: dict[str, float]) -> list[Any]:
+def out_of_bounds(key: str, one: PartNumber, data: dict[str, float]) -> list[Any]:
     bad: list[Any] = [None, "much", True, [1.0], math.nan, math.inf, -math.inf, 10**400]
     bad.append(one.most + 1e-3 * (abs(one.most) or 1.0) if one.most < LARGEST else 2.0 * LARGEST)
     if one.above is not None:
@@ -93,7 +89,7 @@ def test_numbers_are_read_as_given_or_take_their_defaults(part: type[Part]) -> N
         found = read(part, data)
         for key, one in part.numbers().items():
             leader = one.follows and getattr(found, one.follows)
-            expected = data.get(key, defaults(part)[key] if leader is None else leader)
+            expected = data.get(key, one.default if leader is None else leader)
             assert getattr(found, key) == expected, f"{key} of {data}"
 
 
@@ -116,8 +112,8 @@ def test_a_number_out_of_bounds_is_refused_by_its_key_in_one_line(part: type[Par
 def test_a_missing_number_and_an_unknown_one_are_refused(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 3])
     data = drawn_section(part, rng)
-    for key in part.numbers():
-        if defaults(part)[key] is dataclasses.MISSING:
+    for key, one in part.numbers().items():
+        if one.default is REQUIRED:
             rest = {other: value for other, value in data.items() if other != key}
             with pytest.raises(
                 Refusal, match=rf"{part.section}.{key} must be a (whole )?number.*nothing"
@@ -156,7 +152,7 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
             result = eval(written, {"p": p})
             assert result == pytest.approx(value, rel=1e-15 if one.follows else 0.0, abs=0.0), text
         for name, number in could.items():
-            assert number.least <= number.value <= number.most, name
+            assert number.number.least <= number.value <= number.number.most, name
 
 
 def rows_of(page: Path) -> dict[str, list[str]]:
@@ -165,7 +161,7 @@ def rows_of(page: Path) -> dict[str, list[str]]:
     return {key: [cell.strip() for cell in rest.split("|")] for key, rest in rows}
 
 
-def written_range(one: Number) -> str:
+def written_range(one: PartNumber) -> str:
     if one.whole:
         return f"whole, {one.least:g} to {one.most:g}"
     words = []
@@ -192,12 +188,12 @@ def test_every_key_has_a_row_with_its_unit_range_and_default(part: type[Part]) -
         # A prismatic joint's unit follows in brackets.
         assert unit.translate(str.maketrans("²³", "23")).split(" (")[0] == one.unit, at
         assert bounds.replace(",", "").split() == written_range(one).replace(",", "").split(), at
-        default = defaults(part)[key]
+        default = one.default
         if one.follows is not None:
             assert absent == f"`{one.follows}`", at
         elif key in getattr(part, "named_by", ()):
             assert absent not in ("", "refused"), at  # the gear is another one then
-        elif default is dataclasses.MISSING:
+        elif default is REQUIRED:
             assert absent == "refused", at
         elif default is not None:
             assert absent == f"{default:g}", at

@@ -99,7 +99,7 @@ def test_a_run_is_recorded_every_so_often() -> None:
     q = alone.run(rows, 7)
     assert np.array_equal(run["q"], q[[3, 7, 9]])
     assert np.array_equal(run["measured.encoder_counts"][-1], alone.measured.encoder_counts)
-    with pytest.raises(Refusal, match="every must be >= 1"):
+    with pytest.raises(Refusal, match="every must be a whole number >= 1"):
         run.run(rows, 7, every=0)
 
 

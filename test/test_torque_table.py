@@ -160,18 +160,42 @@ MANY = [0.01 * k for k in range(257)]
     ("change", "printed"),
     [
         ({"angles": None}, "angles must be a list"),
-        ({"angles": [0.0, 1.0, 2.0]}, "angles must have 4 to 256 numbers [rad], got 3"),
-        ({"angles": MANY, "torques": MANY}, "angles must have 4 to 256 numbers [rad], got 257"),
+        (
+            {"angles": [0.0, 1.0, 2.0]},
+            "angles must have 4 to 256 numbers within +-10000 rad, got 3",
+        ),
+        (
+            {"angles": MANY, "torques": MANY},
+            "angles must have 4 to 256 numbers within +-10000 rad, got 257",
+        ),
         ({"torques": [1.0] * 5}, "torques must have as many numbers as angles, 4, got 5"),
         ({"angles": [0.0, 1.0, 1.0, 2.0]}, "angles must increase by at least 1e-06 rad each, got"),
         ({"angles": [0.0, 2.0, 1.0, 3.0]}, "angles must increase by at least 1e-06 rad each, got"),
-        ({"angles": [0.0, 1.0, 2.0, 1e5]}, "angles must have numbers of at most 10000 [rad]"),
-        ({"angles": [0.0, 1.0, 2.0, "far"]}, "angles must have numbers of at most 10000 [rad]"),
-        ({"torques": [0.0, 1.0, math.nan, 2.0]}, "torques must have numbers of at most 1e+15"),
-        ({"torques": [0.0, 1.0, -math.inf, 2.0]}, "torques must have numbers of at most 1e+15"),
-        ({"torques": [0.0, 1.0, 10**400, 2.0]}, "torques must have numbers of at most 1e+15"),
-        ({"torques": [0.0, True, 1.0, 2.0]}, "torques must have numbers of at most 1e+15"),
-        ({"torques": [0.0, [1.0], 1.0, 2.0]}, "torques must have numbers of at most 1e+15"),
+        ({"angles": [0.0, 1.0, 2.0, 1e5]}, "angles must have 4 to 256 numbers within +-10000 rad"),
+        (
+            {"angles": [0.0, 1.0, 2.0, "far"]},
+            "angles must have 4 to 256 numbers within +-10000 rad",
+        ),
+        (
+            {"torques": [0.0, 1.0, math.nan, 2.0]},
+            "torques must have 4 to 256 numbers within +-1e+15 N m",
+        ),
+        (
+            {"torques": [0.0, 1.0, -math.inf, 2.0]},
+            "torques must have 4 to 256 numbers within +-1e+15 N m",
+        ),
+        (
+            {"torques": [0.0, 1.0, 10**400, 2.0]},
+            "torques must have 4 to 256 numbers within +-1e+15 N m",
+        ),
+        (
+            {"torques": [0.0, True, 1.0, 2.0]},
+            "torques must have 4 to 256 numbers within +-1e+15 N m",
+        ),
+        (
+            {"torques": [0.0, [1.0], 1.0, 2.0]},
+            "torques must have 4 to 256 numbers within +-1e+15 N m",
+        ),
         ({"periodic": True}, "torques must end with the torque that they begin with"),
         ({"periodic": 1}, "periodic must be true or false"),
     ],

@@ -175,7 +175,7 @@ def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dic
         if one.name in known
         else one.value + 1.0
         if one.name == "seed"
-        else float(np.clip(one.value * rng.uniform(1.0, 1.2), one.least, one.most))
+        else float(np.clip(one.value * rng.uniform(1.0, 1.2), one.number.least, one.number.most))
         for one in scene.varied
     }
 

@@ -187,7 +187,7 @@ def test_a_scene_without_it_has_nothing_of_it() -> None:
     [
         ({"inductance": None}, {}, r"elbow\.motor\.winding must come with an inductance"),
         ({}, {"limit": 20.0}, r"winding\.limit must be above the ambient, 20 degC, got 20"),
-        ({}, {"heat_capacity": 0.0}, r"winding\.heat_capacity must be > 0"),
+        ({}, {"heat_capacity": 0.0}, r"winding\.heat_capacity must be a number > 0 J/K"),
     ],
 )
 def test_what_makes_no_sense_is_refused(

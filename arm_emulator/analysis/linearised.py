@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.base.given import as_row
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.plant_state import start_bounds
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def linearise(plant: Plant, q: ArrayLike | None = None) -> LinearMachine:
         Refusal: no such pose.
     """
     N = len(plant.scene.joints)
-    at = plant.state.q if q is None else as_row(q, N, "linearise", "q", "rad or m")
+    at = plant.state.q if q is None else start_bounds(plant.scene)[0].row("linearise", q, N)
     motions = SmallMotions(plant, np.array(at))
     first = motions.links
     return LinearMachine(

@@ -6,7 +6,7 @@ import operator
 
 import numpy as np
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.number import Number
 
 LARGEST = 2**63 - 1  # what the core counts with
 
@@ -24,9 +24,8 @@ def check_count(
             raise TypeError
         count = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
-        raise Refusal(where, quantity, "be a whole number", repr(value)) from None
-    if count < least:
-        raise Refusal(where, quantity, f"be >= {least}", count)
-    if count > largest:
-        raise Refusal(where, quantity, f"be at most {largest:g}", count)
+        count = None
+    if count is None or not least <= count <= largest:
+        most = None if largest == LARGEST else largest
+        raise Number(quantity, at_least=least, at_most=most, whole=True).refusal(where, value)
     return count

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.bound import Bound
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
 
@@ -25,7 +25,7 @@ class JointOrder:
         self._index = {name: index for index, name in enumerate(self.names)}
 
     def arrange(
-        self, names: Sequence[str], values: Sequence[float], bound: Bound
+        self, names: Sequence[str], values: Sequence[float], bound: Number
     ) -> NDArray[np.float64]:
         """Return `values`, given one per entry of `names`, in the receiver's order (N,).
 
@@ -42,7 +42,7 @@ class JointOrder:
         if array.shape != (len(names),):
             rule = f"have one value per joint name ({len(names)})"
             got = f"{len(array)} values" if array.ndim == 1 else values
-            raise Refusal(self.topic, bound.quantity, rule, got)
+            raise Refusal(self.topic, bound.name, rule, got)
         if list(names) != self.names:
             if sorted(map(str, names)) != sorted(self.names):
                 raise Refusal(

@@ -1,88 +1,246 @@
-"""A number that comes from outside, declared once: its unit, and what it may be.
+"""Numbers that come from outside, each declared once: name, unit, range, default, what it is.
 
-Readers of files, refusals and the descriptors of ROS parameters follow from the declaration.
+Readers of files, checks of commands, refusals, the descriptors of ROS parameters and the ranges in
+the pages follow from the declaration. It stands in a dataclass that has the number::
+
+    boot: float = number("s", at_least=0.0, at_most=100.0, default=0.0)
+
+or by itself: ``POSITION = Number.within("position", "rad", 1e6)``.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import numbers
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from functools import cache, cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from arm_emulator.base.given import FloatArray, array_of
+from arm_emulator.base.refusal import Refusal
+
+# A finite number need not be a quantity. What lies beyond these is a slip, and what is computed
+# from several such numbers may overflow. They hold where no other bound is declared.
+SMALLEST, LARGEST = 1e-15, 1e15  # of numbers above 0, and of all
+
+REQUIRED = ...  # the default of a number that must be given
 
 
 @dataclass(frozen=True)
-class Range:
-    """Unit, range and text of a number.
+class Number:
+    """Name, unit, range, default and text of a number.
 
     Attributes:
-        unit: empty for shares, counts and factors.
+        name: its key or attribute, which refusals name.
+        unit: empty or 1 for shares, counts and factors.
         above: the number is larger.
-        at_least, at_most: the number is within.
-        whole: it is a whole number.
-        nonzero: it is not 0.
+        at_least, at_most: the number is within; `at_most` of a row may be one per entry (N,).
+        in_size: whether the bounds are those of the number's size, and it may be negative.
+        whole: whether it is a whole number.
+        default: what stands for a number that is not given, `REQUIRED` if it must be.
+        text: what it is, in a line.
     """
 
+    name: str = ""
     unit: str = ""
+    _: KW_ONLY
     above: float | None = None
     at_least: float | None = None
-    at_most: float | None = None
+    at_most: float | FloatArray | None = None
+    in_size: bool = False
     whole: bool = False
-    nonzero: bool = False
+    default: Any = REQUIRED
+    text: str = ""
+
+    @classmethod
+    def within(cls, name: str, unit: str, largest: float | FloatArray) -> Self:
+        """Return a number of either sign and at most this size, of a row one per entry (N,)."""
+        return cls(name, unit, in_size=True, at_most=largest)
+
+    def named(self, name: str) -> Self:
+        """Return the same for a quantity of another name."""
+        return dataclasses.replace(self, name=name)
 
     def holds(self, value: object) -> bool:
         """Whether a value is a finite number within the range."""
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
             return False
-        try:
-            number = float(value)
-        except OverflowError:  # a whole number that is too large for one
-            return False
-        return (
-            math.isfinite(number)
-            and (self.above is None or value > self.above)
-            and (self.at_least is None or value >= self.at_least)
-            and (self.at_most is None or value <= self.at_most)
-            and not (self.whole and not number.is_integer())
-            and not (self.nonzero and value == 0.0)
-        )
+        size: Any = abs(value) if self.in_size else value
+        within = self.least <= size <= self.most and size < math.inf
+        return bool(within and not (self.whole and size % 1))
+
+    def take(self, where: str, value: Any) -> float:
+        """Return a value as a float, or as an int where it is a whole number.
+
+        Raises:
+            Refusal: it is no number, not finite, or out of the range.
+        """
+        if isinstance(value, np.ndarray) and value.ndim == 0:
+            value = value[()]
+        if not self.holds(value):
+            raise self.refusal(where, value)
+        return int(value) if self.whole else float(value)
+
+    def row(self, where: str, values: object, count: int) -> FloatArray:
+        """Return `values` as an array of `count` numbers in the range, which may be `values`.
+
+        Raises:
+            Refusal: no numbers, another number of them, not finite, or out of the range.
+        """
+        array = self.numbers(where, values)
+        if array.shape != (count,):
+            raise Refusal(where, self.name, f"have {count} values", values)
+        self.check(where, array.tolist())
+        return array
+
+    def numbers(self, where: str, values: object) -> FloatArray:
+        """Return `values` as an array of numbers of any size, which may be `values` itself.
+
+        Raises:
+            Refusal: something that is no number.
+        """
+        array = array_of(values)
+        if array is None:
+            raise Refusal(where, self.name, self._rule(None, self.most, many=True), values)
+        return array
+
+    def check(self, where: str, values: Sequence[float] | FloatArray) -> None:
+        """Refuse numbers of which one is not finite or out of the range.
+
+        Raises:
+            Refusal: see above.
+        """
+        # Each is smaller than the root of the sum of their squares; False of a NaN.
+        if isinstance(values, list) and math.hypot(*values) <= self._reach:
+            return
+        array = np.asarray(values, np.float64)
+        if 0.0 <= self._reach and np.vdot(array, array) < self._reach * self._reach:
+            return
+        size = np.abs(array) if self.in_size else array
+        most = LARGEST if self.at_most is None else self.at_most
+        wrong = ~(np.isfinite(size) & (size >= self.least) & (size <= most))
+        if self.whole:
+            wrong |= np.floor(size) != size
+        if wrong.any():
+            at = np.unravel_index(int(wrong.argmax()), array.shape)
+            limit = float(np.broadcast_to(np.asarray(most), array.shape)[at])
+            got = array.tolist() if array.ndim == 1 else array
+            raise Refusal(where, self.name, self._rule(float(array[at]), limit, many=True), got)
+
+    def refusal(self, where: str, value: object) -> Refusal:
+        """Return the refusal of a value."""
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        got = value if number else "nothing" if value is None else repr(value)
+        return Refusal(where, self.name, self._rule(value, self.most), got)
 
     @property
     def rule(self) -> str:
         """What a refusal of it demands: ``be a number > 0 ohm``."""
-        bounds = []
-        if self.nonzero:
-            bounds.append("other than 0")
-        if self.at_least is not None and self.at_most is not None:
-            bounds.append(f"from {self.at_least} to {self.at_most}")
+        return f"be a {self.range}"
+
+    @property
+    def range(self) -> str:
+        """The same as a description: ``number > 0 ohm``."""
+        most = None if self.at_most is None else self.most
+        return self._range(self.above, self.at_least, most)
+
+    @property
+    def described(self) -> str:
+        """What it is and its range, in a line."""
+        return f"{self.text or self.name.replace('_', ' ')}: {self.range}"
+
+    @cached_property
+    def least(self) -> float:
+        """The smallest number of the range, or the smallest size."""
+        if self.above is not None:
+            return math.nextafter(self.above, math.inf) if self.above else SMALLEST
+        if self.at_least is not None:
+            return self.at_least
+        return 0.0 if self.in_size else -LARGEST
+
+    @cached_property
+    def most(self) -> float:
+        """The largest; of a row, one that all its entries may have."""
+        return LARGEST if self.at_most is None else float(np.min(self.at_most))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The smallest and the largest number."""
+        return (-self.most if self.in_size else self.least), self.most
+
+    @cached_property
+    def _reach(self) -> float:
+        """Up to which size all numbers of either sign are in the range; < 0: up to none."""
+        free = (self.least <= 0.0 if self.in_size else self.least <= -self.most) and not self.whole
+        return min(self.most, sys.float_info.max) if free else -1.0
+
+    def _rule(self, value: object, most: float, *, many: bool = False) -> str:
+        """Return the rule that a value breaks: as declared, or of what can be computed with."""
+        at_most = None if self.at_most is None else most
+        known = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if known and self._keeps(abs(value) if self.in_size else value, at_most):  # type: ignore[arg-type]
+            low = None if self.in_size and self.above is None else self.least
+            words = self._range(None, low, most)
         else:
-            signs = {">": self.above, ">=": self.at_least, "<=": self.at_most}
-            bounds += [f"{sign} {one}" for sign, one in signs.items() if one is not None]
-        words = "be a", self._kind, " and ".join(bounds), self.unit
+            words = self._range(self.above, self.at_least, at_most)
+        return f"be {words.replace('number', 'numbers', 1)}" if many else f"be a {words}"
+
+    def _keeps(self, size: float, most: float | None) -> bool:
+        return (
+            (self.above is None or size > self.above)
+            and (self.at_least is None or size >= self.at_least)
+            and (most is None or size <= most)
+            and not (self.whole and abs(size) < math.inf and size % 1)
+        )
+
+    def _range(self, above: float | None, at_least: float | None, at_most: float | None) -> str:
+        kind = "whole number" if self.whole else "number"
+        bounds = {">": above, ">=": at_least, "<=": at_most}
+        shown = [f"{sign} {self._end(one)}" for sign, one in bounds.items() if one is not None]
+        if at_most == math.inf:
+            kind, shown = "finite number", shown[:-1]
+        if at_least is not None and at_most is not None:
+            shown = [f"from {self._end(at_least)} to {self._end(at_most)}"]
+        of_size = "of size" if self.in_size and shown else ""
+        if self.in_size and above == 0.0 and at_most is None:
+            of_size, shown = "", ["other than 0"]
+        elif self.in_size and above is None and at_least is None and shown:
+            of_size, shown = "", [f"within +-{self._end(at_most)}"]  # type: ignore[arg-type]
+        unit = "" if self.unit == "1" else self.unit
+        unit = f"[{unit}]" if unit and not shown else unit
+        words = kind, of_size, " and ".join(shown), unit
         return " ".join(word for word in words if word)
 
-    @property
-    def interval(self) -> str:
-        """The same in short: ``number in (0, inf) [ohm]``."""
-        unit = f" [{self.unit}]" if self.unit else ""
-        if self.nonzero:
-            return f"{self._kind} other than 0{unit}"
-        first = "(-inf" if self.at_least is None else f"[{self.at_least}"
-        first = first if self.above is None else f"({self.above}"
-        last = "inf)" if self.at_most is None else f"{self.at_most}]"
-        return f"{self._kind} in {first}, {last}{unit}"
+    def _end(self, value: float) -> str:
+        return str(int(value)) if self.whole else f"{value:g}"
 
-    @property
-    def least(self) -> float:
-        """The smallest number of the range, for those who ask for numbers."""
-        if self.above is not None:
-            return math.nextafter(self.above, math.inf)
-        return -sys.float_info.max if self.at_least is None else self.at_least
 
-    @property
-    def most(self) -> float:
-        """The largest."""
-        return sys.float_info.max if self.at_most is None else self.at_most
+def number(unit: str = "", *, default: Any = REQUIRED, **declared: Any) -> Any:
+    """Return a dataclass field that is a declared number, see `Number`."""
+    return field_of(Number("", unit, default=default, **declared))
 
-    @property
-    def _kind(self) -> str:
-        return "whole number" if self.whole else "number"
+
+def field_of(one: Number, **metadata: Any) -> Any:
+    """Return a dataclass field for a number, with more about it."""
+    default = dataclasses.MISSING if one.default is REQUIRED else one.default
+    return dataclasses.field(default=default, metadata={"number": one, **metadata})
+
+
+def numbers_of(kind: type[Any]) -> dict[str, Any]:
+    """Return the declared numbers of a dataclass by the names of its attributes."""
+    this: type = kind  # mypy takes a type[Any] for not hashable
+    return _numbers_of(this)
+
+
+@cache  # a scene asks once for every part of every joint
+def _numbers_of(kind: type) -> dict[str, Any]:
+    return {
+        field.name: field.metadata["number"].named(field.name)
+        for field in dataclasses.fields(kind)
+        if "number" in field.metadata
+    }

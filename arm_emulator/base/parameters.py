@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from arm_emulator.base.number import Range
+from arm_emulator.base.number import Number, field_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 
@@ -32,18 +32,18 @@ def parameter(
 
     `settable` ones can be set while the node runs, the others are read once at its start.
     """
-    one = None
-    if type(default) in (int, float):
-        one = Range(unit, at_least=at_least, at_most=at_most, whole=type(default) is int)
-    return dataclasses.field(
+    more = {"description": description, "choices": choices, "settable": settable}
+    if type(default) not in (int, float):
+        return dataclasses.field(default=default, metadata=more)
+    one = Number(
+        unit=unit,
+        at_least=at_least,
+        at_most=at_most,
+        whole=type(default) is int,
         default=default,
-        metadata={
-            "description": f"{description} [{unit}]" if unit else description,
-            "range": one,
-            "choices": choices,
-            "settable": settable,
-        },
+        text=description,
     )
+    return field_of(one, **more | {"description": one.described})
 
 
 def parameters_of(kind: type[Any]) -> dict[str, dataclasses.Field[Any]]:
@@ -108,13 +108,12 @@ def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:
     Raises:
         Refusal: a value of the wrong type, out of its range, or not among its choices.
     """
-    what, kind = f"parameter {field.name}", type(field.default)
-    if kind is float and type(value) is int:
-        value = float(value)
-    choices, one = field.metadata["choices"], field.metadata["range"]
+    what, kind, choices = f"parameter {field.name}", type(field.default), field.metadata["choices"]
+    if (one := field.metadata.get("number")) is not None:
+        return one.named(what).take(where, value)
     if choices and value not in choices:
         raise Refusal(where, what, "be known", repr(value), ", ".join(choices))
-    if type(value) is not kind or (one is not None and not one.holds(value)):
-        words = {bool: "be true or false", str: "be a text"}
-        raise Refusal(where, what, one.rule if one else words[kind], repr(value))
+    if type(value) is not kind:
+        rule = {bool: "be true or false", str: "be a text"}[kind]
+        raise Refusal(where, what, rule, repr(value))
     return value

@@ -8,7 +8,7 @@ class Refusal(ValueError):
     """An input that is not taken, with the reason in one line.
 
     The line reads ``where: quantity must rule, got value; valid: ...``, for example
-    ``three_axis.yaml: joints.elbow.gear.stiffness must be > 0 N m/rad, got -3``.
+    ``three_axis.yaml: joints.elbow.gear.stiffness must be a number > 0 N m/rad, got -3``.
 
     Args:
         where: what was being read: a file, a topic, a function.

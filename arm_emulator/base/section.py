@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import Any
 
+from arm_emulator.base.number import REQUIRED, Number, numbers_of
 from arm_emulator.base.refusal import Refusal
 
-# Numbers beyond these are slips, and what is computed from several of them may overflow.
-SMALLEST, LARGEST = 1e-15, 1e15  # of numbers above 0, and of all, where no other bound is given
 LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
 
 
@@ -94,72 +91,29 @@ class Section:
             raise self.refusal(key, "be true or false", got)
         return bool(value)
 
-    def number(
-        self,
-        key: str,
-        unit: str,
-        *,
-        default: float | None = None,
-        above: float | None = None,
-        at_least: float | None = None,
-        at_most: float | None = None,
-        in_size: bool = False,
-    ) -> float:
-        """Return a finite number within its bounds; `LARGEST` where no upper one is given.
+    def number(self, one: Number) -> float:
+        """Return a number by its name, or its default."""
+        value = self._take(one.name)
+        if one.name not in self._data and one.default is not REQUIRED:
+            return one.default  # type: ignore[no-any-return]
+        return one.named(self._name(one.name)).take(self.where, value)
 
-        With `in_size` the bounds are those of its size, and it may be negative.
-        """
-        rules: list[tuple[str, Callable[[float], bool]]] = []
-        unit_of_rule = f"{unit} in size" if in_size else unit
-        if above is not None:
-            least = above or SMALLEST
-            rules.append((f"be > {above:g} {unit_of_rule}", lambda x: x > above))
-            rules.append((f"be >= {least:g} {unit_of_rule}", lambda x: x >= least))
-        if at_most is None:
-            at_most = LARGEST
-        if at_least is not None:
-            rules.append((f"be >= {at_least:g} {unit_of_rule}", lambda x: x >= at_least))
-        if at_most is not None:
-            rules.append((f"be <= {at_most:g} {unit_of_rule}", lambda x: x <= at_most))
-        value = self._take(key)
-        if value is None and default is not None and key not in self._data:
-            return default
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            rule = f"be a number [{unit}]"
-            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
-        value = _as_float(value)
-        for rule, holds in [(f"be finite [{unit}]", math.isfinite), *rules]:
-            if not holds(abs(value) if in_size else value):
-                raise self.refusal(key, rule, value)
-        return value
+    def integer(self, one: Number) -> int:
+        """Return a whole number by its name, or its default."""
+        return int(self.number(one))
 
-    def integer(self, key: str, *, default: int | None = None, at_least: int, at_most: int) -> int:
-        """Return a whole number within its bounds."""
-        value = self._take(key)
-        if value is None and default is not None and key not in self._data:
-            return default
-        rule = f"be a whole number from {at_least} to {at_most}"
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.refusal(key, rule, "nothing" if value is None else repr(value))
-        if not at_least <= value <= at_most or value != int(value):
-            raise self.refusal(key, rule, value)
-        return int(value)
+    def numbers(self, kind: type[Any]) -> dict[str, Any]:
+        """Return the numbers that a dataclass declares, by name."""
+        return {name: self.number(one) for name, one in numbers_of(kind).items()}
 
-    def vector(
-        self, key: str, unit: str, *, bound: float, size: int = 3
-    ) -> tuple[float, ...] | None:
-        """Return numbers of at most `bound` in size, None if the key is not there."""
-        value = self._take(key)
-        if value is None and key not in self._data:
+    def vector(self, one: Number, size: int = 3) -> tuple[float, ...] | None:
+        """Return a row of numbers by its name, None if it is not there."""
+        value = self._take(one.name)
+        if value is None and one.name not in self._data:
             return None
-        rule = f"be {size} numbers of at most {bound:g} [{unit}]"
-        if not isinstance(value, list) or len(value) != size:
-            raise self.refusal(key, rule, repr(value))
-        for entry in value:
-            if isinstance(entry, bool) or not isinstance(entry, int | float):
-                raise self.refusal(key, rule, repr(value))
-            if not abs(_as_float(entry)) <= bound:
-                raise self.refusal(key, rule, value)
+        rule = f"be {size} {one.range.replace('number', 'numbers', 1)}"
+        if not isinstance(value, list) or len(value) != size or not all(map(one.holds, value)):
+            raise self.refusal(one.name, rule, repr(value))
         return tuple(float(entry) for entry in value)
 
     def value(self, key: str) -> object:
@@ -204,11 +158,3 @@ class Section:
 
     def _name(self, key: str) -> str:
         return f"{self._path}.{key}" if self._path else key
-
-
-def _as_float(value: float) -> float:
-    """Return a number as a float; a whole number that is too large for one is infinite."""
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -math.inf

@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY, Bound
+from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 
@@ -63,7 +64,7 @@ def check_samples(run: MeasuredRun) -> None:
     if not np.isfinite(t).all():
         at = int(np.flatnonzero(~np.isfinite(t))[0])
         raise Refusal(run.where, f"t of sample {at}", "be finite [s]", t[at])
-    Bound("t", "s", LATEST).check(run.where, [float(np.abs(t).max())])
+    Number.within("t", "s", LATEST).check(run.where, [float(np.abs(t).max())])
     steps = np.diff(t)
     usual = float(np.median(steps))
     bad = np.flatnonzero(steps <= 0.0)

@@ -54,7 +54,7 @@ def on_moving_link(
     if wrench.axes not in AXES:
         raise Refusal(where, "axes", "be known", wrench.axes, ", ".join(AXES))
     rows = [
-        bound.vector(where, values, 3)
+        bound.row(where, values, 3)
         for bound, values in (
             (FORCE, wrench.force), (MOMENT, wrench.moment), (POINT, wrench.point)
         )

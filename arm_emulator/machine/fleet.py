@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMAND_D, ANY_COMMANDS
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_flag, as_numbers
+from arm_emulator.base.given import as_flag
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData, pointer
 from arm_emulator.machine.chain import Array
@@ -31,7 +33,7 @@ from arm_emulator.machine.plant import (
     options_of,
     refusal_of,
 )
-from arm_emulator.machine.plant_state import ROWS, check_start, link_angle_per_count
+from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.shares import Shares
 from arm_emulator.machine.turns import Turns, in_turn
@@ -181,10 +183,9 @@ class Fleet(Turns):
                 arms are as before.
         """
         where, mask = "Fleet.reset", self._mask(arms, "Fleet.reset")
-        at = self._rows(self.scene.start if q is None else q, mask, where, "q", "rad or m")
-        speed = np.zeros(self._N) if v is None else v
-        speed = self._rows(speed, mask, where, "v", "rad/s or m/s")
-        check_start(where, self.scene, at[mask], speed[mask])
+        of_q, of_v = start_bounds(self.scene)
+        at = self._rows(self.scene.start if q is None else q, mask, where, of_q)
+        speed = self._rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
         if not isinstance(varied, Mapping | None):
             raise Refusal(where, "varied", "be values by name", varied)
         columns = {n: self._column(where, n, values, mask) for n, values in (varied or {}).items()}
@@ -233,7 +234,7 @@ class Fleet(Turns):
         rows, along = self._as_commands(command, where), None
         tick = check_count(where, "tick", tick, -1)
         if command_d is not None:
-            along = self._rows(command_d, None, where, "command_d", "V")
+            along = self._rows(command_d, None, where, ANY_COMMAND_D)
         self._commands["value"] = rows
         places = {"joint": self._commands} | ({} if along is None else {"value_d": along})
         given, exchange = ARM.new("arm_command", tick=tick, **places), self.core.arm_fleet_exchange
@@ -257,12 +258,12 @@ class Fleet(Turns):
             Refusal: wrong shape, not finite, or no such count; the states are as before.
         """
         where, N = "Fleet.run", self._N
-        rows = as_numbers(commands, where, "commands", "V, N m or A")
+        rows = ANY_COMMANDS.numbers(where, commands)
         if rows.ndim == 2 and rows.shape[1] == N:
             rows = np.repeat(rows[:, np.newaxis], self._count, axis=1)
         if rows.ndim != 3 or rows.shape[1:] != (self._count, N):
             rule = f"have shape (K, {N}) or (K, {self._count}, {N})"
-            raise Refusal(where, "commands", rule, rows.shape)
+            raise Refusal(where, ANY_COMMANDS.name, rule, rows.shape)
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
         return self._run(rows, steps)
 
@@ -390,8 +391,8 @@ class Fleet(Turns):
 
     def _run(self, rows: Array, steps: int) -> Array:
         # A sum is quick, and not finite if any of them is not.
-        if not np.isfinite(rows.sum()) and not np.isfinite(rows).all():
-            raise Refusal("Fleet.run", "commands", "be finite [V, N m or A]", rows)
+        if not np.isfinite(rows.sum()):
+            ANY_COMMANDS.check("Fleet.run", rows)
         rows = np.ascontiguousarray(rows)
         q = np.empty_like(rows)
         longest = max(1, PIECE * self.lanes // self._count)  # steps after which Ctrl-C is heard
@@ -433,47 +434,43 @@ class Fleet(Turns):
     def _column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
         """Return the values of a varied number (count,), checked for those of the mask."""
         one = varied_number(self.scene.varied, name, where)
-        given = as_numbers(values, where, name)
+        given = one.number.numbers(where, values)
         column = np.full(self._count, one.value, np.float64)
         many = int(mask.sum())
         if given.shape not in ((), (many,), (self._count,)):
             shapes = " or ".join(f"({n},)" for n in sorted({many, self._count}))
             raise Refusal(where, name, f"have shape {shapes} or ()", given.shape)
         column[mask] = given[mask] if given.shape == (self._count,) else given
-        wrong = column[~((column >= one.least) & (column <= one.most))]
-        if wrong.size:
-            rule = f"be a number from {one.least:g} to {one.most:g}"
-            raise Refusal(where, name, rule, wrong[0])
+        one.number.check(where, column)
         return column
 
     def _as_commands(self, command: Commands, where: str) -> Array:
         given = by_joint(command, self.scene, where)
         if given is not command:
-            columns = [as_numbers(one, where, "command", "V, N m or A") for one in given]  # type: ignore[attr-defined]
+            columns = [ANY_COMMAND.numbers(where, one) for one in given]  # type: ignore[attr-defined]
             if any(one.shape not in ((), (self._count,)) for one in columns):
                 shapes = [one.shape for one in columns]
                 rule = f"have shape () or ({self._count},) for each joint"
                 raise Refusal(where, "command", rule, shapes)
             given = np.column_stack([np.broadcast_to(one, self._count) for one in columns])
-        return self._rows(given, None, where, "command", "V, N m or A")
+        return self._rows(given, None, where, ANY_COMMAND)
 
     def _rows(
-        self, values: object, mask: NDArray[np.bool_] | None, where: str, quantity: str, unit: str
+        self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number
     ) -> Array:
         """Return a row for each arm, checked; those of other arms than the mask's are 0."""
-        given = as_numbers(values, where, quantity, unit)
+        given = bound.numbers(where, values)
         shape = (self._count, self._N)
         many = self._count if mask is None else int(mask.sum())
         if given.shape not in ((self._N,), (many, self._N), shape):
             shapes = " or ".join(f"({n}, {self._N})" for n in sorted({many, self._count}))
-            raise Refusal(where, quantity, f"have shape ({self._N},) or {shapes}", given.shape)
+            raise Refusal(where, bound.name, f"have shape ({self._N},) or {shapes}", given.shape)
         if mask is None or mask.all():
             rows = np.ascontiguousarray(np.broadcast_to(given, shape))
         else:
             rows = np.zeros(shape)
             rows[mask] = given[mask] if given.shape == shape else given
-        if not np.isfinite(rows).all():
-            raise Refusal(where, quantity, f"be finite [{unit}]", rows)
+        bound.check(where, rows)
         return rows
 
 

@@ -10,13 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.bound import POSITION
-from arm_emulator.base.given import as_numbers
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import pointer
 from arm_emulator.machine.chain import Array
 
-LARGEST = float(np.max(POSITION.largest))  # rad or m
-UNITS = {"q": "rad or m", "v": "rad/s or m/s", "a": "rad/s2 or m/s2", "tau": "N m or N"}
+QUANTITIES = {
+    "q": Number.within("q", "rad or m", POSITION.most),
+    "v": Number.within("v", "rad/s or m/s", math.inf),
+    "a": Number.within("a", "rad/s2 or m/s2", math.inf),
+    "tau": Number.within("tau", "N m or N", math.inf),
+}
+ANSWERS = {
+    name: Number.within(f"what v, tau or a lead to, {name},", unit, math.inf)
+    for name, unit in (("a", "rad/s2 or m/s2"), ("tau", "N m or N"), ("nle", "N m or N"))
+}
 
 
 class LinkDynamics:
@@ -84,28 +92,17 @@ class LinkDynamics:
         where = f"LinkDynamics.{of}"
         rows: list[Array] = []
         for quantity, values in given.items():
-            array = as_numbers(values, where, quantity, UNITS[quantity])
+            array = QUANTITIES[quantity].numbers(where, values)
             if array.ndim not in (1, 2) or array.shape[-1] != self._N:
                 rule = f"have shape (K, {self._N}) or ({self._N},)"
                 raise Refusal(where, quantity, rule, array.shape)
             if rows and array.shape != rows[0].shape:
                 raise Refusal(where, quantity, f"have the shape of q, {rows[0].shape}", array.shape)
-            if not _within(array, math.inf) and not np.isfinite(array).all():
-                raise Refusal(where, quantity, f"be finite [{UNITS[quantity]}]", array)
+            QUANTITIES[quantity].check(where, array)
             rows.append(array)
-        if not _within(rows[0], LARGEST) and np.abs(rows[0]).max() > LARGEST:
-            raise Refusal(where, "q", f"be at most {LARGEST:g} rad or m", rows[0])
         return rows
 
 
-def _within(values: Array, largest: float) -> bool:
-    """Whether all are smaller, by the sum of their squares: quick, and of some not seen."""
-    return float(np.vdot(values, values)) < largest**2
-
-
 def _finite(values: Array, of: str, quantity: str) -> Array:
-    if not _within(values, math.inf) and not np.isfinite(values).all():
-        where = f"LinkDynamics.{of}"
-        rule = f"be finite [{UNITS.get(quantity, UNITS['tau'])}]"
-        raise Refusal(where, f"what v, tau or a lead to, {quantity},", rule, values)
+    ANSWERS[quantity].check(f"LinkDynamics.{of}", values)
     return values

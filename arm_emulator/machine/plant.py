@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMAND_D, ANY_COMMANDS
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_flag, as_number, as_numbers, as_row
+from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, CData, Library, pointer, text
 from arm_emulator.machine.chain import Array
@@ -36,15 +37,14 @@ from arm_emulator.machine.plant_state import (
     SET,
     PlantState,
     bounds_of,
-    check_start,
     link_angle_per_count,
+    start_bounds,
 )
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.turns import Turns, in_turn
 from arm_emulator.machine.varied import varied_number
 
 LARGEST_STEPS = 10**15  # of one call
-UNITS = "V, N m or A"  # of commands
 PIECE = 2**20  # steps after which a long call looks whether Ctrl-C was pressed
 
 
@@ -172,9 +172,9 @@ class Plant(Turns):
                 before.
         """
         where, N = "Plant.reset", self._N
-        at = self.scene.start if q is None else as_row(q, N, where, "q", "rad or m")
-        speed = np.zeros(N) if v is None else as_row(v, N, where, "v", "rad/s or m/s")
-        check_start(where, self.scene, at, speed)
+        of_q, of_v = start_bounds(self.scene)
+        at = of_q.row(where, self.scene.start if q is None else q, N)
+        speed = of_v.row(where, np.zeros(N) if v is None else v, N)
         self._reset_to = at.copy(), speed.copy()
         self.core.arm_reset(self.machine, pointer(at), pointer(speed))
 
@@ -226,7 +226,7 @@ class Plant(Turns):
         row = self._as_command(command, where)
         if type(tick) is not int or not -1 <= tick < 2**63:
             tick = check_count(where, "tick", tick, -1)
-        along = 0.0 if command_d is None else as_row(command_d, self._N, where, "command_d", "V")
+        along = 0.0 if command_d is None else ANY_COMMAND_D.row(where, command_d, self._N)
         with self._turn:
             self._commands["value"] = row
             self._commands_d[:] = along
@@ -243,7 +243,7 @@ class Plant(Turns):
             if command.dtype == np.float64:
                 return command
         given = by_joint(command, self.scene, where)
-        row = as_numbers(given, where, "command", UNITS)
+        row = ANY_COMMAND.numbers(where, given)
         if row.shape != self._shape:
             raise Refusal(where, "command", f"have shape {self._shape}", row.shape)
         return row
@@ -326,8 +326,7 @@ class Plant(Turns):
         """
         where = "Plant.set_parameter"
         one = varied_number(self.scene.varied, name, where)
-        number = as_number(value, where, one.name, one.least, one.most)
-        self._call("arm_set_parameter", one.name.encode(), number)
+        self._call("arm_set_parameter", name.encode(), one.number.take(where, value))
 
     def _parameter(self, name: str) -> float:
         value = np.zeros(1)
@@ -414,11 +413,10 @@ class Plant(Turns):
             Refusal: wrong shape, not finite, or no such count; the state is as before.
             Diverged: as `advance`.
         """
-        rows = np.atleast_2d(as_numbers(commands, "Plant.run", "commands", UNITS))
+        rows = np.atleast_2d(ANY_COMMANDS.numbers("Plant.run", commands))
         if rows.ndim != 2 or rows.shape[1] != self._N:
-            raise Refusal("Plant.run", "commands", f"have shape (K, {self._N})", rows.shape)
-        if not np.isfinite(rows).all():
-            raise Refusal("Plant.run", "commands", f"be finite [{UNITS}]", rows)
+            raise Refusal("Plant.run", ANY_COMMANDS.name, f"have shape (K, {self._N})", rows.shape)
+        ANY_COMMANDS.check("Plant.run", rows)
         steps = check_count("Plant.run", "steps", steps, 0, LARGEST_STEPS // max(1, len(rows)))
         q = np.zeros_like(rows)
         if steps > PIECE:
@@ -482,7 +480,7 @@ class Plant(Turns):
             Refusal: wrong shape, not finite, or the scene has no `energy_flow`.
         """
         where, out = "Plant.powers", np.zeros((2, self._N))
-        u = as_row(by_joint(command, self.scene, where), self._N, where, "command", UNITS)
+        u = ANY_COMMAND.row(where, by_joint(command, self.scene, where), self._N)
         if self.core.arm_powers(self.machine, pointer(u), pointer(out)) == REFUSED:
             raise self._refusal(where, "false")
         return EnergyFlow(*out)
@@ -501,7 +499,7 @@ class Plant(Turns):
         where = "Plant.advance_metered"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
         given = by_joint(command, self.scene, where)
-        self._held[:] = as_row(given, self._N, where, "command", UNITS)
+        self._held[:] = ANY_COMMAND.row(where, given, self._N)
         total = np.zeros((2, self._N))
         for first in range(0, steps, PIECE):
             out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
@@ -551,8 +549,7 @@ class Plant(Turns):
         """
         rows = {}
         for name, values in given.items():
-            bound = self.bounds[name]
-            rows[name] = np.ascontiguousarray(bound.vector(where, values, self._N))
+            rows[name] = self.bounds[name].row(where, values, self._N)
         if self.core.arm_set_truth(self.machine, truth_at(**rows)) == REFUSED:
             raise self._refusal(where, "another one")
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY, Bound
-from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.bound import CURRENT, LARGEST_COUNT, POSITION, VELOCITY
+from arm_emulator.base.number import Number
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
@@ -51,30 +51,25 @@ def link_angle_per_count(scene: Scene) -> Array:
 
 def largest_position(scene: Scene) -> Array:
     """Return how far a link may be (N,) [rad or m], so that its encoder's counts are exact."""
-    return np.minimum(POSITION.largest, LARGEST_COUNT * np.abs(link_angle_per_count(scene)))
+    return np.minimum(POSITION.most, LARGEST_COUNT * np.abs(link_angle_per_count(scene)))
 
 
-def check_start(where: str, scene: Scene, q: Array, v: Array) -> None:
-    """Refuse positions and speeds, rows of (N,), at which no motion can begin.
-
-    Raises:
-        Refusal: see above.
-    """
-    largest = largest_position(scene)
-    if (np.abs(q) > largest).any():
-        raise Refusal(where, "q", f"be at most {largest.min():g} rad or m", q)
-    if (np.abs(v) > VELOCITY.largest).any():
-        raise Refusal(where, "v", f"be at most {VELOCITY.largest:g} rad/s or m/s", v)
+def start_bounds(scene: Scene) -> tuple[Number, Number]:
+    """Return at which positions and speeds a motion can begin."""
+    return (
+        Number.within("q", "rad or m", largest_position(scene)),
+        Number.within("v", "rad/s or m/s", VELOCITY.most),
+    )
 
 
-def bounds_of(scene: Scene) -> dict[str, Bound]:
+def bounds_of(scene: Scene) -> dict[str, Number]:
     """Return how large what is set may be, by its name in `PlantState`."""
     at_most = largest_position(scene)
     ratio = np.abs(scene.gear_ratios)
     return {
         "current": CURRENT,
-        "theta_m": Bound("motor position", "rad", at_most / ratio),
-        "omega_m": Bound("motor velocity", "rad/s", VELOCITY.largest / ratio),
-        "q": Bound("position", "rad", at_most),
+        "theta_m": Number.within("motor position", "rad", at_most / ratio),
+        "omega_m": Number.within("motor velocity", "rad/s", VELOCITY.most / ratio),
+        "q": Number.within("position", "rad", at_most),
         "v": VELOCITY,
     }

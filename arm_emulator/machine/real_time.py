@@ -100,7 +100,7 @@ class RealTimeLoop:
         """
         where = "RealTimeLoop.command"
         check_count(where, "answered", answered, -1)
-        self._commands["value"] = COMMAND.vector(where, command, self._N)
+        self._commands["value"] = COMMAND.row(where, command, self._N)
         self._command.tick = answered
         self._calls.arm_real_time_command(self._loop, self._command)
 

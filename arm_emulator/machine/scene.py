@@ -18,8 +18,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from arm_emulator.base.config_files import BESIDE, find_config
+from arm_emulator.base.number import LARGEST, Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.section import LARGEST, LARGEST_COUNT, Section
+from arm_emulator.base.section import LARGEST_COUNT, Section
 from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
 from arm_emulator.base.yaml_file import read_yaml
@@ -54,6 +55,13 @@ EVENTS = ("step", "located")
 LOCATING_SCHEMES = ("rosenbrock", "extrapolated")  # whose order 2 is worth to locate events
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
+_GRAVITY = Number.within("gravity", "m/s2", 1000.0)
+_LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
+_CORES = Number("cores", at_least=0, at_most=1023, whole=True)
+_MASS = Number("mass", "kg", at_least=0.0)  # of the payload
+_COM = Number.within("com", "m", 100.0)
+_INERTIA = Number.within("inertia", "kg m2", 1e6)
+
 
 Kind = TypeVar("Kind", bound=Part)
 
@@ -67,12 +75,12 @@ class Load:
     per_kg: Body  # what 1 kg more adds
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Joint:
     """What the scene file states of one moving joint. A joint without a motor swings freely."""
 
     name: str
-    start: float  # rad or m
+    start: float = number("rad or m", at_least=-1e4, at_most=1e4, default=0.0)
     motor: Motor | None
     gear: Gear
     sensors: JointSensors
@@ -161,18 +169,19 @@ class Joint:
         return self.encoder.counts_per_turn if self.encoder else IDEAL_COUNTS_PER_TURN
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Integrator:
     """Scheme and step [s]."""
 
     scheme: str
-    dt: float
+    dt: float = number("s", at_least=1e-9, at_most=1.0)
     exchange: str  # between two threads, see core/schemes/two_threads.hpp
-    exchange_depth: int  # samples from which a step takes the links' part of two threads
+    # Samples from which a step takes the links' part of two threads.
+    exchange_depth: int = number(at_least=1, at_most=DEEPEST_EXCHANGE, whole=True, default=1)
     events: str  # where modes of joints change, see core/schemes/located.hpp
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scene:
     """All data of one machine."""
 
@@ -181,22 +190,23 @@ class Scene:
     urdf: str  # XML text, locked joints fixed
     tool: str  # link whose frame is the tool
     gravity: tuple[float, ...] | None  # m/s2 in the world
-    supply_voltage: float  # V
+    supply_voltage: float = number("V", above=0.0, at_most=1e5)
     joints: tuple[Joint, ...]  # base to tool
     chain: Chain  # the same joints' geometry and inertia
     bare: tuple[Body, ...]  # what they move, without the payload
     integrator: Integrator
-    servo_period: float  # s
+    servo_period: float = number("s", at_least=1e-6, at_most=1.0)
     external_wrench: bool  # whether there may be one, see core/mechanics/external_wrench.hpp
     energy_flow: (
         bool  # whether what is given and dissipated is reported, see core/mechanics/energy_flow.hpp
     )
-    threads: int
+    threads: int = number(at_least=1, at_most=2, whole=True, default=1)
     cores: tuple[int, int]  # of the motor thread and the Newton-Euler thread; -1: any
     varied: tuple[Varied, ...]  # numbers that every machine has for itself
     load: Load | None  # the payload, where its mass is varied
     imus: tuple[Imu, ...]
-    seed: int  # of the noise of sensors
+    # Of the noise of sensors.
+    seed: int = number(at_least=0, at_most=LARGEST_SEED, whole=True, default=0)
     assumed: tuple[str, ...] = ()  # links whose bodies nobody has measured
 
     @property
@@ -304,15 +314,12 @@ def _build(root: Section, file: Path) -> Scene:
     urdf = read_urdf(urdf_file)
     robot = parse_urdf(urdf, urdf_file.name)
     tool = root.text("tool")
-    gravity = root.vector("gravity", "m/s2", bound=1000.0)
+    gravity, numbers = root.vector(_GRAVITY), root.numbers(Scene)
     payload = root.section("payload")
     locked_section = root.section("locked")
     locked = {}
     if locked_section is not None:
-        locked = {
-            key: locked_section.number(key, "rad or m", at_least=-1e4, at_most=1e4)
-            for key in locked_section.keys()
-        }
+        locked = {key: locked_section.number(_LOCKED.named(key)) for key in locked_section.keys()}
     payload_body = None if payload is None else _payload(payload)
 
     def read(load: Body | None) -> Chain:
@@ -328,32 +335,27 @@ def _build(root: Section, file: Path) -> Scene:
         )
     if lock_joints(robot, locked, urdf_file.name):
         urdf = ET.tostring(robot, encoding="unicode")
-    supply_voltage = root.number("supply_voltage", "V", above=0.0, at_most=1e5)
     joints = _joints(root, chain, urdf_file.name, limits_of(robot))
     integrator_section = root.required_section("integrator")
     integrator = Integrator(
         scheme=integrator_section.choice("scheme", SCHEMES, default=SCHEMES[0]),
-        dt=integrator_section.number("dt", "s", at_least=1e-9, at_most=1.0),
         exchange=integrator_section.choice("exchange", EXCHANGES, default=EXCHANGES[0]),
-        exchange_depth=integrator_section.integer(
-            "exchange_depth", default=1, at_least=1, at_most=DEEPEST_EXCHANGE
-        ),
         events=integrator_section.choice("events", EVENTS, default=EVENTS[0]),
+        **integrator_section.numbers(Integrator),
     )
-    servo_period = root.number("servo_period", "s", at_least=1e-6, at_most=1.0)
-    integrator = replace(integrator, dt=_dividing(servo_period, integrator.dt, where))
-    threads = root.integer("threads", default=1, at_least=1, at_most=2)
-    unfit = odds(integrator, threads)
+    dt = _dividing(numbers["servo_period"], integrator.dt, where)
+    integrator = replace(integrator, dt=dt)
+    unfit = odds(integrator, numbers["threads"])
     if unfit is not None:
         raise root.refusal(*unfit)
     cores = _cores(root)
     imus = _imus(root, chain)
-    seed = root.integer("seed", default=0, at_least=0, at_most=LARGEST_SEED)
     possible = could_vary(joints, chain, imus)
     if payload_body is not None:
-        possible.append(Varied("payload.mass", payload_body.mass, 0.0, LARGEST))
+        possible.append(Varied(_MASS.named("payload.mass"), payload_body.mass))
     if root.has("seed") or "seed" in root.entries("varied"):
-        possible.append(Varied("seed", seed, 0.0, LARGEST_SEED))
+        seed = replace(numbers_of(Scene)["seed"], whole=False)  # one is as good as another
+        possible.append(Varied(seed, numbers["seed"]))
     by_name = {one.name: one for one in possible}
     varied = choose_varied(root.entries("varied"), by_name, where)
     load = None
@@ -377,21 +379,18 @@ def _build(root: Section, file: Path) -> Scene:
         urdf=urdf,
         tool=tool,
         gravity=gravity,
-        supply_voltage=supply_voltage,
         joints=joints,
         chain=chain,
         bare=bare,
         integrator=integrator,
-        servo_period=servo_period,
         external_wrench=external_wrench,
         energy_flow=energy_flow,
-        threads=threads,
         cores=cores,
         varied=varied,
         load=load,
         imus=imus,
-        seed=seed,
         assumed=assumed,
+        **numbers,
     )
 
 
@@ -424,7 +423,7 @@ def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] |
 
 
 def _cores(root: Section) -> tuple[int, int]:
-    cores = root.vector("cores", "core number", bound=1023.0, size=2)
+    cores = root.vector(_CORES, size=2)
     if cores is None:
         return -1, -1
     available = os.sched_getaffinity(0)
@@ -474,7 +473,7 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         put_limits(stops, limits)
     joint = Joint(
         name=name,
-        start=one.number("start", "rad or m", default=0.0, at_least=-1e4, at_most=1e4),
+        **one.numbers(Joint),
         motor=None if motor is None else read_motor(motor),
         gear=RigidGear(ratio=1.0) if gear is None else read_gear(gear),
         sensors=JointSensors.read(one, kind),
@@ -502,10 +501,10 @@ def _check_reflected(motor: Motor, ratio: float, one: Section) -> None:
 
 def _payload(section: Section, mass: float | None = None) -> Body:
     """Return the payload in the frame of the tool; `mass` takes the place of the scene's."""
-    given = section.number("mass", "kg", at_least=0.0)
+    given = section.number(_MASS)
     mass = given if mass is None else mass
-    com = section.vector("com", "m", bound=100.0) or (0.0, 0.0, 0.0)
-    entries = section.vector("inertia", "kg m2", size=6, bound=1e6)
+    com = section.vector(_COM) or (0.0, 0.0, 0.0)
+    entries = section.vector(_INERTIA, size=6)
     inertia = np.zeros((3, 3))
     if entries is not None:
         xx, yy, zz, xy, xz, yz = entries

@@ -126,7 +126,7 @@ def _matrix(rows: Array) -> str:
 
 
 def _parameter(one: Varied) -> str:
-    numbers = fields({"least": one.least, "most": one.most})
+    numbers = fields({"least": one.number.least, "most": one.number.most})
     return f"{{.name = {text(one.name)}, {numbers}}}"
 
 

@@ -209,7 +209,7 @@ class Session:
         for quantity, row in values.items():
             if len(row) != len(names):
                 rule = f"have one value per joint name ({len(names)})"
-                called = self.plant.bounds[quantity].quantity
+                called = self.plant.bounds[quantity].name
                 raise Refusal(where, called, rule, f"{len(row)} values")
         with self.between_ticks():
             now = self.plant.state

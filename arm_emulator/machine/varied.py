@@ -6,17 +6,21 @@ import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
 
 @dataclass(frozen=True)
 class Varied:
-    """One of them, by its place in the scene."""
+    """One of them; its name is its place in the scene."""
 
-    name: str
+    number: Number
     value: float  # that a machine begins with
-    least: float
-    most: float
+
+    @property
+    def name(self) -> str:
+        """Its place in the scene."""
+        return self.number.name
 
 
 def choose_varied(

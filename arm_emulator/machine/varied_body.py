@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from arm_emulator.base.section import LARGEST, SMALLEST
+from arm_emulator.base.number import Number
 from arm_emulator.machine.chain import Array, Body, ChainJoint, Frame
 from arm_emulator.machine.cxx_literals import number
 from arm_emulator.machine.varied import Varied
@@ -28,15 +28,17 @@ def of_child(joint: ChainJoint, body: Body | None = None) -> dict[str, float]:
 def varied_body(joint: ChainJoint) -> list[Varied]:
     """Return the numbers of what a joint moves, payload and all, that may be varied."""
     return [
-        Varied(f"links.{joint.link}.{name}", value, *_bounds(name))
+        Varied(_number(f"links.{joint.link}.{name}"), value)
         for name, value in of_child(joint).items()
     ]
 
 
-def _bounds(name: str) -> tuple[float, float]:
-    if name == "mass":
-        return SMALLEST, LARGEST
-    return (0.0 if name[-2] == name[-1] else -LARGEST), LARGEST
+def _number(name: str) -> Number:
+    if name.endswith(".mass"):
+        return Number(name, "kg", above=0.0)
+    if "moment" in name.rsplit(".", 1)[-1]:
+        return Number(name, "kg m")
+    return Number(name, "kg m2", at_least=0.0 if name[-2] == name[-1] else None)
 
 
 def expressions(joint: ChainJoint, places: Mapping[str, str]) -> dict[str, str] | None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.bound import Bound
 from arm_emulator.base.count import check_count
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
 
-_STEPS = Bound("step_response", "", 1e3)
+_STEPS = Number.within("step_response", "", 1e3)
 
 
 def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: int) -> FloatArray:

@@ -8,18 +8,20 @@ refreshed in every motion period.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.number import Number
 from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
 
 FloatArray = npt.NDArray[np.float64]
+
+_SHARE = Number("weight", above=0.0, at_most=1.0)
+_STEP_LIMIT = Number("step_limit", "rad", above=0.0)
 
 
 class JacobianController:
@@ -59,9 +61,11 @@ class JacobianController:
         singular_below: float = 0.02,
     ) -> None:
         self.kinematics = kinematics
-        self.weight = _within(weight, "weight", "be in (0, 1]", 1.0)
-        self.step_limit = _within(step_limit, "step_limit", "be a number > 0 rad", math.inf)
-        self.singular_below = _within(singular_below, "singular_below", "be in (0, 1]", 1.0)
+        self.weight = _SHARE.named("weight").take("motion_controller", weight)
+        self.step_limit = _STEP_LIMIT.take("motion_controller", step_limit)
+        self.singular_below = _SHARE.named("singular_below").take(
+            "motion_controller", singular_below
+        )
         self.notices: tuple[str, ...] = ()
         """What limited the last `update`, in words; empty: nothing did."""
         self.searching = False
@@ -142,10 +146,3 @@ class JacobianController:
                 f"[{lower[j]:.4g}, {upper[j]:.4g}]"
             )
         return limited
-
-
-def _within(value: Any, quantity: str, rule: str, high: float) -> float:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not math.isfinite(value) or not 0.0 < value <= high:
-        raise Refusal("motion_controller", quantity, rule, value)
-    return float(value)

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY, Bound
+from arm_emulator.base.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
@@ -347,8 +348,8 @@ def _table(points: Sequence[TrajectoryPoint], field: str, count: int) -> FloatAr
     for i, point in enumerate(points):
         values = getattr(point, field)
         if needed or len(values):
-            bound: Bound = _BOUNDS[field].named(f"points[{i}].{field}")
-            table[i] = bound.vector(WHERE, values, count)
+            bound: Number = _BOUNDS[field].named(f"points[{i}].{field}")
+            table[i] = bound.row(WHERE, values, count)
     return table
 
 

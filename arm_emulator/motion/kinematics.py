@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from arm_emulator.base.bound import POSITION, TOOL_POSITION, Bound
+from arm_emulator.base.bound import POSITION, TOOL_POSITION
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.kinematics_model import (
@@ -26,7 +27,7 @@ FloatArray = npt.NDArray[np.float64]
 
 _Q = POSITION.named("q")
 _REACH = TOOL_POSITION.named("the length of the arm")
-_TARGET_ROTATION = Bound("the rotation", "", 1.001)  # no entry is larger, but for rounding
+_TARGET_ROTATION = Number.within("the rotation", "", 1.001)  # no entry is larger, but for rounding
 
 POSITION_ROWS = 3
 POSE_ROWS = 6
@@ -154,7 +155,7 @@ class Kinematics:
         Raises:
             Refusal: a wrong length, not finite or too large.
         """
-        return _Q.vector("motion_controller", q, len(self.joint_names))
+        return _Q.row("motion_controller", q, len(self.joint_names))
 
     def _configuration(self, q: npt.ArrayLike) -> FloatArray:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.bound import TOOL_POSITION, Bound
+from arm_emulator.base.bound import TOOL_POSITION
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
 FloatArray = npt.NDArray[np.float64]
@@ -16,8 +17,8 @@ FloatArray = npt.NDArray[np.float64]
 # A quaternion this far from length 1, and a matrix this far from a rotation, is rounding of its
 # sender; farther, it is a mistake.
 _UNIT_TOLERANCE = 1e-3
-_ROTATION = Bound("R_WT", "", 1.0 + _UNIT_TOLERANCE)  # no entry of a rotation is larger
-_ORIENTATION = Bound("orientation", "", math.inf)
+_ROTATION = Number.within("R_WT", "", 1.0 + _UNIT_TOLERANCE)  # no entry of a rotation is larger
+_ORIENTATION = Number.within("orientation", "", math.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class Pose:
         Raises:
             Refusal: a wrong shape, not finite, too far away, or a matrix that is no rotation.
         """
-        p = TOOL_POSITION.vector("Pose", self.p_WT, 3).copy()
+        p = TOOL_POSITION.row("Pose", self.p_WT, 3).copy()
         R = np.array(_ROTATION.numbers("Pose", self.R_WT))
         if R.shape != (3, 3):
             raise Refusal("Pose", "R_WT", "have shape (3, 3)", R.shape)
@@ -65,8 +66,8 @@ class Pose:
             Refusal: not finite, too far away, a wrong length, or a quaternion whose length is
                 not 1.
         """
-        p = TOOL_POSITION.vector(where, position, 3).copy()
-        q = _ORIENTATION.vector(where, quaternion, 4)
+        p = TOOL_POSITION.row(where, position, 3).copy()
+        q = _ORIENTATION.row(where, quaternion, 4)
         length = math.hypot(*q.tolist())  # of numbers of any size
         if abs(length - 1.0) > _UNIT_TOLERANCE:
             raise Refusal(

@@ -100,16 +100,14 @@ def predicted_residual(
             exists.
     """
     kinematics = controller.kinematics
-    q = _Q.vector("predicted_residual", q, len(kinematics.joint_names))
+    q = _Q.row("predicted_residual", q, len(kinematics.joint_names))
     times = _times_held(controller, q)
-    count = _COUNT.vector("predicted_residual", count_angle, len(q))
+    count = _COUNT.row("predicted_residual", count_angle, len(q))
     if (count < 0.0).any() or not 0.0 <= held_within <= LARGEST_COUNT:
         got = f"{count} and {held_within}"
         raise Refusal("predicted_residual", "count_angle and held_within", "be >= 0", got)
     wound = (
-        np.zeros_like(q)
-        if wind_up is None
-        else _WIND_UP.vector("predicted_residual", wind_up, len(q))
+        np.zeros_like(q) if wind_up is None else _WIND_UP.row("predicted_residual", wind_up, len(q))
     )
     off = count * (held_within * times + 0.5)
     second = np.full(kinematics.rows, off.sum() * (0.5 * off.sum() + np.abs(wound).sum()))

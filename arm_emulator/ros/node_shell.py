@@ -28,7 +28,7 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from arm_emulator.base.memory import is_want_of_memory
-from arm_emulator.base.number import Range
+from arm_emulator.base.number import Number
 from arm_emulator.base.parameters import ROS_PARAMETERS, Parameters, checked, parameters_of, perhaps
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
@@ -135,7 +135,7 @@ def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
             read_only=not field.metadata["settable"],
             dynamic_typing=True,
         )
-        set_range(descriptor, field.metadata["range"])
+        set_range(descriptor, field.metadata.get("number"))
         node.set_descriptor(field.name, descriptor)
     return kind(**values)
 
@@ -197,16 +197,17 @@ def replaced(node: Node, config: Parameters, changes: Mapping[str, Any]) -> Para
     return dataclasses.replace(config, **given)  # type: ignore[type-var]
 
 
-def set_range(descriptor: ParameterDescriptor, one: Range | None) -> None:
+def set_range(descriptor: ParameterDescriptor, one: Number | None) -> None:
     """Set a descriptor's range for ROS tools; None: it is no number."""
     if one is None:
         return
+    first, last = one.ends
     if one.whole:
-        first, last = (round(min(max(x, -(2.0**62)), 2.0**62)) for x in (one.least, one.most))
-        descriptor.integer_range = [IntegerRange(from_value=first, to_value=last, step=1)]
+        whole = IntegerRange(from_value=round(first), to_value=round(last), step=1)
+        descriptor.integer_range = [whole]
     else:
-        ends = {"from_value": float(one.least), "to_value": float(one.most)}
-        descriptor.floating_point_range = [FloatingPointRange(**ends)]
+        any_ = FloatingPointRange(from_value=float(first), to_value=float(last))
+        descriptor.floating_point_range = [any_]
 
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:

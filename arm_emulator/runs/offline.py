@@ -11,10 +11,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.bound import Bound
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.count import check_count
 from arm_emulator.base.joint_order import JointOrder
+from arm_emulator.base.number import Number
 from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.session import Session
@@ -104,7 +104,7 @@ class OfflineRun:
 
 def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> list[int]:
     """Return what to index an array in the order `given` with, to get it in the order `wanted`."""
-    place = Bound("place", "", math.inf)
+    place = Number.within("place", "", math.inf)
     places = JointOrder(topic, wanted).arrange(given, range(len(given)), place)
     return [int(place) for place in places]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from arm_emulator.base.bound import ANY_COMMANDS
 from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.count import check_count
-from arm_emulator.base.given import as_numbers
 from arm_emulator.base.kept import check_suffix
 from arm_emulator.base.record_file import arrow_table, open_record
 from arm_emulator.base.refusal import Refusal
@@ -87,7 +87,7 @@ class Recording:
             Diverged: see there; what was taken before is kept.
         """
         every = check_count("Recording.run", "every", every, 1)
-        rows = np.atleast_2d(as_numbers(commands, "Recording.run", "commands", "V, N m or A"))
+        rows = np.atleast_2d(ANY_COMMANDS.numbers("Recording.run", commands))
         for first in range(0, len(rows), every):
             self._plant.run(rows[first : first + every], steps)
             self.take()

@@ -75,7 +75,7 @@ def _check(numbers: FloatArray, table: Table, names: Sequence[str]) -> None:
     for row in np.flatnonzero(np.diff(t) <= 0.0)[:1] + 1:
         rule = f"be later than that of the row before, {t[row - 1]:g} s"
         raise Refusal(table.where, f"line {table.lines[row]}, t", rule, f"{t[row]:g} s")
-    for row, column in np.argwhere(np.abs(q) > POSITION.largest)[:1]:
-        rule = f"be within +-{POSITION.largest:g} rad or m"
+    for row, column in np.argwhere(np.abs(q) > POSITION.most)[:1]:
+        rule = f"be within +-{POSITION.most:g} rad or m"
         what = f"line {table.lines[row]}, {names[column + 1]}"
         raise Refusal(table.where, what, rule, q[row, column])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY, Bound
+from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.servo.servo_config import JointServo, ServoConfig, load_servo_config
@@ -213,6 +214,6 @@ class Servo:
         self._rows[row] = values
         return self.places[row + 1]
 
-    def _vector(self, values: npt.ArrayLike, bound: Bound) -> FloatArray:
+    def _vector(self, values: npt.ArrayLike, bound: Number) -> FloatArray:
         """Return `values` as N numbers within the bound."""
-        return bound.vector("servo", values, self._N)
+        return bound.row("servo", values, self._N)

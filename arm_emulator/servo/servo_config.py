@@ -4,25 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.bound import Bound, encoder_counts
-from arm_emulator.base.number import Range
+from arm_emulator.base.bound import encoder_counts
+from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
 from arm_emulator.base.parameters import ROS_PARAMETERS, perhaps, ros_parameters
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.servo.commanded import Commanded
-
-
-def _positive(unit: str) -> dict[str, Range]:
-    return {"range": Range(unit, above=0)}
-
-
-def _not_negative(unit: str) -> dict[str, Range]:
-    return {"range": Range(unit, at_least=0)}
 
 
 @dataclass(frozen=True)
@@ -34,46 +26,44 @@ class JointServo:
     """
 
     name: str
-    gear_ratio: float = field(metadata={"range": Range(nonzero=True)})
+    gear_ratio: float = number(above=0, in_size=True)
     """Link turns per motor turn; negative: the link turns the other way."""
-    counts_per_turn: int = field(metadata={"range": Range(at_least=1, whole=True)})
+    counts_per_turn: int = number(at_least=1, whole=True)
     """Encoder counts per motor turn."""
-    resistance: float = field(metadata=_not_negative("ohm"))
+    resistance: float = number("ohm", at_least=0)
     """Of the winding [ohm]; 0 only where the drive is commanded a current or a torque."""
-    torque_constant: float = field(metadata=_positive("N m/A"))
+    torque_constant: float = number("N m/A", above=0)
     """Motor torque per current [N m/A]; 1 where the drive is commanded a torque."""
-    back_emf_constant: float = field(metadata=_not_negative("V s/rad"))
+    back_emf_constant: float = number("V s/rad", at_least=0)
     """Voltage per motor speed [V s/rad]."""
-    rotor_inertia: float = field(metadata=_positive("kg m2"))
+    rotor_inertia: float = number("kg m2", above=0)
     """Of the rotor and the primary side of the gear [kg m2]."""
-    velocity_limit: float = field(metadata=_positive("rad/s"))
+    velocity_limit: float = number("rad/s", above=0)
     """Largest link speed that the position loop may ask for [rad/s]."""
-    position_gain: float = field(metadata=_positive("1/s"))
+    position_gain: float = number("1/s", above=0)
     """Speed asked for per position error [1/s]."""
-    velocity_gain: float = field(metadata=_positive("N m s/rad"))
+    velocity_gain: float = number("N m s/rad", above=0)
     """Link torque asked for per link speed error [N m s/rad]."""
-    integral_time: float = field(metadata=_positive("s"))
+    integral_time: float = number("s", above=0)
     """Reset time of the velocity loop's integral action [s]."""
-    observer_bandwidth: float = field(metadata=_positive("rad/s"))
+    observer_bandwidth: float = number("rad/s", above=0)
     """Where the three poles of the speed observer lie [rad/s]."""
-    inductance: float = field(default=0.0, metadata=_not_negative("H"))
+    inductance: float = number("H", at_least=0, default=0.0)
     """Of the winding [H]; 0: the current follows the voltage at once."""
-    link_inertia: float = field(default=0.0, metadata=_not_negative("kg m2"))
+    link_inertia: float = number("kg m2", at_least=0, default=0.0)
     """Link inertia that turns rigidly with the rotor [kg m2]; 0: behind an elastic gear."""
-    current_limit: float = field(default=math.inf, metadata=_positive("A"))
+    current_limit: float = number("A", above=0, default=math.inf)
     """Largest current that the drive may ask for [A]; left out: only the voltage limits."""
-    current_bandwidth: float = field(default=0.0, metadata=_not_negative("Hz"))
+    current_bandwidth: float = number("Hz", at_least=0, default=0.0)
     """Of the current loop that the drive closes by itself [Hz]: it is commanded a current [A];
     left out: a voltage."""
-    torque_bandwidth: float = field(default=0.0, metadata=_not_negative("Hz"))
+    torque_bandwidth: float = number("Hz", at_least=0, default=0.0)
     """Of the drive's control of its torque [Hz]: it is commanded a torque [N m], measures no
     current, and has its limits in N m; left out: a current or a voltage."""
-    voltage_limit: float = field(default=math.inf, metadata=_positive("V"))
+    voltage_limit: float = number("V", above=0, default=math.inf)
     """Largest voltage that the drive can give [V], for the amplitude of synchronous motors; left
     out: that of the supply."""
-    encoder_bits: int = field(
-        default=0, metadata={"range": Range(at_least=0, at_most=48, whole=True)}
-    )
+    encoder_bits: int = number(at_least=0, at_most=48, whole=True, default=0)
     """Word length of an absolute encoder, whose counts begin anew at 0 after 2**bits; 0: counts
     that go on."""
 
@@ -132,17 +122,17 @@ class JointServo:
 class ServoConfig:
     """Parameters of the servo: periods, supply and its joints in the order of its arrays."""
 
-    period: float
+    period: float = number("s", above=0)
     """Servo period [s]."""
-    motion_period: float
+    motion_period: float = number("s", at_least=0)
     """Period of the joint targets in lock-step [s]; 0: targets come when they come."""
-    hold_after: float
+    hold_after: float = number("s", above=0)
     """Silence after which the watchdog holds the joints where they are [s]."""
-    cut_after: float
+    cut_after: float = number("s", above=0)
     """Silence after which the watchdog cuts the power [s]."""
-    supply_voltage: float
+    supply_voltage: float = number("V", above=0)
     """Largest voltage at a motor, of either sign [V]."""
-    joints: tuple[JointServo, ...]
+    joints: tuple[JointServo, ...] = ()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -150,12 +140,12 @@ class ServoConfig:
         return tuple(joint.name for joint in self.joints)
 
     @property
-    def counts(self) -> Bound:
+    def counts(self) -> Number:
         """How large the encoders' counts may be, (N,)."""
         going_on = encoder_counts([joint.count_angle for joint in self.joints])
         words = np.array([2.0**joint.encoder_bits for joint in self.joints])
-        largest = np.where(words > 1.0, words - 1.0, going_on.largest)
-        return Bound(going_on.quantity, "", largest)
+        largest = np.where(words > 1.0, words - 1.0, going_on.at_most)  # type: ignore[arg-type]
+        return Number.within(going_on.name, "", largest)
 
     def count_angles(self, joint_names: Iterable[str]) -> list[float]:
         """Return the link angle of one encoder count for each of some joints [rad]."""
@@ -199,7 +189,7 @@ class ServoConfig:
                 raise Refusal(where, f"joints.{name}", rule, name, "joints.NAME.gear_ratio: VALUE")
         _check_keys(tables, names, where, "joints")
         _check_keys(given, _SCALARS, where, "")
-        scalars = {name: _number(given[name], one, where, name) for name, one in _SCALARS.items()}
+        scalars = {name: one.take(where, given[name]) for name, one in _SCALARS.items()}
         _check_periods(scalars, where)
         joints = tuple(_joint(name, tables[name], where) for name in names)
         for joint in joints:
@@ -209,14 +199,8 @@ class ServoConfig:
 
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6  # s
 
-_SCALARS = {
-    "period": _positive("s")["range"],
-    "motion_period": _not_negative("s")["range"],
-    "hold_after": _positive("s")["range"],
-    "cut_after": _positive("s")["range"],
-    "supply_voltage": _positive("V")["range"],
-}
-_FIELDS = {f.name: f for f in fields(JointServo) if f.name != "name"}
+_SCALARS = numbers_of(ServoConfig)
+_FIELDS = numbers_of(JointServo)
 
 
 # What can be set while the servo runs: not the data sheet.
@@ -232,12 +216,11 @@ SETTABLE = (
 )
 
 
-def describe(name: str) -> tuple[str, Range | None]:
-    """Return what the parameter of a dotted name is, and its range if it is a number."""
+def declared(name: str) -> Number | None:
+    """Return what the parameter of a dotted name may be, None if it is no number."""
     leaf = name.rsplit(".", 1)[-1]
-    words = leaf.replace("_", " ")
-    one = _FIELDS[leaf].metadata["range"] if leaf in _FIELDS else _SCALARS.get(leaf)
-    return (words, None) if one is None else (f"{words}: {one.interval}", one)
+    one: Number | None = (_FIELDS | _SCALARS).get(leaf)
+    return one
 
 
 def load_servo_config(path: str | Path) -> ServoConfig:
@@ -291,30 +274,13 @@ def _check_keys(table: object, allowed: Any, where: str, path: str) -> None:
             raise Refusal(where, f"{prefix}{key}", "be given", "nothing")
 
 
-def _number(value: Any, one: Range, where: str, path: str) -> float:
-    if not one.holds(value):
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        raise Refusal(where, path, one.rule, value if number else repr(value))
-    return int(value) if one.whole else float(value)
-
-
-def _joint(name: str, table: Any, where: str) -> JointServo:
+def _joint(name: str, table: dict[str, Any], where: str) -> JointServo:
     path = f"joints.{name}"
-    optional = {
-        key: f.default
-        for key, f in _FIELDS.items()
-        if f.default is not MISSING and (not isinstance(table, Mapping) or key not in table)
-    }
-    if isinstance(table, Mapping):
-        table = {**optional, **table}
-    _check_keys(table, _FIELDS, where, path)
-    values: dict[str, Any] = {
-        key: value
-        if key in optional
-        else _number(value, _FIELDS[key].metadata["range"], where, f"{path}.{key}")
-        for key, value in table.items()
-    }
-    return JointServo(name=name, **values)
+    given = {key: one.default for key, one in _FIELDS.items() if one.default is not REQUIRED}
+    _check_keys(given | table, _FIELDS, where, path)
+    for key, value in table.items():
+        given[key] = _FIELDS[key].named(f"{path}.{key}").take(where, value)
+    return JointServo(name=name, **given)
 
 
 def _check_periods(scalars: Mapping[str, float], where: str) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import enum
-import math
+from dataclasses import replace
 
-from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.number import numbers_of
 from arm_emulator.build.c_header import CData
+from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import (
     CUT,
     FOLLOWS,
@@ -60,10 +61,9 @@ class Watchdog:
         Raises:
             Refusal: as the constructor. Nothing has changed then.
         """
-        if not (math.isfinite(hold_after) and hold_after > 0.0):
-            raise Refusal("watchdog", "hold_after", "be a number > 0 s", hold_after)
-        if not (math.isfinite(cut_after) and cut_after > hold_after):
-            raise Refusal("watchdog", "cut_after", f"be > hold_after = {hold_after} s", cut_after)
+        numbers = numbers_of(ServoConfig)
+        hold_after = numbers["hold_after"].take("watchdog", hold_after)
+        cut_after = replace(numbers["cut_after"], above=hold_after).take("watchdog", cut_after)
         self._hold_after, self._cut_after = hold_after, cut_after
         self._dog.hold_after, self._dog.cut_after = (
             nanoseconds(hold_after),

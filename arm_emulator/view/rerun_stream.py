@@ -196,7 +196,7 @@ class RerunStream:
         """
         if self._open:
             try:
-                x, y, z = TOOL_POSITION.vector("Rerun", p_WT, 3).tolist()
+                x, y, z = TOOL_POSITION.row("Rerun", p_WT, 3).tolist()
                 start = max(int(time_ns), self._queue.newest)
                 self._targets.append((start, (x, y, z)))
             except (TypeError, ValueError, OverflowError):  # a Refusal among them

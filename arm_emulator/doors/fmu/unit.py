@@ -68,7 +68,7 @@ inline constexpr long kStepsPerPeriod = {scene.steps_per_period};
 inline constexpr int kModes[] = {{{modes}}};  // enum arm_mode
 inline constexpr double kStartQ[] = {{{_numbers(scene.start)}}};
 inline constexpr double kLargestQ[] = {{{_numbers(largest_position(scene))}}};
-inline constexpr double kLargestV = {_numbers(VELOCITY.largest)};
+inline constexpr double kLargestV = {_numbers(VELOCITY.most)};
 inline constexpr double kParameterStart[] = {{{parameters}}};
 }}
 

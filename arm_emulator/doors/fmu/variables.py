@@ -176,7 +176,7 @@ def _parameters(scene: Scene) -> list[Variable]:
                 first=k,
                 rule="parameter",
                 start=(one.value,),
-                bounds=(one.least, one.most),
+                bounds=one.number.ends,
             )
         )
     return found

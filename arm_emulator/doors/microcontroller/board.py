@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
+from arm_emulator.base.number import REQUIRED, Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import Section
 from arm_emulator.base.yaml_file import read_yaml
@@ -18,6 +19,11 @@ PRIVATE = 0xE0000000  # where the processor's own registers begin
 MOST_INTERRUPTS = 240
 MOST = 64  # entries of a section
 LARGEST = 1 << 28  # bytes of a region
+
+_WORD = Number("", at_least=0, at_most=2**32 - 1, whole=True)
+_BIT = Number("bit", at_least=0, at_most=31, whole=True)
+_INTERRUPT = Number("interrupt", at_least=0, whole=True, default=-1)
+_FULL_SCALE = Number("full_scale", "V, A or N m", at_least=1e-9, at_most=1e9)
 
 _Entry = TypeVar("_Entry")
 
@@ -51,7 +57,7 @@ class Encoder:
 
     joint: str
     at: int
-    bits: int
+    bits: int = number(at_least=8, at_most=32, whole=True)
 
 
 @dataclass(frozen=True)
@@ -60,9 +66,9 @@ class Channel:
 
     joint: str
     at: int
-    bits: int
-    counts_per_ampere: float
-    offset: float
+    bits: int = number(at_least=1, at_most=31, whole=True)
+    counts_per_ampere: float = number("1/A", at_least=1e-9, at_most=1e9, in_size=True)
+    offset: float = number("counts", at_least=0.0)
 
 
 @dataclass(frozen=True)
@@ -126,8 +132,8 @@ class Uart:
     data: int
     control: int
     interrupt: int
-    baud: float
     targets: bool
+    baud: float = number("1/s", at_least=1.0, at_most=1e8, default=115200.0)
 
 
 @dataclass(frozen=True)
@@ -139,7 +145,7 @@ class Mailbox:
     at: dict[str, int]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Board:
     """A microcontroller and its wiring, see docs/how_to/microcontroller.md for each key.
 
@@ -148,13 +154,7 @@ class Board:
     """
 
     where: str
-    clock: float
-    cycles_per_instruction: float
-    cycles_per_branch: float
-    boot: float
     vectors: int
-    interrupts: int
-    priority_bits: int
     preload: bool
     regions: tuple[Region, ...]
     words: tuple[Word, ...]
@@ -165,6 +165,12 @@ class Board:
     ports: tuple[Port, ...]
     uarts: tuple[Uart, ...]
     mailbox: Mailbox | None
+    clock: float = number("Hz", at_least=1e4, at_most=1e10)
+    cycles_per_instruction: float = number("cycles", at_least=0.0, at_most=1000.0, default=1.0)
+    cycles_per_branch: float = number("cycles", at_least=0.0, at_most=1000.0, default=1.0)
+    boot: float = number("s", at_least=0.0, at_most=100.0, default=0.0)
+    interrupts: int = number(at_least=1, at_most=MOST_INTERRUPTS, whole=True)
+    priority_bits: int = number(at_least=1, at_most=8, whole=True, default=4)
 
 
 def load_board(file: Path, joint_names: Sequence[str]) -> Board:
@@ -197,16 +203,11 @@ class _Reader:
         flash = [region.at for region in memory if region.kind == "flash"]
         if not flash:
             raise Refusal(top.where, "memory", "have a region of kind flash", "none")
-        self._interrupts = top.integer("interrupts", at_least=1, at_most=MOST_INTERRUPTS)
+        numbers = top.numbers(Board)
+        self._interrupts = numbers["interrupts"]
         board = Board(
             where=top.where,
-            clock=top.number("clock", "Hz", at_least=1e4, at_most=1e10),
-            cycles_per_instruction=self._cycles("cycles_per_instruction", 1.0),
-            cycles_per_branch=self._cycles("cycles_per_branch", 1.0),
-            boot=top.number("boot", "s", default=0.0, at_least=0.0, at_most=100.0),
             vectors=self._vectors(memory, flash[0]),
-            interrupts=self._interrupts,
-            priority_bits=top.integer("priority_bits", default=4, at_least=1, at_most=8),
             preload=top.flag("preload"),
             regions=regions,
             words=self._entries("values", self._word),
@@ -217,6 +218,7 @@ class _Reader:
             pins=self._entries("pins", self._pin),
             uarts=self._entries("uart", self._uart),
             mailbox=self._mailbox(),
+            **numbers,
         )
         top.finish()
         if sum(uart.targets for uart in board.uarts) > 1:
@@ -228,11 +230,8 @@ class _Reader:
                 raise Refusal(top.where, "adc", rule, f"several for {joint}")
         return board
 
-    def _cycles(self, key: str, default: float) -> float:
-        return self._top.number(key, "cycles", default=default, at_least=0.0, at_most=1000.0)
-
     def _vectors(self, memory: tuple[Region, ...], default: int) -> int:
-        at = _number(self._top, "vectors", default) if self._top.has("vectors") else default
+        at = _word(self._top, "vectors", default)
         size = 4 * (16 + self._interrupts)
         if at % 128 or not any(one.at <= at <= one.at + one.size - size for one in memory):
             rule = f"be a multiple of 128 with {size} bytes of memory from there on"
@@ -250,7 +249,7 @@ class _Reader:
         return self._region(name, section, "registers")
 
     def _region(self, name: str, section: Section, kind: str) -> Region:
-        at, size = _number(section, "at"), _number(section, "size")
+        at, size = _word(section, "at"), _word(section, "size")
         for key, value in (("at", at), ("size", size)):
             if value % PAGE:
                 raise section.refusal(key, f"be a multiple of {PAGE} bytes", hex(value))
@@ -265,11 +264,11 @@ class _Reader:
 
     def _word(self, _name: str, section: Section) -> Word:
         at = self._register(section, "at")
-        return Word(at, _number(section, "value"), _number(section, "fixed", 0))
+        return Word(at, _word(section, "value"), _word(section, "fixed", 0))
 
     def _encoder(self, joint: str, section: Section) -> Encoder:
-        bits = section.integer("bits", at_least=8, at_most=32)
-        return Encoder(joint, self._own(section, "at"), bits)
+        numbers = section.numbers(Encoder)
+        return Encoder(joint, self._own(section, "at"), **numbers)
 
     def _adc(self, name: str, section: Section) -> Adc:
         channels = tuple(
@@ -286,9 +285,9 @@ class _Reader:
         return Adc(
             name,
             status,
-            section.integer("flag", at_least=0, at_most=31) if status else 0,
+            section.integer(_BIT.named("flag")) if status else 0,
             control,
-            section.integer("enable", at_least=0, at_most=31) if control else 0,
+            section.integer(_BIT.named("enable")) if control else 0,
             self._interrupt(section),
             section.choice("clear", ("zero", "one"), "zero"),
             channels,
@@ -298,10 +297,10 @@ class _Reader:
         at = self._own(section, "at")
         if section.choice("holds", ("counts", "float"), "counts") == "float":
             return Channel(joint, at, 0, 0.0, 0.0)
-        bits = section.integer("bits", at_least=1, at_most=31)
-        scale = section.number("counts_per_ampere", "1/A", at_least=1e-9, at_most=1e9, in_size=True)
-        offset = section.number("offset", "counts", at_least=0.0, at_most=float(2**bits - 1))
-        return Channel(joint, at, bits, scale, offset)
+        numbers = section.numbers(Channel)
+        largest = 2 ** numbers["bits"] - 1
+        section.number(replace(numbers_of(Channel)["offset"], at_most=largest))
+        return Channel(joint, at, **numbers)
 
     def _pwm(self, joint: str, section: Section) -> Pwm:
         kinds = ("bipolar", "unipolar", "pair", "float")
@@ -318,10 +317,8 @@ class _Reader:
             section.choice("aligned", ("edge", "center"), "edge") if counted else "edge",
             self._register(section, "minus") if kind == "pair" else 0,
             self._register(section, "direction") if unipolar else 0,
-            section.integer("direction_bit", at_least=0, at_most=31) if unipolar else 0,
-            section.number("full_scale", "V, A or N m", at_least=1e-9, at_most=1e9)
-            if counted and section.has("full_scale")
-            else None,
+            section.integer(_BIT.named("direction_bit")) if unipolar else 0,
+            section.number(_FULL_SCALE) if counted and section.has("full_scale") else None,
         )
 
     def _pin(self, name: str, section: Section) -> Pin:
@@ -332,7 +329,7 @@ class _Reader:
         joint = section.text("joint") if section.has("joint") else ""
         if joint:
             self._check_joint(section, "joint", joint)
-        bit = section.integer("bit", at_least=0, at_most=31)
+        bit = section.integer(_BIT)
         active = section.choice("active", ("high", "low"), "high")
         return Pin(name, is_, self._register(section, "at"), bit, active, joint)
 
@@ -349,8 +346,8 @@ class _Reader:
             self._own(section, "data"),
             self._own(section, "control"),
             self._interrupt(section),
-            section.number("baud", "1/s", default=115200.0, at_least=1.0, at_most=1e8),
             section.flag("targets"),
+            **section.numbers(Uart),
         )
 
     def _mailbox(self) -> Mailbox | None:
@@ -365,7 +362,7 @@ class _Reader:
         return Mailbox(self._own(section, "count"), self._interrupt(section), at)
 
     def _interrupt(self, section: Section) -> int:
-        return section.integer("interrupt", default=-1, at_least=0, at_most=self._interrupts - 1)
+        return section.integer(replace(_INTERRUPT, at_most=self._interrupts - 1))
 
     def _check_joint(self, section: Section, key: str, joint: str) -> None:
         if joint not in self._joints:
@@ -402,7 +399,7 @@ class _Reader:
         return at
 
     def _register(self, section: Section, key: str) -> int:
-        at = _number(section, key)
+        at = _word(section, key)
         if at % 4 or not any(one.at <= at < one.at + one.size for one in self._blocks):
             known = ", ".join(f"{b.name} from {b.at:#x}" for b in self._blocks) or "no block"
             rule = "be a multiple of 4 within a block of `registers`"
@@ -410,17 +407,14 @@ class _Reader:
         return at
 
 
-def _number(section: Section, key: str, default: int | None = None) -> int:
+def _word(section: Section, key: str, default: int | None = None) -> int:
     """Return a whole number of 32 bits, written as 0x40000000 or in decimal."""
-    if default is not None and not section.has(key):
-        return default
     value = section.value(key)
     if isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}", value):
         return int(value, 16)
-    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**32:
-        return value
-    rule = "be a whole number from 0 to 0xffffffff"
-    raise section.refusal(key, rule, "nothing" if value is None else repr(value))
+    return section.integer(
+        replace(_WORD, name=key, default=REQUIRED if default is None else default)
+    )
 
 
 def _check_regions(where: str, regions: tuple[Region, ...]) -> None:

@@ -6,11 +6,11 @@ import dataclasses
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Self
+from typing import ClassVar, Self
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.encoder import read_delay
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, PartNumber, number
 
 JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
 MOST_JOINTS = 4096  # that draws keep apart
@@ -25,15 +25,13 @@ class Converter(Part):
     cxx = "AnalogSensor"
     unit: ClassVar[str]  # of the quantity
 
-    gain_error: Annotated[float | None, Number("gain_error", "1", at_least=-1.0, at_most=1.0)] = (
-        None
-    )
-    noise: Annotated[float | None, Number("noise", "", at_least=0.0, at_most=LARGEST_ERROR)] = None
-    range: Annotated[float | None, Number("range", "", above=0.0)] = None
-    resolution: Annotated[float | None, Number("resolution", "", above=0.0)] = None
+    gain_error: float | None = number("gain_error", "1", at_least=-1.0, at_most=1.0, default=None)
+    noise: float | None = number("noise", "", at_least=0.0, at_most=LARGEST_ERROR, default=None)
+    range: float | None = number("range", "", above=0.0, default=None)
+    resolution: float | None = number("resolution", "", above=0.0, default=None)
 
     @classmethod
-    def numbers(cls) -> dict[str, Number]:
+    def numbers(cls) -> dict[str, PartNumber]:
         """Return the declared numbers by key; without a unit they are in that of the quantity."""
         declared = super().numbers().items()
         return {key: dataclasses.replace(one, unit=one.unit or cls.unit) for key, one in declared}
@@ -62,9 +60,9 @@ class AnalogSensor(Converter):
         # By its name, so that other sensors in a scene or a later version change nothing.
         return MOST_JOINTS * (1 + zlib.crc32(cls.section.encode()) % 2**18), 1
 
-    offset: Annotated[
-        float | None, Number("offset", "", at_least=-LARGEST_ERROR, at_most=LARGEST_ERROR)
-    ] = None
+    offset: float | None = number(
+        "offset", "", at_least=-LARGEST_ERROR, at_most=LARGEST_ERROR, default=None
+    )
     delay: int = 0  # servo periods
 
     @classmethod

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Annotated
+from dataclasses import dataclass
 
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Unknown
 
 NO_TORQUE = 1e-6  # N m, N: rounding
@@ -22,7 +21,7 @@ class BacklashGear(ElasticGear):
     named_by = ("stiffness", "backlash")
 
     # By so much the link turns with the motor held.
-    backlash: Annotated[float, Number("play", "rad", at_least=0.0)] = field()
+    backlash: float = number("play", "rad", at_least=0.0)
 
     def rests(self, at: AtRest) -> Share | str:
         """Where no torque holds its teeth on one side, the link is anywhere within the play."""

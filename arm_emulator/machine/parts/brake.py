@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.friction import Friction, OfRotor, RotorFriction
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -26,13 +25,13 @@ class Brake(Part):
     cxx = "Brake"
     outputs = (Output("brake_closed", "whether each brake is closed", "joint.brake", kind="flag"),)
 
-    torque: Annotated[float, Number("torque", "N m", above=0.0)]
-    close_delay: Annotated[
-        float, Number("close_delay", "s", at_least=0.0, at_most=10.0, varied=False)
-    ] = 0.0
-    release_delay: Annotated[
-        float, Number("release_delay", "s", at_least=0.0, at_most=10.0, varied=False)
-    ] = 0.0
+    torque: float = number("torque", "N m", above=0.0)
+    close_delay: float = number(
+        "close_delay", "s", at_least=0.0, at_most=10.0, varied=False, default=0.0
+    )
+    release_delay: float = number(
+        "release_delay", "s", at_least=0.0, at_most=10.0, varied=False, default=0.0
+    )
 
     def effort(self, motion: ShaftMotion) -> Array:
         """None: in motion it is open."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -22,13 +21,13 @@ class Counterbalance(Part):
     header = "counterbalance.hpp"
     cxx = "Counterbalance"
 
-    base_distance: Annotated[float, Number("a", "m", above=0.0, at_most=100.0, varied=False)]
-    link_distance: Annotated[float, Number("b", "m", above=0.0, at_most=100.0, varied=False)]
-    angle: Annotated[float, Number("phi", "rad", at_least=-1e4, at_most=1e4)] = 0.0
-    force: Annotated[float, Number("F0", "N", at_least=-1e7, at_most=1e7, sought="known")]
-    length: Annotated[float, Number("l0", "m", above=0.0, at_most=200.0)]
-    stiffness: Annotated[float, Number("k", "N/m", at_least=0.0, sought="known")] = 0.0
-    gas_column: Annotated[float, Number("h", "m", at_least=0.0, varied=False)] = 0.0
+    base_distance: float = number("a", "m", above=0.0, at_most=100.0, varied=False)
+    link_distance: float = number("b", "m", above=0.0, at_most=100.0, varied=False)
+    angle: float = number("phi", "rad", at_least=-1e4, at_most=1e4, default=0.0)
+    force: float = number("F0", "N", at_least=-1e7, at_most=1e7, sought="known")
+    length: float = number("l0", "m", above=0.0, at_most=200.0)
+    stiffness: float = number("k", "N/m", at_least=0.0, sought="known", default=0.0)
+    gas_column: float = number("h", "m", at_least=0.0, varied=False, default=0.0)
 
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         a, b, at = self.base_distance, self.link_distance, motion.angle - self.angle

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
 from arm_emulator.machine.parts.motor import Circuit, Motor
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -31,10 +30,10 @@ class CurrentLoop(Decorator):
     header = "current_loop.hpp"
     cxx = "CurrentControl"
 
-    bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
-    proportional_gain: Annotated[float | None, Number("P", "V/A", above=0.0)] = None
-    integral_gain: Annotated[float | None, Number("I", "V/(A s)", at_least=0.0)] = None
-    emf_feedforward: Annotated[float, Number("feedforward", "1", at_least=0.0, at_most=1.0)] = 1.0
+    bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
+    proportional_gain: float | None = number("P", "V/A", above=0.0, default=None)
+    integral_gain: float | None = number("I", "V/(A s)", at_least=0.0, default=None)
+    emf_feedforward: float = number("feedforward", "1", at_least=0.0, at_most=1.0, default=1.0)
 
     def effort(self, motion: ShaftMotion) -> Array:
         """None: what is measured is the torque behind it."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 from arm_emulator.machine.parts.motor import AT_ONCE, Motor, ServoData
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,11 +18,11 @@ class CurrentMotor(Motor):
     command = "A"
     limit = "current_limit"
 
-    torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
-    resistance: Annotated[float, Number("R", "ohm", at_least=0.0)] = 0.0
-    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
-    bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
-    current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
+    torque_constant: float = number("Kt", "N m/A", above=0.0)
+    resistance: float = number("R", "ohm", at_least=0.0, default=0.0)
+    rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
+    bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
+    current_limit: float | None = number("current_limit", "A", above=0.0, default=None)
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 from arm_emulator.machine.parts.motor import Circuit, Motor, ServoData
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,13 +18,13 @@ class DcMotor(Motor):
     cxx = "DcMotor"
     limit = "current_limit"  # with a current loop
 
-    resistance: Annotated[float, Number("R", "ohm", above=0.0)]
-    inductance: Annotated[float, Number("L", "H", at_least=0.0)] = 0.0
-    torque_constant: Annotated[float, Number("Kt", "N m/A", above=0.0)]
-    back_emf_constant: Annotated[float, Number("Kb", "V s/rad", at_least=0.0)]
+    resistance: float = number("R", "ohm", above=0.0)
+    inductance: float = number("L", "H", at_least=0.0, default=0.0)
+    torque_constant: float = number("Kt", "N m/A", above=0.0)
+    back_emf_constant: float = number("Kb", "V s/rad", at_least=0.0)
     # With the gear's primary side.
-    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
-    current_limit: Annotated[float | None, Number("current_limit", "A", above=0.0)] = None
+    rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
+    current_limit: float | None = number("current_limit", "A", above=0.0, default=None)
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

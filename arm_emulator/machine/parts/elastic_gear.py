@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 from arm_emulator.machine.parts.gear import Gear
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,8 +17,8 @@ class ElasticGear(Gear):
     cxx = "ElasticGear"
     named_by: ClassVar[tuple[str, ...]] = ("stiffness",)
 
-    stiffness: Annotated[float, Number("Kg", "N m/rad", above=0.0)] = field()
-    damping: Annotated[float, Number("Dg", "N m s/rad", at_least=0.0)] = 0.0
+    stiffness: float = number("Kg", "N m/rad", above=0.0)
+    damping: float = number("Dg", "N m s/rad", at_least=0.0, default=0.0)
 
     def wind_up(self, torque: float) -> float:  # noqa: D102
         return torque / self.stiffness

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Self
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
+from arm_emulator.base.number import Number
 from arm_emulator.base.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import (
     Around,
     AtRest,
@@ -25,10 +26,13 @@ from arm_emulator.machine.parts.resting import (
 IDEAL_COUNTS_PER_TURN = 2**20
 KINDS = ("incremental", "absolute")
 INDICES = ("none", "latch", "correct")  # what an index pulse does
-MOST_BITS = 48  # of a word; a servo computes with whole numbers up to 2^52
-LONGEST_DELAY = 100  # servo periods
 LARGEST_ANGLE = 1e4  # rad, of errors
-LARGEST_ORDER = 1_000_000  # ripples per turn
+
+_COUNTS_PER_TURN = Number("counts_per_turn", at_least=1, at_most=LARGEST_COUNT, whole=True)
+# Of a word; a servo computes with whole numbers up to 2^52.
+_BITS = Number("bits", at_least=1, at_most=48, whole=True)
+_DELAY = Number("delay", "servo periods", at_least=0, at_most=100, whole=True, default=0)
+_RIPPLE_ORDER = Number("ripple_order", at_least=1, at_most=1_000_000, whole=True, default=2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,25 +57,22 @@ class Encoder(Part):
     bits: int | None = None
     delay: int = 0
     turn: float = 2.0 * math.pi
-    offset: Annotated[
-        float | None,
-        Number("offset", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE),
-    ] = None
-    eccentricity: Annotated[
-        float | None, Number("eccentricity", "rad", at_least=0.0, at_most=1.0)
-    ] = None
-    eccentricity_phase: Annotated[
-        float | None,
-        Number("eccentricity_phase", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE),
-    ] = None
-    ripple: Annotated[float | None, Number("ripple", "rad", at_least=0.0, at_most=1.0)] = None
+    offset: float | None = number(
+        "offset", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE, default=None
+    )
+    eccentricity: float | None = number(
+        "eccentricity", "rad", at_least=0.0, at_most=1.0, default=None
+    )
+    eccentricity_phase: float | None = number(
+        "eccentricity_phase", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE, default=None
+    )
+    ripple: float | None = number("ripple", "rad", at_least=0.0, at_most=1.0, default=None)
     ripple_order: int = 2
-    ripple_phase: Annotated[
-        float | None,
-        Number("ripple_phase", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE),
-    ] = None
-    noise: Annotated[float | None, Number("noise", "rad", at_least=0.0, at_most=1.0)] = None
-    missed: Annotated[float | None, Number("missed", "1", at_least=0.0, at_most=0.5)] = None
+    ripple_phase: float | None = number(
+        "ripple_phase", "rad", at_least=-LARGEST_ANGLE, at_most=LARGEST_ANGLE, default=None
+    )
+    noise: float | None = number("noise", "rad", at_least=0.0, at_most=1.0, default=None)
+    missed: float | None = number("missed", "1", at_least=0.0, at_most=0.5, default=None)
 
     @classmethod
     def read(cls, section: Section, turn: float = 2.0 * math.pi) -> Self:
@@ -85,12 +86,10 @@ class Encoder(Part):
             Refusal: a value breaks its rule.
         """
         kind = section.choice("kind", KINDS, default=KINDS[0])
-        counts = section.integer("counts_per_turn", at_least=1, at_most=LARGEST_COUNT)
+        counts = section.integer(_COUNTS_PER_TURN)
         bits = None
         if kind == "absolute":
-            bits = section.integer(
-                "bits", at_least=max(1, (counts - 1).bit_length()), at_most=MOST_BITS
-            )
+            bits = section.integer(replace(_BITS, at_least=max(1, (counts - 1).bit_length())))
         elif section.has("bits"):
             raise section.refusal("bits", "belong to an encoder of kind absolute", kind)
         index = section.choice("index", INDICES, default=INDICES[0])
@@ -108,9 +107,7 @@ class Encoder(Part):
             bits=bits,
             delay=read_delay(section),
             turn=turn,
-            ripple_order=section.integer(
-                "ripple_order", default=2, at_least=1, at_most=LARGEST_ORDER
-            ),
+            ripple_order=section.integer(_RIPPLE_ORDER),
             **numbers,
         )
 
@@ -209,4 +206,4 @@ class LinkEncoder(Encoder):
 
 def read_delay(section: Section) -> int:
     """Return by how many servo periods a sensor's readings come late."""
-    return section.integer("delay", default=0, at_least=0, at_most=LONGEST_DELAY)
+    return section.integer(_DELAY)

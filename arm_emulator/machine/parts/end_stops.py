@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -22,10 +21,10 @@ class EndStops(Part):
     header = "end_stops.hpp"
     cxx = "EndStops"
 
-    lower: Annotated[float, Number("lower", "rad", at_least=-1e4, at_most=1e4)]
-    upper: Annotated[float, Number("upper", "rad", at_least=-1e4, at_most=1e4)]
-    stiffness: Annotated[float, Number("K", "N m/rad", above=0.0)]
-    damping: Annotated[float, Number("D", "N m s/rad", at_least=0.0)] = 0.0
+    lower: float = number("lower", "rad", at_least=-1e4, at_most=1e4)
+    upper: float = number("upper", "rad", at_least=-1e4, at_most=1e4)
+    stiffness: float = number("K", "N m/rad", above=0.0)
+    damping: float = number("D", "N m s/rad", at_least=0.0, default=0.0)
 
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         q, v = motion.angle, motion.speed

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import Around, AtRest, Shape, Share, Stuck, Unknown
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -26,9 +26,9 @@ class Friction(Part):
     cxx = "Friction"
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
 
-    viscous: Annotated[float, Number("Dv", "N m s/rad", at_least=0.0, sought="unknown")] = 0.0
-    coulomb: Annotated[float, Number("Dc", "N m", at_least=0.0, sought="unknown")] = 0.0
-    breakaway: Annotated[float, Number("Ds", "N m", follows="coulomb")] = 0.0
+    viscous: float = number("Dv", "N m s/rad", at_least=0.0, sought="unknown", default=0.0)
+    coulomb: float = number("Dc", "N m", at_least=0.0, sought="unknown", default=0.0)
+    breakaway: float = number("Ds", "N m", follows="coulomb", default=0.0)
 
     def sliding(self, motion: ShaftMotion) -> Array:
         """Return the dry torque (K,) against a shaft that turns [N m]."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -24,9 +24,7 @@ class Gear(Part):
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
 
     # Negative: the link turns the other way.
-    ratio: Annotated[
-        float, Number("Ng", RATIO_UNIT, above=0.0, at_most=1e3, in_size=True, varied=False)
-    ]
+    ratio: float = number("Ng", RATIO_UNIT, above=0.0, at_most=1e3, in_size=True, varied=False)
     stiffness: float | None = None  # at the link, not wound up; None: rigid
     damping: float = 0.0  # at the link
 

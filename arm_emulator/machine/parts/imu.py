@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
+from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Chain, Frame, frame_of
 from arm_emulator.machine.parts.analog_sensor import LARGEST_ERROR, Converter
 from arm_emulator.machine.parts.encoder import read_delay
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.varied import Varied
 
-LARGEST_LENGTH = 100.0  # m
-LARGEST_ANGLE = 100.0  # rad
+_XYZ = Number.within("xyz", "m", 100.0)
+_RPY = Number.within("rpy", "rad", 100.0)
 
-_BIAS = Number("offset", "", at_least=-LARGEST_ERROR, at_most=LARGEST_ERROR)
+_BIAS = {"at_least": -LARGEST_ERROR, "at_most": LARGEST_ERROR, "default": None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,9 +28,9 @@ class Axes(Converter):
 
     owners = "imus"
 
-    bias_x: Annotated[float | None, _BIAS] = None
-    bias_y: Annotated[float | None, _BIAS] = None
-    bias_z: Annotated[float | None, _BIAS] = None
+    bias_x: float | None = number("offset", "", **_BIAS)
+    bias_y: float | None = number("offset", "", **_BIAS)
+    bias_z: float | None = number("offset", "", **_BIAS)
 
     def initialiser(self, joint: str, places: Mapping[str, str]) -> str:
         """Return the three sensors in C++."""
@@ -100,8 +101,8 @@ class Imu:
         if link not in chain.carried:
             valid = ", ".join(chain.carried)
             raise section.refusal("link", "be a link that a joint moves", link, valid)
-        xyz = section.vector("xyz", "m", bound=LARGEST_LENGTH) or (0.0, 0.0, 0.0)
-        rpy = section.vector("rpy", "rad", bound=LARGEST_ANGLE) or (0.0, 0.0, 0.0)
+        xyz = section.vector(_XYZ) or (0.0, 0.0, 0.0)
+        rpy = section.vector(_RPY) or (0.0, 0.0, 0.0)
         joint, frame = chain.place_of(link)
         accelerometer, gyroscope = section.section("accelerometer"), section.section("gyroscope")
         return cls(

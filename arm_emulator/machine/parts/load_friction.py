@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated
+from dataclasses import dataclass
 
 import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
 
@@ -22,10 +21,8 @@ class LoadFriction(Friction):
     cxx = "LoadFriction"
     named_by = ("load",)
 
-    stribeck: Annotated[float | None, Number("vs", "rad/s", above=0.0, sought="known")] = None
-    load: Annotated[
-        float, Number("mu", "N m/(N m)", at_least=0.0, at_most=10.0, sought="known")
-    ] = field()
+    stribeck: float | None = number("vs", "rad/s", above=0.0, sought="known", default=None)
+    load: float = number("mu", "N m/(N m)", at_least=0.0, at_most=10.0, sought="known")
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         dry = super().sliding(motion)

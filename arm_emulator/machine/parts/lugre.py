@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.friction import sticking_link
-from arm_emulator.machine.parts.part import Number, Part
+from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.stribeck import stribeck_torque
@@ -22,11 +21,11 @@ class LuGre(Part):
     header = "lugre.hpp"
     cxx = "LuGre"
 
-    coulomb: Annotated[float, Number("Dc", "N m", above=0.0, sought="unknown")]
-    breakaway: Annotated[float, Number("Ds", "N m", follows="coulomb")] = 0.0
-    stribeck: Annotated[float, Number("vs", "rad/s", above=0.0)] = 0.1
-    bristle_stiffness: Annotated[float, Number("s0", "N m/rad", above=0.0)]
-    bristle_damping: Annotated[float, Number("s1", "N m s/rad", at_least=0.0)] = 0.0
+    coulomb: float = number("Dc", "N m", above=0.0, sought="unknown")
+    breakaway: float = number("Ds", "N m", follows="coulomb", default=0.0)
+    stribeck: float = number("vs", "rad/s", above=0.0, default=0.1)
+    bristle_stiffness: float = number("s0", "N m/rad", above=0.0)
+    bristle_damping: float = number("s1", "N m s/rad", at_least=0.0, default=0.0)
 
     def effort(self, motion: ShaftMotion) -> Array:
         """Bend the bristles along the motion, from straight ones."""

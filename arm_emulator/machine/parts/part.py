@@ -2,8 +2,8 @@
 
 A part is a frozen dataclass whose attributes are called as their keys in the scene::
 
-    resistance: Annotated[float, Number("R", "ohm", above=0.0)]
-    inductance: Annotated[float, Number("L", "H", at_least=0.0)] = 0.0
+    resistance: float = number("R", "ohm", above=0.0)
+    inductance: float = number("L", "H", at_least=0.0, default=0.0)
 
 Reading them with refusals, the C++ of the part, and what a scene may list as varied follow from
 that.
@@ -14,10 +14,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, ClassVar, Self, get_type_hints
+from typing import Any, ClassVar, Self
 
-from arm_emulator.base.section import LARGEST, SMALLEST, Section
+from arm_emulator.base.number import REQUIRED, Number, field_of, numbers_of
+from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.output import Output
@@ -26,46 +26,28 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.varied import Varied
 
 
-@dataclass(frozen=True)
-class Number:
-    """A number of a part. It must be given unless the attribute has a default.
+@dataclass(frozen=True, kw_only=True)
+class PartNumber(Number):
+    """A number of a part, in the unit that it has at a revolute joint.
 
     Attributes:
         symbol: the member of the C++ part. The members stand there in the order of the attributes.
-        unit: of a revolute joint.
-        above: the number is larger.
-        at_least, at_most: the number is within.
         follows: another key of the part. The number is at least that one, equals it if it is not
             given, and keeps its ratio to it where that one is varied.
-        in_size: whether the bounds are those of the number's size, and it may be negative.
-        varied: whether a scene may list it as varied, unless it follows another one.
-        whole: whether it is a whole number, from `at_least` to `at_most`; such a one is not varied.
+        varied: whether a scene may list it as varied, unless it is whole or follows another one.
         sought: whether identification looks for it: "known" roughly beforehand, from the scene, or
             "unknown".
     """
 
     symbol: str
-    unit: str
-    above: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
     follows: str | None = None
-    in_size: bool = False
     varied: bool = True
-    whole: bool = False
     sought: str = ""
 
-    @property
-    def least(self) -> float:
-        """The smallest value that it may be given while a machine runs."""
-        if self.above is not None:
-            return self.above or SMALLEST
-        return -LARGEST if self.at_least is None else self.at_least
 
-    @property
-    def most(self) -> float:
-        """The largest."""
-        return LARGEST if self.at_most is None else self.at_most
+def number(symbol: str, unit: str, *, default: Any = REQUIRED, **declared: Any) -> Any:
+    """Return a dataclass field that is a number of a part, see `PartNumber`."""
+    return field_of(PartNumber("", unit, symbol=symbol, default=default, **declared))
 
 
 @dataclass(frozen=True)
@@ -98,10 +80,9 @@ class Part:
         return "states no share"
 
     @classmethod
-    def numbers(cls) -> dict[str, Number]:
+    def numbers(cls) -> dict[str, PartNumber]:
         """Return the declared numbers by key."""
-        this: type = cls  # mypy takes a class of its own for not hashable
-        return _numbers(this)
+        return numbers_of(cls)
 
     @classmethod
     def read(cls, section: Section) -> Self:
@@ -119,24 +100,11 @@ class Part:
     def read_numbers(cls, section: Section) -> dict[str, Any]:
         """Return the values of the declared numbers by key."""
         values: dict[str, Any] = {}
-        defaults = {field.name: field.default for field in dataclasses.fields(cls)}
         for key, one in cls.numbers().items():
-            default, at_least = defaults[key], one.at_least
             if one.follows is not None:
-                default = at_least = values[one.follows]
-            if default is not dataclasses.MISSING and not section.has(key):
-                values[key] = default
-            elif one.whole:
-                values[key] = section.integer(key, at_least=int(one.least), at_most=int(one.most))
-            else:
-                values[key] = section.number(
-                    key,
-                    one.unit,
-                    above=one.above,
-                    at_least=at_least,
-                    at_most=one.at_most,
-                    in_size=one.in_size,
-                )
+                leader = values[one.follows]
+                one = dataclasses.replace(one, default=leader, at_least=leader)
+            values[key] = section.number(one)
         return values
 
     def check(self, section: Section) -> None:
@@ -162,7 +130,7 @@ class Part:
     def could_vary(self, joint: str) -> list[Varied]:
         """Return the numbers that a scene may list as varied."""
         return [
-            Varied(f"{self.owners}.{joint}.{self.section}.{key}", value, one.least, one.most)
+            Varied(one.named(f"{self.owners}.{joint}.{self.section}.{key}"), value)
             for key, one in self.numbers().items()
             if one.varied
             and not one.whole
@@ -203,14 +171,3 @@ class Part:
                 text = f"{cxx_literals.number(ratio)} * {place}"
             members.append((one.symbol, text))
         return members
-
-
-@cache  # a scene asks once for every part of every joint
-def _numbers(part: type) -> dict[str, Number]:
-    hints = get_type_hints(part, include_extras=True)
-    return {
-        field.name: one
-        for field in dataclasses.fields(part)
-        for one in getattr(hints[field.name], "__metadata__", ())
-        if isinstance(one, Number)
-    }

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
 from arm_emulator.machine.parts.motor import Motor, ServoData
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,12 +21,12 @@ class Pmsm(Motor):
     command = "V dq"
     outputs = (Output("current_d", "current along each rotor's flux", "current_d", "A"),)
 
-    resistance: Annotated[float, Number("R", "ohm", above=0.0)]
-    inductance_d: Annotated[float, Number("Ld", "H", above=0.0)]
-    inductance_q: Annotated[float, Number("Lq", "H", above=0.0)]
-    flux: Annotated[float, Number("psi", "V s", at_least=0.0)]
-    pole_pairs: Annotated[int, Number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True)]
-    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
+    resistance: float = number("R", "ohm", above=0.0)
+    inductance_d: float = number("Ld", "H", above=0.0)
+    inductance_q: float = number("Lq", "H", above=0.0)
+    flux: float = number("psi", "V s", at_least=0.0)
+    pole_pairs: int = number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True)
+    rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
 
     @property
     def servo_data(self) -> ServoData:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Annotated
+from dataclasses import dataclass
 
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +17,7 @@ class ProgressiveGear(ElasticGear):
     cxx = "ProgressiveGear"
     named_by = ("stiffness", "cubic_stiffness")
 
-    cubic_stiffness: Annotated[float, Number("Kg3", "N m/rad3", at_least=0.0)] = field()
+    cubic_stiffness: float = number("Kg3", "N m/rad3", at_least=0.0)
 
     def wind_up(self, torque: float) -> float:  # noqa: D102
         if not self.cubic_stiffness:

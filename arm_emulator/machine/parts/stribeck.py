@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated
+from dataclasses import dataclass
 
 import numpy as np
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -28,7 +27,7 @@ class Stribeck(Friction):
     cxx = "Stribeck"
     named_by = ("stribeck",)
 
-    stribeck: Annotated[float, Number("vs", "rad/s", above=0.0, sought="known")] = field()
+    stribeck: float = number("vs", "rad/s", above=0.0, sought="known")
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         return stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)

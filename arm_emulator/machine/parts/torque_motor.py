@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 from arm_emulator.machine.parts.motor import AT_ONCE, Motor, ServoData
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,9 +18,9 @@ class TorqueMotor(Motor):
     command = "N m"
     limit = "torque_limit"
 
-    rotor_inertia: Annotated[float, Number("Mm", "kg m2", above=0.0, sought="known")]
-    bandwidth: Annotated[float | None, Number("bandwidth", "Hz", above=0.0)] = None
-    torque_limit: Annotated[float | None, Number("torque_limit", "N m", above=0.0)] = None
+    rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
+    bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
+    torque_limit: float | None = number("torque_limit", "N m", above=0.0, default=None)
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102

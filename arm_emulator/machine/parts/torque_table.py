@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.section import LARGEST, Section
+from arm_emulator.base.number import LARGEST, Number
+from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.part import Part
@@ -17,7 +18,9 @@ from arm_emulator.machine.parts.resting import Around, AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 LEAST, MOST = 4, 256  # points
-LARGEST_ANGLE, CLOSEST = 1e4, 1e-6  # rad (m)
+CLOSEST = 1e-6  # rad (m)
+_ANGLES = Number.within("angles", "rad", 1e4)
+_TORQUES = Number.within("torques", "N m", LARGEST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +38,8 @@ class TorqueTable(Part):
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return {
-            "angles": _numbers(section, "angles", "rad", LARGEST_ANGLE),
-            "torques": _numbers(section, "torques", "N m", LARGEST),
+            "angles": _read(section, _ANGLES),
+            "torques": _read(section, _TORQUES),
             "periodic": section.flag("periodic"),
         }
 
@@ -106,14 +109,12 @@ class TorqueTable(Part):
         return found[:, before : before + len(self.angles) - 1]
 
 
-def _numbers(section: Section, key: str, unit: str, most: float) -> tuple[float, ...]:
-    entries = section.entries(key)
+def _read(section: Section, one: Number) -> tuple[float, ...]:
+    entries = section.entries(one.name)
+    rule = f"have {LEAST} to {MOST} {one.range.replace('number', 'numbers')}"
     if not LEAST <= len(entries) <= MOST:
-        raise section.refusal(key, f"have {LEAST} to {MOST} numbers [{unit}]", len(entries))
-    numbers = []
-    for one in entries:
-        sound = isinstance(one, int | float) and not isinstance(one, bool)
-        if not (sound and abs(one) <= most):  # type: ignore[arg-type]
-            raise section.refusal(key, f"have numbers of at most {most:g} [{unit}]", repr(one))
-        numbers.append(float(one))  # type: ignore[arg-type]
-    return tuple(numbers)
+        raise section.refusal(one.name, rule, len(entries))
+    for entry in entries:
+        if not one.holds(entry):
+            raise section.refusal(one.name, rule, repr(entry))
+    return tuple(map(float, entries))  # type: ignore[arg-type]

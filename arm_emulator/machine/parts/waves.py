@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from arm_emulator.base.number import Number
 from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 
 MOST = 16  # waves of a shaft
-LARGEST_ORDER = 1e5
+_ORDER = Number("order", above=0.0, at_most=1e5)
+_PHASE = Number.within("phase", "rad", 1e4)
 
 # Waves per turn of the shaft, amplitude, phase [rad].
 Wave = tuple[float, float, float]
@@ -30,15 +32,12 @@ def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:
             rule = f"list waves of [order, amplitude in {unit}] or [order, amplitude, phase]"
             raise section.refusal(key, rule, repr(entry))
         numbers = [*entry, 0.0][:3]
-        for value, most in zip(numbers, (LARGEST_ORDER, 1e3, 1e4), strict=True):
-            sound = isinstance(value, int | float) and not isinstance(value, bool)
-            if not sound or not abs(value) <= most:
-                rule = (
-                    "list waves of numbers, order up to 1e5, amplitude up to 1e3, phase up to 1e4"
+        declared = (_ORDER, Number.within("amplitude", unit, 1e3), _PHASE)
+        for one, value in zip(declared, numbers, strict=True):
+            if not one.holds(value):
+                raise section.refusal(
+                    key, f"list waves whose {one.name} is a {one.range}", repr(entry)
                 )
-                raise section.refusal(key, rule, repr(entry))
-        if numbers[0] <= 0.0:
-            raise section.refusal(key, "have waves of orders > 0", repr(entry))
         waves.append((float(numbers[0]), float(numbers[1]), float(numbers[2])))
     return tuple(waves)
 

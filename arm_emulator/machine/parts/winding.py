@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.output import FAULTS, Output
-from arm_emulator.machine.parts.part import Number
+from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
@@ -34,16 +33,16 @@ class Winding(Decorator):
                "degC"),
     )  # fmt: skip
 
-    heat_capacity: Annotated[float, Number("C", "J/K", above=0.0)]
-    thermal_resistance: Annotated[float, Number("Rth", "K/W", above=0.0)]
-    ambient: Annotated[float, Number("ambient", "degC", at_least=-50.0, at_most=150.0)] = 20.0
-    reference: Annotated[float, Number("reference", "degC", at_least=-50.0, at_most=150.0)] = 20.0
+    heat_capacity: float = number("C", "J/K", above=0.0)
+    thermal_resistance: float = number("Rth", "K/W", above=0.0)
+    ambient: float = number("ambient", "degC", at_least=-50.0, at_most=150.0, default=20.0)
+    reference: float = number("reference", "degC", at_least=-50.0, at_most=150.0, default=20.0)
     # Of copper.
-    resistance_coefficient: Annotated[
-        float, Number("alpha", "1/K", at_least=0.0, at_most=0.0045)
-    ] = 0.0039
-    magnet_coefficient: Annotated[float, Number("beta", "1/K", at_least=-0.01, at_most=0.0)] = 0.0
-    limit: Annotated[float | None, Number("limit", "degC", above=0.0, at_most=1000.0)] = None
+    resistance_coefficient: float = number(
+        "alpha", "1/K", at_least=0.0, at_most=0.0045, default=0.0039
+    )
+    magnet_coefficient: float = number("beta", "1/K", at_least=-0.01, at_most=0.0, default=0.0)
+    limit: float | None = number("limit", "degC", above=0.0, at_most=1000.0, default=None)
 
     def effort(self, motion: ShaftMotion) -> Array | None:
         """None, unless magnets keep their strength; then heat changes the resistance alone."""

@@ -1,0 +1,68 @@
+"""What is out of a declared number's range, and the one form in which every reader refuses it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from arm_emulator.base.number import Number
+from arm_emulator.base.refusal import Refusal
+
+NO_NUMBERS: tuple[Any, ...] = (
+    None, "much", True, False, [1.0], math.nan, math.inf, -math.inf, 10**400,
+    np.bool_(True), np.float64(math.nan), np.float32(math.inf), np.array([1.0, 2.0]),
+)  # fmt: skip
+RULE = re.compile(
+    r"(?P<where>.+?): (?P<name>[^:]+) must be a (?P<kind>whole number|finite number|number)"
+    r"(?P<range>( of size)?( other than 0| within \+-\S+| from \S+ to \S+|( and)? (>=?|<=) \S+)*)"
+    r"(?P<unit> .+?)?, got (?P<got>.*)"
+)
+SIGNS = {">": lambda x, y: x > y, ">=": lambda x, y: x >= y, "<=": lambda x, y: x <= y}
+
+
+def fits(words: str, value: float) -> bool:
+    """Whether a value keeps the rule of a refusal, by reading its words."""
+    kept = math.isfinite(value) and ("whole number" not in words or value == int(value))
+    kept = kept and not ("other than 0" in words and value == 0)
+    if within := re.search(r"within \+-(\S+)", words):
+        kept = kept and abs(value) <= float(within[1])
+    size = abs(value) if "of size" in words else value
+    for sign, bound in re.findall(r"(>=|<=|>) (\S+)", words):
+        kept = kept and SIGNS[sign](size, float(bound))
+    if between := re.search(r"from (\S+) to (\S+)", words):
+        kept = kept and float(between[1]) <= size <= float(between[2])
+    return bool(kept)
+
+
+def out_of_range(one: Number) -> list[float]:
+    """Numbers beyond both ends, near and far."""
+    low, high = one.ends
+    beyond = [high + 1e-3 * (abs(high) or 1.0), 2.0 * abs(high) + 1.0]
+    beyond += [low - 1e-3 * (abs(low) or 1.0), -2.0 * abs(low) - 1.0]
+    if one.above is not None:
+        beyond += [one.above, 0.5 * one.least if one.above == 0.0 else one.above - 1e-3]
+    if one.whole:
+        beyond += [x for x in (one.least + 0.5, one.most - 0.5) if x % 1.0]
+    found = [x for x in beyond if math.isfinite(x)]
+    return [*found, *map(np.float64, found)]
+
+
+def check_refusals(one: Number, name: str, read: Callable[[Any], object]) -> int:
+    """Let a reader refuse all that is out of a number's range; return how many values it was."""
+    values = [*NO_NUMBERS, *out_of_range(one)]
+    for value in values:
+        with pytest.raises(Refusal) as refusal:
+            read(value)
+            pytest.fail(f"{name}: {value!r} is taken")
+        printed = str(refusal.value)
+        rule = RULE.fullmatch(printed)
+        assert rule is not None, f"{name}: {value!r}: {printed}"
+        assert rule["name"].endswith(name), f"{name}: {printed}"
+        if isinstance(value, float):
+            assert not fits(f"{rule['kind']}{rule['range']}", value), f"{value!r}: {printed}"
+    return len(values)
