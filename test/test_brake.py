@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import random
 import re
 import shutil
@@ -143,26 +142,6 @@ def test_power_off_holds_the_arm_by_its_brakes(scene: Scene) -> None:
         np.testing.assert_array_equal(plant.state.theta_m, theta, err_msg="rotors, 1 s later")
         # What swings, swings about the wind-up under the weight.
         assert (highest <= 2.5 * np.abs(wind_up) + 1e-3).all(), f"{highest}, wind-up {wind_up}"
-
-
-def test_the_energy_balance_closes_over_braking(scene: Scene) -> None:
-    left = []
-    for steps in (2, 4, 8, 16):
-        finer = with_steps(scene, steps)
-        plant, flow = Plant(finer), 0.0
-        plant.reset(v=[2.0, 1.0, -1.5])
-        before = plant.energy
-        plant.powered = False
-        one = plant.advance_metered(np.zeros(3), round(0.1 / finer.integrator.dt))
-        flow = float(one.given.sum() - one.dissipated.sum())
-        left.append(abs(plant.energy - before - flow) / abs(plant.energy - before))
-    # Where a rotor comes to rest within a step the order is 1.
-    assert left[-1] < left[0] / 4.0 and left[-1] < 5e-3, left
-
-
-def with_steps(scene: Scene, steps: int) -> Scene:
-    integrator = dataclasses.replace(scene.integrator, dt=scene.servo_period / steps)
-    return dataclasses.replace(scene, integrator=integrator)
 
 
 def test_a_machine_is_saved_while_a_brake_is_on_its_way(scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""Current loops of drives: closed forms, saturation against SciPy, energy, and what is saved.
+"""Current loops of drives: closed forms, saturation against SciPy, energy.
 
 The joints of a gantry do not feel each other: each is a machine by itself.
 """
@@ -233,20 +233,6 @@ def test_commands_are_currents_within_the_limit_and_zero_without_power(tmp_path:
     for _ in range(30):
         plant.exchange(np.array([5.0, -5.0, 5.0]))
     assert plant.state.current == pytest.approx([0.0, 0.0, 0.0], abs=0.1), "the bridge is open"
-
-
-def test_a_saturated_loop_is_saved_and_goes_on_to_the_last_bit(tmp_path: Path) -> None:
-    scene = load_scene(write(tmp_path))
-    plant, other = Plant(scene), Plant(scene)
-    rows = commanded()
-    for u in rows[:7]:
-        plant.advance(u, 7)
-    other.restore(plant.save())
-    for u in rows[7:]:
-        plant.advance(u, 7)
-        other.advance(u, 7)
-        for name in ("current", "theta_m", "omega_m", "q", "v"):
-            assert (getattr(plant.state, name) == getattr(other.state, name)).all(), name
 
 
 def test_a_current_that_is_set_flows_on(tmp_path: Path) -> None:

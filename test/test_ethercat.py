@@ -579,10 +579,6 @@ def test_a_mailbox_keeps_what_it_has_no_room_to_answer(master: Master) -> None:
 # ------------------------------------------------------------------------------------ process data
 
 
-def controlled(controlword: int) -> bytes:
-    return struct.pack("<H", controlword)
-
-
 def test_one_servo_period_passes_per_exchange_with_all_drives(master: Master) -> None:
     tick = lambda: master.segment.drives.tick  # noqa: E731
     master.bring_up()

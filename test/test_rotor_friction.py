@@ -165,17 +165,3 @@ def test_friction_of_a_rotor_that_turns_with_its_link_is_that_of_the_link(tmp_pa
         runs.append(Plant(load_scene(file, {"integrator.dt": 1e-3})).run(rows, 100))
     assert np.ptp(runs[0]) > 0.01, "the link shall move"
     assert runs[1] == pytest.approx(runs[0], rel=1e-9), "friction of rotor and of link differ"
-
-
-def test_energy_of_sliding_goes_into_friction(tmp_path: Path) -> None:
-    joint, begin = swinging(np.random.default_rng(6))
-    left = []
-    for steps in (10, 20, 40, 80):
-        plant = Plant(scene_of(tmp_path, joint, steps, events="located"))
-        let_go(plant, begin)
-        stored = plant.energy
-        lost = sum(plant.advance_metered(np.zeros(1), steps).dissipated.sum() for _ in range(40))
-        left.append(abs(plant.energy - stored + lost) / stored)
-    orders = np.log2(np.array(left[:-1]) / left[1:])
-    assert orders[-1] > 1.7, f"the balance closes with the scheme's order, {left}"
-    assert left[-1] < 1e-3, left

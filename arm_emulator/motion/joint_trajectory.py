@@ -87,11 +87,6 @@ class JointMotion:
         self.end_ns = end_ns
         self.coefficients = coefficients
 
-    @property
-    def durations(self) -> FloatArray:
-        """Length of each piece (S,) [s]."""
-        return _seconds_between([*self.starts_ns, self.end_ns])
-
     def sample(self, time_ns: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return angles [rad], speeds [rad/s] and accelerations [rad/s2] at a logical time."""
         within = min(max(time_ns, self.starts_ns[0]), self.end_ns)
