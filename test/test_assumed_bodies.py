@@ -154,7 +154,7 @@ def test_an_arm_without_inertia_becomes_a_scene_that_names_what_is_assumed(
     assert masses[:2] == pytest.approx([0.003 * 500.0, 2.0])
     assert "visual: box" in written.file.read_text()
     (written.file.parent / "servo" / "arm.yaml").unlink()
-    assert "bodies assumed: l1, l3" in check_scene(str(written.file))
+    assert "bodies assumed: l1, l3" in check_scene(str(written.file)).line
     with pytest.raises(Refusal, match="--density must be > 0 and at most"):
         write_new(file, tmp_path / "other", density=0.0)
     assert DENSITY == 1200.0, "the page has it"

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import json
 import random
+import re
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
+from draws import some
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli import arguments, command_line
@@ -192,6 +195,78 @@ def test_bash_completes_a_command_and_an_option(tmp_path: Path) -> None:
             capture_output=True, text=True, check=True,
         )  # fmt: skip
         assert done.stdout.split() == expected.split(), done
+
+
+READER_GONE = """
+import os, subprocess, sys
+for words in sys.stdin.read().splitlines():
+    read, write = os.pipe()
+    os.close(read)  # before the first word is printed
+    command = [sys.executable, "-m", "arm_emulator", *words.split()]
+    ended = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    print(words, ended.returncode, ended.stderr.strip(), sep="|")
+"""
+
+
+def test_help_and_version_end_quietly_where_nobody_reads_them() -> None:
+    lines = ["", "--help", "--version", "completion bash"]
+    lines += [f"{name} --help" for name in command_names()]
+    ended = subprocess.run(
+        [sys.executable, "-c", READER_GONE], input="\n".join(lines), text=True,
+        stdout=subprocess.PIPE, check=True,
+    ).stdout.splitlines()  # fmt: skip
+    assert ended == [f"{words}|141|" for words in lines], "as by SIGPIPE, without a traceback"
+
+
+# What programs may rely on: the keys at the top of each command's object.
+KEYS = {
+    "advise": "scene judged_on error settings now why_none checked written",
+    "check-scene": "scenes warnings",
+    "run": "scene logical_time wall_time ticks tool_off energy q diverged warnings",
+    "tune": "scene joints picture written",
+}
+
+
+def test_json_is_taken_by_every_command_that_programs_read() -> None:
+    wanted = {"advise", "cache", "check-bag", "check-scene", "doctor", "identify", "move", "run",
+              "status", "tune", "validate"}  # fmt: skip
+    taken = {one.name for one in commands() if "json" in inspect.signature(one.function).parameters}
+    assert taken == wanted
+
+
+@pytest.mark.parametrize("name", some(["run", "check-scene", "tune", "advise"], 3))
+def test_json_has_its_keys_and_nothing_beside(name: str, tmp_path: Path) -> None:
+    table = tmp_path / "motion.csv"
+    table.write_text("t,waist,shoulder,elbow\n0,1,2,3\n0.03,-4,5,-6\n0.05,0,0,0\n")
+    more = {"advise": ["--motion", str(table), "--error", "1e-5"], "run": ["--seconds", "0.1"]}
+    words = [name, "three_axis", *more.get(name, [])]
+    code, text, errors = run(*words, "--json")
+    facts = json.loads(text)
+    assert list(facts) == KEYS[name].split(), errors
+    assert code == 0 and run(*words)[0] == 0
+    documented = (ROOT / "docs" / "reference" / "command_line.md").read_text()
+    [row] = [line for line in documented.splitlines() if line.startswith(f"| `{name}` |")]
+    assert set(re.findall(r"`(\w+)`", row.split("|")[2])) == set(facts)
+
+
+def test_json_stands_alone_on_stdout_whoever_prints() -> None:
+    program = """
+import ctypes
+from arm_emulator.cli.output import Output
+output = Output(True)
+print("Python")
+output.line("people")
+output.console().print("tables")
+ctypes.CDLL(None).puts(b"C")
+ctypes.CDLL(None).fflush(None)
+output.facts({"none": float("nan"), "one": 1})
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert json.loads(ended.stdout) == {"none": None, "one": 1}
+    assert "Python" in ended.stderr and "C" in ended.stderr and "tables" not in ended.stderr
 
 
 @pytest.fixture(autouse=True)

@@ -71,7 +71,8 @@ def test_gains_are_found_from_any_folder(
         for kind in BESIDE:
             found = find_beside(file, kind)
             assert found.is_absolute() and found.samefile(scene.parent / places[kind]), spelling
-        assert "servo: /" in check_scene(spelling) and "motion: /" in check_scene(spelling)
+        line = check_scene(spelling).line
+        assert "servo: /" in line and "motion: /" in line
         commands = Bringup(spelling)._commands
         assert str(find_beside(file, "servo")) in commands["servo"], spelling
         assert str(find_beside(file, "motion")) in commands["motion_controller"], spelling
@@ -111,7 +112,7 @@ def test_a_scene_of_ones_own_never_gets_the_gains_of_another(tmp_path: Path) -> 
             f"three_axis.yaml: {kind} parameters must be in {wanted}, got no such file; "
             f"valid: write that file, or name one in the scene: `{kind}: FILE`"
         )
-    printed = check_scene(str(scene))
+    printed = check_scene(str(scene)).line
     assert (
         "valid, 3 joints" in printed
         and f"no servo parameters: they must be in {tmp_path}" in printed

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import sys
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from arm_emulator.analysis.sampled_loop import Margins, SampledLoop, SampledPlan
 from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.stability import SmallMotions, contacts
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import warn
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
@@ -247,7 +247,7 @@ def warn_of_loops(scene: Scene, servo: ServoConfig) -> None:
     """
     warn_of_scene(scene)
     for line in check_loops(scene, servo):
-        print(f"warning: {line}", file=sys.stderr)
+        warn(line)
 
 
 def check_loops(scene: Scene, servo: ServoConfig) -> list[str]:

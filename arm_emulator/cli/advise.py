@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.table import Table
 
 from arm_emulator.analysis.advice import Advice, Judge, Setting, advise, check_error
@@ -19,6 +18,7 @@ from arm_emulator.analysis.true_motion import Method
 from arm_emulator.base.config_files import check_own, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
+from arm_emulator.cli.output import Output
 from arm_emulator.cli.recorded_commands import read_commands
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.design.integrator_text import write_integrator
@@ -33,7 +33,9 @@ Array = NDArray[np.float64]
 SECONDS = 1.0  # of motions, and of the demo after the arm has settled
 
 
-def advise_scene(scene_name: str, error: float, commands: Path | None, *, write: bool) -> int:
+def advise_scene(
+    scene_name: str, error: float, commands: Path | None, *, write: bool, json: bool = False
+) -> int:
     """Find, show and, if asked, write the cheapest setting.
 
     Args:
@@ -41,6 +43,7 @@ def advise_scene(scene_name: str, error: float, commands: Path | None, *, write:
         error: largest error of a link that is wanted [rad or m].
         commands: a bag or a table with the motion to judge by; None: the scene's demo and others.
         write: whether to put the setting into the scene file.
+        json: whether a program reads what is printed.
 
     Returns:
         Exit code: 1 if no setting keeps the error.
@@ -48,7 +51,8 @@ def advise_scene(scene_name: str, error: float, commands: Path | None, *, write:
     Raises:
         Refusal: a file that is not taken, or an error that cannot be asked for.
     """
-    console = Console(highlight=False, soft_wrap=True)
+    output = Output(json)
+    console = output.console()
     file = find_scene(scene_name)
     check_error(error)
     if write:
@@ -60,13 +64,23 @@ def advise_scene(scene_name: str, error: float, commands: Path | None, *, write:
     with console.status(f"trying schemes, events and steps on {what}"):
         found = advise(judge, error)
     console.print(f"scene {scene.name}, {what}; wanted: error <= {error:g} rad or m on the way")
+    facts = {
+        "scene": scene.name,
+        "judged_on": what,
+        "error": error,
+        "settings": found.settings,
+        "now": found.now,
+        "why_none": found.why_none,
+    }
     if not found.settings:
+        output.facts(facts)
         console.print(f"no setting keeps it: {found.why_none}")
         return 1
     best = found.settings[0]
     console.print(_table(found))
     console.print(_statement(best, len(motions)))
-    console.print(_checked(judge, file, error))
+    checked = _checked(judge, file, error)
+    console.print(checked)
     events = f", events: {best.method.events}" if best.method.events != "step" else ""
     threads = f"; threads: {best.method.threads}" if scene.threads != best.method.threads else ""
     step = f"scheme: {best.method.scheme}, dt: {best.dt:.6g}{events}"
@@ -74,6 +88,7 @@ def advise_scene(scene_name: str, error: float, commands: Path | None, *, write:
     if write:
         write_integrator(file, best.method, best.dt)
         console.print(f"written into {file}")
+    output.facts({**facts, "checked": checked, "written": file if write else None})
     return 0
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
@@ -10,47 +12,106 @@ from arm_emulator.analysis.scene_warnings import warn_of_scene
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.mode_table import mode_rows, page_table
+from arm_emulator.base.warning import given, warn
+from arm_emulator.cli.mode_table import mode_facts, mode_rows, page_table
+from arm_emulator.cli.output import Output, plain
 from arm_emulator.doors.fieldbus.drives import modes
-from arm_emulator.machine.scene import load_scene
+from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.runs.gains import check_fit, check_servo, load_gains, warn_of_gravity
+from arm_emulator.servo.servo_config import ServoConfig
 
 
-def check_scene(name: str) -> str:
-    """Return in one line what is there; gains that are there are held against the scene.
+def check_scenes(names: Sequence[str], *, modes: bool, json: bool) -> int:
+    """Print what is there of each scene, and, if asked, its loops.
+
+    Raises:
+        Refusal: a scene or what lies beside it is not valid, or a joint has no loops.
+    """
+    output, facts = Output(json), []
+    for name in names:
+        one = check_scene(name)
+        output.line(one.line)
+        fact: dict[str, object] = plain(one)
+        if modes:
+            scene, servo = _with_loops(name)
+            if json:
+                fact["modes"] = mode_facts(scene, servo)
+            else:
+                output.line(page_table(mode_rows(scene, servo)))
+        facts.append(fact)
+    output.facts({"scenes": facts, "warnings": given})
+    return 0
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A scene that is valid, and what lies beside it.
+
+    Attributes:
+        scene: its file's name.
+        joints: their names.
+        assumed: links whose bodies are assumed.
+        servo: the file of the servo's parameters, if there is one.
+        motion: that of the motion controller's.
+        missing: what is not there, in words.
+    """
+
+    scene: str
+    joints: tuple[str, ...]
+    assumed: tuple[str, ...]
+    servo: Path | None
+    motion: Path | None
+    missing: tuple[str, ...]
+
+    @property
+    def line(self) -> str:
+        """The same for people."""
+        line = f"{self.scene}: valid, {len(self.joints)} joints: {', '.join(self.joints)}"
+        if self.assumed:
+            line += f"; bodies assumed: {', '.join(self.assumed)}"
+        for kind, file in (("servo", self.servo), ("motion", self.motion)):
+            if file is not None:
+                line += f"; {kind}: {file}"
+        return "; ".join((line, *self.missing))
+
+
+def check_scene(name: str) -> Checked:
+    """Return what is there; gains that are there are held against the scene.
 
     Raises:
         Refusal: the scene or what lies beside it is not valid, or they do not fit together.
     """
     file = find_scene(name)
     scene = load_scene(file)
-    line = f"{scene.where}: valid, {len(scene.joints)} joints: {', '.join(scene.joint_names)}"
-    if scene.assumed:
-        line += f"; bodies assumed: {', '.join(scene.assumed)}"
     for overload in overloads(scene):
-        print(f"warning: {scene.where}: {overload}", file=sys.stderr)
+        warn(f"{scene.where}: {overload}")
+    files: dict[str, Path | None] = {}
     missing = []
     for kind in ("servo", "motion"):
         try:
-            line += f"; {kind}: {find_beside(file, kind)}"
+            files[kind] = find_beside(file, kind)
         except Refusal as reason:
+            files[kind] = None
             missing.append(f"no {kind} parameters: they must {reason.rule}")
+    checked = Checked(
+        scene.where, scene.joint_names, tuple(scene.assumed), **files, missing=tuple(missing)
+    )
     if missing:
         warn_of_scene(scene)
-        return "; ".join((line, *missing))
+        return checked
     gains = load_gains(file)
     check_fit(scene, gains.servo, gains.motion)
     _check_controller(scene.urdf, scene.joint_names, gains.motion)
     warn_of_loops(scene, gains.servo)
     for text in withheld_words(scene, withheld_modes(scene, gains.servo, modes())):
-        print(f"warning: {text}", file=sys.stderr)
+        warn(text)
     warn_of_gravity(scene, gains.motion)
-    return line
+    return checked
 
 
-def modes_of(name: str) -> str:
-    """Return the eigenvalues of every loop that the drives of a scene can be put into.
+def _with_loops(name: str) -> tuple[Scene, ServoConfig]:
+    """Return a scene and its servo, all joints of which have loops.
 
     Raises:
         Refusal: the scene or its servo's gains are not valid, do not fit together, or a joint has
@@ -63,7 +124,7 @@ def modes_of(name: str) -> str:
         if joint.motor is None:
             rule = "have a motor, to have loops"
             raise Refusal(scene.where, f"joints.{joint.name}", rule, "none")
-    return page_table(mode_rows(scene, servo))
+    return scene, servo
 
 
 def _check_controller(urdf: str, joint_names: tuple[str, ...], motion: MotionConfig) -> None:

@@ -7,7 +7,8 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from arm_emulator.base.memory import is_want_of_memory
 from arm_emulator.base.refusal import Refusal
@@ -39,10 +40,23 @@ def main() -> None:
     code = 0 if one is not None and one.until_stopped else None
     end_at_once(code)
     if one is None:
-        sys.exit(_without_command(words))
+        sys.exit(_printed(partial(_without_command, words)))
     with CtrlC(code) as ctrl_c:
-        sys.exit(_run(one, words[1:]))
+        sys.exit(_printed(partial(_run, one, words[1:])))
     sys.exit(exit_code(ctrl_c.signal, code))
+
+
+def _printed(work: Callable[[], int]) -> int:
+    """Do work and return its exit code; end as by SIGPIPE where the reader of our output has."""
+    try:
+        code = work()
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        if not _reader_is_gone():
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is still to be flushed
+        return exit_code(signal.SIGPIPE, None)
 
 
 def _run(one: Command, words: Sequence[str]) -> int:
@@ -62,13 +76,8 @@ def _run(one: Command, words: Sequence[str]) -> int:
         reason = f"arm_emulator {one.name}: {bad}"
     except ModuleNotFoundError as missing:
         return _refused(one.name, missing)
-    except BrokenPipeError:
-        if not _reader_is_gone():
-            raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is still to be flushed
-        return exit_code(signal.SIGPIPE, None)
     except Exception as error:
-        if not is_want_of_memory(error):
+        if isinstance(error, BrokenPipeError) or not is_want_of_memory(error):
             raise
         reason = str(Refusal("arm_emulator", "memory", "suffice", repr(error)))
     print(reason, file=sys.stderr)

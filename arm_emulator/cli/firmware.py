@@ -18,6 +18,7 @@ from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.output import Output
 from arm_emulator.cli.run import ctrl_c_ends_at_once, report, ticks_of
 from arm_emulator.doors.microcontroller.board import Board, load_board
 from arm_emulator.doors.microcontroller.elf_image import ElfImage
@@ -72,7 +73,7 @@ def run(
                 return 1
         wall = time.perf_counter() - started
         off = off_target(one.session, table, ticks) if table else None
-        report(one.session, ticks, wall, off)
+        report(Output(False), one.session, ticks, wall, off)
         figures = chip.figures
         awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
         each = figures.instructions / ticks

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.output import Output, plain
 from arm_emulator.identification import inertia
 from arm_emulator.identification.fitted_scene import with_followers, write_fitted
 from arm_emulator.identification.found import Found, bodies_of, numbers_found
@@ -46,6 +47,7 @@ def identify(
     trust: float = 0.5,
     as_is: bool = False,
     simulate: bool = False,
+    json: bool = False,
 ) -> int:
     """Find numbers of a scene, print them with their confidence, and write the fitted scene.
 
@@ -62,6 +64,7 @@ def identify(
         trust: see above.
         as_is: take the record as it is, whatever it looks like.
         simulate: go on with free runs of the emulator, see `fit_free_runs`.
+        json: whether a program reads what is printed.
 
     Raises:
         Refusal: the record cannot be of this machine, or too little is in it.
@@ -74,7 +77,8 @@ def identify(
         raise Refusal("identify", "--out", "end in .yaml", out)
     if out.resolve() == file.resolve():
         raise Refusal("identify", "--out", "be another file than the scene", out)
-    console = Console(width=max(110, Console().width))
+    output = Output(json)
+    console = output.console(110)
     columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
     progress = Console(stderr=True)  # shown to people only, and gone when it ends
     with Progress(
@@ -120,6 +124,20 @@ def identify(
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
         draw_torques(motion, torques.torques(found.values), scene.joint_names, picture, title)
     console.print(f"scene: {out}\npicture: {picture}")
+    output.facts(
+        {
+            "record": run.where,
+            "samples": len(run.t),
+            "period": run.period,
+            "rows": len(motion.t),
+            "explained": dict(zip(scene.joint_names, found.explained, strict=True)),
+            "directions": found.directions,
+            "numbers": [{**plain(one), "remark": one.remark} for one in numbers],
+            "warnings": doubts,
+            "scene": out,
+            "picture": picture,
+        }
+    )
     return 0
 
 

@@ -37,6 +37,24 @@ def mode_rows(scene: Scene, servo: ServoConfig) -> list[tuple[str, ...]]:
     return rows
 
 
+def mode_facts(scene: Scene, servo: ServoConfig) -> list[dict[str, object]]:
+    """Return the same for programs, a row for each loop with brakes open or closed."""
+    return [
+        {
+            "joint": "all" if one.alike else scene.joint_names[one.joint],
+            "loop": one.loop.value,
+            "braked": one.braked,
+            "radius": one.radius,
+            "swing": one.swing,
+            "frequency": one.frequency,
+            "growth": one.beyond,
+            "gain": one.gain,
+            "holds": one.holds,
+        }
+        for one in ModeLoops(scene, servo).figures
+    ]
+
+
 def _cells(pair: Iterable[LoopFigure]) -> tuple[str, ...]:
     by_brake = {one.braked: one for one in pair}
     cells: list[str] = []

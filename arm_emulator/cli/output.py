@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
+import os
+import sys
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from arm_emulator.base import warning
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 class Output:
     """Prints lines, or collects facts and prints them as JSON at the end.
+
+    For programs, whatever else this process prints, C code included, goes to stderr.
 
     Args:
         as_json: one JSON object in the place of lines.
@@ -17,22 +27,45 @@ class Output:
 
     def __init__(self, as_json: bool) -> None:
         self.as_json = as_json
+        self._stdout = -1
+        warning.given.clear()
+        if as_json and sys.stdout is not None and sys.stdout is sys.__stdout__:
+            sys.stdout.flush()
+            self._stdout = os.dup(1)
+            os.dup2(2, 1)
 
     def line(self, text: str) -> None:
         """Print a line for people."""
         if not self.as_json:
             print(text, flush=True)
 
+    def console(self, least_width: int | None = None) -> Console:
+        """Return where tables for people go."""
+        from rich.console import Console
+
+        width = None if least_width is None else max(least_width, Console().width)
+        return Console(
+            width=width, highlight=False, soft_wrap=least_width is None, quiet=self.as_json
+        )
+
     def facts(self, facts: Mapping[str, object]) -> None:
-        """Print the same for programs."""
-        if self.as_json:
-            print(json.dumps(plain(facts), indent=2), flush=True)
+        """Print the same for programs, once."""
+        if not self.as_json:
+            return
+        if self._stdout >= 0:
+            sys.stdout.flush()
+            os.dup2(self._stdout, 1)
+            os.close(self._stdout)
+            self._stdout = -1
+        print(json.dumps(plain(facts), indent=2), flush=True)
 
 
 def plain(value: Any) -> Any:
     """Return a value as JSON has it: no NumPy, and null for what is no finite number."""
     if isinstance(value, Mapping):
         return {str(key): plain(one) for key, one in value.items()}
+    if dataclasses.is_dataclass(value):
+        return {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, str | bool | int):

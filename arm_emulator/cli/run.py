@@ -19,7 +19,9 @@ from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import given
 from arm_emulator.build.c_header import CData
+from arm_emulator.cli.output import Output
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.session import END_OF_TIME, Session
@@ -37,6 +39,8 @@ def run(
     seconds: float,
     displacement: Sequence[float] | None,
     kept: Kept = NOTHING,
+    *,
+    json: bool = False,
 ) -> int:
     """Run for some logical time with the tool displaced, and print the outcome.
 
@@ -45,7 +49,9 @@ def run(
         seconds: of logical time.
         displacement: of the tool in the world (3,) [m]; None: the arm holds where it starts.
         kept: what is recorded and shown.
+        json: whether a program reads what is printed.
     """
+    output = Output(json)
     one = load_offline_run(scene_name)
     session, kinematics = one.session, one.controller.kinematics
     scene = session.scene
@@ -64,10 +70,9 @@ def run(
         try:
             one.advance(ticks)
         except Diverged as fault:
-            print(explain(fault), file=sys.stderr)
-            return 1
+            return diverged(fault, session, output)
         wall = time.perf_counter() - started
-        report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
+        report(output, session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
     return 0
 
 
@@ -77,15 +82,18 @@ def run_table(
     table: Path,
     library: Path | None,
     kept: Kept = NOTHING,
+    *,
+    json: bool = False,
 ) -> int:
     """Run for some logical time, or for that of the table, and print the outcome.
 
     Raises:
         Refusal: see `load_table_run`, or the control code ended the process.
     """
+    output = Output(json)
 
     def work(progress: CData | None = None) -> int:
-        return _run_table(scene_name, seconds, table, library, kept, progress)
+        return _run_table(scene_name, seconds, table, library, kept, output, progress)
 
     return work() if library is None else guarded(library.name, work)
 
@@ -96,6 +104,7 @@ def _run_table(
     table: Path,
     library: Path | None,
     kept: Kept,
+    output: Output,
     progress: CData | None,
 ) -> int:
     one, targets = load_table_run(scene_name, table, library, progress)
@@ -105,10 +114,12 @@ def _run_table(
     else:
         warn_of_scene(scene)
     with contextlib.closing(one):
-        return _report(one, targets, seconds, kept)
+        return _report(one, targets, seconds, kept, output)
 
 
-def _report(one: TableRun, targets: TargetTable, seconds: float | None, kept: Kept) -> int:
+def _report(
+    one: TableRun, targets: TargetTable, seconds: float | None, kept: Kept, output: Output
+) -> int:
     session = one.session
     scene = session.scene
     if seconds is None:
@@ -120,10 +131,9 @@ def _report(one: TableRun, targets: TargetTable, seconds: float | None, kept: Ke
             with ctrl_c_ends_at_once():
                 one.advance(ticks)
         except Diverged as fault:
-            print(explain(fault), file=sys.stderr)
-            return 1
+            return diverged(fault, session, output)
         wall = time.perf_counter() - started
-        report(session, ticks, wall, off_target(session, targets, ticks))
+        report(output, session, ticks, wall, off_target(session, targets, ticks))
     return 0
 
 
@@ -152,21 +162,49 @@ def ticks_of(seconds: float, scene: Scene) -> int:
     return round(seconds / period)
 
 
-def report(session: Session, ticks: int, wall: float, off: npt.NDArray[np.float64] | None) -> None:
+def diverged(fault: Diverged, session: Session, output: Output) -> int:
+    """Print that a machine has diverged, and return the exit code."""
+    text = explain(fault)
+    print(text, file=sys.stderr)
+    output.facts({"scene": session.scene.name, "diverged": text, "warnings": given})
+    return 1
+
+
+def report(
+    output: Output,
+    session: Session,
+    ticks: int,
+    wall: float,
+    off: npt.NDArray[np.float64] | None,
+) -> None:
     """Print the outcome of a run.
 
     Args:
+        output: where to.
         session: the machine.
         ticks: servo periods that it has gone through.
         wall: time that they took [s].
         off: what the tool lacks to its target, in the world (3,) [m]; None: no target is known.
     """
-    logical = session.logical_ns / 1e9
-    print(f"scene {session.scene.name}: {logical:g} s of logical time in {wall:.2f} s")
-    print(
+    scene, logical, energy = session.scene, session.logical_ns / 1e9, session.plant.energy
+    output.line(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")
+    output.line(
         f"real-time factor  {logical / wall:.1f}   ({wall / ticks * 1e6:.1f} us per servo period)"
     )
     if off is not None:
         x, y, z = off * 1e3
-        print(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
-    print(f"energy            {session.plant.energy:.6g} J")
+        output.line(f"tool off by       x {x:+.4f}  y {y:+.4f}  z {z:+.4f} mm")
+    output.line(f"energy            {energy:.6g} J")
+    output.facts(
+        {
+            "scene": scene.name,
+            "logical_time": logical,
+            "wall_time": wall,
+            "ticks": ticks,
+            "tool_off": off,
+            "energy": energy,
+            "q": dict(zip(scene.joint_names, session.state.q, strict=True)),
+            "diverged": None,
+            "warnings": given,
+        }
+    )

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from arm_emulator.base.config_files import check_own, find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.output import Output
 from arm_emulator.design.gain_text import write_gains
 from arm_emulator.design.tuned import (
     Range,
@@ -26,7 +27,9 @@ from arm_emulator.runs.gains import check_joints
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
 
-def tune(scene_name: str, out: Path | None, payload: float | None, *, write: bool) -> int:
+def tune(
+    scene_name: str, out: Path | None, payload: float | None, *, write: bool, json: bool = False
+) -> int:
     """Compute gains, show and draw what they and the present ones do, and write them if asked.
 
     Args:
@@ -34,12 +37,14 @@ def tune(scene_name: str, out: Path | None, payload: float | None, *, write: boo
         out: folder for a picture; None: none.
         payload: mass at the tool in place of the scene's [kg].
         write: whether to put the computed gains into the servo's file.
+        json: whether a program reads what is printed.
 
     Raises:
         Refusal: a file that is missing or not taken, a joint without a motor, or one that no gains
             hold.
     """
-    console = Console(highlight=False, soft_wrap=True)
+    output = Output(json)
+    console = output.console()
     file = find_scene(scene_name)
     servo_file = find_beside(file, "servo")
     if write:
@@ -55,6 +60,7 @@ def tune(scene_name: str, out: Path | None, payload: float | None, *, write: boo
             "computed": examine(scene, without, computed),
         }
     _print(console, scene, inertias, pair)
+    picture = None
     if out is not None:
         from arm_emulator.design.tune_picture import draw  # matplotlib takes its time
 
@@ -65,7 +71,38 @@ def tune(scene_name: str, out: Path | None, payload: float | None, *, write: boo
     if write:
         write_gains(servo_file, computed)
         console.print(f"written: {servo_file}")
+    joints = _facts(scene, inertias, pair)
+    written = servo_file if write else None
+    output.facts({"scene": scene.name, "joints": joints, "picture": picture, "written": written})
     return 0
+
+
+def _facts(
+    scene: Scene, inertias: list[Range], pair: Mapping[str, Tuned]
+) -> dict[str, dict[str, object]]:
+    """Return by joint what the tables show, in SI units."""
+    facts: dict[str, dict[str, object]] = {
+        name: {"inertia": inertia}
+        for name, inertia in zip(scene.joint_names, inertias, strict=True)
+    }
+    for label, tuned in pair.items():
+        swings = predicted_swing(scene, tuned.servo, inertias)
+        for j, name in enumerate(scene.joint_names):
+            loop = tuned.loops.joints[j]
+            facts[name][label] = {
+                "position_gain": loop.position_gain,
+                "velocity_gain": loop.velocity_gain,
+                "integral_time": loop.integral_time,
+                "observer_bandwidth": loop.observer_bandwidth,
+                "margins": tuned.margins[j],
+                "margins_without_payload": None if tuned.bare is None else tuned.bare[j],
+                "step": tuned.steps[j],
+                "off_on_the_way": tuned.run.worst[j],
+                "count": loop.count_angle,
+                "swing_predicted": swings[j],
+                "swing": tuned.run.swing[j],
+            }
+    return facts
 
 
 def _check(scene: Scene, servo: ServoConfig) -> None:

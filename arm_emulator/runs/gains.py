@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from arm_emulator.base.config_files import find_beside
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.warning import warn
 from arm_emulator.machine.scene import Scene
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
@@ -91,10 +91,9 @@ def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
     given = (motion.gravity_x, motion.gravity_y, motion.gravity_z)
     real = scene.gravity or (0.0, 0.0, 0.0)
     if motion.feedforward_for(len(scene.joint_names)) == "torque" and given != tuple(real):
-        print(
-            f"warning: {scene.where}: the motion controller gives torques for a gravity of {given} "
-            f"m/s2 (gravity_x, _y, _z), but the scene's is {real}",
-            file=sys.stderr,
+        warn(
+            f"{scene.where}: the motion controller gives torques for a gravity of {given} "
+            f"m/s2 (gravity_x, _y, _z), but the scene's is {real}"
         )
 
 

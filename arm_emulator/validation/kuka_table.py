@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import track
@@ -13,13 +14,16 @@ from arm_emulator.validation.figure import table_of
 from arm_emulator.validation.kuka_kr300 import SHIPPED, compare
 from arm_emulator.validation.kuka_picture import draw
 
+WIDTH = 150  # characters of the tables
 
-def validate_kuka(runs: Sequence[Path], folder: Path) -> int:
-    """Compare with runs, print, draw into a folder; exit code 1 if a figure is beyond its limit.
+
+def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[str, Any]:
+    """Compare with runs, print, draw into a folder, and return the same for programs.
 
     Args:
         runs: files as run_A.npz; none: the shipped ones.
         folder: of the pictures.
+        console: where tables go.
 
     Raises:
         Refusal: a file that is no such run.
@@ -29,7 +33,7 @@ def validate_kuka(runs: Sequence[Path], folder: Path) -> int:
     found = [
         compare(path, scene) for path in track(paths, "kuka_kr300", console=Console(stderr=True))
     ]
-    console = Console(width=max(150, Console().width))
+    compared = []
     for one in found:
         title = f"KUKA KR300, identified on run A, beside {one.run.where}"
         console.print(table_of(title, scene.joint_names, one.figures))
@@ -38,4 +42,17 @@ def validate_kuka(runs: Sequence[Path], folder: Path) -> int:
         for failure in one.failures:
             console.print(f"[red]{failure}")
         console.print(f"{one.run.where}: {'good' if one.good else 'NOT GOOD'}; picture: {picture}")
-    return 0 if all(one.good for one in found) else 1
+        figures = [
+            {"title": f.title, "values": f.values, "mean": f.mean, "limits": f.limits}
+            for f in one.figures
+        ]
+        compared.append(
+            {
+                "record": one.run.where,
+                "good": one.good,
+                "failures": one.failures,
+                "figures": figures,
+                "picture": picture,
+            }
+        )
+    return {"good": all(one.good for one in found), "runs": compared}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -13,6 +14,7 @@ from rich.table import Table
 from arm_emulator.validation import manutec_r3
 from arm_emulator.validation.manutec_picture import draw
 
+WIDTH = 110  # characters of the table
 PERIODS = (2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)  # s, servo period and step
 SHOWN = 5e-5  # s, of which angles and currents are drawn
 
@@ -24,9 +26,8 @@ ORDER = (1.8, 2.2)  # of the angles' error, over the periods from 50 to 5 us
 LEAST_SPEED = 1.0  # times real time
 
 
-def validate_manutec(folder: Path) -> int:
-    """Compare, print, draw into a folder; exit code 1 if a figure does not keep its limit."""
-    console = Console(width=max(110, Console().width))
+def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
+    """Compare, print, draw into a folder, and return the same for programs."""
     table = Table(title="Manutec r3 against the independent solution, largest differences")
     for heading in ("period, us", "angles, rad", "speeds, rad/s", "currents, A",
                     "wind-up at the motor, rad", "rows in other friction modes",
@@ -55,7 +56,23 @@ def validate_manutec(folder: Path) -> int:
     order = order_of(found)
     verdict = "NOT GOOD" if failures else "good"
     console.print(f"order of the angles' error {order:.2f}; {verdict}; picture: {picture}")
-    return 1 if failures else 0
+    rows = [
+        {
+            "period": period,
+            **{name: float(getattr(one, name).max()) for name in MOST},
+            "other_modes": one.other_modes,
+            "rows": one.rows,
+            "speed": speed,
+        }
+        for period, (one, speed) in found.items()
+    ]
+    return {
+        "good": not failures,
+        "failures": failures,
+        "order": order,
+        "rows": rows,
+        "pictures": [picture],
+    }
 
 
 def order_of(found: Mapping[float, tuple[manutec_r3.Comparison, float]]) -> float:

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.options import Json, SceneName
 
 
 @command()
@@ -19,6 +19,7 @@ def advise(
     error: float = 1e-4,
     motion: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     write: bool = False,
+    json: Json = False,
 ) -> int:
     """Find the cheapest scheme, events and step that keep an error.
 
@@ -30,4 +31,4 @@ def advise(
     """
     from arm_emulator.cli.advise import advise_scene
 
-    return advise_scene(scene, error, motion, write=write)
+    return advise_scene(scene, error, motion, write=write, json=json)

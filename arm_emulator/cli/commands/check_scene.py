@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.options import Json, SceneName
 
 
 @command()
@@ -16,16 +16,13 @@ def check_scenes(
     /,
     *more: Annotated[str, Parameter(metavar="SCENE", help="further ones")],
     modes: bool = False,
+    json: Json = False,
 ) -> int:
     """Check scene files, and the servo and motion parameters that lie beside them.
 
     Args:
         modes: show the eigenvalues of every loop that the scene's drives can be put into.
     """
-    from arm_emulator.cli.check_scene import check_scene, modes_of
+    from arm_emulator.cli.check_scene import check_scenes as check
 
-    for name in (scene, *more):
-        print(check_scene(name))
-        if modes:
-            print(modes_of(name))
-    return 0
+    return check((scene, *more), modes=modes, json=json)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.options import Json, SceneName
 
 Names = Annotated[str, Parameter(metavar="NAMES")]
 
@@ -29,6 +29,7 @@ def identify(
     trust: float = 0.5,
     as_is: bool = False,
     simulate: bool = False,
+    json: Json = False,
 ) -> int:
     """Find a scene's numbers from a record of its machine's motion.
 
@@ -61,4 +62,5 @@ def identify(
         trust=trust,
         as_is=as_is,
         simulate=simulate,
+        json=json,
     )

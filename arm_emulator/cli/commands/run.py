@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from arm_emulator.base.kept import NOTHING
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import Keep, SceneName, Seconds, TargetFile
+from arm_emulator.cli.options import Json, Keep, SceneName, Seconds, TargetFile
 
 
 @command()
@@ -23,6 +23,7 @@ def run(
     targets: TargetFile = None,
     servo: Annotated[Path | None, Parameter(metavar="LIBRARY")] = None,
     kept: Keep = NOTHING,
+    json: Json = False,
 ) -> int:
     """Run machine, servo and motion controller in one process, in lock-step.
 
@@ -38,9 +39,9 @@ def run(
             raise Refusal("run", "--displacement", "stand without --targets", "both")
         from arm_emulator.cli.run import run_table
 
-        return run_table(scene, seconds, targets, servo, kept)
+        return run_table(scene, seconds, targets, servo, kept, json=json)
     if servo is not None:
         raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
     from arm_emulator.cli.run import run as work
 
-    return work(scene, 10.0 if seconds is None else seconds, displacement, kept)
+    return work(scene, 10.0 if seconds is None else seconds, displacement, kept, json=json)

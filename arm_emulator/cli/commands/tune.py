@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
+from arm_emulator.cli.options import Json, SceneName
 
 
 @command()
@@ -19,6 +19,7 @@ def tune(
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     payload: Annotated[float | None, Parameter(metavar="KG")] = None,
     write: bool = False,
+    json: Json = False,
 ) -> int:
     """Compute gains for a scene, and show what they and the present ones do.
 
@@ -29,4 +30,4 @@ def tune(
     """
     from arm_emulator.cli.tune import tune as compute
 
-    return compute(scene, out, payload, write=write)
+    return compute(scene, out, payload, write=write, json=json)

@@ -8,6 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.cli.command import command
+from arm_emulator.cli.options import Json
 
 
 @command()
@@ -16,6 +17,7 @@ def validate(
     /,
     *runs: Path,
     out: Annotated[Path, Parameter(metavar="FOLDER")] = Path("out"),
+    json: Json = False,
 ) -> int:
     """Compare a real machine, computed again, with measurements or with others' solutions.
 
@@ -26,4 +28,4 @@ def validate(
     """
     from arm_emulator.cli.validate import validate as compare
 
-    return compare(machine, runs, out)
+    return compare(machine, runs, out, json=json)

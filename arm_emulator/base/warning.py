@@ -1,0 +1,13 @@
+"""Warnings: a line each on stderr, and the same for programs that read JSON."""
+
+from __future__ import annotations
+
+import sys
+
+given: list[str] = []  # by this process
+
+
+def warn(text: str) -> None:
+    """Print a warning."""
+    given.append(text)
+    print(f"warning: {text}", file=sys.stderr)
