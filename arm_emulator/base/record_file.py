@@ -59,6 +59,7 @@ def open_record(where: str, file: Path, columns: Sequence[Column]) -> RecordFile
     if file.exists():
         raise Refusal(where, f"file {file}", "be new", "one that exists")
     try:
+        file.parent.mkdir(parents=True, exist_ok=True)
         return KINDS[file.suffix](file, columns)
     except OSError as error:
         raise Refusal(where, f"file {file}", "be writable", error.strerror) from None
