@@ -80,7 +80,7 @@ def by_uv(files: list[str]) -> str:
         and subprocess.run([*PIP, "install", "-c", versions, "uv"], check=False).returncode
     ):
         return "uv itself cannot be installed"
-    command = [uv, "pip", "install", "--python", sys.executable]
+    command: list[str | Path] = [uv, "pip", "install", "--python", sys.executable]
     command += [word for file in files for word in ("-r", file)]
     # What is set for uv already counts.
     done = subprocess.run(command, env={**variables, **os.environ}, check=False)

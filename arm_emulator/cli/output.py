@@ -29,8 +29,9 @@ class Output:
         self.as_json = as_json
         self._stdout = -1
         warning.given.clear()
-        if as_json and sys.stdout is not None and sys.stdout is sys.__stdout__:
-            sys.stdout.flush()
+        standard = sys.__stdout__
+        if as_json and standard is not None and sys.stdout is standard:
+            standard.flush()
             self._stdout = os.dup(1)
             os.dup2(2, 1)
 
