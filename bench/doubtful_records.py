@@ -7,9 +7,7 @@ cause.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import sys
 from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
@@ -339,15 +337,3 @@ def report(figures: dict[str, Any]) -> str:
         if not one["right"]:
             text += f"\n- {one['machine']}, {one['kind']}: {one['answer'] or 'nothing'}"
     return text + "\n"
-
-
-def main() -> int:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    print(report(run(parser.parse_args().quick)))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

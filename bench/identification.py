@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from typing import Any
 
 import numpy as np
@@ -90,15 +88,3 @@ def report(figures: dict[str, Any]) -> str:
         f"published ({100 * EXPECTED:.1f} % of a normal distribution do); in the worst record "
         f"{100 * figures['worst_seed']:.0f} %.\n"
     )
-
-
-def main() -> int:
-    """Print the figures of some seeds."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    print(report(run(parser.parse_args().quick)))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -366,9 +366,9 @@ class Verdict:
         return self.note != "" or self.lanes < AS_ALONE
 
     @property
-    def sound(self) -> bool:
-        """Whether all claims hold."""
-        return self.in_order and self.balanced and self.alike
+    def claims(self) -> dict[str, bool]:
+        """Return all claims by name."""
+        return {"order": self.in_order, "balance": self.balanced, "lanes": self.alike}
 
 
 def commands(scene: Scene, seed: int) -> np.ndarray:

@@ -11,7 +11,7 @@ import contextlib
 import os
 import signal
 from collections.abc import Iterator
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import ClassVar
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -83,12 +83,7 @@ class CtrlC:
     def __enter__(self) -> CtrlC:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool:
+    def __exit__(self, kind: object, error: object, trace: object) -> bool:
         return bool(CtrlC.signal) and not isinstance(error, SystemExit)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:

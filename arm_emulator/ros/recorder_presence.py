@@ -13,7 +13,6 @@ import secrets
 import socket
 from collections.abc import Collection
 from pathlib import Path
-from types import TracebackType
 
 RECORDER = re.compile(r"\d+\.[0-9a-f]{8}")  # how recorders are named
 STATES = "motor_states"  # last part of the topic on which an emulator publishes its states
@@ -47,12 +46,7 @@ class RecorderPresence:
     def __enter__(self) -> RecorderPresence:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
