@@ -66,7 +66,7 @@ def line(period: float, feedforward: str) -> dict[str, Any]:
     still = np.zeros(len(scene.start))
     while not times or one.instructor.reports.waiting[-1].state.name == "MOVING" or len(times) < 10:
         one.advance(EVERY)
-        q, q_motor = one.session.state.q, one.drives.servo.q_measured[one._to_motion]
+        q, q_motor = one.session.state.q, one.drives.servo.q_measured[one._to_motion]  # noqa: SLF001
         torques = gravity.at(q_motor, still)
         tool, of_motors, wound = (
             kinematics.forward(angles)[1] - begin.p_WT

@@ -11,16 +11,21 @@ from emulator_node.reports import Reports
 
 
 class Changes:
-    """Changes the machine of a session."""
+    """Changes the machine of a session.
+
+    Attributes:
+        pacer: publishes what was reached before a change.
+        reports: publishes the change.
+    """
 
     def __init__(self, session: Session, pacer: Pacer, reports: Reports) -> None:
-        self._session, self._pacer, self._reports = session, pacer, reports
+        self._session, self.pacer, self.reports = session, pacer, reports
 
     @contextmanager
     def between_ticks(self) -> Iterator[None]:
         """Within, no time passes, and all ticks up to now are published."""
         with self._session.between_ticks():
-            self._pacer.catch_up()
+            self.pacer.catch_up()
             yield
 
     def make(self, kind: int, change: Callable[[], None]) -> None:
@@ -33,4 +38,4 @@ class Changes:
         with self.between_ticks():
             change()
             saved = self._session.plant.save()
-        self._reports.event(kind, saved)
+        self.reports.event(kind, saved)

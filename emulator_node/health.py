@@ -5,40 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from rclpy.node import Node
-
 from arm_emulator.analysis.stability import explain
 from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.session import EndOfTime, Phase, Session
-from arm_emulator.ros.node_shell import NANOSECONDS, STATE_PUB_QOS, Diagnostics, stamp
+from arm_emulator.machine.session import EndOfTime, Phase
+from arm_emulator.ros.node_shell import NANOSECONDS, STATE_PUB_QOS, stamp
 from arm_emulator_msgs.msg import EmulatorStatus
-from emulator_node.outbox import Outbox
-from emulator_node.recorder_gate import RecorderGate
+from emulator_node.context import Context
 from emulator_node.reports import Reports
-from emulator_node.view import View
 
 
 class Health:
     """Reports a fault once, and the phase in words.
 
     Args:
-        node: whose log it is.
-        session: the machine.
-        diagnostics: of the node.
+        own: whose log it is, and the machine.
         timeout: gives the wall time without an answer that is reported [s].
     """
 
-    def __init__(
-        self,
-        node: Node,
-        session: Session,
-        diagnostics: Diagnostics,
-        gate: RecorderGate,
-        outbox: Outbox,
-        timeout: Callable[[], float],
-    ) -> None:
-        self._logger, self._session, self._diagnostics = node.get_logger(), session, diagnostics
-        self._gate, self._outbox, self._timeout = gate, outbox, timeout
+    def __init__(self, own: Context, timeout: Callable[[], float]) -> None:
+        self._session, self._gate, self._outbox = own.session, own.gate, own.outbox
+        self._logger, self._diagnostics = own.node.get_logger(), own.diagnostics
+        self._timeout = timeout
         self._reported: Diverged | EndOfTime | None = None  # the fault that was published last
 
     def report_fault(self) -> None:
@@ -86,18 +73,10 @@ class Status:
         publisher: of it.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        session: Session,
-        diagnostics: Diagnostics,
-        reports: Reports,
-        outbox: Outbox,
-        view: View,
-    ) -> None:
-        self._session, self._diagnostics, self._reports = session, diagnostics, reports
-        self._outbox, self._view = outbox, view
-        self.publisher = node.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
+    def __init__(self, own: Context, reports: Reports) -> None:
+        self._session, self._diagnostics, self._reports = own.session, own.diagnostics, reports
+        self._outbox, self._view = own.outbox, own.view
+        self.publisher = own.node.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
         self.begin()
 
     def begin(self) -> None:

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import threading
 from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rclpy.node import Node
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.external_wrench import ExternalWrench
-from arm_emulator.machine.session import Needless, Session
+from arm_emulator.machine.session import Needless
 from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.fixed_layout import taking
-from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, Diagnostics
+from arm_emulator.ros.node_shell import COMMAND_SUB_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, RecorderReport
 from emulator_node.changes import Changes
-from emulator_node.outbox import Outbox
+from emulator_node.context import Context
 from emulator_node.pacer import Pacer
-from emulator_node.recorder_gate import RecorderGate
-from emulator_node.view import View
 
 # Topics of what acts on links, and whose axes force and moment have.
 EXTERNAL_WRENCHES = {"external_wrench": "link", "external_wrench_in_world": "world"}
@@ -33,25 +29,15 @@ class Intake:
         commands: name of the topic of motor commands.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        session: Session,
-        pacer: Pacer,
-        changes: Changes,
-        gate: RecorderGate,
-        outbox: Outbox,
-        diagnostics: Diagnostics,
-        view: View,
-        lock: threading.RLock,
-    ) -> None:
-        self._session, self._pacer, self._changes = session, pacer, changes
-        self._gate, self._outbox, self._diagnostics, self._lock = gate, outbox, diagnostics, lock
+    def __init__(self, own: Context, pacer: Pacer, changes: Changes) -> None:
+        self._session, self._pacer, self._changes = own.session, pacer, changes
+        self._gate, self._outbox, self._lock = own.gate, own.outbox, own.lock
+        self._diagnostics, node = own.diagnostics, own.node
         self.commands = node.resolve_topic_name("motor_commands")
         subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
-        take = taking("motor_commands", MotorCommand, self._on_command, diagnostics.refuse)
+        take = taking("motor_commands", MotorCommand, self._on_command, own.diagnostics.refuse)
         subscribe(MotorCommand, "motor_commands", take, qos, raw=True)
-        subscribe(PoseStamped, "tool_target", view.target, qos)
+        subscribe(PoseStamped, "tool_target", own.view.target, qos)
         for topic, axes in EXTERNAL_WRENCHES.items():
             subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, axes), qos)
         subscribe(RecorderReport, "emulator/recorders", self._on_recorder, qos)

@@ -14,7 +14,6 @@ if __name__ == "__main__":  # before what takes long to import
 
     end_at_once(0)
 
-import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,6 +37,7 @@ from arm_emulator.ros.node_shell import (
     wall_timer,
 )
 from emulator_node.changes import Changes
+from emulator_node.context import Context
 from emulator_node.health import Health, Status
 from emulator_node.intake import Intake
 from emulator_node.outbox import Outbox, own_record
@@ -103,33 +103,32 @@ class EmulatorNode(Node):
             if config.clock == "realtime"
             else Session(scene, config.clock, config.start)
         )
-        # Between the executor, which serves topics and services, and a thread of the pacer.
-        self._lock = lock = threading.RLock()
-        self._view = view = View(session, config.rerun_file, config.rerun_port)
-        self._outbox = outbox = Outbox(diagnostics)
         topic = self.resolve_topic_name("motor_states")
-        gate = RecorderGate(self, session, diagnostics, topic)
-        self._reports = reports = Reports(self, session, outbox, gate, view, config.report_period)
-        self._status = status = Status(self, session, diagnostics, reports, outbox, view)
-        health = Health(self, session, diagnostics, gate, outbox, lambda: self._config.timeout)
-        self._pacer: Pacer = (
-            LoopPacer(session, outbox, reports, health, lock)
-            if session.by_itself
-            else LockstepPacer(self, session, gate, reports, health, lock)
+        self._own = own = Context(
+            self,
+            session,
+            diagnostics,
+            RecorderGate(self, session, diagnostics, topic),
+            Outbox(diagnostics),
+            View(session, config.rerun_file, config.rerun_port),
         )
+        self._reports = reports = Reports(own, config.report_period)
+        self._status = status = Status(own, reports)
+        health = Health(own, lambda: self._config.timeout)
+        pace = LoopPacer if session.by_itself else LockstepPacer
+        self._pacer: Pacer = pace(own, reports, health)
         changes = Changes(session, self._pacer, reports)
-        intake = Intake(self, session, self._pacer, changes, gate, outbox, diagnostics, view, lock)
+        intake = Intake(own, self._pacer, changes)
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
             folder = Path(config.record)
-            outbox.record = own_record(self, folder, publishers, intake.commands, session.lockstep)
-            diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
+            record = own_record(self, folder, publishers, intake.commands, session.lockstep)
+            own.outbox.record = record
+            diagnostics.send = lambda message: own.outbox.put(diagnostics.publisher, message)
         reports.description()
-        TimeServices(
-            self, session, self._pacer, changes, gate, reports, health, status, diagnostics, lock
-        )
-        MachineServices(self, session, self._pacer, changes, gate, reports, lock)
-        self._repeater = Repeater(session, self._pacer, gate, reports, health)
+        TimeServices(own, changes, health, status)
+        MachineServices(own, changes)
+        self._repeater = Repeater(own, self._pacer, reports, health)
         wall_timer(self, REPEAT_AFTER, self._on_repeat)
         wall_timer(self, STATUS_PERIOD, self._on_status)
         reports.tick()
@@ -144,8 +143,8 @@ class EmulatorNode(Node):
         """Stop the machine and finish the Rerun recording."""
         self._pacer.close()
         self._session.close()
-        self._view.close()
-        self._outbox.close()
+        self._own.view.close()
+        self._own.outbox.close()
 
     def _changed(self, changes: Mapping[str, Any]) -> EmulatorParameters:
         return replaced(self, self._config, changes)
@@ -154,11 +153,11 @@ class EmulatorNode(Node):
         self._config = config
 
     def _on_repeat(self) -> None:
-        with self._lock:
+        with self._own.lock:
             self._repeater.look()
 
     def _on_status(self) -> None:
-        with self._lock:
+        with self._own.lock:
             self._status.report()
             if time.monotonic() - self._reports.published_at >= STATUS_PERIOD:
                 self._reports.time_again()

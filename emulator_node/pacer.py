@@ -6,13 +6,11 @@ import threading
 from typing import Protocol
 
 import rclpy
-from rclpy.node import Node
 
-from arm_emulator.machine.session import Phase, Session
+from arm_emulator.machine.session import Phase
 from arm_emulator.ros.node_shell import wall_timer
+from emulator_node.context import Context
 from emulator_node.health import Health
-from emulator_node.outbox import Outbox
-from emulator_node.recorder_gate import RecorderGate
 from emulator_node.reports import Reports
 
 AT_ONCE = 10  # ticks in real time that are taken, and messages that are published, at a time
@@ -38,24 +36,11 @@ class Pacer(Protocol):
 
 
 class LockstepPacer:
-    """Ticks follow answers, and before the first one the servo period.
+    """Ticks follow answers, and before the first one the servo period: the node paces that."""
 
-    Args:
-        node: whose executor paces the free run.
-        lock: guards the session.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        session: Session,
-        gate: RecorderGate,
-        reports: Reports,
-        health: Health,
-        lock: threading.RLock,
-    ) -> None:
-        self._node, self._session, self._gate = node, session, gate
-        self._reports, self._health, self._lock = reports, health, lock
+    def __init__(self, own: Context, reports: Reports, health: Health) -> None:
+        self._node, self._session, self._gate = own.node, own.session, own.gate
+        self._reports, self._health, self._lock = reports, health, own.lock
 
     def start(self) -> None:
         """Pace the free run."""
@@ -91,23 +76,11 @@ class LockstepPacer:
 
 
 class LoopPacer:
-    """Ticks come from a loop. A thread of its own takes and publishes them.
+    """Ticks come from a loop. A thread of its own takes and publishes them."""
 
-    Args:
-        lock: guards the session: between the executor, which serves topics and services, and that
-            thread.
-    """
-
-    def __init__(
-        self,
-        session: Session,
-        outbox: Outbox,
-        reports: Reports,
-        health: Health,
-        lock: threading.RLock,
-    ) -> None:
-        self._session, self._outbox, self._reports = session, outbox, reports
-        self._health, self._lock = health, lock
+    def __init__(self, own: Context, reports: Reports, health: Health) -> None:
+        self._session, self._outbox, self._lock = own.session, own.outbox, own.lock
+        self._reports, self._health = reports, health
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="taker")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from arm_emulator.machine.session import Phase, Session
+from arm_emulator.machine.session import Phase
+from emulator_node.context import Context
 from emulator_node.health import Health
 from emulator_node.pacer import Pacer
-from emulator_node.recorder_gate import RecorderGate
 from emulator_node.reports import Reports
 
 REPEAT_AFTER = (
@@ -18,16 +18,9 @@ REPEAT_AFTER = (
 class Repeater:
     """Looks every `REPEAT_AFTER` whether the machine waits, and for whom."""
 
-    def __init__(
-        self,
-        session: Session,
-        pacer: Pacer,
-        gate: RecorderGate,
-        reports: Reports,
-        health: Health,
-    ) -> None:
-        self._session, self._pacer, self._gate = session, pacer, gate
-        self._reports, self._health = reports, health
+    def __init__(self, own: Context, pacer: Pacer, reports: Reports, health: Health) -> None:
+        self._session, self._gate = own.session, own.gate
+        self._pacer, self._reports, self._health = pacer, reports, health
 
     def look(self) -> None:
         """Publish an unanswered state again; report a partner that stays silent."""

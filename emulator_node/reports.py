@@ -5,14 +5,12 @@ from __future__ import annotations
 import time
 from array import array
 
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator.machine.measured_fields import MeasuredFields
-from arm_emulator.machine.session import Session
 from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.node_shell import (
@@ -23,9 +21,7 @@ from arm_emulator.ros.node_shell import (
     stamp,
 )
 from arm_emulator_msgs.msg import MachineEvent, MotorState
-from emulator_node.outbox import Outbox
-from emulator_node.recorder_gate import RecorderGate
-from emulator_node.view import View
+from emulator_node.context import Context
 
 
 class Reports:
@@ -38,31 +34,21 @@ class Reports:
         changes: events so far, each a change by hand.
 
     Args:
-        node: whose topics they are.
-        session: the machine.
-        outbox: how messages leave.
-        gate: counts the motor states.
-        view: where ticks are shown.
+        own: whose topics they are, and the machine.
         period: logical time between messages of truth and time [s], 0 for every tick.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        session: Session,
-        outbox: Outbox,
-        gate: RecorderGate,
-        view: View,
-        period: float,
-    ) -> None:
-        self._session, self._outbox, self._gate, self._view = session, outbox, gate, view
+    def __init__(self, own: Context, period: float) -> None:
+        self._session, self._outbox = own.session, own.outbox
+        self._gate, self._view = own.gate, own.view
+        session = own.session
         self._ticks = max(1, round(period / session.scene.servo_period))
         self._fields = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
         self._motor_state = FixedLayout(self._empty_motor_state())
         self._truth = JointState(name=list(session.scene.joint_names))
         self._newest_time = Clock()
         self.changes = 0
-        create = node.create_publisher
+        create = own.node.create_publisher
         self._motor_states = create(MotorState, "motor_states", STATE_PUB_QOS)
         self._truths = create(JointState, "emulator/joint_states", STATE_PUB_QOS)
         self._clocks = create(Clock, "clock", STATE_PUB_QOS)

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import threading
 from array import array
 from collections.abc import Callable
 from functools import partial
 
-from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.session import Session
-from arm_emulator.ros.node_shell import Diagnostics
 from arm_emulator_msgs.msg import MachineEvent
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 from emulator_node.changes import Changes
+from emulator_node.context import Context
 from emulator_node.health import Health, Status
-from emulator_node.pacer import Pacer
-from emulator_node.recorder_gate import RecorderGate
-from emulator_node.reports import Reports
 
 MOST_SAVED = 1000  # states that are kept by name
 
@@ -27,22 +21,11 @@ MOST_SAVED = 1000  # states that are kept by name
 class TimeServices:
     """Pause, step, reset and power."""
 
-    def __init__(
-        self,
-        node: Node,
-        session: Session,
-        pacer: Pacer,
-        changes: Changes,
-        gate: RecorderGate,
-        reports: Reports,
-        health: Health,
-        status: Status,
-        diagnostics: Diagnostics,
-        lock: threading.RLock,
-    ) -> None:
-        self._session, self._pacer, self._changes, self._gate = session, pacer, changes, gate
-        self._reports, self._health, self._status = reports, health, status
-        self._diagnostics, self._lock = diagnostics, lock
+    def __init__(self, own: Context, changes: Changes, health: Health, status: Status) -> None:
+        self._session, self._gate, self._lock = own.session, own.gate, own.lock
+        self._changes, self._pacer, self._reports = changes, changes.pacer, changes.reports
+        self._health, self._status, self._diagnostics = health, status, own.diagnostics
+        node = own.node
         node.create_service(SetBool, "~/pause", self._on_pause)
         node.create_service(Trigger, "~/step", self._on_step)
         node.create_service(Trigger, "~/reset", self._on_reset)
@@ -102,18 +85,10 @@ class TimeServices:
 class MachineServices:
     """The machine saved, restored, and set by hand."""
 
-    def __init__(
-        self,
-        node: Node,
-        session: Session,
-        pacer: Pacer,
-        changes: Changes,
-        gate: RecorderGate,
-        reports: Reports,
-        lock: threading.RLock,
-    ) -> None:
-        self._session, self._pacer, self._changes, self._gate = session, pacer, changes, gate
-        self._reports, self._lock = reports, lock
+    def __init__(self, own: Context, changes: Changes) -> None:
+        self._session, self._gate, self._lock = own.session, own.gate, own.lock
+        self._changes, self._pacer, self._reports = changes, changes.pacer, changes.reports
+        node = own.node
         self._saved: dict[str, bytes] = {}  # machines by name
         node.create_service(SaveState, "~/save_state", self._on_save_state)
         node.create_service(RestoreState, "~/restore_state", self._on_restore_state)

@@ -154,8 +154,8 @@ def test_a_fork_waits_for_calls_of_other_threads(scene: Scene) -> None:
     plant = Plant(scene)
     with ThreadPoolExecutor(1) as pool:
         long = pool.submit(plant.advance, ROW, 300_000)
-        while plant._turn.acquire(blocking=False):  # until the call has its turn
-            plant._turn.release()
+        while plant.turn.acquire(blocking=False):  # until the call has its turn
+            plant.turn.release()
         text = in_child(lambda: plant.t)
         long.result()
     assert float(text) == pytest.approx(300_000 * scene.integrator.dt)

@@ -19,7 +19,8 @@ import pytest
 
 from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant import PIECE, Plant
+from arm_emulator.machine.call_arguments import PIECE
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.real_time import RealTimeLoop
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.machine.session import Session

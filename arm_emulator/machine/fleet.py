@@ -17,22 +17,21 @@ from arm_emulator.base.given import as_flag
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData, pointer
-from arm_emulator.machine.chain import Array
-from arm_emulator.machine.compiler import fleet_library_of
-from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
-from arm_emulator.machine.diverged import Diverged
-from arm_emulator.machine.measured import Measured, MeasuredPlace
-from arm_emulator.machine.plant import (
+from arm_emulator.machine.call_arguments import (
     LARGEST_STEPS,
     PIECE,
-    Borrowed,
     Commands,
-    Plant,
     by_joint,
     commands_of,
     options_of,
     refusal_of,
 )
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.compiler import fleet_library_of
+from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.measured import Measured, MeasuredPlace
+from arm_emulator.machine.plant import Borrowed, Plant
 from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.shares import Shares
@@ -126,19 +125,25 @@ class Fleet(Turns):
         return f"<Fleet of {self._count} {self.scene.name}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        with self._turn:
-            taken = self.save(), self._began.copy()
-        return _again, (self.scene, self._count, self._shares.workers, *taken)
+        return _again, (self.scene, self._count, self._shares.workers), self.__getstate__()
 
     def __copy__(self) -> Fleet:
-        make, arguments = self.__reduce__()
-        fleet: Fleet = make(*arguments)
+        fleet = Fleet(self.scene, self._count, workers=self._shares.workers)
+        fleet.__setstate__(self.__getstate__())
         return fleet
+
+    @in_turn
+    def __getstate__(self) -> tuple[bytes, Array]:
+        return self.save(), self._began.copy()
+
+    def __setstate__(self, state: tuple[bytes, Array]) -> None:
+        saved, self._began[:] = state
+        self.restore(saved)
 
     def __deepcopy__(self, memo: dict[int, object]) -> Fleet:
         return self.__copy__()
 
-    def _renew_threads(self) -> None:
+    def renew_threads(self) -> None:  # noqa: D102
         self._shares.hire()
         if self.scene.threads > 1:
             for arm in range(self._count):
@@ -285,7 +290,7 @@ class Fleet(Turns):
         if flags.dtype != np.bool_ or flags.shape != (self._count,):
             rule = f"be True or False, or ({self._count},) of them"
             raise Refusal("Fleet", "powered", rule, on)
-        with self._turn:
+        with self.turn:
             self.core.arm_fleet_power(self._fleet, _bytes(flags))
 
     @property
@@ -474,12 +479,9 @@ class Fleet(Turns):
         return rows
 
 
-def _again(scene: Scene, count: int, workers: int, saved: bytes, began: Array) -> Fleet:
-    """Return a fleet as one that was copied."""
-    fleet = Fleet(scene, count, workers=workers)
-    fleet.restore(saved)
-    fleet._began[:] = began
-    return fleet
+def _again(scene: Scene, count: int, workers: int) -> Fleet:
+    """Return a fleet like one that was pickled, before its state."""
+    return Fleet(scene, count, workers=workers)
 
 
 def _bytes(mask: NDArray[np.bool_]) -> CData:

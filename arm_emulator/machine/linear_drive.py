@@ -23,3 +23,11 @@ class LinearDrive:
     carried: float  # kg m2, of a rotor behind a rigid gear
     current: Array  # (n + 3,), A of the motor by (z, q, v, u)
     motor_angle: Array  # (n + 3,), rad
+
+    @classmethod
+    def of(cls, row: Array, most: int) -> LinearDrive:
+        """Return the drive from a row of ``arm_linear_drives``, with places for `most` states."""
+        n, D, rows = int(row[0]), row[2 : 2 + most], row[2 + most :].reshape(most + 3, most + 3)
+        rows = rows[:, [*range(n), most, most + 1, most + 2]]
+        G, current, motor_angle = rows[most:]
+        return cls(D[:n], rows[:n], G, float(row[1]), current, motor_angle)

@@ -14,16 +14,24 @@ from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMAND_D, ANY_COMMANDS
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import NULL, CData, Library, pointer, text
+from arm_emulator.build.c_header import NULL, CData, Library, pointer
+from arm_emulator.machine.call_arguments import (
+    LARGEST_STEPS,
+    PIECE,
+    Commands,
+    by_joint,
+    commands_of,
+    options_of,
+    refusal_of,
+    truth_at,
+)
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import fleet_library_of, library_of
 from arm_emulator.machine.core_calls import (
     ARM,
     DIVERGED,
     FAULT_THERMAL,
-    MODES,
     OK,
-    PLACES,
     REFUSED,
 )
 from arm_emulator.machine.diverged import Diverged
@@ -43,9 +51,6 @@ from arm_emulator.machine.plant_state import (
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.turns import Turns, in_turn
 from arm_emulator.machine.varied import varied_number
-
-LARGEST_STEPS = 10**15  # of one call
-PIECE = 2**20  # steps after which a long call looks whether Ctrl-C was pressed
 
 
 @dataclass(frozen=True)
@@ -136,25 +141,31 @@ class Plant(Turns):
         if self._added:
             rule = "be of its scene alone to be pickled"
             raise Refusal("Plant", "the machine", rule, f"{self.scene.name} with code beside it")
-        return _again, (self.scene, self._owner is not None, *self._all())
+        return _again, (self.scene, self._owner is not None), self.__getstate__()
 
     def __copy__(self) -> Plant:
-        return _take(Plant(self.scene, core=self.core), self._added, *self._all())
+        plant = Plant(self.scene, core=self.core)
+        plant.__setstate__(self.__getstate__())
+        return plant
 
     def __deepcopy__(self, memo: dict[int, object]) -> Plant:
         return self.__copy__()
 
     @in_turn
-    def _all(self) -> tuple[bytes, tuple[Array, Array], Array, Array]:
-        """Return what another machine has to take to be as this one, see `_take`."""
+    def __getstate__(self) -> tuple[Any, ...]:
         commands = np.array([self._commands["value"], self._commands_d])
-        return self.save(), self._reset_to, self._held.copy(), commands
+        return self.save(), self._added, self._reset_to, self._held.copy(), commands
 
-    def _renew_threads(self) -> None:
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self.restore(state[0])
+        self._added, self._reset_to, self._held[:], commands = state[1:]
+        self._commands["value"], self._commands_d[:] = commands
+
+    def renew_threads(self) -> None:  # noqa: D102
         self.core.arm_begin_threads(self.machine)
 
     def _call(self, name: str, *arguments: Any) -> Any:
-        with self._turn:
+        with self.turn:
             return getattr(self.core, name)(self.machine, *arguments)
 
     @in_turn
@@ -194,7 +205,7 @@ class Plant(Turns):
         if type(steps) is not int or not 0 <= steps <= PIECE:
             steps = check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
         row = self._as_command(command, "Plant.advance")
-        with self._turn:
+        with self.turn:
             before = self._held.copy()
             self._held[:] = row
             advance, machine, applied = self.core.arm_advance, self.machine, self._held_pointer
@@ -227,7 +238,7 @@ class Plant(Turns):
         if type(tick) is not int or not -1 <= tick < 2**63:
             tick = check_count(where, "tick", tick, -1)
         along = 0.0 if command_d is None else ANY_COMMAND_D.row(where, command_d, self._N)
-        with self._turn:
+        with self.turn:
             self._commands["value"] = row
             self._commands_d[:] = along
             self.command.tick = tick
@@ -258,7 +269,7 @@ class Plant(Turns):
             Refusal: a command was refused; the machine is where it was then.
             Diverged: as `advance`.
         """
-        with self._turn:
+        with self.turn:
             result = loop()
             if result == REFUSED:
                 raise self._refusal("Plant.exchange_in", "a number")
@@ -588,91 +599,9 @@ class Plant(Turns):
         K = self.core.arm_linear_drives(self.machine, loaded, NULL)
         numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
         self.core.arm_linear_drives(self.machine, loaded, pointer(numbers))
-        drives = []
-        for row in numbers:
-            n, D, rows = int(row[0]), row[2 : 2 + K], row[2 + K :].reshape(K + 3, K + 3)
-            rows = rows[:, [*range(n), K, K + 1, K + 2]]
-            G, current, motor_angle = rows[K:]
-            drives.append(LinearDrive(D[:n], rows[:n], G, float(row[1]), current, motor_angle))
-        return drives
+        return [LinearDrive.of(row, K) for row in numbers]
 
 
-Commands = ArrayLike | Mapping[str, ArrayLike]
-
-
-def by_joint(given: object, scene: Scene, where: str) -> object:
-    """Return what is given by names of joints as columns, base to tool; all else as it is.
-
-    Raises:
-        Refusal: other names than those of all joints.
-    """
-    if not isinstance(given, Mapping):
-        return given
-    names = scene.joint_names
-    if set(given) != set(names):
-        got = ", ".join(map(str, given)) or "none"
-        raise Refusal(where, "joint names", "name every joint once", got, ", ".join(names))
-    return [given[name] for name in names]
-
-
-def _again(scene: Scene, of_fleet: bool, *taken: Any) -> Plant:
-    """Return a plant as one that was pickled."""
-    core = fleet_library_of(scene) if of_fleet else None
-    return _take(Plant(scene, core=core), False, *taken)
-
-
-def _take(
-    plant: Plant,
-    added: bool,
-    saved: bytes,
-    began: tuple[Array, Array],
-    held: Array,
-    commands: Array,
-) -> Plant:
-    """Let a new plant go on as another one would, see `Plant._all`."""
-    plant.restore(saved)
-    plant._added, plant._reset_to = added, began
-    plant._held[:] = held
-    plant._commands["value"], plant._commands_d[:] = commands
-    return plant
-
-
-def refusal_of(core: Library, machine: CData, scene: Scene, where: str, otherwise: str) -> Refusal:
-    """Return why the core has refused the newest call on a machine.
-
-    Args:
-        core: of the machine.
-        machine: its handle.
-        scene: of the machine.
-        where: name of the refusal.
-        otherwise: what was got, where no number of a joint was.
-    """
-    why = ARM.new("arm_refusal")
-    core.arm_why(machine, why)
-    joint = f" of {scene.joint_names[why.joint]}" if why.joint >= 0 else ""
-    got = why.got if why.joint >= 0 else otherwise
-    return Refusal(where, f"{text(why.quantity)}{joint}", text(why.rule), got)
-
-
-def truth_at(**places: NDArray[Any]) -> CData:
-    """Return an ``arm_truth`` whose numbers go to arrays, by their names in `PlantState`."""
-    return ARM.new("arm_truth", **{PLACES.get(name, name): at for name, at in places.items()})
-
-
-def commands_of(scene: Scene) -> NDArray[Any]:
-    """Return commands of 0, as the joints' motors take them."""
-    commands = ARM.rows("arm_joint_command", len(scene.joints))
-    commands["mode"] = [MODES[joint.command] for joint in scene.joints]
-    commands["enable"] = 1
-    return commands
-
-
-def options_of(scene: Scene, values: Array) -> CData:
-    """Return what the core makes machines of; `values` of the varied numbers must outlive it."""
-    return ARM.new(
-        "arm_options",
-        core=scene.cores[1],
-        step=scene.integrator.dt,
-        steps_per_period=scene.steps_per_period,
-        parameters=values,
-    )
+def _again(scene: Scene, of_fleet: bool) -> Plant:
+    """Return a plant like one that was pickled, before its state."""
+    return Plant(scene, core=fleet_library_of(scene) if of_fleet else None)

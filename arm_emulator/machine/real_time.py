@@ -10,13 +10,14 @@ import numpy as np
 
 from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
+from arm_emulator.machine.call_arguments import LARGEST_STEPS, commands_of
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Reached, RealTimeFigures
 from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.core_calls import ARM, PLACES, REAL_TIME
 from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.outputs import readings_of
-from arm_emulator.machine.plant import LARGEST_STEPS, Plant, commands_of
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS
 
 LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.column import Column, Rows
+from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.outputs import outputs_of, readings_of, units_of
 from arm_emulator.machine.parts.output import READINGS
-from arm_emulator.machine.plant import Plant, truth_at
+from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS, unit_of
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.turns import Turns, in_turn

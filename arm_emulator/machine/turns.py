@@ -21,16 +21,19 @@ _held: list[Turns] = []  # while the process forks
 class Turns:
     """What is called in turns.
 
+    Attributes:
+        turn: held while a call lasts.
+
     Args:
         shared: with which it takes turns, and which renews its threads; None: with nothing.
     """
 
     def __init__(self, shared: Turns | None = None) -> None:
-        self._turn: threading.RLock = threading.RLock() if shared is None else shared._turn
+        self.turn: threading.RLock = threading.RLock() if shared is None else shared.turn
         if shared is None:
             _all.add(self)
 
-    def _renew_threads(self) -> None:
+    def renew_threads(self) -> None:
         """Start anew what the parent's threads did; called in a forked child."""
 
 
@@ -46,7 +49,7 @@ def in_turn(
 
     @functools.wraps(method)
     def call(self: This, *args: Given.args, **kwargs: Given.kwargs) -> Result:
-        with self._turn:
+        with self.turn:
             return method(self, *args, **kwargs)
 
     return call  # type: ignore[return-value]  # self can be given by position alone
@@ -55,19 +58,19 @@ def in_turn(
 def _before_fork() -> None:
     _held[:] = _all
     for one in _held:
-        one._turn.acquire()
+        one.turn.acquire()
 
 
 def _after_fork() -> None:
     while _held:
-        _held.pop()._turn.release()
+        _held.pop().turn.release()
 
 
 def _in_child() -> None:
     machines = list(_held)
     _after_fork()
     for one in machines:
-        one._renew_threads()
+        one.renew_threads()
 
 
 os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_in_child)

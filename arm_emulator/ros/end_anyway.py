@@ -43,7 +43,7 @@ def end_anyway(seconds: float, code: int) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     libc = ctypes.CDLL(None)
-    exit_now = ctypes.cast(libc._exit, ctypes.c_void_p).value
+    exit_now = ctypes.cast(libc._exit, ctypes.c_void_p).value  # noqa: SLF001
     event = _Event(value=code, notify=SIGEV_THREAD, function=exit_now)
     timer = ctypes.c_void_p()
     whole, rest = divmod(seconds, 1.0)

@@ -106,7 +106,8 @@ class LeanExecutor:
         taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
         if taken is None:
             return
-        if subscription._callback_type is subscription.CallbackType.MessageOnly:
+        kind = subscription._callback_type  # noqa: SLF001  # as rclpy's executor looks at it
+        if kind is subscription.CallbackType.MessageOnly:
             subscription.callback(taken[0])
         else:
             subscription.callback(*taken)

@@ -90,7 +90,7 @@ def time_of(where: str, stamp: Time) -> int:
 
 def guard_clock(node: Node, refuse: Callable[[str, Refusal], None]) -> None:
     """Refuse times on `clock` that rclpy's own subscription (`use_sim_time`) would fail at."""
-    source = node._time_source
+    source = node._time_source  # noqa: SLF001  # rclpy has no other way
     follow = source.clock_callback
 
     def on_clock(message: ClockMessage) -> None:
@@ -102,8 +102,9 @@ def guard_clock(node: Node, refuse: Callable[[str, Refusal], None]) -> None:
         follow(message)
 
     source.clock_callback = on_clock  # type: ignore[method-assign, assignment]
-    if source._clock_sub is not None:  # made before, with the method as it was
-        source._clock_sub.callback = on_clock
+    subscribed = source._clock_sub  # noqa: SLF001
+    if subscribed is not None:  # made before, with the method as it was
+        subscribed.callback = on_clock
 
 
 class Closable(Protocol):

@@ -1,0 +1,38 @@
+"""What the objects of the emulator's node have in common."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+
+from rclpy.node import Node
+
+from arm_emulator.machine.session import Session
+from arm_emulator.ros.node_shell import Diagnostics
+from emulator_node.outbox import Outbox
+from emulator_node.recorder_gate import RecorderGate
+from emulator_node.view import View
+
+
+@dataclass(frozen=True)
+class Context:
+    """The node, its machine, and how messages leave.
+
+    Attributes:
+        node: whose topics, services and log are used.
+        session: the machine.
+        diagnostics: of the node.
+        gate: recorders that have to keep up.
+        outbox: how messages leave.
+        view: where ticks are shown.
+        lock: guards all of it: between the executor, which serves topics and services, and a thread
+            of the pacer.
+    """
+
+    node: Node
+    session: Session
+    diagnostics: Diagnostics
+    gate: RecorderGate
+    outbox: Outbox
+    view: View
+    lock: threading.RLock = field(default_factory=threading.RLock)
