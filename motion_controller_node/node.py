@@ -305,7 +305,7 @@ class MotionControllerNode(Node):
             return
         law = self._instructor.leading
         if law is None:
-            self._diagnostics.ok("following a joint trajectory, or holding where it ended")
+            self._diagnostics.ok("following a joint trajectory, or holding its end")
             return
         if law.notices:
             self._diagnostics.warn("; ".join(law.notices))
@@ -316,7 +316,7 @@ class MotionControllerNode(Node):
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._start_over("the motion controller was reset")
         response.success = True
-        response.message = "all tool targets are forgotten, the arm is held where it is"
+        response.message = "all tool targets are dropped, the arm holds its position"
         return response
 
     def _root(self) -> tuple[str, ...]:

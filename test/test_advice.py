@@ -482,9 +482,7 @@ def test_a_motion_of_one_s_own_judges_alone(
     assert advise_scene("three_axis", 1e-5, table, write=False) == 0
     printed = capsys.readouterr().out
     assert "scene three_axis, 0.07 s of mine.csv; wanted" in printed, printed
-    assert "errors: a bound for what was judged; of other motions nothing is known" in printed, (
-        printed
-    )
+    assert "errors: a bound for the motions that were judged, not for others" in printed, printed
     assert advise_scene("three_axis", 1e-11, table, write=False) == 1, "exit code"
     assert "no setting keeps it: " in capsys.readouterr().out
 

@@ -273,7 +273,7 @@ def test_without_events_a_difference_is_explained(
         bag, tmp_path / "copy", lambda m: None if m.topic == "/emulator/events" else m.data
     )
     assert check(copy, str(varied)) == 1
-    assert "without emulator/events nobody knows" in capfd.readouterr().out
+    assert "without emulator/events changes by hand are unknown" in capfd.readouterr().out
 
 
 def session_of(one: InProcess) -> Any:

@@ -174,7 +174,7 @@ MISCHIEF = {
     "mkdir $out": "got it is no file",
     "ln -s /bin/sh $out": "got it is a link or a socket",
     "mkfifo $out": "got it is no file",
-    "echo junk > $out": "got it is no 64-bit ELF file",
+    "echo junk > $out": "got it is not a 64-bit ELF file",
     "cp /bin/sh $out": "got it lacks arm_",
     "truncate -s 1G $out": "got it holds 1073741824 bytes",
     "printf '\\377\\376 error: \\200' >&2; exit 3": "got exit code 3: \ufffd\ufffd error: \ufffd",

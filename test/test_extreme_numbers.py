@@ -162,7 +162,7 @@ def test_the_motion_controller_forgets_its_targets_when_it_is_reset() -> None:
         nodes.run_to(60)
         reset = nodes.call("motion_controller/reset")
         assert reset.success
-        assert reset.message == "all tool targets are forgotten, the arm is held where it is"
+        assert reset.message == "all tool targets are dropped, the arm holds its position"
         nodes.run_to(TICKS)
         assert_same_bits(nodes.states, still, TICKS)
 

@@ -326,8 +326,8 @@ BAD_TABLES = {
     GOOD + "1.0,0.1,0.2,three\n": "line 4, elbow must be a number [rad or m], got three",
     GOOD + "1.0,0.1,0.2,1_0\n": "line 4, elbow must be a number",
     GOOD + "1.0,0.1,0.2,2e6\n": "line 4, elbow must be within +-1e+06 rad or m, got 2000000.0",
-    GOOD + "0.5,0.1,0.2,0.3\n": "line 4, t must be later than that of the row before, 0.5 s",
-    GOOD + "0.4,0.1,0.2,0.3\n": "line 4, t must be later than that of the row before, 0.5 s",
+    GOOD + "0.5,0.1,0.2,0.3\n": "line 4, t must be later than the previous row's, 0.5 s",
+    GOOD + "0.4,0.1,0.2,0.3\n": "line 4, t must be later than the previous row's, 0.5 s",
     GOOD + "nan,0.1,0.2,0.3\n": "line 4, t must be a number [s], got nan",
     GOOD + "1e12,0.1,0.2,0.3\n": "line 4, t must be from 0 to 1e+09 s",
     "t,waist,shoulder,elbow\n-1,0,0,0\n": "line 2, t must be from 0 to 1e+09 s, got -1.0",
@@ -399,7 +399,10 @@ def command(
 STEP = "out->joint[1].value = in->measured->tick"
 BAD_LIBRARIES: dict[str, tuple[str | bytes | None, str]] = {
     "missing": (None, "mine.so: file must be readable, got no such file"),
-    "text": (b"int main;", "file must be a shared library with arm_firmware, got it is no 64-bit"),
+    "text": (
+        b"int main;",
+        "file must be a shared library with arm_firmware, got it is not a 64-bit",
+    ),
     "empty": (b"", "got it is empty"),
     "entry": ("int other(void);\nint other(void) { return 1; }\n", "got it lacks arm_firmware"),
     "null": (

@@ -703,7 +703,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"joints.hand.encoder.bits": None}, "hand.encoder.bits must be a whole number from 10 to 48, got nothing"),
     ({"joints.hand.encoder.bits": 9}, "hand.encoder.bits must be a whole number from 10 to 48, got 9"),
     ({"joints.hand.encoder.bits": 49}, "hand.encoder.bits must be a whole number from 10 to 48, got 49"),
-    ({"joints.hand.encoder.index": "latch"}, "hand.encoder.index must be none of an encoder of kind absolute, got 'latch'"),
+    ({"joints.hand.encoder.index": "latch"}, "hand.encoder.index must be left out of an encoder of kind absolute, got 'latch'"),
     ({"joints.turn.encoder.delay": 0.5}, "turn.encoder.delay must be a whole number from 0 to 100 servo periods, got 0.5"),
     ({"joints.turn.encoder.delay": 101}, "turn.encoder.delay must be a whole number from 0 to 100 servo periods, got 101"),
     ({"joints.turn.encoder.delay": -1}, "turn.encoder.delay must be a whole number from 0 to 100 servo periods, got -1"),

@@ -391,7 +391,7 @@ def test_what_cannot_be_a_path_is_refused() -> None:
         (f"poses must be from 1 to {MOST_POSES}", lambda: ToolPath([here] * 5001, LIMITS)),
         ("the path must be at most 1000 m long, got 2000", lambda: ToolPath([here, far], LIMITS)),
         (
-            r"poses\[1\].header.stamp must be later than that of the pose before, 1 s, got 1 s",
+            r"poses\[1\].header.stamp must be later than the previous pose's, 1 s, got 1 s",
             lambda: ToolPath([here, here], LIMITS, times_ns=[SECOND, SECOND]),
         ),
         (

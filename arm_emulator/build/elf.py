@@ -29,13 +29,13 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
     if not content:
         return "it is empty"
     if not content.startswith(IDENTIFICATION):
-        return "it is no 64-bit ELF file"
+        return "it is not a 64-bit ELF file"
     try:
         kind, machine, _, _, programs_at, sections_at, *_, programs, _, sections, _ = (
             HEADER.unpack_from(content, IDENTIFICATION_SIZE)
         )
         if kind != SHARED_OBJECT:
-            return "it is no shared library"
+            return "it is not a shared library"
         if machine != _this_machine():
             return f"it is for another machine (ELF number {machine})"
         for index in range(programs):

@@ -147,7 +147,7 @@ def demo_commands(scene: Scene, file: Path) -> Array | None:
 def _statement(best: Setting, motions: int) -> str:
     """Return what the errors of the table are worth."""
     if math.isinf(best.others):
-        return "errors: a bound for what was judged; of other motions nothing is known"
+        return "errors: a bound for the motions that were judged, not for others"
     return (
         f"errors: a bound for the {motions} motions judged; for others of their kinds an estimate, "
         f"with a reserve of {best.others / best.error:.1f}"

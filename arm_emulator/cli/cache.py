@@ -25,7 +25,7 @@ def list_cache(json: bool) -> int:
         reason = why_not_trusted(folder)
         found = entries(folder)
         size = sum(entry.size for entry in found)
-        state = f"not trusted, nothing of it is loaded: {reason}" if reason else "trusted"
+        state = f"not trusted, no file of it is loaded: {reason}" if reason else "trusted"
         output.line(f"{folder}: {state if folder.is_dir() else 'not there'}")
         for entry in reversed(found):
             used = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry.used))

@@ -527,7 +527,7 @@ def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
 def _not_known(bag: Bag) -> Iterator[str]:
     """Yield what the bag does not has."""
     if not bag.complete:
-        yield "what came after the bag's end: its recorder did not end it"
+        yield "messages after the bag's end: its recorder did not close it"
     for name, what in (
         ("motor_commands", "what was commanded"),
         ("emulator/joint_states", "the true state of the machine"),
@@ -544,6 +544,6 @@ def _hints(bag: Bag, topics: dict[str, str], scene: Scene) -> Iterator[str]:
             yield f"the recorded robot_description is not that of scene {scene.name}"
         break
     if "emulator/events" not in topics:
-        yield "without emulator/events nobody knows whether the machine was changed by hand"
+        yield "without emulator/events changes by hand are unknown"
     if "emulator/status" not in topics:
-        yield "without emulator/status nobody knows whether this was lock-step, as assumed"
+        yield "without emulator/status the clock is unknown, lock-step is assumed"

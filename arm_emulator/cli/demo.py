@@ -137,7 +137,7 @@ def _run(
             observer.wait(lambda: observer.answered, network, "the nodes to meet")
             observer.send_target(plan.settle_ns)
             observer.wait(lambda: observer.target_taken, network, "the target to be taken")
-            observer.wait(observer.can_go, network, "the emulator's service to be there")
+            observer.wait(observer.can_go, network, "the emulator's service")
             observer.go()
         started = time.monotonic()
         with Progress(

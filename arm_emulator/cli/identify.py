@@ -209,7 +209,7 @@ def _doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]
     names, doubts = scene.joint_names, list[str]()
     for of, body in zip(scene.chain.joints, scene.bare, strict=True):
         if not inertia.is_body(body):
-            doubts.append(f"links.{of.link}: no body has its inertia; it is held as it is")
+            doubts.append(f"links.{of.link}: no body has its inertia; the scene's number is kept")
     for effect in fit.effects:
         joints = ", ".join(names[j] for j in effect.joints)
         if len(effect.joints) == len(names) > 1:

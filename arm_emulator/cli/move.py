@@ -202,7 +202,7 @@ def _tool_now(node: NetworkGuest) -> tuple[np.ndarray, np.ndarray]:
         return "robot_description" in node.newest and asked.service_is_ready()
 
     if not node.spin_until(ready, PATIENCE):
-        raise _no_network("robot_description and a motion controller be there")
+        raise _no_network("robot_description and a motion controller be present")
     future = asked.call_async(GetParameters.Request(names=["tool"]))
     future.add_done_callback(lambda done: answers.append(done.result()))
     if not node.spin_until(lambda: bool(answers), PATIENCE):

@@ -212,7 +212,7 @@ def _without_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> l
         named = _GRIPPER.search(joint.name) is not None
         if branches >= FINGERS or (short and (branches > 1 or named)):
             names = ", ".join(one.name for one in chosen[k:])
-            guesses.append(f"held as a gripper: {names} (--joints names what moves)")
+            guesses.append(f"held as a gripper: {names} (--joints names the joints that move)")
             return chosen[:k]
     return chosen
 

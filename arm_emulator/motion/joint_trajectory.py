@@ -321,11 +321,11 @@ def _check_times(times_ns: Sequence[int]) -> None:
             raise Refusal(
                 WHERE,
                 f"points[{i}].time_from_start",
-                f"be later than that of the point before, {times_ns[i - 1] * _SECONDS:g} s",
+                f"be later than the previous point's, {times_ns[i - 1] * _SECONDS:g} s",
                 f"{time * _SECONDS:g} s",
             )
     if times_ns and times_ns[-1] == 0:
-        rule = "be > 0 s in the last point: no joint can be there at once"
+        rule = "be > 0 s in the last point: no joint arrives in no time"
         raise Refusal(WHERE, "time_from_start", rule, "0 s")
 
 

@@ -195,7 +195,7 @@ def _in_order(times_ns: Sequence[int], count: int) -> list[int]:
             raise Refusal(
                 WHERE,
                 f"poses[{i}].header.stamp",
-                f"be later than that of the pose before, {times_ns[i - 1] * _SECONDS:g} s",
+                f"be later than the previous pose's, {times_ns[i - 1] * _SECONDS:g} s",
                 f"{times_ns[i] * _SECONDS:g} s",
             )
     return list(times_ns)

@@ -434,7 +434,7 @@ class Bag:
                 channel_id, _, log_time, publish_time = record.message
                 name = names.get(channel_id)
                 if name is None:
-                    raise Damaged(f"a message of channel {channel_id}, which is not there")
+                    raise Damaged(f"a message of channel {channel_id}, which does not exist")
                 if topics is None or name in topics:
                     data = record.content[MESSAGE.size :]
                     yield BagMessage(name, log_time, publish_time, data)

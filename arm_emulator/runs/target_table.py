@@ -73,7 +73,7 @@ def _check(numbers: FloatArray, table: Table, names: Sequence[str]) -> None:
         rule = f"be from 0 to {LATEST:g} s"
         raise Refusal(table.where, f"line {table.lines[row]}, t", rule, t[row])
     for row in np.flatnonzero(np.diff(t) <= 0.0)[:1] + 1:
-        rule = f"be later than that of the row before, {t[row - 1]:g} s"
+        rule = f"be later than the previous row's, {t[row - 1]:g} s"
         raise Refusal(table.where, f"line {table.lines[row]}, t", rule, f"{t[row]:g} s")
     for row, column in np.argwhere(np.abs(q) > POSITION.most)[:1]:
         rule = f"be within +-{POSITION.most:g} rad or m"

@@ -114,7 +114,7 @@ class Segment:
             raise Refusal("ethercat", "--interface", rule, interface)
         if -descriptor == errno.EPFNOSUPPORT:
             raise Refusal("ethercat", "--interface", "be an Ethernet interface", interface)
-        rule = "be a network interface that is there (`ip link` lists them)"
+        rule = "name an existing network interface (`ip link` lists them)"
         raise Refusal("ethercat", "--interface", rule, interface)
 
     def serve(self, descriptor: int, seconds: float) -> None:

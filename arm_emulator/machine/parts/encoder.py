@@ -94,7 +94,9 @@ class Encoder(Part):
             raise section.refusal("bits", "belong to an encoder of kind absolute", kind)
         index = section.choice("index", INDICES, default=INDICES[0])
         if kind == "absolute" and index != INDICES[0]:
-            raise section.refusal("index", "be none of an encoder of kind absolute", repr(index))
+            raise section.refusal(
+                "index", "be left out of an encoder of kind absolute", repr(index)
+            )
         numbers = cls.read_numbers(section)
         for key in ("ripple_order", "ripple_phase", "eccentricity_phase"):
             of = key.split("_")[0]
