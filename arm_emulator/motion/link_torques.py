@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 class LinkTorques:
     """Inverse dynamics of the links: gravity, and what their motion takes.
 
-    Rotors, gears and friction are the servo's business.
+    Rotors, gears and friction come in `ElasticArm`.
 
     Args:
         urdf_xml: the robot description, with masses.
@@ -33,19 +33,33 @@ class LinkTorques:
         self._model.gravity.linear = np.array(gravity, dtype=np.float64)
         self._data = self._model.createData()
         joints = [self._model.joints[self._model.getJointId(JOINT + n)] for n in joint_names]
-        self._columns = [joint.idx_v for joint in joints]
+        self._columns = np.array([joint.idx_v for joint in joints])
+        self._square = np.ix_(self._columns, self._columns)
         self._neutral = pin.neutral(self._model)
-        if not np.isfinite(self.at(np.zeros(len(joints)), np.zeros(len(joints)))).all():
+        still = np.zeros(len(joints))
+        if not np.isfinite(self.at(still, still)).all():
             raise Refusal("robot_description", "its masses", "be finite", "others")
 
     def at(self, q: FloatArray, v: FloatArray, a: FloatArray | None = None) -> FloatArray:
         """Return the torques (N,) [N m] at angles [rad], speeds [rad/s], accelerations [rad/s2]."""
-        full_v, full_a = np.zeros(self._model.nv), np.zeros(self._model.nv)
-        full_v[self._columns] = v
-        if a is not None:
-            full_a[self._columns] = a
-        step = np.zeros(self._model.nv)
-        step[self._columns] = q
-        configuration = pin.integrate(self._model, self._neutral, step)
+        configuration, full_v, full_a = self._whole(q, v, np.zeros_like(v) if a is None else a)
         tau = pin.rnea(self._model, self._data, configuration, full_v, full_a)
         return np.asarray(tau[self._columns], dtype=np.float64)
+
+    def rates(
+        self, q: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the torques (N,) and how fast they change (N,) [N m/s], with jerks [rad/s3]."""
+        configuration, full_v, full_a = self._whole(q, v, a)
+        by_q, by_v, M = pin.computeRNEADerivatives(
+            self._model, self._data, configuration, full_v, full_a
+        )
+        M = np.triu(M) + np.triu(M, 1).T  # the upper half is what it computes
+        rate = by_q[self._square] @ v + by_v[self._square] @ a + M[self._square] @ jerk
+        return np.asarray(self._data.tau[self._columns], dtype=np.float64), rate
+
+    def _whole(self, q: FloatArray, v: FloatArray, a: FloatArray) -> list[FloatArray]:
+        """Return Pinocchio's configuration, speeds and accelerations, of all joints."""
+        whole = np.zeros((3, self._model.nv))
+        whole[:, self._columns] = q, v, a
+        return [pin.integrate(self._model, self._neutral, whole[0]), whole[1], whole[2]]

@@ -81,6 +81,7 @@ class _Numbers:
     def __init__(self, joint: JointServo, period: float) -> None:
         self.ratio = joint.gear_ratio
         self.torque_constant = joint.torque_constant
+        self.rotor = joint.inertia / joint.gear_ratio**2
         self.omega_limit = joint.velocity_limit / abs(joint.gear_ratio)
         # Link torque per link speed -> motor current per motor speed.
         self.velocity_gain = joint.velocity_gain * joint.gear_ratio**2 / joint.torque_constant
@@ -109,6 +110,7 @@ class _Numbers:
             "torque_constant": self.torque_constant,
             "current_per_tau": self.ratio / self.torque_constant,
             "emf": self.winding.back_emf_constant,
+            "rotor": self.rotor,
             "omega_limit": self.omega_limit,
             "current_limit": joint.current_limit,
             "voltage_limit": joint.largest_command(supply_voltage),
@@ -190,6 +192,7 @@ class _Numbers:
         return (
             self.ratio,
             1.0 / self.ratio,
+            self.rotor,
             self.omega_limit,
             self.velocity_gain,
             self.reset_rate,

@@ -41,6 +41,7 @@ void servo_joint_reset(servo_state* state) {
   state->current = state->integral = 0;
   state->voltage = state->unknown_voltage = 0;
   state->q_target = state->v_target = state->tau = 0;
+  state->a_target = state->tau_rate = 0;
   state->q_hold = 0;
 }
 
@@ -303,21 +304,44 @@ void servo_release(servo* arm) {
   for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].integral = arm->state[j].voltage = 0;
 }
 
+/* Let the loads of the past servo period have changed as the torques of the targets do. */
+static void expect_load(servo* arm, int64_t now) {
+  const int64_t begins = arm->now, ends = arm->target_time + arm->motion_period;
+  const int64_t last = now < ends ? now : ends;
+  if (arm->does != SERVO_FOLLOWS || !arm->aimed || last <= begins) return;
+  const servo_real passed = (servo_real)(last - begins) / NANOSECONDS;
+  for (int32_t j = 0; j < arm->joints; ++j)
+    arm->state[j].load += arm->joint[j].ratio * arm->state[j].tau_rate * passed;
+}
+
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
                    const servo_real* applied) {
   if (!complete(arm) || !counts || !current) return;
+  expect_load(arm, now);
   servo_observe(arm, counts, current, applied);
   arm->now = now;
   arm->measured = 1;
   servo_watchdog_state(&arm->watchdog, now);
 }
 
+/* Seconds since the target before, if that was followed until now, period after period; else 0. */
+static servo_real since_target(const servo* arm) {
+  const int64_t since = arm->now - arm->target_time;
+  const int follows = arm->aimed && arm->measured && arm->does == SERVO_FOLLOWS;
+  return follows && since == arm->motion_period ? (servo_real)since / NANOSECONDS : 0;
+}
+
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau) {
   if (!complete(arm) || !q) return;
+  const servo_real since = since_target(arm);
   for (int32_t j = 0; j < arm->joints; ++j) {
-    arm->state[j].q_target = q[j];
-    arm->state[j].v_target = v ? v[j] : 0;
-    arm->state[j].tau = tau ? tau[j] : 0;
+    servo_state* state = &arm->state[j];
+    const servo_real v_before = state->v_target, tau_before = state->tau;
+    state->q_target = q[j];
+    state->v_target = v ? v[j] : 0;
+    state->tau = tau ? tau[j] : 0;
+    state->a_target = since > 0 ? (state->v_target - v_before) / since : 0;
+    state->tau_rate = since > 0 ? (state->tau - tau_before) / since : 0;
   }
   arm->aimed = 1;
   if (!arm->measured) return;
@@ -331,6 +355,16 @@ static servo_real ahead_of(const servo* arm) {
   if (ahead < 0) ahead = 0;
   if (ahead > arm->motion_period) ahead = arm->motion_period;
   return (servo_real)ahead / NANOSECONDS;
+}
+
+/* Follow the newest target, so many seconds after it came. */
+SERVO_INLINE servo_real pursue(servo* arm, int32_t j, servo_real ahead) {
+  const servo_state* state = &arm->state[j];
+  const servo_real a = state->a_target, period = (servo_real)arm->motion_period / NANOSECONDS;
+  const servo_real begins = state->v_target - HALF * a * period;
+  const servo_real q = state->q_target + (begins + HALF * a * ahead) * ahead;
+  const servo_real tau = state->tau + arm->joint[j].rotor * a;
+  return control(arm, j, clip(q, FARTHEST), begins + a * ahead, tau);
 }
 
 void servo_command(servo* arm, int32_t powered, servo_real* command) {
@@ -348,9 +382,7 @@ void servo_command(servo* arm, int32_t powered, servo_real* command) {
   for (int32_t j = 0; j < arm->joints; ++j) {
     servo_state* state = &arm->state[j];
     if (!follows && !arm->holding) state->q_hold = state->theta_measured * arm->joint[j].ratio;
-    const servo_real q =
-        follows ? clip(state->q_target + ahead * state->v_target, FARTHEST) : state->q_hold;
-    command[j] = control(arm, j, q, follows ? state->v_target : 0, follows ? state->tau : 0);
+    command[j] = follows ? pursue(arm, j, ahead) : control(arm, j, state->q_hold, 0, 0);
   }
   arm->holding = !follows;
 }

@@ -67,6 +67,7 @@ typedef struct servo_joint {
   servo_real torque_constant; /* N m/A */
   servo_real current_per_tau; /* ratio / torque_constant, A per N m of the link */
   servo_real emf;             /* V s/rad */
+  servo_real rotor;           /* kg m2 at the link: what the motor turns, over ratio squared */
   servo_real omega_limit;     /* rad/s, of the motor, as all that follows */
   servo_real current_limit;   /* A */
   servo_real voltage_limit;   /* V */
@@ -93,6 +94,7 @@ typedef struct servo_state {
   servo_real current, integral;                  /* A */
   servo_real voltage, unknown_voltage;           /* V */
   servo_real q_target, v_target, tau;            /* newest target */
+  servo_real a_target, tau_rate;                 /* how it changes, by the one before */
   servo_real q_hold;                             /* where it is held without one */
 } servo_state;
 
@@ -174,8 +176,15 @@ void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_r
 /* Link angles [rad], speeds with which they go on [rad/s], and torques of the links that are known
  * beforehand [N m]; speeds and torques may be null: 0.
  *
- * A target goes on with its speed until the next one comes, for a motion period at most:
- * q + v (t - t_target), so that the angles asked for are a line from target to target, no stairs.
+ * A target goes on with its speed until the next one comes, for a motion period T at most, so that
+ * the angles asked for are no stairs: q + v T is where they are when it ends. Speeds and torques are
+ * the means over the period. Where targets come every period, the difference of their speeds gives
+ * an acceleration a, and with it the way in between, s = t - t_target:
+ *
+ *   q + (v - a T / 2) s + a s^2 / 2
+ *
+ * The rotors' part of the torque is added here, rotor a, and the observer takes the load to change
+ * as the torques do: it lags a load that grows.
  */
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau);
 /* Commands for the period that begins with the newest measurement: follow the newest target, hold

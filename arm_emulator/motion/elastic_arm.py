@@ -1,0 +1,112 @@
+"""What the motors of an arm with elastic gears must do for its links to follow a motion.
+
+A joint with an elastic gear is differentially flat: its link's motion gives that of its motor. All
+quantities at the link; theta is the motor's angle times the ratio, w = theta - q the wind-up.
+
+    T     = tau(q, v, a) + friction(v)              what the gear carries, inverse dynamics
+    T     = K w + K3 w^3 + D w'                     so w, and with T' the motor's speed v + w'
+    tau_m = T + J theta'' + friction_m(theta')      what the motor gives, J = rotor inertia / ratio^2
+
+T' follows from the link's jerk, by the derivatives of the inverse dynamics; T'' from its snap. The
+last is not needed: over a period theta'' is the difference of the speeds at its ends.
+
+The damper makes w lag T by D / K, some 0.1 to 1 ms: taken in first order, what is left out is of
+the size (D / K)^2 w''.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.motion.drive_numbers import DriveNumbers, column
+from arm_emulator.motion.link_torques import LinkTorques
+
+FloatArray = npt.NDArray[np.float64]
+
+# Coulomb's friction grows from 0 over such a part of the speed limit: no step where a link starts.
+SMOOTH = 2e-3
+_UNKNOWN_LIMIT = 1.0  # rad/s or m/s, where a joint has no limit of speed
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """How the motors of an arm move at a moment, (N,) each, seen at the links."""
+
+    theta: FloatArray
+    """Angles of the motors times their ratios [rad]."""
+    omega: FloatArray
+    """Speeds likewise [rad/s]."""
+    torque: FloatArray
+    """Torques that the gears carry [N m]."""
+    torque_rate: FloatArray
+    """How fast they change [N m/s]."""
+
+
+class ElasticArm:
+    """Links, gears and rotors of an arm.
+
+    Args:
+        links: inverse dynamics.
+        drives: in the same order of joints.
+        velocity_limit: of the joints (N,) [rad/s]; infinite where there is none.
+    """
+
+    def __init__(
+        self, links: LinkTorques, drives: Sequence[DriveNumbers], velocity_limit: FloatArray
+    ) -> None:
+        self._links = links
+        stiffness = column(drives, "stiffness")
+        self._softness = 1.0 / stiffness  # 0: rigid
+        self._cubic = column(drives, "cubic_stiffness") * np.isfinite(stiffness)
+        self._damping = column(drives, "damping") * np.isfinite(stiffness)
+        self._inertia = column(drives, "rotor_inertia")
+        self._of_link = column(drives, "viscous"), column(drives, "coulomb")
+        self._of_rotor = column(drives, "rotor_viscous"), column(drives, "rotor_coulomb")
+        limit = np.where(np.isfinite(velocity_limit), velocity_limit, _UNKNOWN_LIMIT)
+        self._smooth = SMOOTH * limit
+
+    def at(self, q: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray) -> Drive:
+        """Return how the motors move when the links move so, (N,) each [rad, s]."""
+        torque, rate = self._links.rates(q, v, a, jerk)
+        friction, slope = self._friction(self._of_link, v)
+        torque, rate = torque + friction, rate + slope * a
+        softness = self._slope(self.wind_up(torque))
+        wound = self.wind_up(torque - self._damping * rate * softness)
+        return Drive(q + wound, v + rate * self._slope(wound), torque, rate)
+
+    def over(self, begins: Drive, ends: Drive, period: float) -> FloatArray:
+        """Return the mean torques that the motors give over a period, at the links (N,) [N m].
+
+        The gear's part is the integral of the cubic through torques and rates at both ends.
+        """
+        gear = 0.5 * (begins.torque + ends.torque)
+        gear += period / 12.0 * (begins.torque_rate - ends.torque_rate)
+        omega = 0.5 * (begins.omega + ends.omega)
+        return gear + self._friction(self._of_rotor, omega)[0]
+
+    def wind_up(self, torque: FloatArray) -> FloatArray:
+        """Return by how much the gears give way under torques at rest, (N,) [rad]."""
+        linear = torque * self._softness
+        cubic = self._cubic * self._softness
+        bent = cubic > 0.0
+        if not bent.any():
+            return linear
+        # K w + K3 w^3 = T is 4 s^3 + 3 s = sinh(3 x), with s = sinh(x): its only real root.
+        scale = np.sqrt(4.0 / (3.0 * np.where(bent, cubic, 1.0)))
+        return np.where(bent, scale * np.sinh(np.arcsinh(3.0 * linear / scale) / 3.0), linear)
+
+    def _slope(self, wound: FloatArray) -> FloatArray:
+        """Return wind-up per torque at a wind-up (N,) [rad/(N m)]."""
+        return self._softness / (1.0 + 3.0 * self._cubic * self._softness * wound**2)
+
+    def _friction(
+        self, law: tuple[FloatArray, FloatArray], v: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return friction at speeds v (N,), and how it changes with them."""
+        viscous, coulomb = law
+        root = np.hypot(v, self._smooth)
+        return viscous * v + coulomb * v / root, viscous + coulomb * self._smooth**2 / root**3
