@@ -167,7 +167,7 @@ def move(
             if step % look:
                 continue
             error = kinematics.tool_error(state.q, target)
-            wind_up = scene.wind_up(state.gear_torque)
+            wind_up = scene.wind_up(state.gear_torque) - run.wound
             predicted = predicted_residual(run.controller, state.q, counts, wind_up)
             off = np.abs(error - predicted.wind_up) - predicted.encoder
             rested = rested + 1 if (off <= 0.0).all() else 0

@@ -51,21 +51,35 @@ def parameters_of(kind: type[Any]) -> dict[str, dataclasses.Field[Any]]:
     return {field.name: field for field in dataclasses.fields(kind) if field.metadata}
 
 
-def load_parameters(path: Path, node: str, kind: type[Parameters]) -> Parameters:
+def load_parameters(
+    path: Path, node: str, kind: type[Parameters], beside: tuple[str, ...] = ()
+) -> tuple[Parameters, dict[str, Any]]:
     """Read a node's ROS parameter file into the frozen dataclass `kind`.
+
+    Returns:
+        The parameters; and as they stand there the sections `beside` them, whose names begin so.
 
     Raises:
         Refusal: no parameters of that node, an unknown name, or a value that is not taken.
     """
-    given = dict(ros_parameters(path, node))
+    given, sections = dict(ros_parameters(path, node)), dict[str, Any]()
     fields = parameters_of(kind)
-    for name, value in given.items():
+    for name, value in list(given.items()):
+        first, _, rest = name.partition(".")
+        if first in beside:
+            section = value if not rest else {rest: value}
+            if isinstance(section, Mapping):
+                sections.setdefault(first, {}).update(section)
+            else:
+                raise Refusal(path.name, f"section {first}", "be a mapping", repr(value))
+            del given[name]
+            continue
         if name not in fields:
-            known = ", ".join(fields)
+            known = ", ".join((*fields, *beside))
             got = f"{value!r}{perhaps(name, fields)}"
             raise Refusal(path.name, f"parameter {name}", "be known", got, known)
         given[name] = checked(value, fields[name], path.name)
-    return kind(**given)
+    return kind(**given), sections
 
 
 def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:

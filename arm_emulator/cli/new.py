@@ -20,6 +20,7 @@ from arm_emulator.base.urdf_text import parse_urdf
 from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import published
+from arm_emulator.design.known_drive import known_drives
 from arm_emulator.design.robot_file import robot_text
 from arm_emulator.design.robot_limits import move_meshes, read_limits, write_limits
 from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
@@ -296,7 +297,7 @@ def _texts(
     contents = (
         scene,
         "",
-        motion_text(motion, MOTION_COMMENTS),
+        motion_text(motion, MOTION_COMMENTS, known_drives(drive.joint for drive in drives)),
         demo_text(displacement, SETTLE, round(WATCHED / MOTION_PERIOD)),
         ET.tostring(description, encoding="unicode") + "\n",
     )

@@ -74,13 +74,13 @@ def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
     # By way of the quaternion, as in a message: the rotation has the same rounding then.
     goal = p_WT + plan.displacement
     target = Pose.from_quaternion(goal, Pose(p_WT, R_WT).quaternion(), "displacement")
-    way = _reference(controller, gains, plan, scene.start, target)
+    way, wound = _reference(controller, gains, plan, scene.start, target)
     q, period, times = way[-1], gains.motion.period, _times_held(controller)
     count = np.array(gains.servo.count_angles(scene.joint_names))
     away = np.flatnonzero((np.abs(way - q) > 2.0 * count).any(axis=1))
     arrived = int(away[-1]) + 1 if len(away) else 0
     shares = rest_shares(scene, gains.servo, q, (len(way) - 1 - arrived) * period, times)
-    reference = kinematics.tool_error(q, target)
+    reference = kinematics.tool_error(q - wound, target)
     centre = kinematics.tool_error(q - shares.centre, target)
     within, radius = _spread(scene, gains, controller, q, shares)
     moved = np.linalg.norm(kinematics.forward(way[-1])[1] - kinematics.forward(way[-2])[1])
@@ -94,8 +94,11 @@ def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
 
 def _reference(
     controller: Controller, gains: Gains, plan: DemoPlan, start: FloatArray, target: Pose
-) -> FloatArray:
-    """Return the joint targets at each instruction, 0 at first, as if the joints were there."""
+) -> tuple[FloatArray, FloatArray]:
+    """Return the joint targets at each instruction, as if the joints were there at once.
+
+    Beside them by how much the gears are taken to be wound up in the last (N,).
+    """
     instructor, period_ns = Instructor(gains.motion), round(gains.motion.period * 1e9)
     instructor.add(period_ns, target)
     way = [start]
@@ -103,7 +106,7 @@ def _reference(
     for k in range(plan.instructions + 1):
         instruction = instructor.instruct(controller, k * period_ns, way[-1], still)
         way.append(instruction.q)
-    return np.array(way)
+    return np.array(way), instructor.wound
 
 
 def _spread(

@@ -12,6 +12,7 @@ from arm_emulator.design.choose_joints import Choice
 from arm_emulator.design.sizing import Demand, Sized
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.motion.drive_numbers import SECTION, DriveNumbers
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -148,14 +149,40 @@ def servo_text(config: ServoConfig, heading: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def motion_text(parameters: Mapping[str, object], comments: Mapping[str, str]) -> str:
+def motion_text(
+    parameters: Mapping[str, object],
+    comments: Mapping[str, str],
+    drives: Mapping[str, DriveNumbers],
+) -> str:
     """Return the ROS parameter file of a motion controller."""
     lines = ["/**/motion_controller:", "  ros__parameters:"]
     for key, value in parameters.items():
         shown = _text(value) if isinstance(value, str) else repr(value)
         comment = f"  # {comments[key]}" if key in comments else ""
         lines.append(f"    {key}: {shown}{comment}")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines + drives_text(drives)) + "\n"
+
+
+def drives_text(drives: Mapping[str, DriveNumbers]) -> list[str]:
+    """Return the section `joints` of the parameter file of a motion controller, as lines."""
+    known = {name: drive for name, drive in drives.items() if drive != DriveNumbers()}
+    if not known:
+        return []
+    lines = [
+        "    # for feed-forward, as in the scene; seen at the links, in N m, rad, s (a slide: m)"
+    ]
+    dotted = any("." in name for name in known)  # ROS's reader loses its way
+    if not dotted:
+        lines.append(f"    {SECTION}:")
+    for name, drive in known.items():
+        if not dotted:
+            lines.append(f"      {_text(name)}:")
+        for one in fields(DriveNumbers):
+            value = getattr(drive, one.name)
+            if value != one.default:
+                key = f"    {SECTION}.{name}.{one.name}" if dotted else f"        {one.name}"
+                lines.append(f"{key}: {value!r}")
+    return lines
 
 
 def demo_text(displacement: list[float], settle: float, instructions: int) -> str:

@@ -7,6 +7,8 @@ from typing import Protocol
 
 import numpy.typing as npt
 
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.drive_numbers import SECTION
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.kinematics import Kinematics
@@ -49,6 +51,10 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
         Refusal: a description, name or value that is not taken.
     """
     kinematics = Kinematics(urdf_xml, joint_names, config.tool, config.task, config.where)
+    for name in config.drives:
+        if name not in kinematics.joint_names:
+            known = ", ".join(kinematics.joint_names)
+            raise Refusal(config.where, f"{SECTION}.{name}", "be a joint of the arm", name, known)
     if config.method_for(len(kinematics.joint_names)) == "qp":
         return QpController(
             kinematics, config.period, config.velocity_limit, config.acceleration_limit

@@ -1,4 +1,4 @@
-"""What is known of the drives of an arm, for feed-forward: rotors, gears and friction by joint."""
+"""What is known of the drives of an arm, for feed-forward: gears and friction by joint."""
 
 from __future__ import annotations
 
@@ -28,8 +28,6 @@ def _number(unit: str, default: float, *, above: float | None = None) -> Any:
 class DriveNumbers:
     """The drive of a joint, all quantities seen at its link (a sliding joint: N, m, kg)."""
 
-    rotor_inertia: float = _number("kg m2", 0.0)
-    """Of the rotor and the primary side of the gear, divided by ratio**2 [kg m2]."""
     stiffness: float = _number("N m/rad", math.inf, above=0.0)
     """Of the gear for small torques [N m/rad]; left out: rigid."""
     cubic_stiffness: float = _number("N m/rad3", 0.0)

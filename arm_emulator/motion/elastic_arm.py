@@ -3,12 +3,12 @@
 A joint with an elastic gear is differentially flat: its link's motion gives that of its motor. All
 quantities at the link; theta is the motor's angle times the ratio, w = theta - q the wind-up.
 
-    T     = tau(q, v, a) + friction(v)              what the gear carries, inverse dynamics
-    T     = K w + K3 w^3 + D w'                     so w, and with T' the motor's speed v + w'
-    tau_m = T + J theta'' + friction_m(theta')      what the motor gives, J = rotor inertia / ratio^2
+    T     = tau(q, v, a) + friction(v)           what the gear carries, inverse dynamics
+    T     = K w + K3 w^3 + D w'                  so w, and with T' the motor's speed v + w'
+    tau_m = T + J theta'' + friction_m(theta')   what the motor gives, J = rotor inertia / ratio^2
 
 T' follows from the link's jerk, by the derivatives of the inverse dynamics; T'' from its snap. The
-last is not needed: over a period theta'' is the difference of the speeds at its ends.
+last is not needed: J theta'' is the servo's, from the motor's speeds of one period and the next.
 
 The damper makes w lag T by D / K, some 0.1 to 1 ms: taken in first order, what is left out is of
 the size (D / K)^2 w''.
@@ -63,7 +63,6 @@ class ElasticArm:
         self._softness = 1.0 / stiffness  # 0: rigid
         self._cubic = column(drives, "cubic_stiffness") * np.isfinite(stiffness)
         self._damping = column(drives, "damping") * np.isfinite(stiffness)
-        self._inertia = column(drives, "rotor_inertia")
         self._of_link = column(drives, "viscous"), column(drives, "coulomb")
         self._of_rotor = column(drives, "rotor_viscous"), column(drives, "rotor_coulomb")
         limit = np.where(np.isfinite(velocity_limit), velocity_limit, _UNKNOWN_LIMIT)
@@ -79,14 +78,18 @@ class ElasticArm:
         return Drive(q + wound, v + rate * self._slope(wound), torque, rate)
 
     def over(self, begins: Drive, ends: Drive, period: float) -> FloatArray:
-        """Return the mean torques that the motors give over a period, at the links (N,) [N m].
+        """Return the mean torques that gears and rotors' friction take in a period, (N,) [N m].
 
-        The gear's part is the integral of the cubic through torques and rates at both ends.
+        The gears' part is the integral of the cubic through torques and rates at both ends.
         """
         gear = 0.5 * (begins.torque + ends.torque)
         gear += period / 12.0 * (begins.torque_rate - ends.torque_rate)
         omega = 0.5 * (begins.omega + ends.omega)
         return gear + self._friction(self._of_rotor, omega)[0]
+
+    def weight(self, q: FloatArray) -> FloatArray:
+        """Return the torques that the gears carry at rest (N,) [N m]."""
+        return self._links.at(q, np.zeros_like(q))
 
     def wind_up(self, torque: FloatArray) -> FloatArray:
         """Return by how much the gears give way under torques at rest, (N,) [rad]."""

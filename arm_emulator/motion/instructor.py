@@ -91,6 +91,7 @@ class Instructor:
         self._last: tuple[int, Instruction] | None = None
         if self._laws is not None:
             self._laws.nobody_leads()
+            self._laws.feedforward.forget()
 
     def retune(self, config: MotionConfig) -> None:
         """Go on with other parameters; a path that has begun keeps its speed."""
@@ -111,9 +112,14 @@ class Instructor:
         return self._laws.leading
 
     @property
+    def wound(self) -> FloatArray:
+        """By how much the gears are taken to be wound up in the newest targets (N,) [rad]."""
+        return np.zeros(0) if self._laws is None else self._laws.feedforward.wound
+
+    @property
     def torques_unknown(self) -> str:
         """Why no torques are given though they were asked for; empty: they are, or were not."""
-        return "" if self._laws is None else self._laws.trouble
+        return "" if self._laws is None else self._laws.feedforward.trouble
 
     def add(self, time_ns: int, target: Pose) -> None:
         """Take a tool target that holds from a logical time [ns] on, until something else does.
@@ -214,7 +220,7 @@ class Instructor:
         Args:
             controller: the control law for the arm.
             time_ns: of the joint angles; never before that of the last call.
-            q: measured joint angles (N,) [rad].
+            q: joint angles measured at the motors (N,) [rad].
             v: measured joint speeds (N,) [rad/s]; None: not measured.
 
         Raises:
@@ -222,9 +228,11 @@ class Instructor:
         """
         _Q.check("motion_controller", q.tolist())
         laws = self._laws_of(controller)
+        measured, q = q, laws.feedforward.links(q)
         try:
             self._take_up(laws, time_ns, q)
-            instruction = laws.complete(self._instruct(laws, time_ns, q, v))
+            of_links = self._instruct(laws, time_ns, q, v)
+            instruction = laws.feedforward.complete(of_links)
             _Q_TARGET.check("motion_controller", instruction.q.tolist())
             if instruction.v is not None:
                 _V_TARGET.check("motion_controller", instruction.v.tolist())
@@ -237,8 +245,8 @@ class Instructor:
             self.trouble = str(error)
             self.start_over(self.trouble)
             self._hold = q
-            instruction = Instruction(q)
-        self._last = time_ns, instruction
+            of_links, instruction = Instruction(q), Instruction(measured)
+        self._last = time_ns, of_links
         return instruction
 
     def _laws_of(self, controller: Controller) -> Laws:

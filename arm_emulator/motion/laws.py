@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller
-from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.feedforward import Feedforward
+from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.joint_trajectory import JointLimits
 from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.qp import QpController
 from arm_emulator.motion.tool_path import ToolLimits
@@ -28,8 +25,7 @@ class Laws:
         config: parameters.
         leading: the one that leads; None: none does.
         period_ns: motion period [ns].
-        torques: of the links; None: not asked for, or not known.
-        trouble: why they are not known, in words.
+        feedforward: what makes the servo's targets of the links' motion.
     """
 
     def __init__(self, controller: Controller, config: MotionConfig) -> None:
@@ -37,17 +33,7 @@ class Laws:
         self.period_ns = round(config.period * 1e9)
         self._follower = controller if isinstance(controller, QpController) else None
         self.leading: Controller | None = None
-        self.torques: LinkTorques | None = None
-        self.trouble = ""
-        kinematics = controller.kinematics
-        self.gives = config.feedforward_for(len(kinematics.joint_names))
-        """What is given beside the angles: none, speed, torque (and speed)."""
-        if self.gives == "torque":
-            gravity = config.gravity_x, config.gravity_y, config.gravity_z
-            try:
-                self.torques = LinkTorques(kinematics.urdf_xml, kinematics.joint_names, gravity)
-            except Refusal as reason:
-                self.trouble = str(reason)
+        self.feedforward = Feedforward(controller.kinematics, config)
 
     @property
     def follower(self) -> QpController:
@@ -77,15 +63,6 @@ class Laws:
     def nobody_leads(self) -> None:
         """Let the next law begin anew."""
         self.leading = None
-
-    def complete(self, instruction: Instruction) -> Instruction:
-        """Return an instruction with the links' torques, or without what is not to be given."""
-        if self.gives == "none":
-            return Instruction(instruction.q)
-        if self.gives == "speed" or instruction.tau is not None or self.torques is None:
-            return instruction
-        v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
-        return replace(instruction, tau=self.torques.at(instruction.q, v))
 
 
 def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:

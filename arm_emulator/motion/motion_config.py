@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from arm_emulator.base.parameters import load_parameters, parameter
+from arm_emulator.motion.drive_numbers import SECTION, Drives, drives_of
 
 NODE = "motion_controller"
 
@@ -63,8 +64,10 @@ class MotionConfig:
     feedforward: str = parameter(
         "auto",
         "given to the servo beside joint angles: none; speed; torque, of the links' gravity and "
-        "motion, and speed; auto: speed with the method paper, torque with qp",
-        choices=("auto", "none", "speed", "torque"),
+        "motion, and speed; full: the same for elastic gears and friction, whose numbers are in the "
+        "section `joints`; auto: speed with the method paper, else full where there are such "
+        "numbers, else torque",
+        choices=("auto", "none", "speed", "torque", "full"),
     )
     gravity_x: float = parameter(
         0.0, "gravity in the world, for torques", unit="m/s2", at_least=-1e3, at_most=1e3
@@ -144,6 +147,9 @@ class MotionConfig:
     may_end_moving: bool = parameter(
         False, "whether the last point of a joint trajectory may have a speed", settable=True
     )
+    drives: Drives = field(default_factory=dict)
+    """Gears and friction of joints by name, for the feed-forward `full`; a joint that is not there
+    has a rigid gear and no friction. In files it is the section `joints`."""
     where: str = field(default=NODE, compare=False)
     """What to call it in refusals: its file, or the node."""
 
@@ -152,10 +158,12 @@ class MotionConfig:
         return self.method if self.method != "auto" else "qp" if joints >= 6 else "paper"
 
     def feedforward_for(self, joints: int) -> str:
-        """Return what is given beside joint angles: none, speed, or torque (and speed)."""
+        """Return what is given beside joint angles: none, speed, torque (and speed), or full."""
         if self.feedforward != "auto":
             return self.feedforward
-        return "torque" if self.method_for(joints) == "qp" else "speed"
+        if self.method_for(joints) == "paper":
+            return "speed"
+        return "full" if self.drives else "torque"
 
 
 def load_motion_config(path: Path) -> MotionConfig:
@@ -164,4 +172,5 @@ def load_motion_config(path: Path) -> MotionConfig:
     Raises:
         Refusal: a value that is not taken.
     """
-    return replace(load_parameters(path, NODE, MotionConfig), where=path.name)
+    config, tables = load_parameters(path, NODE, MotionConfig, beside=(SECTION,))
+    return replace(config, where=path.name, drives=drives_of(tables.get(SECTION, {}), path.name))

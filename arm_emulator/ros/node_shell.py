@@ -141,15 +141,16 @@ def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
     return kind(**values)
 
 
-def refuse_other_parameters(node: Node, config: object) -> None:
+def refuse_other_parameters(node: Node, config: object, beside: tuple[str, ...] = ()) -> None:
     """Refuse parameters that were given to the node and are neither in `config` nor ROS's own.
 
     The node must have been created with ``automatically_declare_parameters_from_overrides``.
+    `beside` are the names of sections that it reads by itself.
 
     Raises:
         Refusal: a parameter that nobody knows, such as a misspelt one.
     """
-    known = list(parameters_of(type(config)))
+    known = [*parameters_of(type(config)), *beside]
     for name in node.get_parameters_by_prefix(""):
         if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
             where = f"node {node.get_name()}"

@@ -83,6 +83,12 @@ class OfflineRun:
             if session.fault is not None:
                 raise session.fault
 
+    @property
+    def wound(self) -> FloatArray:
+        """By how much the motion controller takes the gears to be wound up (N,) [rad or m]."""
+        order = self._from_motion
+        return self.instructor.wound[order]
+
     def _instruct(self) -> None:
         """Let the motion controller answer what the servo has measured."""
         session, drives = self.session, self.drives

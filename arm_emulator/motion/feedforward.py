@@ -1,0 +1,122 @@
+"""What the servo is given beside the links' angles: speeds, torques, wind-up of the gears."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.drive_numbers import DriveNumbers
+from arm_emulator.motion.elastic_arm import Drive, ElasticArm
+from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.reference import Reference
+
+_APART = 1e-9  # rad or m: rounding of angles that go on from one period to the next
+
+
+class Feedforward:
+    """Makes the servo's targets of the links' motion.
+
+    With `full` these are the angles and speeds of the motors at which the links move as they shall
+    (`ElasticArm`). What is measured, the motors' angles, is not where the links are then: `links`
+    takes the wind-up off.
+
+    Attributes:
+        gives: none, speed, torque (and speed), full.
+        trouble: why torques are not known though they were asked for; empty: they are, or were not.
+        wound: by how much the gears are taken to be wound up (N,) [rad]; 0 but with `full`.
+
+    Args:
+        kinematics: of the arm.
+        config: parameters.
+    """
+
+    def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
+        names = kinematics.joint_names
+        self.gives = config.feedforward_for(len(names))
+        self.trouble = ""
+        self.wound: FloatArray = np.zeros(len(names))
+        self._period = config.period
+        self._torques: LinkTorques | None = None
+        self._arm: ElasticArm | None = None
+        self._before: _Period | None = None
+        if self.gives not in ("torque", "full"):
+            return
+        gravity = config.gravity_x, config.gravity_y, config.gravity_z
+        try:
+            self._torques = LinkTorques(kinematics.urdf_xml, names, gravity)
+        except Refusal as reason:
+            self.trouble = str(reason)
+            return
+        if self.gives == "full":
+            drives = [config.drives.get(name, DriveNumbers()) for name in names]
+            self._arm = ElasticArm(self._torques, drives, kinematics.velocity_limit)
+
+    def links(self, q: FloatArray) -> FloatArray:
+        """Return where the links are when the motors are measured at q (N,) [rad]."""
+        if self._arm is not None and self._before is None:
+            self.wound = self._arm.wind_up(self._arm.weight(q))
+        return q - self.wound
+
+    def forget(self) -> None:
+        """Let the next motion begin anew."""
+        self._before = None
+
+    def complete(self, instruction: Instruction) -> Instruction:
+        """Return what the servo gets in this motion period."""
+        if self.gives == "none":
+            return Instruction(instruction.q)
+        if self._arm is not None:
+            return self._full(self._arm, instruction)
+        if self.gives == "speed" or instruction.tau is not None or self._torques is None:
+            return instruction
+        v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
+        return replace(instruction, tau=self._torques.at(instruction.q, v))
+
+    def _full(self, arm: ElasticArm, instruction: Instruction) -> Instruction:
+        q, period = instruction.q, self._period
+        mean = np.zeros_like(q) if instruction.v is None else instruction.v
+        before = self._before
+        if before is not None and (np.abs(before.q_end - q) > _APART).any():
+            before = None
+        now = instruction.now or _estimated(q, mean, before, period)
+        jerk = _jerk(now, before, period)
+        q_end = q + mean * period
+        v_end = now.v + now.a * period + 0.5 * jerk * period**2
+        begins = arm.at(now.q, now.v, now.a, jerk) if before is None else before.ends
+        ends = arm.at(q_end, v_end, now.a + jerk * period, jerk)
+        self._before = _Period(now, mean, q_end, ends)
+        self.wound = begins.theta - q
+        tau = arm.over(begins, ends, period) if instruction.tau is None else instruction.tau
+        return Instruction(begins.theta, (ends.theta - begins.theta) / period, tau, now)
+
+
+@dataclass(frozen=True, eq=False)
+class _Period:
+    """A motion period that was commanded."""
+
+    now: Reference
+    mean: FloatArray
+    """Speeds (N,)."""
+    q_end: FloatArray
+    ends: Drive
+    """How the motors move at its end."""
+
+
+def _estimated(q: FloatArray, mean: FloatArray, before: _Period | None, period: float) -> Reference:
+    """Return the motion at the beginning of a period, by the mean speeds of this and the last."""
+    a = np.zeros_like(q) if before is None else (mean - before.mean) / period
+    return Reference(q, mean - 0.5 * a * period, a)
+
+
+def _jerk(now: Reference, before: _Period | None, period: float) -> FloatArray:
+    if now.jerk is not None:
+        return now.jerk
+    if before is None:
+        return np.zeros_like(now.q)
+    jerk: FloatArray = (now.a - before.now.a) / period
+    return jerk

@@ -1,0 +1,146 @@
+"""How far the true tool is from its reference on a fast line, with and without feed-forward.
+
+The whole machine follows a line of the tool while servo and motion controller know its gears,
+friction and inertia right, wrong, or not at all. The truth is the emulated machine's own state, the
+reference what the servo was given, less the wind-up that its motor is to be ahead by.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.design.known_drive import known_drives
+from arm_emulator.machine.chain import Array
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.controller import controller_for
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
+
+SETTLE = 1.0  # s, before the line begins
+REST = 0.5  # s, after it ends
+
+
+@dataclass(frozen=True)
+class Known:
+    """What servo and motion controller know, as parts of the true numbers."""
+
+    feedforward: str
+    stiffness: float = 1.0
+    friction: float = 1.0
+    inertia: float = 1.0
+    """Of links and rotors."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """Where the tool goes."""
+
+    length: float = 0.3  # m
+    speed: float = 1.0  # m/s
+    acceleration: float = 6.0  # m/s2
+    jerk: float = 80.0  # m/s3
+    along: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What became of a line."""
+
+    t: Array
+    """Times (K,) [s]."""
+    place: Array
+    """Of the reference along the line (K,) [m]."""
+    deviation: Array
+    """Of the true tool from its reference (K, 3) [m]; along the line it is the first column."""
+
+    @property
+    def off(self) -> float:
+        """Largest distance of the tool from its reference [m]."""
+        return float(np.linalg.norm(self.deviation, axis=1).max())
+
+    @property
+    def behind(self) -> float:
+        """Largest part of it that is behind or ahead along the line [m]."""
+        return float(np.abs(self.deviation[:, 0]).max())
+
+    @property
+    def past(self) -> float:
+        """How far the tool goes beyond the farthest place of its reference [m]."""
+        return float((self.place + self.deviation[:, 0]).max() - self.place.max())
+
+    @property
+    def peak_speed(self) -> float:
+        """Of the reference [m/s]."""
+        return float(np.gradient(self.place, self.t).max())
+
+
+def follow(scene_name: str, known: Known, line: Line | None = None) -> Followed:
+    """Send a scene's tool along a line; where the scene starts the line begins."""
+    line = line or Line()
+    file = find_scene(scene_name)
+    scene, gains = load_scene(file), load_gains(file)
+    motion = dataclasses.replace(
+        gains.motion,
+        feedforward=known.feedforward,
+        drives={
+            name: dataclasses.replace(
+                drive,
+                stiffness=known.stiffness * drive.stiffness,
+                cubic_stiffness=known.stiffness * drive.cubic_stiffness,
+                viscous=known.friction * drive.viscous,
+                coulomb=known.friction * drive.coulomb,
+            )
+            for name, drive in known_drives(scene.joints).items()
+        },
+        tool_speed=line.speed,
+        tool_acceleration=line.acceleration,
+        tool_jerk=line.jerk,
+    )
+    joints = tuple(
+        dataclasses.replace(joint, rotor_inertia=known.inertia * joint.rotor_inertia)
+        for joint in gains.servo.joints
+    )
+    run = OfflineRun(scene, dataclasses.replace(gains.servo, joints=joints), motion)
+    names = run.controller.kinematics.joint_names
+    run.controller = controller_for(_scaled(scene.urdf, known.inertia), names, motion)
+    kinematics, along = run.controller.kinematics, np.array(line.along)
+    run.advance(round(SETTLE / scene.servo_period))
+    R_WT, start = kinematics.forward(_reference(run))
+    ends = Pose(start, R_WT), Pose(start + line.length * along, R_WT)
+    run.instructor.add_path(run.controller, ends)
+    times, places, deviations = [], [], []
+    seconds = line.length / line.speed + 2.0 * line.speed / line.acceleration + 1.0 + REST
+    frame = np.linalg.qr(np.column_stack([along, np.eye(3)]))[0]
+    frame[:, 0] = along
+    for _ in range(round(seconds / motion.period)):
+        tool = kinematics.forward(run.session.state.q)[1]
+        times.append(run.session.logical_ns * 1e-9)
+        run.advance(run.motion_ticks)
+        reference = kinematics.forward(_reference(run))[1]
+        places.append(float((reference - start) @ along))
+        deviations.append((tool - reference) @ frame)
+    return Followed(np.array(times), np.array(places), np.array(deviations))
+
+
+def _reference(run: OfflineRun) -> Array:
+    """Return the angles of the links that the servo was asked for last (N,)."""
+    asked: Array = run.drives.servo.state["q_target"] - run.wound
+    return asked
+
+
+def _scaled(urdf: str, part: float) -> str:
+    """Return a robot description whose links have a part of their mass and inertia."""
+    robot = ET.fromstring(urdf)
+    for inertial in robot.iter("inertial"):
+        for tag in ("mass", "inertia"):
+            for element in inertial.findall(tag):
+                element.attrib.update(
+                    {key: repr(part * float(value)) for key, value in element.attrib.items()}
+                )
+    return ET.tostring(robot, encoding="unicode")
