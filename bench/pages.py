@@ -88,6 +88,13 @@ def _convergence(scratch: Path) -> Path:
     return scratch / "convergence.png"
 
 
+def _feedforward(scratch: Path) -> Path:
+    from bench import feedforward
+
+    feedforward.draw(feedforward.run(True), scratch)
+    return scratch / "feedforward.png"
+
+
 def _manutec(scratch: Path) -> Path:
     _command("validate", "manutec_r3", "--out", str(scratch))
     return scratch / "manutec_r3.png"
@@ -101,6 +108,7 @@ def _kuka(scratch: Path) -> Path:
 DRAWN: dict[str, Callable[[Path], Path]] = {
     "arm.gif": _arm,
     "convergence.png": _convergence,
+    "feedforward.png": _feedforward,
     "fig4.png": _fig4,
     "kuka_kr300_run_B.png": _kuka,
     "manutec_r3.png": _manutec,

@@ -37,6 +37,7 @@ SECTIONS = (
 # docs/how_to/identify.md.
 BY_NAME = (
     "tool_line",
+    "feedforward",
     "hard_places",
     "convergence",
     "assumed",

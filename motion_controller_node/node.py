@@ -64,6 +64,7 @@ from arm_emulator.ros.node_shell import (
 )
 from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node.follow_action import FollowAction, installed
+from motion_controller_node.jog_topics import JogTopics
 
 
 class MotionControllerNode(Node):
@@ -108,6 +109,12 @@ class MotionControllerNode(Node):
             JointTrajectory, "joint_trajectory", self._on_joint_trajectory, COMMAND_SUB_QOS
         )
         self.create_subscription(Path, "tool_path", self._on_tool_path, COMMAND_SUB_QOS)
+        self._jogs = JogTopics(
+            self,
+            self._instructor,
+            self._take,
+            lambda: (self._controller, self._config, self._now_ns),
+        )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._action: FollowAction | None = None
         if installed():
@@ -257,6 +264,7 @@ class MotionControllerNode(Node):
         instruction = self._instructor.instruct(controller, now, q, v)
         self._report()
         self._report_status()
+        self._jogs.publish()
         # What is published is within the bounds: the instructor sees to that.
         answer = JointState(name=controller.kinematics.joint_names)
         answer.header.stamp = message.header.stamp
@@ -307,6 +315,10 @@ class MotionControllerNode(Node):
             self._diagnostics.values["no torques"] = self._instructor.torques_unknown
         if self._instructor.holding:
             self._diagnostics.ok("holding, no tool target yet")
+            return
+        jog = self._instructor.jogging
+        if jog is not None:
+            (self._diagnostics.warn if jog.status else self._diagnostics.ok)(f"jog: {jog.words}")
             return
         law = self._instructor.leading
         if law is None:
@@ -365,6 +377,7 @@ def _plural(kind: Kind) -> str:
         Kind.TOOL_TARGET: "tool targets",
         Kind.JOINT_TRAJECTORY: "joint trajectories",
         Kind.TOOL_PATH: "tool paths",
+        Kind.JOG: "jog commands",
     }[kind]
 
 

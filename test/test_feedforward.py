@@ -118,7 +118,9 @@ def test_a_single_elastic_joint_is_that_of_the_closed_form() -> None:
         assert begins.omega[0] == pytest.approx(omega, abs=2.0 * rate * D * rate / K * wound)
         mean = inertia * rate * size * (math.cos(rate * (t + period)) - math.cos(rate * t)) / period
         # The cubic over a period is off by (rate period)^4 / 720 of the torque.
-        assert arm.over(begins, ends, period)[0] == pytest.approx(mean, abs=1e-6 * inertia * rate**2)
+        assert arm.over(begins, ends, period)[0] == pytest.approx(
+            mean, abs=1e-6 * inertia * rate**2
+        )
 
 
 def test_motors_go_on_without_a_jump_whatever_is_known_of_the_motion() -> None:
@@ -132,12 +134,11 @@ def test_motors_go_on_without_a_jump_whatever_is_known_of_the_motion() -> None:
     motion, T = Motion(rng, 6), config.period
     for known in (4, 3, 0):  # all derivatives, no jerk, none
         feedforward = Feedforward(kinematics, config)
-        end = None
+        end = q_before = None
         for k in range(60):
             q, q_end = motion.at(k * T)[0], motion.at((k + 1) * T)[0]
             now = Reference(*motion.at(k * T)[:known]) if known else None
-            if end is not None:
-                q = q_before
+            q = q if q_before is None else q_before
             one = feedforward.complete(Instruction(q, (q_end - q) / T, None, now))
             assert one.v is not None
             if end is not None:
@@ -187,8 +188,14 @@ def test_files_state_the_drives_of_their_scenes() -> None:
 def test_numbers_of_drives_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
     """Unknown keys, joints and values, with the place."""
     for table, words in (
-        ({"elbow_joint": {"stifness": 1.0}}, r"joints\.elbow_joint\.stifness must be a known key.*"),
-        ({"elbow_joint": {"stiffness": 0.0}}, r"joints\.elbow_joint\.stiffness must be a number > 0"),
+        (
+            {"elbow_joint": {"stifness": 1.0}},
+            r"joints\.elbow_joint\.stifness must be a known key.*",
+        ),
+        (
+            {"elbow_joint": {"stiffness": 0.0}},
+            r"joints\.elbow_joint\.stiffness must be a number > 0",
+        ),
         ({"elbow_joint": {"viscous": -1}}, r"viscous must be a number >= 0"),
         ({"elbow_joint": 3.0}, r"joints\.elbow_joint must be a mapping"),
         (3.0, r"section joints must be a mapping"),
@@ -234,7 +241,9 @@ def test_targets_are_followed_along_their_curve() -> None:
     coarse, fine = voltages(0.01), voltages(PERIOD)
     # The first period has no acceleration yet, and what it left fades.
     np.testing.assert_allclose(coarse[12], fine[12], atol=0.5)
-    np.testing.assert_allclose(np.diff(coarse[150:], axis=0), np.diff(fine[150:], axis=0), atol=2e-3)
+    np.testing.assert_allclose(
+        np.diff(coarse[150:], axis=0), np.diff(fine[150:], axis=0), atol=2e-3
+    )
 
 
 def test_the_observer_expects_the_load_that_is_announced() -> None:

@@ -44,7 +44,9 @@ class Ideal:
     def __init__(self, scene: str = "ur5") -> None:
         run = load_offline_run(scene)
         self.controller, self.start = run.controller, run.session.scene.start
-        self.config = load_gains(find_scene(scene)).motion
+        # What orders ask of the links; with `full` the servo gets what the motors are asked for.
+        motion = load_gains(find_scene(scene)).motion
+        self.config = dataclasses.replace(motion, feedforward="torque")
         self.instructor = Instructor(self.config)
         self.period_ns = round(self.config.period * SECOND)
         self.now_ns, self.q = 0, self.start

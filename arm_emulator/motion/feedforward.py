@@ -15,6 +15,7 @@ from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Reference
 
+_TIMES = 4  # each leaves some thousandth of what the last has left
 _APART = 1e-9  # rad or m: rounding of angles that go on from one period to the next
 
 
@@ -59,8 +60,15 @@ class Feedforward:
     def links(self, q: FloatArray) -> FloatArray:
         """Return where the links are when the motors are measured at q (N,) [rad]."""
         if self._arm is not None and self._before is None:
-            self.wound = self._arm.wind_up(self._arm.weight(q))
+            for _ in range(_TIMES):  # the weight is that of the links where they are
+                self.wound = self._arm.wind_up(self._arm.weight(q - self.wound))
         return q - self.wound
+
+    def standing(self, q: FloatArray) -> FloatArray:
+        """Return where the links are if they are at rest, not at q as commanded, (N,) [rad]."""
+        measured = q + self.wound
+        self.forget()
+        return self.links(measured)
 
     def forget(self) -> None:
         """Let the next motion begin anew."""

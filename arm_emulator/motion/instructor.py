@@ -12,6 +12,8 @@ from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.jog import JogCommand
+from arm_emulator.motion.jog_order import JogOrder
 from arm_emulator.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.laws import Laws, joint_limits, tool_limits
@@ -199,6 +201,25 @@ class Instructor:
         begins_ns = max(stamp_ns, times_ns[0]) if times_ns else stamp_ns
         return self._take(Kind.TOOL_PATH, stamp_ns, order, begins_ns)
 
+    def jog(self, command: JogCommand) -> None:
+        """Take a jog command: it holds at once, and as long as jog commands last."""
+        active = self._active
+        if active is not None and isinstance(active.order, JogOrder) and not active.state.final:
+            active.order.take(command)
+            return
+        waiting = next((one for _, one in self._coming if one.order.kind is Kind.JOG), None)
+        if waiting is not None and isinstance(waiting.order, JogOrder):
+            waiting.order.take(command)
+            return
+        self._take(Kind.JOG, 0, lambda: JogOrder(command))
+
+    @property
+    def jogging(self) -> JogOrder | None:
+        """The jog that holds now; None: none does."""
+        active = self._active
+        jogs = active is not None and not active.state.final
+        return active.order if active and jogs and isinstance(active.order, JogOrder) else None
+
     def cancel(self, number: int) -> None:
         """Give up a joint trajectory by its number: the joints come to rest if it moves them."""
         for i, (_, taken) in enumerate(self._coming):
@@ -332,6 +353,7 @@ class Instructor:
         """Bring the joints to rest from how they really move."""
         stop = _stop(laws)
         still = np.zeros_like(q)
+        q = laws.feedforward.standing(q)
         stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
         self._active = _Taken(stop, 0, State.MOVING)
         return stop.instruct(laws, time_ns, q)

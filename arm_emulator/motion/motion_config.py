@@ -64,7 +64,7 @@ class MotionConfig:
     feedforward: str = parameter(
         "auto",
         "given to the servo beside joint angles: none; speed; torque, of the links' gravity and "
-        "motion, and speed; full: the same for elastic gears and friction, whose numbers are in the "
+        "motion, and speed; full: the same for elastic gears and friction, by the numbers of the "
         "section `joints`; auto: speed with the method paper, else full where there are such "
         "numbers, else torque",
         choices=("auto", "none", "speed", "torque", "full"),
@@ -146,6 +146,56 @@ class MotionConfig:
     )
     may_end_moving: bool = parameter(
         False, "whether the last point of a joint trajectory may have a speed", settable=True
+    )
+    jog_command_in_type: str = parameter(
+        "unitless",
+        "jog commands; unitless: parts of the scales, from -1 to 1; speed_units: m/s and rad/s",
+        choices=("unitless", "speed_units"),
+        settable=True,
+    )
+    jog_scale_linear: float = parameter(
+        0.4,
+        "largest speed of a jogged tool",
+        unit="m/s",
+        at_least=0.0,
+        at_most=100.0,
+        settable=True,
+    )
+    jog_scale_rotational: float = parameter(
+        0.8, "the same of its turning", unit="rad/s", at_least=0.0, at_most=100.0, settable=True
+    )
+    jog_scale_joint: float = parameter(
+        0.5,
+        "speed of a joint for a unitless command of 1",
+        unit="rad/s",
+        at_least=0.0,
+        at_most=100.0,
+        settable=True,
+    )
+    jog_incoming_command_timeout: float = parameter(
+        0.1, "a jog command holds so long", unit="s", at_least=1e-3, at_most=3600.0, settable=True
+    )
+    jog_lower_singularity_threshold: float = parameter(
+        17.0,
+        "condition number of the Jacobian from which on a jog is slowed down",
+        at_least=1.0,
+        at_most=1e9,
+        settable=True,
+    )
+    jog_hard_stop_singularity_threshold: float = parameter(
+        30.0,
+        "condition number at which a jog towards a singular pose ends",
+        at_least=1.0,
+        at_most=1e9,
+        settable=True,
+    )
+    jog_joint_limit_margin: float = parameter(
+        0.1,
+        "so far from their position limits jogged joints stop",
+        unit="rad",
+        at_least=0.0,
+        at_most=10.0,
+        settable=True,
     )
     drives: Drives = field(default_factory=dict)
     """Gears and friction of joints by name, for the feed-forward `full`; a joint that is not there

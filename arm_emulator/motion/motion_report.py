@@ -14,11 +14,12 @@ class Kind(enum.IntEnum):
     TOOL_TARGET = 1
     JOINT_TRAJECTORY = 2
     TOOL_PATH = 3
+    JOG = 4
 
     @property
     def topic(self) -> str:
-        """Topic on which it comes."""
-        return self.name.lower()
+        """Topic on which it comes; of jogs that of twists."""
+        return "delta_twist_cmds" if self is Kind.JOG else self.name.lower()
 
 
 class State(enum.IntEnum):

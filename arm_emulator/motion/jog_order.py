@@ -1,0 +1,99 @@
+"""The arm moves as somebody with a lever wants it to, until no command comes any more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.motion.instruction import FloatArray, Instruction
+from arm_emulator.motion.jog import JogCommand, JogStatus, Speeds, speeds_of_twist
+from arm_emulator.motion.laws import Laws, joint_limits
+from arm_emulator.motion.motion_report import Kind, State
+from arm_emulator.motion.orders import MOVING, Progress
+from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.smooth_joints import SmoothJoints
+
+RISE = 0.05  # s, in which the joints take up their largest acceleration
+
+
+class JogOrder:
+    """Follows the newest jog command; comes to rest when that is too old.
+
+    Attributes:
+        status: what limits the motion.
+        words: the same in words.
+    """
+
+    kind = Kind.JOG
+    stamp_ns = 0
+
+    def __init__(self, command: JogCommand) -> None:
+        self._command = command
+        self.status, self.words = JogStatus.NO_WARNING, ""
+
+    def take(self, command: JogCommand) -> None:
+        """Follow another command from now on."""
+        self._command = command
+
+    def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+        """See `Order`."""
+        config = laws.config
+        limits = joint_limits(laws.controller.kinematics, config)
+        margin, acceleration = config.jog_joint_limit_margin, limits.acceleration
+        self._joints = SmoothJoints(
+            limits.lower + margin,
+            limits.upper - margin,
+            np.minimum(limits.speed, config.velocity_limit),
+            acceleration,
+            acceleration / RISE,
+            config.period,
+        )
+        self._joints.begin(reference)
+        self._stale = False
+        laws.nobody_leads()
+
+    def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
+        """See `Order`."""
+        now, config = self._joints.now, laws.config
+        command = self._command
+        timeout = round(config.jog_incoming_command_timeout * 1e9)
+        self._stale = now_ns - command.time_ns > timeout
+        speeds = Speeds(np.zeros_like(now.q))
+        if not self._stale:
+            speeds = self._speeds(laws, command, now)
+        self.status = speeds.status
+        self.words = self.status.words
+        v = self._bounded(laws, command, now.q, speeds.v)
+        mean = self._joints.go(v, alone=command.joints is not None)
+        return Instruction(now.q, mean, None, now)
+
+    def _speeds(self, laws: Laws, command: JogCommand, now: Reference) -> Speeds:
+        if command.joints is not None:
+            return Speeds(command.joints)
+        assert command.twist is not None
+        kinematics = laws.controller.kinematics
+        # Speeds taken up in this period hold at its end.
+        coming = now.q + laws.config.period * now.v
+        twist = command.twist
+        if command.of_tool:
+            R_WT = kinematics.forward(coming)[0]
+            twist = np.concatenate([R_WT @ twist[:3], R_WT @ twist[3:]])
+        return speeds_of_twist(kinematics, coming, twist, laws.config)
+
+    def _bounded(self, laws: Laws, command: JogCommand, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the speeds that the limits allow: a tool keeps its direction, joints go alone."""
+        allowed = self._joints.allowed(q, v)
+        held = [laws.controller.kinematics.joint_names[j] for j in np.flatnonzero(allowed < 1.0)]
+        if held:
+            self.status = JogStatus.JOINT_BOUND
+            self.words = f"{self.status.words}: {', '.join(held)}"
+        return v * (allowed if command.joints is not None else allowed.min())
+
+    def reference(self, now_ns: int) -> Reference | None:
+        """See `Order`."""
+        return self._joints.now
+
+    def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
+        """See `Order`."""
+        if self._stale and not self._joints.moving:
+            return Progress(State.REACHED, "no command any more, at rest")
+        return MOVING

@@ -1,0 +1,136 @@
+"""Joints that take up speeds with limited accelerations and jerks, and stop before their limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import ruckig
+
+from arm_emulator.motion.instruction import FloatArray
+from arm_emulator.motion.reference import Reference
+
+_BRAKES = 0.5  # part of the acceleration with which a joint stops before its limit
+_HALTS = 1e-3  # part of a speed: what is left of it is no motion
+_ROUNDING = 1e-9  # rad or m
+
+
+class SmoothJoints:
+    """A reference of joint speeds that change together, along a line between two sets of speeds.
+
+    Args:
+        lower: positions (N,) that the joints stay above [rad or m]; infinite where there is none.
+        upper: likewise.
+        velocity: largest speeds (N,).
+        acceleration: (N,).
+        jerk: (N,).
+        period: motion period [s].
+    """
+
+    def __init__(
+        self,
+        lower: FloatArray,
+        upper: FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        jerk: FloatArray,
+        period: float,
+    ) -> None:
+        self._lower, self._upper, self._velocity = lower, upper, velocity
+        self._acceleration, self._jerk, self._period = acceleration, jerk, period
+        joints = len(lower)
+        self._otg = ruckig.Ruckig(joints, period)
+        self._in, self._out = ruckig.InputParameter(joints), ruckig.OutputParameter(joints)
+        self._stop, self._ends = ruckig.InputParameter(joints), ruckig.Trajectory(joints)
+        for one in (self._in, self._stop):
+            one.control_interface = ruckig.ControlInterface.Velocity
+            one.max_acceleration, one.max_jerk = acceleration.tolist(), jerk.tolist()
+            one.target_velocity = one.target_acceleration = [0.0] * joints
+        self._stop.synchronization = ruckig.Synchronization.No
+
+    def begin(self, now: Reference) -> None:
+        """Take over."""
+        self._in.current_position = now.q.tolist()
+        self._in.current_velocity = now.v.tolist()
+        most = self._acceleration
+        self._in.current_acceleration = np.clip(now.a, -most, most).tolist()
+
+    @property
+    def now(self) -> Reference:
+        """The motion now."""
+        one = self._in
+        state = one.current_position, one.current_velocity, one.current_acceleration
+        return Reference(*(np.array(values) for values in state))
+
+    @property
+    def moving(self) -> bool:
+        """Whether a joint moves."""
+        now = self.now
+        return bool(np.abs(now.v).max() > 1e-9 or np.abs(now.a).max() > 1e-6)
+
+    def allowed(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the part of each joint's speed (N,) that it may have at q, 0 to 1."""
+        to_limit = np.where(v > 0.0, self._upper - q, q - self._lower)
+        most = np.minimum(
+            self._velocity, _stopping(to_limit, _BRAKES * self._acceleration, _BRAKES * self._jerk)
+        )
+        part = np.ones_like(v)
+        fast = np.abs(v) > most
+        part[fast] = most[fast] / np.abs(v[fast])
+        return np.where(part < _HALTS, 0.0, part)
+
+    def go(self, v: FloatArray, alone: bool) -> FloatArray:
+        """Let the joints take up speeds v (N,) for a period; return their mean speeds in it.
+
+        From where they are then every joint can stop before its limit. A joint that could not if it
+        did as asked brakes instead, and so do the others unless each moves `alone`.
+        """
+        one = self._in
+        before = np.array(one.current_position)
+        self._step(v, ruckig.Synchronization.Phase)
+        late = self._too_late(before)
+        more = late.any()
+        while more:
+            v = np.where(late if alone else True, 0.0, v)
+            self._step(v, ruckig.Synchronization.No)
+            found = self._too_late(before) & (v != 0.0)
+            late, more = late | found, found.any()
+        self._out.pass_to_input(one)
+        mean: FloatArray = (np.array(one.current_position) - before) / self._period
+        return mean
+
+    def _step(self, v: FloatArray, together: ruckig.Synchronization) -> None:
+        self._in.target_velocity, self._in.synchronization = v.tolist(), together
+        self._otg.reset()
+        result = self._otg.update(self._in, self._out)
+        if int(result) < 0:
+            raise ArithmeticError(f"no way to take up the speeds {v.tolist()}: {result}")
+
+    def _too_late(self, before: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return which joints cannot stop within their limits after the step, (N,).
+
+        One that began outside may come back.
+        """
+        stop, step = self._stop, self._out
+        stop.current_position, stop.current_velocity = step.new_position, step.new_velocity
+        stop.current_acceleration = step.new_acceleration
+        self._otg.calculate(stop, self._ends)
+        extrema = self._ends.position_extrema
+        least = np.array([one.min for one in extrema])
+        most = np.array([one.max for one in extrema])
+        lower, upper = np.minimum(self._lower, before), np.maximum(self._upper, before)
+        late: npt.NDArray[np.bool_] = (least < lower - _ROUNDING) | (most > upper + _ROUNDING)
+        return late
+
+
+def _stopping(distance: FloatArray, acceleration: FloatArray, jerk: FloatArray) -> FloatArray:
+    """Return the speeds (N,) from which joints at no acceleration stop within distances.
+
+    From v a joint stops within v sqrt(v / j) where it does not come to its largest acceleration a,
+    which it does from a^2 / j on; else within v (v / a + a / j) / 2.
+    """
+    d = np.maximum(distance, 0.0)
+    short = np.cbrt(d**2 * jerk)
+    ramp = acceleration**2 / jerk
+    with np.errstate(invalid="ignore", over="ignore"):
+        long = np.sqrt(0.25 * ramp**2 + 2.0 * acceleration * d) - 0.5 * ramp
+    return np.where(short <= ramp, short, long)

@@ -1,0 +1,101 @@
+"""How far the true tool is from its reference on a fast line, by what is known of the machine.
+
+    python -m bench.feedforward [SCENE ...]
+
+prints the table of scenes of yours.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from bench.measure import progress
+from bench.pictures import new_figure, save
+from oracles.followed_line import Known, Line, follow
+
+TITLE = "Feed-forward on a fast line"
+
+SCENES = "ur5", "panda"
+CASES = {
+    "none": Known("none"),
+    "speed": Known("speed"),
+    "torque": Known("torque"),
+    "full": Known("full"),
+    "full, all 30 % too small": Known("full", stiffness=0.7, friction=0.7, inertia=0.7),
+    "full, all 30 % too large": Known("full", stiffness=1.3, friction=1.3, inertia=1.3),
+    "full, all 50 % too small": Known("full", stiffness=0.5, friction=0.5, inertia=0.5),
+    "full, all 50 % too large": Known("full", stiffness=1.5, friction=1.5, inertia=1.5),
+}
+DRAWN = "speed", "torque", "full, all 30 % too small", "full"
+PICTURE = "feedforward"
+
+
+def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
+    """Measure each scene with each case."""
+    rows, curves = [], {}
+    chosen = list(scenes)[: 1 if quick else None]
+    with progress("lines", len(chosen) * len(CASES)) as done:
+        for scene in chosen:
+            for name, known in CASES.items():
+                found = follow(scene, known)
+                rows.append(
+                    {
+                        "scene": Path(scene).stem,
+                        "case": name,
+                        "off": found.off,
+                        "behind": found.behind,
+                        "past": found.past,
+                        "peak_speed": found.peak_speed,
+                    }
+                )
+                if scene == chosen[0]:
+                    off = (found.deviation**2).sum(axis=1) ** 0.5
+                    curves[name] = {"t": (found.t - found.t[0]).tolist(), "off": off.tolist()}
+                done(f"{scene}, {name}")
+    return {"rows": rows, "curves": curves}
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section of the report."""
+    line = Line()
+    lines = [
+        f"A line of {line.length * 1e3:g} mm along y at {line.speed:g} m/s, {line.acceleration:g} "
+        f"m/s² and {line.jerk:g} m/s³, orientation held: the largest distance of the true tool from "
+        "its reference, the part of it along the line, and how far the tool goes past the end.",
+        "",
+        "| scene | feed-forward | off | along | past the end |",
+        "|---|---|---|---|---|",
+    ]
+    for row in figures["rows"]:
+        cells = (f"{row[key] * 1e3:.2f} mm" for key in ("off", "behind", "past"))
+        lines.append(f"| {row['scene']} | {row['case']} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def draw(figures: dict[str, Any], folder: Path) -> None:
+    """Draw the distance of the tool from its reference over time."""
+    figure = new_figure(7.0, 3.2)
+    axes = figure.add_subplot()
+    for name in DRAWN:
+        curve = figures["curves"][name]
+        axes.plot(curve["t"], [1e3 * off for off in curve["off"]], label=name)
+    axes.set_xlabel("t [s]")
+    axes.set_ylabel("true tool off its reference [mm]")
+    axes.set_xlim(0.0, 1.2)
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
+    save(figure, folder, PICTURE)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="bench.feedforward", description=TITLE)
+    parser.add_argument("scenes", nargs="*", default=SCENES, help="names or files")
+    print(report(run(False, parser.parse_args().scenes)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,223 @@
+"""Jogging: speeds of the tool and of joints, slowed down where they must be."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.jog import (
+    JogCommand,
+    JogStatus,
+    joint_command,
+    speeds_of_twist,
+    twist_command,
+)
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_report import State
+from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.smooth_joints import SmoothJoints
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
+
+NS = 1_000_000_000
+
+
+class Jogged:
+    """ur5 under jog commands at 100 Hz, through the whole machine."""
+
+    def __init__(self, start: dict[str, float] | None = None, **parameters: object) -> None:
+        file = find_scene("ur5")
+        scene = load_scene(file, {f"joints.{n}.start": x for n, x in (start or {}).items()})
+        gains = load_gains(file)
+        motion = dataclasses.replace(
+            gains.motion,
+            jog_command_in_type="speed_units",
+            **parameters,  # type: ignore[arg-type]
+        )
+        self.run = OfflineRun(scene, gains.servo, motion)
+        self.kinematics, self.config = self.run.controller.kinematics, motion
+        self.q: list[np.ndarray] = []
+        self.asked: list[np.ndarray] = []
+        self.statuses: list[JogStatus] = []
+        self.run.advance(1000)
+
+    def jog(self, seconds: float, command: JogCommand | None, every: int = 1) -> None:
+        """Send a command in every period, or so often, for so long; None: send nothing."""
+        run = self.run
+        for k in range(round(seconds / self.config.period)):
+            if command is not None and k % every == 0:
+                time_ns = run.session.logical_ns
+                run.instructor.jog(dataclasses.replace(command, time_ns=time_ns))
+            run.advance(run.motion_ticks)
+            self.q.append(run.session.state.q.copy())
+            self.asked.append(run.drives.servo.state["q_target"] - run.wound)
+            jog = run.instructor.jogging
+            self.statuses.append(JogStatus.NO_WARNING if jog is None else jog.status)
+
+    def tool(self) -> np.ndarray:
+        """Where the true tool was (K, 3)."""
+        return np.array([self.kinematics.forward(q)[1] for q in self.q])
+
+    def twist(self, *twist: float, of_tool: bool = False) -> JogCommand:
+        return twist_command(0, twist, of_tool, self.kinematics, self.config)
+
+
+def test_a_twist_moves_the_tool_along_it() -> None:
+    """0.1 m/s along y for a second: the true tool goes so fast, straight, and comes to rest."""
+    one = Jogged()
+    one.jog(1.0, one.twist(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))
+    one.jog(1.0, None)
+    way = one.tool() - one.tool()[0]
+    speed = np.diff(way[50:90], axis=0) / one.config.period
+    np.testing.assert_allclose(speed.mean(axis=0), [0.0, 0.1, 0.0], atol=1e-3)
+    assert np.abs(way[:, [0, 2]]).max() < 1e-3  # off the line
+    # Held for the time-out after the last command, then at rest.
+    assert way[-1, 1] == pytest.approx(0.1 * (1.0 + 0.1), abs=0.01)
+    assert np.abs(np.diff(way[-50:], axis=0)).max() < 2e-6
+    assert one.run.instructor.reports.waiting[-1].state is State.REACHED
+    turned = [one.kinematics.forward(q)[0] for q in (one.q[0], one.q[-1])]
+    assert np.abs(turned[0] - turned[1]).max() < 2e-3
+
+
+def test_a_twist_of_the_tool_turns_with_it() -> None:
+    """The same numbers along the tool's own axes are another direction: down, with ur5."""
+    one = Jogged()
+    R_WT = one.kinematics.forward(one.run.session.state.q)[0]
+    one.jog(0.5, one.twist(0.0, 0.0, 0.1, 0.0, 0.0, 0.0, of_tool=True))
+    way = one.tool()[-1] - one.tool()[0]
+    np.testing.assert_allclose(way / np.linalg.norm(way), R_WT[:, 2], atol=0.02)
+
+
+def test_commands_time_out() -> None:
+    """A gap shorter than the time-out changes nothing; a longer one stops the arm."""
+    one = Jogged()
+    command = one.twist(0.0, 0.1, 0.0, 0.0, 0.0, 0.0)
+    one.jog(1.0, command, every=9)
+    tool = one.tool()
+    assert np.diff(tool[50:, 1]).min() > 0.9e-3
+    one.q.clear()
+    one.jog(1.5, command, every=50)
+    assert np.abs(np.diff(one.tool()[:, 1])).min() < 1e-5
+
+
+@pytest.mark.parametrize("seed", some(range(30), 4))
+def test_limits_hold_whatever_the_lever_does(seed: int) -> None:
+    """Drawn twists and joint speeds that change all the time: every limit of every joint holds."""
+    rng = np.random.default_rng(seed)
+    one = Jogged(jog_scale_linear=2.0, jog_scale_rotational=4.0)
+    names = one.kinematics.joint_names
+    for _ in range(12):
+        if rng.random() < 0.5:
+            command = one.twist(*rng.normal(0.0, 1.0, 6), of_tool=bool(rng.random() < 0.5))
+        else:
+            command = joint_command(0, names, rng.normal(0.0, 3.0, 6), one.kinematics, one.config)
+        one.jog(rng.uniform(0.1, 1.0), command)
+    asked, T = np.array(one.asked), one.config.period
+    margin = one.config.jog_joint_limit_margin
+    assert (asked > one.kinematics.lower + 0.9 * margin).all()
+    assert (asked < one.kinematics.upper - 0.9 * margin).all()
+    v = np.diff(asked, axis=0) / T
+    assert (np.abs(v) <= np.minimum(3.0, one.kinematics.velocity_limit) * (1.0 + 1e-9)).all()
+    assert np.abs(np.diff(v, axis=0)).max() / T <= 10.0 * (1.0 + 1e-6)
+
+
+def test_through_the_singular_pose_of_the_wrist() -> None:
+    """A translation past q5 = 0: the tool goes on, at most slower, and not off its line."""
+    one = Jogged({"wrist_2_joint": -0.2})
+    towards = one.kinematics.jacobian(one.run.session.state.q) @ np.eye(6)[4]
+    one.jog(3.0, one.twist(0.0, 0.0, 0.0, *(0.3 * towards[3:] / np.linalg.norm(towards[3:]))))
+    wrist = np.array(one.q)[:, 4]
+    assert wrist[0] < -0.1 and wrist[-1] > 0.3
+    assert (np.diff(wrist) > -1e-4).all()
+    speeds = np.abs(np.diff(np.array(one.asked), axis=0)) / one.config.period
+    assert speeds.max() < 3.0
+
+
+def test_out_of_reach_and_back() -> None:
+    """Outward until the arm is nearly stretched: it slows down, halts, and comes back at once."""
+    one = Jogged({"shoulder_lift_joint": -0.5, "elbow_joint": 0.8, "wrist_1_joint": -1.87})
+    _, p_WT = one.kinematics.forward(one.run.session.state.q)
+    out = np.append(p_WT[:2] / np.linalg.norm(p_WT[:2]), 0.0)
+    one.jog(6.0, one.twist(*(0.2 * out), 0.0, 0.0, 0.0))
+    assert JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY in one.statuses
+    halted = one.tool()[-50:]
+    assert np.abs(np.diff(halted, axis=0)).max() < 5e-5
+    assert one.statuses[-1] in (
+        JogStatus.HALT_FOR_SINGULARITY,
+        JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY,
+    )
+    one.jog(1.0, one.twist(*(-0.2 * out), 0.0, 0.0, 0.0))
+    back = float(out @ (one.tool()[-1] - halted[-1]))
+    assert back < -0.15  # of 0.2 m in a second
+
+
+@pytest.mark.parametrize("seed", some(range(40), 6))
+def test_speeds_are_those_of_the_twist_away_from_singular_poses(seed: int) -> None:
+    """Against the Jacobian itself; near singular poses no direction is turned round."""
+    rng = np.random.default_rng(seed)
+    one = load_scene("ur5")
+    config = load_gains(find_scene("ur5")).motion
+    kinematics = Kinematics(one.urdf, one.joint_names, "tool0")
+    q, twist = rng.uniform(-2.5, 2.5, 6), rng.normal(0.0, 0.1, 6)
+    speeds = speeds_of_twist(kinematics, q, twist, config)
+    singular = kinematics.singular_values(q)
+    reached = kinematics.jacobian(q) @ speeds.v
+    if singular[0] / singular[-1] < config.jog_lower_singularity_threshold:
+        assert speeds.status is JogStatus.NO_WARNING
+        np.testing.assert_allclose(reached, twist, atol=1e-9)
+    else:
+        assert (kinematics.scale * reached) @ (kinematics.scale * twist) >= 0.0
+
+
+@pytest.mark.parametrize("seed", some(range(60), 10))
+def test_joints_stop_before_their_limits(seed: int) -> None:
+    """Drawn limits, starts and wishes: position, speed, acceleration and jerk are kept."""
+    rng = np.random.default_rng(seed)
+    n, T = 3, 10.0 ** rng.uniform(-3, -1.5)
+    limit, velocity = rng.uniform(0.3, 3.0, n), rng.uniform(0.5, 4.0, n)
+    acceleration = rng.uniform(2.0, 20.0, n)
+    jerk = acceleration / rng.uniform(0.02, 0.1)
+    joints = SmoothJoints(-limit, limit, velocity, acceleration, jerk, T)
+    joints.begin(Reference.at_rest(rng.uniform(-0.9, 0.9, n) * limit))
+    before = joints.now
+    for _ in range(40):
+        wish = rng.normal(0.0, 3.0, n)
+        for _ in range(rng.integers(1, 60)):
+            now = joints.now
+            joints.go(wish * joints.allowed(now.q, wish), alone=seed % 2 == 0)
+            now = joints.now
+            assert (np.abs(now.q) <= limit + 1e-8).all()
+            assert (np.abs(now.v) <= velocity * (1.0 + 1e-6)).all()
+            assert (np.abs(now.a) <= acceleration * (1.0 + 1e-6)).all()
+            assert (np.abs(now.a - before.a) <= jerk * T * (1.0 + 1e-6) + 1e-9).all()
+            before = now
+
+
+def test_commands_are_refused() -> None:
+    """Unknown joints, wrong lengths, numbers that are none, turns of an arm that rules none."""
+    one = load_scene("ur5")
+    config = load_gains(find_scene("ur5")).motion
+    arm = Kinematics(one.urdf, one.joint_names, "tool0")
+    place = Kinematics(one.urdf, one.joint_names, "tool0", task="position")
+    with pytest.raises(Refusal, match=r"joint_names must be joints of the arm, got elbow; valid"):
+        joint_command(0, ["elbow"], [0.1], arm, config)
+    with pytest.raises(Refusal, match="each once"):
+        joint_command(0, ["elbow_joint"] * 2, [0.1, 0.2], arm, config)
+    with pytest.raises(Refusal, match="velocities"):
+        joint_command(0, ["elbow_joint"], [0.1, 0.2], arm, config)
+    with pytest.raises(Refusal, match="twist"):
+        twist_command(0, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0], False, arm, config)
+    with pytest.raises(Refusal, match=r"twist\.angular must be 0"):
+        twist_command(0, [0.0, 0.0, 0.0, 0.0, 0.0, 0.1], False, place, config)
+    unitless = dataclasses.replace(config, jog_command_in_type="unitless")
+    half = twist_command(0, [0.5, 0.0, 0.0, 0.0, 0.0, -1.0], False, arm, unitless)
+    np.testing.assert_allclose(half.twist, [0.2, 0.0, 0.0, 0.0, 0.0, -0.8])
+    fast = dataclasses.replace(config, jog_command_in_type="speed_units")
+    most = twist_command(0, [3.0, 4.0, 0.0, 0.0, 0.0, 0.5], False, arm, fast)
+    np.testing.assert_allclose(most.twist, [0.24, 0.32, 0.0, 0.0, 0.0, 0.5])
