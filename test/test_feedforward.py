@@ -235,7 +235,7 @@ def test_targets_are_followed_along_their_curve() -> None:
             if k % every == 0:
                 t = k * PERIOD
                 drives.aim(Target(0.5 * a * t**2, a * (t + 0.5 * motion_period)))
-            found.append(drives.voltage(True))
+            found.append(drives.command(True))
         return found
 
     coarse, fine = voltages(0.01), voltages(PERIOD)
@@ -265,7 +265,7 @@ def test_the_observer_expects_the_load_that_is_announced() -> None:
                 tau = np.zeros(6)
                 tau[0] = growth * (t + 0.005) / joint.gear_ratio if announced else 0.0
                 drives.aim(Target(np.zeros(6), np.zeros(6), tau))
-            drives.voltage(True)
+            drives.command(True)
             omega += 0.0  # the load and the current's torque balance: the rotor stands
         return max(errors[100:])
 
