@@ -64,7 +64,8 @@ def report(figures: dict[str, Any]) -> str:
     lines = [
         f"A line of {line.length * 1e3:g} mm along y at {line.speed:g} m/s, {line.acceleration:g} "
         f"m/s² and {line.jerk:g} m/s³, orientation held: the largest distance of the true tool "
-        "from its reference, the part of it along the line, and how far the tool goes past the end.",
+        "from its reference, the part of it along the line, and how far the tool goes past the "
+        "end.",
         "",
         "| scene | feed-forward | off | along | past the end |",
         "|---|---|---|---|---|",
