@@ -16,7 +16,6 @@ if __name__ == "__main__":  # before what takes long to import
 
 from array import array
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,13 +32,12 @@ from arm_emulator.base.bound import POSITION, VELOCITY
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller, controller_for
-from arm_emulator.motion.drive_numbers import SECTION, drives_of
 from arm_emulator.motion.follow_goal import tolerances_of
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.instructor import Instructor
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint, check_number_of_points
 from arm_emulator.motion.kinematics import moving_joints
-from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.motion_config import SECTIONS, MotionConfig
 from arm_emulator.motion.motion_report import Kind
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.tolerances import Tolerances
@@ -78,10 +76,15 @@ class MotionControllerNode(Node):
     def __init__(self) -> None:
         super().__init__("motion_controller", automatically_declare_parameters_from_overrides=True)
         config = declare_parameters(self, MotionConfig)
-        refuse_other_parameters(self, config, (SECTION,))
-        names = self.get_parameters_by_prefix(SECTION)
-        tables = {name: self.get_parameter(f"{SECTION}.{name}").value for name in names}
-        self._config = replace(config, drives=drives_of(tables, f"node {self.get_name()}"))
+        refuse_other_parameters(self, config, SECTIONS)
+        sections = {
+            one: {
+                name: self.get_parameter(f"{one}.{name}").value
+                for name in self.get_parameters_by_prefix(one)
+            }
+            for one in SECTIONS
+        }
+        self._config = config.beside(sections, f"node {self.get_name()}")
         accept_changes(self, self._changed, self._take_parameters)
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._diagnostics = Diagnostics(self, "motion controller")

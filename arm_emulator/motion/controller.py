@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.drive_numbers import SECTION
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jacobian import JacobianController
@@ -55,6 +56,8 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
         if name not in kinematics.joint_names:
             known = ", ".join(kinematics.joint_names)
             raise Refusal(config.where, f"{SECTION}.{name}", "be a joint of the arm", name, known)
+    if config.watches_collisions:
+        CollisionGuard(kinematics, config)  # which refuses shapes that cannot be read
     if config.method_for(len(kinematics.joint_names)) == "qp":
         return QpController(
             kinematics, config.period, config.velocity_limit, config.acceleration_limit

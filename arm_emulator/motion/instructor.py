@@ -347,7 +347,24 @@ class Instructor:
             self._report(taken, progress)
         if taken.state is State.ABORTED:
             return self._stop(laws, time_ns, q, v)
-        return instruction
+        return self._guarded(laws, time_ns, q, instruction)
+
+    def _guarded(
+        self, laws: Laws, time_ns: int, q: FloatArray, instruction: Instruction
+    ) -> Instruction:
+        """Return an instruction after which the arm can stop before its parts touch something."""
+        guard, taken = laws.guard, self._active
+        if guard is None or taken is None or isinstance(taken.order, JogOrder):
+            return instruction  # jogs look ahead by themselves
+        now, then = _begin_and_end(instruction, laws.config.period)
+        touching = guard.ahead(laws.braking, now.q, then)
+        if not touching:
+            return instruction
+        self._report(taken, Progress(State.ABORTED, f"collision: {touching} would touch"))
+        stop = JogOrder.stop(time_ns, len(q))
+        stop.begin(laws, time_ns, now)
+        self._active = _Taken(stop, 0, state=State.MOVING)
+        return stop.instruct(laws, time_ns, q)
 
     def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
         """Bring the joints to rest from how they really move."""
@@ -396,6 +413,16 @@ class Instructor:
                 progress.angle,
             )
         )
+
+
+def _begin_and_end(instruction: Instruction, period: float) -> tuple[Reference, Reference]:
+    """Return the motion at the begin and at the end of a motion period."""
+    q, still = instruction.q, np.zeros_like(instruction.q)
+    v = still if instruction.v is None else instruction.v
+    now = instruction.now or Reference(q, v, still)
+    jerk = still if now.jerk is None else now.jerk
+    ends = now.v + now.a * period + 0.5 * jerk * period**2
+    return now, Reference(q + period * v, ends, now.a + jerk * period)
 
 
 def _check_wait(kind: Kind, time_ns: int, now_ns: int) -> None:

@@ -6,13 +6,10 @@ import numpy as np
 
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jog import JogCommand, JogStatus, Speeds, speeds_of_twist
-from arm_emulator.motion.laws import Laws, joint_limits
+from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.orders import MOVING, Progress
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.smooth_joints import SmoothJoints
-
-RISE = 0.05  # s, in which the joints take up their largest acceleration
 
 
 class JogOrder:
@@ -30,23 +27,18 @@ class JogOrder:
         self._command = command
         self.status, self.words = JogStatus.NO_WARNING, ""
 
+    @classmethod
+    def stop(cls, now_ns: int, joints: int) -> JogOrder:
+        """Return the order to come to rest at once."""
+        return cls(JogCommand(now_ns, None, False, np.zeros(joints)))
+
     def take(self, command: JogCommand) -> None:
         """Follow another command from now on."""
         self._command = command
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
-        config = laws.config
-        limits = joint_limits(laws.controller.kinematics, config)
-        margin, acceleration = config.jog_joint_limit_margin, limits.acceleration
-        self._joints = SmoothJoints(
-            limits.lower + margin,
-            limits.upper - margin,
-            np.minimum(limits.speed, config.velocity_limit),
-            acceleration,
-            acceleration / RISE,
-            config.period,
-        )
+        self._joints = smooth_joints(laws.controller.kinematics, laws.config)
         self._joints.begin(reference)
         self._stale = False
         laws.nobody_leads()
@@ -64,6 +56,12 @@ class JogOrder:
         self.words = self.status.words
         v = self._bounded(laws, command, now.q, speeds.v)
         mean = self._joints.go(v, alone=command.joints is not None)
+        guard = laws.guard
+        touching = "" if guard is None else guard.ahead(self._joints, now.q, self._joints.now)
+        if touching:
+            self.status, self.words = JogStatus.HALT_FOR_COLLISION, f"{touching} would touch"
+            self._joints.begin(now)
+            mean = self._joints.halt()
         return Instruction(now.q, mean, None, now)
 
     def _speeds(self, laws: Laws, command: JogCommand, now: Reference) -> Speeds:

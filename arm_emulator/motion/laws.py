@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.feedforward import Feedforward
 from arm_emulator.motion.instruction import FloatArray
@@ -11,7 +12,10 @@ from arm_emulator.motion.joint_trajectory import JointLimits
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.qp import QpController
+from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.motion.tool_path import ToolLimits
+
+RISE = 0.05  # s, in which jogged joints take up their largest acceleration
 
 
 class Laws:
@@ -25,6 +29,7 @@ class Laws:
         config: parameters.
         leading: the one that leads; None: none does.
         period_ns: motion period [ns].
+        guard: stops the arm before parts touch; None: nobody watches.
         feedforward: what makes the servo's targets of the links' motion.
     """
 
@@ -33,7 +38,10 @@ class Laws:
         self.period_ns = round(config.period * 1e9)
         self._follower = controller if isinstance(controller, QpController) else None
         self.leading: Controller | None = None
+        self._braking: SmoothJoints | None = None
         self.feedforward = Feedforward(controller.kinematics, config)
+        watched = config.watches_collisions
+        self.guard = CollisionGuard(controller.kinematics, config) if watched else None
 
     @property
     def follower(self) -> QpController:
@@ -48,9 +56,17 @@ class Laws:
             )
         return self._follower
 
+    @property
+    def braking(self) -> SmoothJoints:
+        """How the joints come to rest before a collision."""
+        kinematics, config = self.controller.kinematics, self.config
+        if self._braking is None:
+            self._braking = smooth_joints(kinematics, config)
+        return self._braking
+
     def retune(self, config: MotionConfig) -> None:
         """Go on with other parameters; `controller` is its owner's to retune."""
-        self.config = config
+        self.config, self._braking = config, None
         if self._follower not in (None, self.controller):
             self.follower.retune(config)
 
@@ -73,6 +89,19 @@ def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
         kinematics.velocity_limit,
         np.minimum(kinematics.acceleration_limit, config.acceleration_limit),
         kinematics.continuous,
+    )
+
+
+def smooth_joints(kinematics: Kinematics, config: MotionConfig) -> SmoothJoints:
+    """Return joints that take up speeds, and come to rest, as in jogs and before collisions."""
+    limits, margin = joint_limits(kinematics, config), config.jog_joint_limit_margin
+    return SmoothJoints(
+        limits.lower + margin,
+        limits.upper - margin,
+        np.minimum(limits.speed, config.velocity_limit),
+        limits.acceleration,
+        limits.acceleration / RISE,
+        config.period,
     )
 
 

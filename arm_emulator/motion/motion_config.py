@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from arm_emulator.base.parameters import load_parameters, parameter
 from arm_emulator.motion.drive_numbers import SECTION, Drives, drives_of
+from arm_emulator.motion.obstacles import OBSTACLES, Obstacle, obstacles_of
 
 NODE = "motion_controller"
+SECTIONS = SECTION, OBSTACLES
 
 
 @dataclass(frozen=True)
@@ -197,11 +201,37 @@ class MotionConfig:
         at_most=10.0,
         settable=True,
     )
+    collisions: str = parameter(
+        "auto",
+        "whether the arm stops before its parts touch each other or an obstacle; auto: where the "
+        "section `obstacles` is given",
+        choices=("auto", "off", "stop"),
+    )
+    collision_margin: float = parameter(
+        0.01, "so far apart parts and obstacles stay", unit="m", at_least=0.0, at_most=10.0
+    )
+    obstacles: tuple[Obstacle, ...] = ()
+    """A floor and boxes in the world. In files it is the section `obstacles`."""
     drives: Drives = field(default_factory=dict)
     """Gears and friction of joints by name, for the feed-forward `full`; a joint that is not there
     has a rigid gear and no friction. In files it is the section `joints`."""
     where: str = field(default=NODE, compare=False)
     """What to call it in refusals: its file, or the node."""
+
+    @property
+    def watches_collisions(self) -> bool:
+        """Whether the arm stops before parts touch."""
+        return self.collisions == "stop" or (self.collisions == "auto" and bool(self.obstacles))
+
+    def beside(self, sections: Mapping[str, Any], where: str) -> MotionConfig:
+        """Return the parameters with what stands in sections of their own.
+
+        Raises:
+            Refusal: a section with unknown keys or impossible values.
+        """
+        drives = drives_of(sections.get(SECTION, {}), where)
+        obstacles = obstacles_of(sections.get(OBSTACLES, {}), where)
+        return replace(self, where=where, drives=drives, obstacles=obstacles)
 
     def method_for(self, joints: int) -> str:
         """Return the method, paper or qp, for an arm of so many joints."""
@@ -222,5 +252,5 @@ def load_motion_config(path: Path) -> MotionConfig:
     Raises:
         Refusal: a value that is not taken.
     """
-    config, tables = load_parameters(path, NODE, MotionConfig, beside=(SECTION,))
-    return replace(config, where=path.name, drives=drives_of(tables.get(SECTION, {}), path.name))
+    config, tables = load_parameters(path, NODE, MotionConfig, beside=SECTIONS)
+    return config.beside(tables, path.name)

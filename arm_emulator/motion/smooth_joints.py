@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 import ruckig
@@ -78,15 +80,38 @@ class SmoothJoints:
         part[fast] = most[fast] / np.abs(v[fast])
         return np.where(part < _HALTS, 0.0, part)
 
-    def go(self, v: FloatArray, alone: bool) -> FloatArray:
+    def stopping_way(self, then: Reference, pieces: Callable[[FloatArray], int]) -> FloatArray:
+        """Return angles (K, N) on the way on which the joints come to rest, each by itself.
+
+        Args:
+            then: the motion.
+            pieces: in how many pieces to return a way of the joints (N,).
+        """
+        stop, most = self._stop, self._acceleration
+        stop.current_position, stop.current_velocity = then.q.tolist(), then.v.tolist()
+        stop.current_acceleration = np.clip(then.a, -most, most).tolist()
+        self._otg.calculate(stop, self._ends)
+        duration = self._ends.duration
+        end = np.array(self._ends.at_time(duration)[0])
+        count = pieces(end - then.q) if duration > 0.0 else 0
+        times = [duration * k / count for k in range(count)] if count else []
+        return np.array([*(self._ends.at_time(t)[0] for t in times), end.tolist()])
+
+    def halt(self) -> FloatArray:
+        """Let each joint brake by itself for a period; return their mean speeds in it."""
+        return self.go(np.zeros(len(self._lower)), alone=True, together=False)
+
+    def go(self, v: FloatArray, alone: bool, together: bool = True) -> FloatArray:
         """Let the joints take up speeds v (N,) for a period; return their mean speeds in it.
 
         From where they are then every joint can stop before its limit. A joint that could not if it
         did as asked brakes instead, and so do the others unless each moves `alone`.
+        Speeds that change `together` do so along a line.
         """
         one = self._in
         before = np.array(one.current_position)
-        self._step(v, ruckig.Synchronization.Phase)
+        kind = ruckig.Synchronization
+        self._step(v, kind.Phase if together else kind.No)
         late = self._too_late(before)
         more = late.any()
         while more:

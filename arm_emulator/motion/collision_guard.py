@@ -1,0 +1,95 @@
+"""No motion of the joints from which they could not stop before two parts touch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from arm_emulator.motion.collisions import Collisions
+from arm_emulator.motion.instruction import FloatArray
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.smooth_joints import SmoothJoints
+
+_BETWEEN = 0.05  # m that a part may move between two configurations that are tested
+_ROUNDING = 1e-6  # m
+_MOST = 2000  # configurations of a way
+
+
+class CollisionGuard:
+    """Looks ahead of the reference.
+
+    In each period it tests the way on which the joints would come to rest if they braked after it.
+    When parts touch there they brake now, on the way that the period before has tested. So they
+    rest before they touch, by the margin, whatever was asked for.
+
+    Args:
+        kinematics: of the arm.
+        config: obstacles and margin.
+
+    Raises:
+        Refusal: see `Collisions`.
+    """
+
+    def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
+        self._reach = kinematics.reach
+        self._scale = kinematics.joint_scale
+        self.collisions = Collisions(
+            kinematics.urdf_xml, kinematics.joint_names, config.obstacles, config.collision_margin
+        )
+        self._rested: FloatArray | None = None  # where nothing touches, at rest
+
+    def ahead(self, joints: SmoothJoints, now: FloatArray, then: Reference) -> str:
+        """Return which parts touch where the joints stop if they brake from `then` on; empty: none.
+
+        Where parts touch at `now` (N,) already a motion that leads no nearer is let go.
+        """
+        way = joints.stopping_way(then, self._step)
+        if len(way) == 1 and self._rested is not None and np.array_equal(way[0], self._rested):
+            return ""
+        for q in way[::-1]:
+            if (touching := self.collisions.first(q)) and self._nearer(q, now):
+                return touching
+        self._rested = way[0] if len(way) == 1 else None
+        return ""
+
+    def along(self, at: Callable[[float], FloatArray], duration: float) -> tuple[float, str] | None:
+        """Return when parts touch first on a way, and which; None: they do not.
+
+        Args:
+            at: angles (N,) at a time since its begin [s].
+            duration: of the way [s].
+        """
+        if self.collisions.first(at(0.0)):
+            return None  # it may lead away
+        time, q = 0.0, at(0.0)
+        step = max(duration / 20.0, 1e-6)
+        for _ in range(_MOST):
+            if time >= duration:
+                return None
+            ahead = min(duration, time + step)
+            coming = at(ahead)
+            parts = self._parts(coming - q)
+            if parts > 1.0 and step > 1e-4:
+                step *= 0.5
+                continue
+            if touching := self.collisions.first(coming):
+                return ahead, touching
+            time, q = ahead, coming
+            step *= 1.5 if parts < 0.5 else 1.0
+        return None
+
+    def _nearer(self, q: FloatArray, now: FloatArray) -> bool:
+        """Whether parts are nearer to each other at q than now, or do not touch now."""
+        tested = self.collisions
+        return not tested.first(now) or tested.nearest(q) < tested.nearest(now) - _ROUNDING
+
+    def _step(self, way: FloatArray) -> int:
+        """Return in how many pieces a way of the joints (N,) is tested."""
+        return max(1, math.ceil(self._parts(way)))
+
+    def _parts(self, way: FloatArray) -> float:
+        return float(np.abs(way / self._scale).sum()) * self._reach / _BETWEEN

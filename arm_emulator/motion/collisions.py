@@ -1,0 +1,184 @@
+"""Which parts of an arm touch each other or an obstacle in a configuration: Pinocchio with coal.
+
+The shapes are those for collisions in the robot description, meshes by their convex hulls. Two
+parts count as touching when they are nearer than a margin.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.instruction import FloatArray
+from arm_emulator.motion.kinematics_model import WHERE
+from arm_emulator.motion.obstacles import Obstacle
+
+_DRAWN = 100  # configurations
+_ALWAYS = 0.95  # part of them: two parts that touch in more belong together
+_FAR = 1e3  # m
+
+
+class Collisions:
+    """Tests configurations.
+
+    Two parts of the arm are not tested against each other where one joint or none is between them,
+    where they touch with all joints at 0 (or in the middle of their limits), and where they touch
+    in nearly all configurations; obstacles not against what stands still.
+
+    Args:
+        urdf_xml: the robot description.
+        joint_names: the joints commanded, in the order of all arrays; the others stay at 0.
+        obstacles: in the world.
+        margin: [m].
+
+    Attributes:
+        pairs: how many pairs are tested.
+
+    Raises:
+        Refusal: a description, or a mesh in it, that cannot be read.
+    """
+
+    def __init__(
+        self,
+        urdf_xml: str,
+        joint_names: Sequence[str],
+        obstacles: Sequence[Obstacle],
+        margin: float,
+    ) -> None:
+        try:
+            self._model = pin.buildModelFromXML(urdf_xml)
+            self._shapes = pin.buildGeomFromUrdfString(
+                self._model, urdf_xml, pin.GeometryType.COLLISION, package_dirs=_package_folders()
+            )
+        except (ValueError, RuntimeError, IndexError) as error:
+            rule = "have readable shapes for collisions (meshes by file:// or ROS_PACKAGE_PATH)"
+            raise Refusal(WHERE, "the robot", rule, str(error).splitlines()[0]) from error
+        for shape in self._shapes.geometryObjects:
+            shape.geometry = _hull(shape.geometry)
+        joints = [self._model.joints[self._model.getJointId(name)] for name in joint_names]
+        self._columns = [joint.idx_v for joint in joints]
+        self._neutral = pin.neutral(self._model)
+        self._data = self._model.createData()
+        own = len(self._shapes.geometryObjects)
+        self._names = [
+            str(self._model.frames[shape.parentFrame].name)
+            for shape in self._shapes.geometryObjects
+        ]
+        for obstacle in obstacles:
+            self._shapes.addGeometryObject(_solid(obstacle))
+            self._names.append(obstacle.name)
+        self._pair(own)
+        self._leave_out(margin, own, joints)
+        self._made(margin)
+
+    @property
+    def pairs(self) -> int:
+        """How many pairs are tested."""
+        return len(self._shapes.collisionPairs)
+
+    def first(self, q: FloatArray) -> str:
+        """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
+        if not self.pairs:
+            return ""
+        if not pin.computeCollisions(
+            self._model, self._data, self._shapes, self._tested, self._whole(q), True
+        ):
+            return ""
+        return self._name(self._touching()[0])
+
+    def nearest(self, q: FloatArray) -> float:
+        """Return the distance of the two nearest parts at q (N,) [m]; < 0: they overlap."""
+        pin.computeDistances(self._model, self._data, self._shapes, self._tested, self._whole(q))
+        return min(one.min_distance for one in self._tested.distanceResults)
+
+    def _whole(self, q: FloatArray) -> FloatArray:
+        step = np.zeros(self._model.nv)
+        step[self._columns] = q
+        configuration: FloatArray = pin.integrate(self._model, self._neutral, step)
+        return configuration
+
+    def _touching(self) -> list[int]:
+        return [k for k, one in enumerate(self._tested.collisionResults) if one.isCollision()]
+
+    def _name(self, k: int) -> str:
+        pair = self._shapes.collisionPairs[k]
+        return f"{self._names[pair.first]} and {self._names[pair.second]}"
+
+    def _pair(self, own: int) -> None:
+        shapes, parents = self._shapes.geometryObjects, self._model.parents
+        for i in range(own):
+            one = shapes[i].parentJoint
+            for k in range(i + 1, len(shapes)):
+                other = shapes[k].parentJoint
+                near = one == other or (k < own and one in (parents[other],))
+                near = near or (k < own and other == parents[one])
+                if not near:
+                    self._shapes.addCollisionPair(pin.CollisionPair(i, k))
+
+    def _leave_out(self, margin: float, own: int, joints: Sequence[Any]) -> None:
+        """Leave out pairs of the arm's own parts that touch where nothing is wrong."""
+        low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
+        high = np.array([min(self._upper(joint), np.pi) for joint in joints])
+        rest = np.where((low > 0.0) | (high < 0.0), 0.5 * (low + high), 0.0)
+        self._made(margin)
+        count = np.zeros(self.pairs)
+        rng = np.random.default_rng(0)
+        for _ in range(_DRAWN):
+            count += self._all(low + (high - low) * rng.random(len(low)))
+        always = (count > _ALWAYS * _DRAWN) | self._all(rest)
+        pairs = list(self._shapes.collisionPairs)
+        for pair, together in zip(pairs, always, strict=True):
+            if together and pair.second < own:
+                self._shapes.removeCollisionPair(pair)
+
+    def _all(self, q: FloatArray) -> FloatArray:
+        pin.computeCollisions(
+            self._model, self._data, self._shapes, self._tested, self._whole(q), False
+        )
+        touching = np.zeros(self.pairs, dtype=bool)
+        touching[self._touching()] = True
+        return touching
+
+    def _lower(self, joint: Any) -> float:
+        return float(self._model.lowerPositionLimit[joint.idx_q]) if joint.nq == 1 else -np.pi
+
+    def _upper(self, joint: Any) -> float:
+        return float(self._model.upperPositionLimit[joint.idx_q]) if joint.nq == 1 else np.pi
+
+    def _made(self, margin: float) -> None:
+        self._tested = self._shapes.createData()
+        for request in self._tested.collisionRequests:
+            request.security_margin = margin
+
+
+def _hull(shape: Any) -> Any:
+    if isinstance(shape, coal.BVHModelBase):
+        shape.buildConvexHull(True, "Qt")
+        return shape.convex
+    return shape
+
+
+def _solid(obstacle: Obstacle) -> Any:
+    if obstacle.height is not None:
+        # A box as deep as wide: a half space is not taken by all pairs of shapes.
+        shape, at = coal.Box(2.0 * _FAR, 2.0 * _FAR, _FAR), (0.0, 0.0, obstacle.height - 0.5 * _FAR)
+    else:
+        shape, at = coal.Box(*obstacle.size), obstacle.at
+    place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(at))
+    return pin.GeometryObject(obstacle.name, 0, place, shape)
+
+
+def _package_folders() -> list[str]:
+    """Return where packages of meshes lie: as ROS finds them, and beside Pinocchio."""
+    found = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        found.append(str(Path(prefix) / "share"))
+    found += [str(folder / "share") for folder in Path(pin.__file__).parents]
+    return [folder for folder in found if folder and Path(folder).is_dir()]

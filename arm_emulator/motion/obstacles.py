@@ -1,0 +1,81 @@
+"""What stands in an arm's way: a floor, boxes. The section `obstacles` of the parameter file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from arm_emulator.base.number import Range
+from arm_emulator.base.refusal import Refusal
+
+OBSTACLES = "obstacles"  # the section's name
+_LENGTH = Range("m", above=0.0, at_most=1e3)
+_PLACE = Range("m", at_least=-1e3, at_most=1e3)
+_ANGLE = Range("rad", at_least=-10.0, at_most=10.0)
+_KEYS = "height", "size", "at", "rpy"
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A box in the world, or all that is below a height."""
+
+    name: str
+    height: float | None = None
+    """Of a floor [m]; None: a box."""
+    size: tuple[float, ...] = (1.0, 1.0, 1.0)
+    """Of a box along its axes [m]."""
+    at: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Middle of the box [m]."""
+    rpy: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """How it is turned: roll, pitch, yaw as in a URDF [rad]."""
+
+
+def obstacles_of(given: object, where: str) -> tuple[Obstacle, ...]:
+    """Return the obstacles of a section; nested, or with ROS's dotted names.
+
+    Raises:
+        Refusal: an unknown key or an impossible value.
+    """
+    if not isinstance(given, Mapping):
+        raise Refusal(where, OBSTACLES, "be a mapping", given)
+    tables: dict[str, dict[str, Any]] = {}
+    for key, value in given.items():
+        name, _, leaf = str(key).rpartition(".")
+        if isinstance(value, Mapping):
+            tables.setdefault(str(key), {}).update(value)
+        elif name:
+            tables.setdefault(name, {})[leaf] = value
+        else:
+            raise Refusal(where, f"{OBSTACLES}.{key}", "be a mapping", value)
+    return tuple(_obstacle(name, table, where) for name, table in tables.items())
+
+
+def _obstacle(name: str, table: Mapping[str, Any], where: str) -> Obstacle:
+    path = f"{OBSTACLES}.{name}"
+    for key in table:
+        if key not in _KEYS:
+            raise Refusal(where, f"{path}.{key}", "be a known key", "another", ", ".join(_KEYS))
+    if "height" in table:
+        if len(table) > 1:
+            raise Refusal(where, path, "be a floor (height) or a box", sorted(table))
+        if not _PLACE.holds(table["height"]):
+            raise Refusal(where, f"{path}.height", _PLACE.rule, repr(table["height"]))
+        return Obstacle(name, float(table["height"]))
+    if "size" not in table:
+        raise Refusal(where, path, "have a height (a floor) or a size (a box)", sorted(table))
+    values = {
+        key: _three(table[key], one, where, f"{path}.{key}")
+        for key, one in (("size", _LENGTH), ("at", _PLACE), ("rpy", _ANGLE))
+        if key in table
+    }
+    return Obstacle(name, None, **values)
+
+
+def _three(given: object, one: Range, where: str, path: str) -> tuple[float, ...]:
+    if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 3:
+        raise Refusal(where, path, f"be three numbers [{one.unit}]", repr(given))
+    for value in given:
+        if not one.holds(value):
+            raise Refusal(where, path, f"{one.rule}, each of three", repr(value))
+    return tuple(map(float, given))

@@ -1,0 +1,191 @@
+"""No part of an arm touches another or an obstacle: known before, and stopped before."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import yaml
+from draws import some
+
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.collision_guard import CollisionGuard
+from arm_emulator.motion.collisions import Collisions
+from arm_emulator.motion.jog import JogStatus, joint_command, twist_command
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
+from arm_emulator.motion.motion_report import State
+from arm_emulator.motion.obstacles import Obstacle
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
+
+MARGIN = 0.01  # m
+
+TWO_LINKS = """<robot name="two"><link name="base"/>
+{links}
+<joint name="a" type="revolute"><parent link="base"/><child link="first"/>
+  <origin xyz="0 0 1"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="9" velocity="2"/></joint>
+<joint name="b" type="revolute"><parent link="first"/><child link="second"/>
+  <origin xyz="1 0 0"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="9" velocity="2"/></joint>
+<joint name="c" type="fixed"><parent link="second"/><child link="tool"/>
+  <origin xyz="1 0 0"/></joint></robot>"""
+BALL = """<link name="{}"><collision><origin xyz="{} 0 0"/>
+  <geometry><sphere radius="{}"/></geometry></collision></link>"""
+
+
+def two_links() -> str:
+    """A ball of 0.1 m in the middle of the first link, one of 0.05 m at the end of the second."""
+    return TWO_LINKS.format(
+        links=BALL.format("first", 0.5, 0.1)
+        + BALL.format("second", 1.0, 0.05)
+        + '<link name="tool"/>'
+    )
+
+
+@pytest.mark.parametrize("seed", some(range(200), 40))
+def test_balls_touch_where_their_distance_is_that_of_the_radii(seed: int) -> None:
+    """Against the closed form: a floor, and a box that a ball meets on its flat side."""
+    rng = np.random.default_rng(seed)
+    q, height = rng.uniform(-2.5, 2.5, 2), rng.uniform(-1.0, 0.8)
+    found = Collisions(two_links(), ("a", "b"), [Obstacle("floor", height)], MARGIN).first(q)
+    first = 1.0 - 0.5 * math.sin(q[0])
+    second = 1.0 - math.sin(q[0]) - math.sin(q[0] + q[1])
+    lowest = min(first - 0.1, second - 0.05)
+    if abs(lowest - MARGIN - height) > 1e-6:
+        assert bool(found) == (lowest < height + MARGIN), (lowest, height)
+    if found:
+        assert found.endswith("and floor")
+
+
+def test_pairs_that_belong_together_are_left_out() -> None:
+    """Neighbours overlap by design; a folded ur5 touches itself."""
+    scene = load_scene("ur5")
+    one = Collisions(scene.urdf, scene.joint_names, (), MARGIN)
+    assert one.first(scene.start) == ""
+    folded = scene.start.copy()
+    folded[2] = 2.9
+    assert one.first(folded) != ""
+    bare = Collisions(two_links(), ("a", "b"), (), MARGIN)
+    assert bare.pairs == 0 and bare.first(np.zeros(2)) == ""
+
+
+class Arm:
+    """ur5 with a floor 0.2 m below where its tool starts, through the whole machine."""
+
+    def __init__(self, **parameters: object) -> None:
+        file = find_scene("ur5")
+        scene, gains = load_scene(file), load_gains(file)
+        kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+        self.R_WT, self.p_WT = kinematics.forward(scene.start)
+        obstacles = (Obstacle("floor", float(self.p_WT[2]) - 0.2),)
+        motion = dataclasses.replace(
+            gains.motion,
+            obstacles=obstacles,
+            jog_command_in_type="speed_units",
+            **parameters,  # type: ignore[arg-type]
+        )
+        self.run = OfflineRun(scene, gains.servo, motion)
+        self.kinematics = self.run.controller.kinematics
+        self.truth = Collisions(scene.urdf, scene.joint_names, obstacles, 0.0)
+        self.run.advance(1000)
+
+    def advance(self, seconds: float) -> None:
+        """Go on; the true links never touch anything."""
+        for _ in range(round(seconds / 0.01)):
+            self.run.advance(self.run.motion_ticks)
+            assert self.truth.first(self.run.session.state.q) == ""
+
+    @property
+    def height(self) -> float:
+        """Of the true tool over where it began [m]."""
+        return float(self.kinematics.forward(self.run.session.state.q)[1][2] - self.p_WT[2])
+
+
+def test_a_target_below_the_floor_is_stopped_before_it() -> None:
+    """The pair is named, the arm rests above, and may leave upwards."""
+    arm = Arm()
+    arm.run.instructor.add(0, Pose(arm.p_WT - [0.0, 0.0, 0.4], arm.R_WT))
+    arm.advance(2.0)
+    last = arm.run.instructor.reports.take()[-1]
+    assert last.state in (State.ABORTED, State.REFUSED)
+    assert "floor" in last.reason and "would touch" in last.reason
+    assert np.abs(arm.run.session.state.v).max() < 1e-3
+    arm.run.instructor.add(0, Pose(arm.p_WT + [0.0, 0.0, 0.05], arm.R_WT))
+    arm.advance(2.0)
+    assert arm.run.instructor.reports.take()[-1].state is State.REACHED
+    assert arm.height == pytest.approx(0.05, abs=1e-3)
+
+
+def test_without_obstacles_the_same_move_is_made() -> None:
+    """What stops it is the floor."""
+    arm = Arm(collisions="off")
+    arm.run.instructor.add(0, Pose(arm.p_WT - [0.0, 0.0, 0.4], arm.R_WT))
+    arm.run.advance(2000)
+    assert arm.height < -0.35
+
+
+@pytest.mark.parametrize("seed", some(range(20), 3))
+def test_a_jog_halts_before_a_collision_and_leaves(seed: int) -> None:
+    """Drawn twists downwards and joint speeds: the true arm never touches the floor or itself."""
+    rng = np.random.default_rng(seed)
+    arm = Arm(jog_scale_linear=0.6, jog_scale_rotational=2.0)
+    codes = set()
+    for k in range(6):
+        if k % 2 == 0:
+            down = rng.normal(0.0, 0.1, 6) - [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
+            command = twist_command(0, down, False, arm.kinematics, arm.run.instructor._config)
+        else:
+            names = arm.kinematics.joint_names
+            speeds = rng.normal(0.0, 1.5, 6)
+            config = arm.run.instructor._config
+            command = joint_command(0, names, speeds, arm.kinematics, config)
+        for _ in range(12):
+            now = dataclasses.replace(command, time_ns=arm.run.session.logical_ns)
+            arm.run.instructor.jog(now)
+            arm.advance(0.08)
+            jog = arm.run.instructor.jogging
+            codes.add(None if jog is None else jog.status)
+    assert JogStatus.HALT_FOR_COLLISION in codes
+
+
+def test_a_way_is_looked_through_before_it_begins() -> None:
+    """The time of the first touch of a ball and a floor, within the pieces of the search."""
+    config = MotionConfig(tool="tool", obstacles=(Obstacle("floor", 0.0),))
+    kinematics = Kinematics(two_links(), ("a", "b"), "tool", "position")
+    guard = CollisionGuard(kinematics, config)
+    found = guard.along(lambda t: np.array([0.5 * t, 0.0]), 4.0)
+    assert found is not None
+    # The outer ball: 1 - 2 sin(q) - 0.05 = 0.01.
+    assert found[0] == pytest.approx(math.asin(0.47) / 0.5, abs=0.06)
+    assert found[1] == "second and floor"
+    assert guard.along(lambda t: np.array([-0.2 * t, 0.0]), 4.0) is None
+
+
+def test_obstacles_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Unknown keys, wrong lengths, numbers out of range."""
+    for table, words in (
+        ({"floor": {"hight": 0.0}}, r"obstacles\.floor\.hight must be a known key"),
+        ({"floor": {"height": "low"}}, r"obstacles\.floor\.height must be a number"),
+        ({"box": {"size": [1.0, 1.0]}}, r"obstacles\.box\.size must be three numbers \[m\]"),
+        ({"box": {"size": [1.0, -1.0, 1.0]}}, r"obstacles\.box\.size must be a number > 0"),
+        (
+            {"box": {"at": [0.0, 0.0, 0.0]}},
+            r"obstacles\.box must have a height \(a floor\) or a size",
+        ),
+        ({"box": 1.0}, r"obstacles\.box must be a mapping"),
+    ):
+        file = tmp_path / "motion.yaml"
+        node = {"motion_controller": {"ros__parameters": {"tool": "tool0", "obstacles": table}}}
+        file.write_text(yaml.safe_dump(node))
+        with pytest.raises(Refusal, match=words):
+            load_motion_config(file)
+    broken = two_links().replace('<sphere radius="0.1"/>', '<mesh filename="package://no/x.stl"/>')
+    with pytest.raises(Refusal, match="readable shapes"):
+        Collisions(broken, ("a", "b"), (), MARGIN)
