@@ -111,13 +111,13 @@ class Arm:
 def test_a_target_below_the_floor_is_stopped_before_it() -> None:
     """The pair is named, the arm rests above, and may leave upwards."""
     arm = Arm()
-    arm.run.instructor.add(0, Pose(arm.p_WT - [0.0, 0.0, 0.4], arm.R_WT))
+    arm.run.instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, 0.4]), arm.R_WT))
     arm.advance(2.0)
     last = arm.run.instructor.reports.take()[-1]
     assert last.state in (State.ABORTED, State.REFUSED)
     assert "floor" in last.reason and "would touch" in last.reason
     assert np.abs(arm.run.session.state.v).max() < 1e-3
-    arm.run.instructor.add(0, Pose(arm.p_WT + [0.0, 0.0, 0.05], arm.R_WT))
+    arm.run.instructor.add(0, Pose(arm.p_WT + np.array([0.0, 0.0, 0.05]), arm.R_WT))
     arm.advance(2.0)
     assert arm.run.instructor.reports.take()[-1].state is State.REACHED
     assert arm.height == pytest.approx(0.05, abs=1e-3)
@@ -126,7 +126,7 @@ def test_a_target_below_the_floor_is_stopped_before_it() -> None:
 def test_without_obstacles_the_same_move_is_made() -> None:
     """What stops it is the floor."""
     arm = Arm(collisions="off")
-    arm.run.instructor.add(0, Pose(arm.p_WT - [0.0, 0.0, 0.4], arm.R_WT))
+    arm.run.instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, 0.4]), arm.R_WT))
     arm.run.advance(2000)
     assert arm.height < -0.35
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import coal
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
@@ -96,7 +97,7 @@ class Collisions:
     def nearest(self, q: FloatArray) -> float:
         """Return the distance of the two nearest parts at q (N,) [m]; < 0: they overlap."""
         pin.computeDistances(self._model, self._data, self._shapes, self._tested, self._whole(q))
-        return min(one.min_distance for one in self._tested.distanceResults)
+        return float(min(one.min_distance for one in self._tested.distanceResults))
 
     def _whole(self, q: FloatArray) -> FloatArray:
         step = np.zeros(self._model.nv)
@@ -138,7 +139,7 @@ class Collisions:
             if together and pair.second < own:
                 self._shapes.removeCollisionPair(pair)
 
-    def _all(self, q: FloatArray) -> FloatArray:
+    def _all(self, q: FloatArray) -> npt.NDArray[np.bool_]:
         pin.computeCollisions(
             self._model, self._data, self._shapes, self._tested, self._whole(q), False
         )
@@ -168,9 +169,9 @@ def _hull(shape: Any) -> Any:
 def _solid(obstacle: Obstacle) -> Any:
     if obstacle.height is not None:
         # A box as deep as wide: a half space is not taken by all pairs of shapes.
-        shape, at = coal.Box(2.0 * _FAR, 2.0 * _FAR, _FAR), (0.0, 0.0, obstacle.height - 0.5 * _FAR)
+        shape, at = coal.Box(2.0 * _FAR, 2.0 * _FAR, _FAR), [0.0, 0.0, obstacle.height - 0.5 * _FAR]
     else:
-        shape, at = coal.Box(*obstacle.size), obstacle.at
+        shape, at = coal.Box(*obstacle.size), list(obstacle.at)
     place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(at))
     return pin.GeometryObject(obstacle.name, 0, place, shape)
 
