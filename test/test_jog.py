@@ -183,8 +183,10 @@ def test_joints_stop_before_their_limits(seed: int) -> None:
     limit, velocity = rng.uniform(0.3, 3.0, n), rng.uniform(0.5, 4.0, n)
     acceleration = rng.uniform(2.0, 20.0, n)
     jerk = acceleration / rng.uniform(0.02, 0.1)
-    joints = SmoothJoints(-limit, limit, velocity, acceleration, jerk, T)
-    joints.begin(Reference.at_rest(rng.uniform(-0.9, 0.9, n) * limit))
+    middle = rng.uniform(-4.0, 4.0, n)  # limits may lie on one side of 0
+    joints = SmoothJoints(middle - limit, middle + limit, velocity, acceleration, jerk, T)
+    joints.begin(Reference.at_rest(middle + rng.uniform(-0.9, 0.9, n) * limit))
+    moved = np.zeros(n)
     before = joints.now
     for _ in range(40):
         wish = rng.normal(0.0, 3.0, n)
@@ -192,11 +194,13 @@ def test_joints_stop_before_their_limits(seed: int) -> None:
             now = joints.now
             joints.go(wish * joints.allowed(now.q, wish), alone=seed % 2 == 0)
             now = joints.now
-            assert (np.abs(now.q) <= limit + 1e-8).all()
+            moved = np.maximum(moved, np.abs(now.v))
+            assert (np.abs(now.q - middle) <= limit + 1e-8).all()
             assert (np.abs(now.v) <= velocity * (1.0 + 1e-6)).all()
             assert (np.abs(now.a) <= acceleration * (1.0 + 1e-6)).all()
             assert (np.abs(now.a - before.a) <= jerk * T * (1.0 + 1e-6) + 1e-9).all()
             before = now
+    assert (moved > 0.1 * velocity).all()
 
 
 def test_commands_are_refused() -> None:

@@ -29,6 +29,7 @@ from arm_emulator.motion.orders import (
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.qp import LOST
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.stream_order import TargetStream
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 from arm_emulator.motion.tool_path import ToolPath
 
@@ -79,6 +80,7 @@ class Instructor:
         self._coming: list[tuple[int, _Taken]] = []  # in the order of their times
         self._active: _Taken | None = None
         self._laws: Laws | None = None
+        self._stream = TargetStream()
         self.start_over()
 
     def start_over(self, reason: str = "the motion controller was reset") -> None:
@@ -311,6 +313,9 @@ class Instructor:
                 self._report(taken, _replaced_by(self._coming[0][1]))
                 continue
             reference = self._reference(laws, time_ns, q)
+            if isinstance(taken.order, TargetOrder):
+                kinematics = laws.controller.kinematics
+                taken.order = self._stream.following(taken.order, time_ns, kinematics, reference.q)
             try:
                 taken.order.begin(laws, time_ns, reference)
             except Refusal as reason:

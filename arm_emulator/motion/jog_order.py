@@ -22,6 +22,7 @@ class JogOrder:
 
     kind = Kind.JOG
     stamp_ns = 0
+    way = ""
 
     def __init__(self, command: JogCommand) -> None:
         self._command = command
@@ -38,7 +39,9 @@ class JogOrder:
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
-        self._joints = smooth_joints(laws.controller.kinematics, laws.config)
+        self._joints = smooth_joints(
+            laws.controller.kinematics, laws.config, laws.config.jog_joint_limit_margin
+        )
         self._joints.begin(reference)
         self._stale = False
         laws.nobody_leads()

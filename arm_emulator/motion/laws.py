@@ -61,7 +61,7 @@ class Laws:
         """How the joints come to rest before a collision."""
         kinematics, config = self.controller.kinematics, self.config
         if self._braking is None:
-            self._braking = smooth_joints(kinematics, config)
+            self._braking = smooth_joints(kinematics, config, margin=0.0)
         return self._braking
 
     def retune(self, config: MotionConfig) -> None:
@@ -92,9 +92,15 @@ def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
     )
 
 
-def smooth_joints(kinematics: Kinematics, config: MotionConfig) -> SmoothJoints:
-    """Return joints that take up speeds, and come to rest, as in jogs and before collisions."""
-    limits, margin = joint_limits(kinematics, config), config.jog_joint_limit_margin
+def smooth_joints(kinematics: Kinematics, config: MotionConfig, margin: float) -> SmoothJoints:
+    """Return joints that take up speeds, and come to rest, as in jogs and before collisions.
+
+    Args:
+        kinematics: of the arm.
+        config: parameters.
+        margin: within the position limits [rad or m].
+    """
+    limits = joint_limits(kinematics, config)
     return SmoothJoints(
         limits.lower + margin,
         limits.upper - margin,

@@ -81,7 +81,7 @@ class TargetOrder:
     kind = Kind.TOOL_TARGET
 
     def __init__(self, stamp_ns: int, pose: Pose) -> None:
-        self.stamp_ns, self._pose = stamp_ns, pose
+        self.stamp_ns, self.pose = stamp_ns, pose
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
@@ -90,7 +90,7 @@ class TargetOrder:
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
-        self._instruction = self._law.update(q, self._pose)
+        self._instruction = self._law.update(q, self.pose)
         return self._instruction
 
     def reference(self, now_ns: int) -> Reference | None:

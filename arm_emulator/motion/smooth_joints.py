@@ -14,6 +14,7 @@ from arm_emulator.motion.reference import Reference
 _BRAKES = 0.5  # part of the acceleration with which a joint stops before its limit
 _HALTS = 1e-3  # part of a speed: what is left of it is no motion
 _ROUNDING = 1e-9  # rad or m
+_FAR = 1e4  # rad or m: a place on one side of 0
 
 
 class SmoothJoints:
@@ -123,6 +124,16 @@ class SmoothJoints:
         mean: FloatArray = (np.array(one.current_position) - before) / self._period
         return mean
 
+    def _extreme(self, stop: ruckig.InputParameter, at: float) -> FloatArray:
+        """Return the largest positions (N,) on the way to rest from positions `at` > 0, or least.
+
+        Ruckig 0.19 has 0 among the positions of such a way.
+        """
+        stop.current_position = [at] * len(self._lower)
+        self._otg.calculate(stop, self._ends)
+        extrema = self._ends.position_extrema
+        return np.array([one.max if at > 0.0 else one.min for one in extrema])
+
     def _step(self, v: FloatArray, together: ruckig.Synchronization) -> None:
         self._in.target_velocity, self._in.synchronization = v.tolist(), together
         self._otg.reset()
@@ -136,12 +147,10 @@ class SmoothJoints:
         One that began outside may come back.
         """
         stop, step = self._stop, self._out
-        stop.current_position, stop.current_velocity = step.new_position, step.new_velocity
-        stop.current_acceleration = step.new_acceleration
-        self._otg.calculate(stop, self._ends)
-        extrema = self._ends.position_extrema
-        least = np.array([one.min for one in extrema])
-        most = np.array([one.max for one in extrema])
+        stop.current_velocity, stop.current_acceleration = step.new_velocity, step.new_acceleration
+        q = np.array(step.new_position)
+        least = q + (self._extreme(stop, -_FAR) + _FAR)
+        most = q + (self._extreme(stop, _FAR) - _FAR)
         lower, upper = np.minimum(self._lower, before), np.maximum(self._upper, before)
         late: npt.NDArray[np.bool_] = (least < lower - _ROUNDING) | (most > upper + _ROUNDING)
         return late
