@@ -72,7 +72,7 @@ def twist_command(
     """Return a command for the tool in m/s and rad/s, within the scales.
 
     Raises:
-        Refusal: numbers that are none, or a turn where the task does not rule it.
+        Refusal: numbers that are not finite, or a turn where the task does not rule it.
     """
     given = _TWIST.vector("delta_twist_cmds", twist, POSE_ROWS)
     if not kinematics.turns_tool and given[POSITION_ROWS:].any():
@@ -97,7 +97,7 @@ def joint_command(
     """Return a command for joints in rad/s or m/s; joints without one stand.
 
     Raises:
-        Refusal: unknown or repeated joints, another number of speeds, or speeds that are none.
+        Refusal: unknown or repeated joints, another number of speeds, or speeds that are not finite.
     """
     where, known = "delta_joint_cmds", kinematics.joint_names
     for name in names:
