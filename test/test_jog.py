@@ -204,7 +204,7 @@ def test_joints_stop_before_their_limits(seed: int) -> None:
 
 
 def test_commands_are_refused() -> None:
-    """Unknown joints, wrong lengths, numbers that are not finite, turns of an arm that rules none."""
+    """Unknown joints, wrong lengths, numbers that are not finite, turns that no task rules."""
     one = load_scene("ur5")
     config = load_gains(find_scene("ur5")).motion
     arm = Kinematics(one.urdf, one.joint_names, "tool0")

@@ -52,7 +52,7 @@ class ElasticArm:
     Args:
         links: inverse dynamics.
         drives: in the same order of joints.
-        velocity_limit: of the joints (N,) [rad/s]; infinite where there is not any.
+        velocity_limit: of the joints (N,) [rad/s]; infinite: not limited.
     """
 
     def __init__(

@@ -97,7 +97,7 @@ def joint_command(
     """Return a command for joints in rad/s or m/s; joints without one stand.
 
     Raises:
-        Refusal: unknown or repeated joints, another number of speeds, or speeds that are not finite.
+        Refusal: unknown or repeated joints, another number of speeds, or not finite ones.
     """
     where, known = "delta_joint_cmds", kinematics.joint_names
     for name in names:

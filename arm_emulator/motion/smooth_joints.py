@@ -21,7 +21,7 @@ class SmoothJoints:
     """A reference of joint speeds that change together, along a line between two sets of speeds.
 
     Args:
-        lower: positions (N,) that the joints stay above [rad or m]; infinite where there is not any.
+        lower: positions (N,) that the joints stay above [rad or m]; infinite: not limited.
         upper: likewise.
         velocity: largest speeds (N,).
         acceleration: (N,).
