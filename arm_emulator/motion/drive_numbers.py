@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from arm_emulator.base.number import Range
+from arm_emulator.base.number import number, numbers_of
 from arm_emulator.base.parameters import perhaps
 from arm_emulator.base.refusal import Refusal
 
@@ -19,28 +19,23 @@ FloatArray = npt.NDArray[np.float64]
 SECTION = "joints"  # of the motion controller's parameter file
 
 
-def _number(unit: str, default: float, *, above: float | None = None) -> Any:
-    at_least = 0.0 if above is None else None
-    return field(default=default, metadata={"range": Range(unit, at_least=at_least, above=above)})
-
-
 @dataclass(frozen=True)
 class DriveNumbers:
     """The drive of a joint, all quantities seen at its link (a sliding joint: N, m, kg)."""
 
-    stiffness: float = _number("N m/rad", math.inf, above=0.0)
+    stiffness: float = number("N m/rad", above=0.0, default=math.inf)
     """Of the gear for small torques [N m/rad]; left out: rigid."""
-    cubic_stiffness: float = _number("N m/rad3", 0.0)
+    cubic_stiffness: float = number("N m/rad3", at_least=0.0, default=0.0)
     """With the cube of the wind-up [N m/rad3]."""
-    damping: float = _number("N m s/rad", 0.0)
+    damping: float = number("N m s/rad", at_least=0.0, default=0.0)
     """Of the gear [N m s/rad]."""
-    viscous: float = _number("N m s/rad", 0.0)
+    viscous: float = number("N m s/rad", at_least=0.0, default=0.0)
     """Friction of the link per speed [N m s/rad]."""
-    coulomb: float = _number("N m", 0.0)
+    coulomb: float = number("N m", at_least=0.0, default=0.0)
     """Friction of the link at any speed [N m]."""
-    rotor_viscous: float = _number("N m s/rad", 0.0)
+    rotor_viscous: float = number("N m s/rad", at_least=0.0, default=0.0)
     """Friction of the rotor per speed, divided by ratio**2 [N m s/rad]."""
-    rotor_coulomb: float = _number("N m", 0.0)
+    rotor_coulomb: float = number("N m", at_least=0.0, default=0.0)
     """Friction of the rotor at any speed, divided by |ratio| [N m]."""
 
     @classmethod
@@ -52,15 +47,12 @@ class DriveNumbers:
         """
         if not isinstance(table, Mapping):
             raise Refusal(where, path, "be a mapping", table)
-        ranges = {one.name: one.metadata["range"] for one in fields(cls)}
-        values = {}
+        known, values = numbers_of(cls), {}
         for key, value in table.items():
-            if key not in ranges:
-                got = f"an unknown one{perhaps(str(key), ranges)}"
-                raise Refusal(where, f"{path}.{key}", "be a known key", got, ", ".join(ranges))
-            if not ranges[key].holds(value):
-                raise Refusal(where, f"{path}.{key}", ranges[key].rule, repr(value))
-            values[key] = float(value)
+            if key not in known:
+                got = f"an unknown one{perhaps(str(key), known)}"
+                raise Refusal(where, f"{path}.{key}", "be a known key", got, ", ".join(known))
+            values[key] = known[key].named(f"{path}.{key}").take(where, value)
         return cls(**values)
 
 

@@ -74,7 +74,7 @@ def twist_command(
     Raises:
         Refusal: numbers that are not finite, or a turn where the task does not rule it.
     """
-    given = _TWIST.vector("delta_twist_cmds", twist, POSE_ROWS)
+    given = _TWIST.row("delta_twist_cmds", twist, POSE_ROWS)
     if not kinematics.turns_tool and given[POSITION_ROWS:].any():
         rule = "be 0 with a task of 3 rows (task: position)"
         raise Refusal("delta_twist_cmds", "twist.angular", rule, given[POSITION_ROWS:].tolist())
@@ -105,7 +105,7 @@ def joint_command(
             raise Refusal(where, "joint_names", "be joints of the arm", name, ", ".join(known))
     if len(set(names)) != len(names) or not names:
         raise Refusal(where, "joint_names", "name joints, each once", list(names))
-    given = _SPEED.vector(where, velocities, len(names))
+    given = _SPEED.row(where, velocities, len(names))
     speeds = np.zeros(len(known))
     scale = config.jog_scale_joint if config.jog_command_in_type == UNITLESS else 1.0
     speeds[[known.index(name) for name in names]] = scale * given

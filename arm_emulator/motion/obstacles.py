@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from arm_emulator.base.number import Range
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 
 OBSTACLES = "obstacles"  # the section's name
-_LENGTH = Range("m", above=0.0, at_most=1e3)
-_PLACE = Range("m", at_least=-1e3, at_most=1e3)
-_ANGLE = Range("rad", at_least=-10.0, at_most=10.0)
+_LENGTH = Number("", "m", above=0.0, at_most=1e3)
+_PLACE = Number.within("", "m", 1e3)
+_ANGLE = Number.within("", "rad", 10.0)
 _KEYS = "height", "size", "at", "rpy"
 
 
@@ -59,9 +59,8 @@ def _obstacle(name: str, table: Mapping[str, Any], where: str) -> Obstacle:
     if "height" in table:
         if len(table) > 1:
             raise Refusal(where, path, "be a floor (height) or a box", sorted(table))
-        if not _PLACE.holds(table["height"]):
-            raise Refusal(where, f"{path}.height", _PLACE.rule, repr(table["height"]))
-        return Obstacle(name, float(table["height"]))
+        height = _PLACE.named(f"{path}.height").take(where, table["height"])
+        return Obstacle(name, height)
     if "size" not in table:
         raise Refusal(where, path, "have a height (a floor) or a size (a box)", sorted(table))
     values = {
@@ -72,10 +71,5 @@ def _obstacle(name: str, table: Mapping[str, Any], where: str) -> Obstacle:
     return Obstacle(name, None, **values)
 
 
-def _three(given: object, one: Range, where: str, path: str) -> tuple[float, ...]:
-    if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 3:
-        raise Refusal(where, path, f"be three numbers [{one.unit}]", repr(given))
-    for value in given:
-        if not one.holds(value):
-            raise Refusal(where, path, f"{one.rule}, each of three", repr(value))
-    return tuple(map(float, given))
+def _three(given: object, one: Number, where: str, path: str) -> tuple[float, ...]:
+    return tuple(one.named(path).row(where, given, 3).tolist())
