@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import yaml
 from rich.console import Console
 
@@ -277,6 +278,8 @@ def _texts(
             effort=limits[joint.name]["effort"],
             velocity=limits[joint.name]["velocity"],
             sheet=sheets[j],
+            limited=bool(kinematics.lower[j] < bare.start[j] < kinematics.upper[j])
+            and bool(np.isfinite(kinematics.lower[j]) and np.isfinite(kinematics.upper[j])),
         )
         for j, joint in enumerate(links.chain.joints)
     ]

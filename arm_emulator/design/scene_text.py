@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 from arm_emulator.design.assumed_bodies import Assumed
 from arm_emulator.design.choose_joints import Choice
-from arm_emulator.design.sizing import Demand, Sized
+from arm_emulator.design.sizing import Demand, Sized, rounded
 from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.motion.drive_numbers import SECTION, DriveNumbers
@@ -18,6 +19,9 @@ from arm_emulator.servo.servo_config import JointServo, ServoConfig
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 # Words that YAML takes for something else than a text.
 _NOT_TEXTS = ("true", "false", "yes", "no", "on", "off", "null", "y", "n")
+
+STOP_DEPTH, STOP_DEPTH_OF_SLIDE = 0.05, 0.005  # rad, m
+STOP_DAMPING = 0.2  # of critical
 
 UNITS_OF_TURN = ("N m", "rad/s", "kg m2", "rad")
 
@@ -34,6 +38,8 @@ _RULES = """\
 #                12 Hz (30 Hz of a slide), damped to 5 % of critical
 #   friction     10 % of the peak torque at full speed
 #   encoder      13 bit on the motor
+#   end_stops    where the description has limits: 0.05 rad (5 mm) deep at full speed with the largest
+#                inertia, damped to 20 % of critical
 # Replace what you know, then `python -m arm_emulator tune {file} --write`.
 """
 
@@ -118,7 +124,17 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
         f"      damping: {gear.damping!r}  # {torque} s/{angle}",
         f"    friction: {{viscous: {joint.friction.viscous!r}}}  # {torque} s/{angle}",
         f"    encoder: {{counts_per_turn: {joint.encoder.counts_per_turn}}}",
+        *(_end_stops(most, drive.speed, slide) if demand.limited else ()),
     ]
+
+
+def _end_stops(inertia: float, speed: float, slide: bool) -> list[str]:
+    """Return stops that an arm at full speed presses in by their depth."""
+    stiffness = inertia * (speed / (STOP_DEPTH_OF_SLIDE if slide else STOP_DEPTH)) ** 2
+    damping = 2.0 * STOP_DAMPING * math.sqrt(stiffness * inertia)
+    values = f"stiffness: {rounded(stiffness)!r}, damping: {rounded(damping)!r}"
+    unit = "N/m, N s/m" if slide else "N m/rad, N m s/rad"
+    return [f"    end_stops: {{at: limits, {values}}}  # {unit}"]
 
 
 def servo_text(config: ServoConfig, heading: str) -> str:

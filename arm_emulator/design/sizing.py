@@ -65,6 +65,7 @@ class Demand:
     effort: float | None  # N m
     velocity: float | None  # rad/s
     sheet: JointSheet | None = None  # of its drive, where one is published
+    limited: bool = False  # whether the description has limits of its position
 
 
 @dataclass(frozen=True)
