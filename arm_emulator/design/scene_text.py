@@ -38,7 +38,7 @@ _RULES = """\
 #                12 Hz (30 Hz of a slide), damped to 5 % of critical
 #   friction     10 % of the peak torque at full speed
 #   encoder      13 bit on the motor
-#   end_stops    where the description has limits: 0.05 rad (5 mm) deep at full speed with the largest
+#   end_stops    where the description has limits: 0.05 rad (5 mm) deep at full speed with the most
 #                inertia, damped to 20 % of critical
 # Replace what you know, then `python -m arm_emulator tune {file} --write`.
 """
