@@ -177,9 +177,9 @@ void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_r
  * beforehand [N m]; speeds and torques may be null: 0.
  *
  * A target goes on with its speed until the next one comes, for a motion period T at most, so that
- * the angles asked for are no stairs: q + v T is where they are when it ends. Speeds and torques are
- * the means over the period. Where targets come every period, the difference of their speeds gives
- * an acceleration a, and with it the way in between, s = t - t_target:
+ * the angles asked for are no stairs: q + v T is where they are when it ends. Speeds and torques
+ * are the means over the period. Where targets come every period, the difference of their speeds
+ * gives an acceleration a, and with it the way in between, s = t - t_target:
  *
  *   q + (v - a T / 2) s + a s^2 / 2
  *
