@@ -124,7 +124,7 @@ def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:
     """
     what, kind, choices = f"parameter {field.name}", type(field.default), field.metadata["choices"]
     if (one := field.metadata.get("number")) is not None:
-        return one.named(what).take(where, value)
+        return one.take(where, value, what)
     if choices and value not in choices:
         raise Refusal(where, what, "be known", repr(value), ", ".join(choices))
     if type(value) is not kind:

@@ -96,7 +96,7 @@ class Section:
         value = self._take(one.name)
         if one.name not in self._data and one.default is not REQUIRED:
             return one.default  # type: ignore[no-any-return]
-        return one.named(self._name(one.name)).take(self.where, value)
+        return one.take(self.where, value, self._name(one.name))
 
     def integer(self, one: Number) -> int:
         """Return a whole number by its name, or its default."""

@@ -119,7 +119,7 @@ class Plant(Turns):
         self._measured = self._place.joints
         self.measurement = ARM.new("arm_measurement", **self._place.arrays)
         self.link_angle_per_count = link_angle_per_count(scene)
-        self.bounds = bounds_of(scene)
+        self.bounds, self._start_bounds = bounds_of(scene), start_bounds(scene)
         if of:
             self._reset_to = of.began
         else:
@@ -183,9 +183,9 @@ class Plant(Turns):
                 before.
         """
         where, N = "Plant.reset", self._N
-        of_q, of_v = start_bounds(self.scene)
+        of_q, of_v = self._start_bounds
         at = of_q.row(where, self.scene.start if q is None else q, N)
-        speed = of_v.row(where, np.zeros(N) if v is None else v, N)
+        speed = np.zeros(N) if v is None else of_v.row(where, v, N)
         self._reset_to = at.copy(), speed.copy()
         self.core.arm_reset(self.machine, pointer(at), pointer(speed))
 

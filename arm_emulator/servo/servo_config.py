@@ -279,7 +279,7 @@ def _joint(name: str, table: dict[str, Any], where: str) -> JointServo:
     given = {key: one.default for key, one in _FIELDS.items() if one.default is not REQUIRED}
     _check_keys(given | table, _FIELDS, where, path)
     for key, value in table.items():
-        given[key] = _FIELDS[key].named(f"{path}.{key}").take(where, value)
+        given[key] = _FIELDS[key].take(where, value, f"{path}.{key}")
     return JointServo(name=name, **given)
 
 
