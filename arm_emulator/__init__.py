@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from arm_emulator.machine.external_wrench import ExternalWrench as ExternalWrench
     from arm_emulator.machine.fleet import Fleet as Fleet
     from arm_emulator.machine.fleet import FleetState as FleetState
+    from arm_emulator.machine.fleet_frame import FleetFrame as FleetFrame
     from arm_emulator.machine.measured import Measured as Measured
     from arm_emulator.machine.plant import Plant as Plant
     from arm_emulator.machine.plant_state import PlantState as PlantState
@@ -40,6 +41,7 @@ _MODULES = {
     "Diverged": "machine.diverged",
     "ExternalWrench": "machine.external_wrench",
     "Fleet": "machine.fleet",
+    "FleetFrame": "machine.fleet_frame",
     "FleetState": "machine.fleet",
     "JacobianController": "motion.jacobian",
     "Kinematics": "motion.kinematics",

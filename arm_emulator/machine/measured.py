@@ -71,10 +71,14 @@ class MeasuredPlace:
         # One record, copied as bytes: NumPy copies structs number by number.
         self._type = np.dtype([(name, *kind) for name, kind in kinds.items()])
         self._bytes = np.zeros(self._type.itemsize, np.uint8)
-        record = np.ndarray((), self._type, self._bytes.data)
-        self.arrays: dict[str, NDArray[Any]] = {name: record[name] for name in kinds}
+        self._record = np.ndarray((), self._type, self._bytes.data)
+        self.arrays: dict[str, NDArray[Any]] = {name: self._record[name] for name in kinds}
         self.joints = self.arrays["joint"]
 
     def read(self) -> Measured:
         """Return what is there now, as a copy."""
         return Measured(np.ndarray((), self._type, self._bytes.copy().data), self._rows)
+
+    def view(self) -> Measured:
+        """Return what is there at any time, no copy."""
+        return Measured(self._record, self._rows)

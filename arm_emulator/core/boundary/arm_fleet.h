@@ -24,8 +24,10 @@ int32_t arm_fleet_lanes(void);
 arm_fleet* arm_fleet_new(const arm_options* options, int32_t count);
 void arm_fleet_delete(arm_fleet* fleet);
 
-/* One of the arms, for all calls of arm.h but `arm_delete`; null if there are not so many. */
+/* One of the arms, for all calls of arm.h but `arm_delete`; null if there are not so many. Its
+ * group is slower until it is given back as often as it was asked for. */
 arm_machine* arm_fleet_machine(arm_fleet* fleet, int32_t arm);
+void arm_fleet_give_back(arm_fleet* fleet, int32_t arm);
 
 /* Advance `arms` arms from `first` on, which is the first of a group, for `rows` rows of commands
  * [V], `steps` integration steps each; arms without power get 0. The positions after each row go to
@@ -92,6 +94,12 @@ typedef struct arm_fleet_truth {
 } arm_fleet_truth;
 
 int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out);
+
+/* `periods` servo periods of `arms` arms from `first` on, as `arm_fleet_exchange`, the commands
+ * held; then what their sensors measure and what is true of them. Either may be null. Energy and
+ * gear torque take longer than all else together. */
+int arm_fleet_step(arm_fleet* fleet, int32_t first, int32_t arms, const arm_command* command,
+                   int64_t periods, arm_fleet_measurement* measurement, arm_fleet_truth* truth);
 
 #ifdef __cplusplus
 }

@@ -202,6 +202,11 @@ struct arm_machine {
   }
   // Hold them for the period that begins, in `applied` what the motors get.
   void take_commands(const arm_joint_command* joint, const double* second, std::int64_t tick) {
+    put_commands(joint, second, tick);
+    machine.bound(applied);
+  }
+  // The same but for their bounds.
+  void put_commands(const arm_joint_command* joint, const double* second, std::int64_t tick) {
     double along[N] = {};
     bool hot[N] = {};  // a motor that is too hot is not enabled
     if constexpr (Machine::heats) machine.too_hot(hot);
@@ -211,25 +216,37 @@ struct arm_machine {
       along[j] = on && second ? second[j] : 0.0;
     }
     for (int k = 0; k < Scene::brakes; ++k) {
-      const int j = Scene::braked[k];
-      const std::uint32_t enable = hot[j] ? 0 : joint[j].enable;
-      machine.want_brake(k, !powered || !enable || enable & ARM_CLOSE_BRAKE);
+      machine.want_brake(k, closes_brake(k, joint, hot));
     }
     if constexpr (Machine::has_second) machine.put_second(along);
-    machine.bound(applied);
     answered = tick;
   }
+  // Whether brake k is wanted closed under these commands.
+  bool closes_brake(int k, const arm_joint_command* joint, const bool* hot) const {
+    const int j = Scene::braked[k];
+    const std::uint32_t enable = hot && hot[j] ? 0 : joint[j].enable;
+    return !powered || !enable || enable & ARM_CLOSE_BRAKE;
+  }
 
-  void measure(arm_measurement* out) const {
+  // What a measurement is made of beside the sensors' memories.
+  struct Motors {
     double current[N], angle[N], speed[N];
-    machine.report(current, angle, speed);
+    std::int64_t steps;
+  };
+  void measure(arm_measurement* out) const {
+    Motors motors;
+    motors.steps = machine.steps();
+    machine.report(motors.current, motors.angle, motors.speed);
+    measure(out, motors);
+  }
+  void measure(arm_measurement* out, const Motors& motors) const {
     [[maybe_unused]] bool hot[N] = {};
     if constexpr (Machine::heats) machine.too_hot(hot);
     for (int j = 0; j < N; ++j) {
       arm_joint_measurement& joint = out->joint[j];
-      const double counts = __builtin_floor(angle[j] * Scene::device[j].counts_per_rad);
+      const double counts = __builtin_floor(motors.angle[j] * Scene::device[j].counts_per_rad);
       joint.encoder = static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
-      joint.current = current[j];
+      joint.current = motors.current[j];
       joint.applied = applied[j];
       joint.faults = machine.faulty_joint() == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
       if constexpr (Machine::heats)
@@ -239,7 +256,7 @@ struct arm_machine {
     for (int k = 0; k < Scene::brakes; ++k)
       out->joint[Scene::braked[k]].brake = machine.brake_closed(k);
     out->powered = powered != 0;
-    out->tick = tick();
+    out->tick = motors.steps / steps_per_period;
     out->answered = answered;
     const bool more = has(out, offsetof(arm_measurement, readings));
     if (more && out->current_d) machine.second_currents(out->current_d);

@@ -14,7 +14,13 @@ struct arm_fleet {
   static constexpr int lanes = together ? arm::kNativeLanes : 1;
   using Group = arm::SideBySide<Scene, lanes>;
 
-  arm_fleet(const arm_options& options, int count) : arms(count), machine(new arm_machine*[count]) {
+  // Whether lanes know all that a measurement and a command need: what else does is looked up in
+  // the machine.
+  static constexpr bool in_lanes =
+      lanes > 1 && !arm_machine::Sensors::present && !Machine::heats && !Machine::has_second;
+
+  arm_fleet(const arm_options& options, int count)
+      : arms(count), machine(new arm_machine*[count]), lent(new std::int32_t[count]()) {
     arm_options own = options;
     for (int k = 0; k < arms; ++k, own.parameters += Scene::parameters) machine[k] = arm_new(&own);
     for (int k = 0; k < arms; ++k) sound = sound && machine[k];
@@ -33,6 +39,7 @@ struct arm_fleet {
     delete[] group;
     for (int k = 0; k < arms; ++k) arm_delete(machine[k]);
     delete[] machine;
+    delete[] lent;
   }
   arm_fleet(const arm_fleet&) = delete;
 
@@ -40,29 +47,31 @@ struct arm_fleet {
   // power get none of them.
   void follow(int g, const double* command, std::int64_t stride, std::int64_t rows,
               std::int64_t steps, double* q) {
-    const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
+    const int first = g * lanes, end = end_of(g);
     bool powered = true;
     for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
     if (powered) {
       follow_given(g, command, stride, rows, steps, q);
-      return;
-    }
-    for (; rows > 0; --rows, command += stride, q += stride) {
-      double given[lanes * N] = {};
-      for (int k = first; k < end; ++k) {
-        const double* own = machine[k]->with_power(command + (k - first) * N);
-        for (int j = 0; j < N; ++j) given[(k - first) * N + j] = own[j];
+    } else {
+      for (; rows > 0; --rows, command += stride, q += stride) {
+        double given[lanes * N] = {};
+        for (int k = first; k < end; ++k) {
+          const double* own = machine[k]->with_power(command + (k - first) * N);
+          for (int j = 0; j < N; ++j) given[(k - first) * N + j] = own[j];
+        }
+        follow_given(g, given, 0, 1, steps, q);
       }
-      follow_given(g, given, 0, 1, steps, q);
     }
+    give_back(g);
   }
   void follow_given(int g, const double* command, std::int64_t stride, std::int64_t rows,
                     std::int64_t steps, double* q) {
     if constexpr (!arm_machine::Sensors::present) {
       group[g]->follow(command, stride, rows, steps, q);
     } else {
-      const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
-      for (; rows > 0; --rows, command += stride, q += stride) {
+      const int first = g * lanes, end = end_of(g);
+      for (; rows > 0; --rows, command += stride, q += q ? stride : 0) {
+        for (int k = first; k < end; ++k) settle(k);
         if (steps == 0) group[g]->follow(command, stride, 1, 0, q);
         for (std::int64_t left = steps; left > 0;) {
           std::int64_t some = left;  // up to the next tick of one of them
@@ -72,20 +81,130 @@ struct arm_fleet {
             if (machine[k]->machine.faulty_joint() < 0 && due < some) some = due;
           }
           group[g]->follow(command, stride, 1, some, q);
-          for (int k = first; k < end; ++k) machine[k]->look();
+          for (int k = first; k < end; ++k) settle(k), machine[k]->look();
           left -= some;
         }
       }
     }
   }
 
-  // One servo period under the commands that each has taken.
-  void exchange(int g) {
-    const int first = g * lanes, end = first + lanes < arms ? first + lanes : arms;
-    double given[lanes * N] = {}, q[lanes * N];
-    for (int k = first; k < end; ++k)
+  // One servo period under the commands that each takes.
+  void exchange(int g, const arm_joint_command* joint, const double* second, std::int64_t tick) {
+    const int first = g * lanes, end = end_of(g);
+    double given[lanes * N] = {};
+    for (int k = first; k < end; ++k) {
+      take_commands(k, joint + k * N, second ? second + k * N : nullptr, tick);
       for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->applied[j];
-    follow_given(g, given, 0, 1, machine[first]->steps_per_period, q);
+    }
+    follow_given(g, given, 0, 1, machine[first]->steps_per_period, nullptr);
+    for (int k = first; k < end; ++k)
+      if_in_lane(k, [&](const auto& lanes, int l) {
+        for (int j = 0; j < N; ++j) machine[k]->applied[j] = lanes.applied(l, j);
+      });
+    give_back(g);
+  }
+  void take_commands(int k, const arm_joint_command* joint, const double* second,
+                     std::int64_t tick) {
+    bool stays = in_lanes;  // in its lane, where it gets its bounds
+    for (int b = 0; b < Scene::brakes; ++b)
+      stays &= machine[k]->closes_brake(b, joint, nullptr) == machine[k]->machine.wants_brake(b);
+    if (stays) {
+      machine[k]->put_commands(joint, second, tick);
+    } else {
+      settle(k);
+      machine[k]->take_commands(joint, second, tick);
+    }
+  }
+
+  // Have an arm be in its machine, for whoever looks at it or changes it there.
+  void settle(int k) const { group[k / lanes]->settle(k % lanes); }
+  void give_back(int g) {
+    for (int k = g * lanes; k < end_of(g); ++k)
+      if (lent[k] > 0) settle(k);
+  }
+  // act(group, lane) if an arm is in a lane; whether it is.
+  template <class Act>
+  bool if_in_lane(int k, Act&& act) const {
+    return if_abreast(*group[k / lanes], k % lanes, act);
+  }
+  template <class G, class Act>
+  static bool if_abreast([[maybe_unused]] const G& own, [[maybe_unused]] int lane,
+                         [[maybe_unused]] Act&& act) {
+    if constexpr (requires { own.is_abreast(lane); })
+      if (own.is_abreast(lane)) {
+        act(own, lane);
+        return true;
+      }
+    return false;
+  }
+  int end_of(int g) const { return (g + 1) * lanes < arms ? (g + 1) * lanes : arms; }
+
+  void measure(int k, arm_measurement* out) const {
+    const bool done = in_lanes && if_in_lane(k, [&](const auto& lanes, int l) {
+                        arm_machine::Motors motors;
+                        motors.steps = lanes.steps_taken(l);
+                        lanes.report(l, motors.current, motors.angle, motors.speed);
+                        machine[k]->measure(out, motors);
+                      });
+    if (done) return;
+    settle(k);
+    machine[k]->measure(out);
+  }
+
+  void measure(int k, const arm_fleet_measurement& out) const {
+    constexpr int M = arm_machine::Sensors::M;
+    arm_joint_measurement joint[N];
+    arm_measurement one = {};
+    one.size = sizeof one;
+    one.joint = out.joint ? out.joint + k * N : joint;
+    one.sensors = row_of(out.sensors, k * N);
+    one.imu = row_of(out.imu, k * M);
+    one.current_d = row_of(out.current_d, k * N);
+    one.readings = row_of(out.readings, k * Scene::readings * N);
+    measure(k, &one);
+    if (out.powered) out.powered[k] = one.powered != 0;
+    if (out.tick) out.tick[k] = one.tick;
+    if (out.answered) out.answered[k] = one.answered;
+  }
+  void get_truth(int k, const arm_fleet_truth& out) const {
+    arm_truth truth = {sizeof truth,
+                       -1,
+                       0.0,
+                       row_of(out.energy, k),
+                       row_of(out.current, k * N),
+                       row_of(out.motor_angle, k * N),
+                       row_of(out.motor_speed, k * N),
+                       row_of(out.q, k * N),
+                       row_of(out.v, k * N),
+                       row_of(out.gear_torque, k * N)};
+    if (!truth_in_lanes(k, truth)) {
+      settle(k);
+      arm_get_truth(machine[k], &truth);
+    }
+    if (out.fault) out.fault[k] = truth.fault;
+    if (out.time) out.time[k] = truth.time;
+    if (!out.encoder) return;
+    arm_joint_measurement joint[N];
+    arm_measurement measurement = {};
+    measurement.size = sizeof measurement, measurement.joint = joint;
+    measure(k, &measurement);
+    for (int j = 0; j < N; ++j) out.encoder[k * N + j] = joint[j].encoder;
+  }
+  // Fill in what a lane knows without its machine; false if more is asked for.
+  bool truth_in_lanes(int k, arm_truth& out) const {
+    return !out.energy && !out.gear_torque && if_in_lane(k, [&](const auto& lanes, int l) {
+      double row[5][N];
+      lanes.report(l, row[0], row[1], row[2]);
+      lanes.links(l, row[3], row[4]);
+      double* const to[] = {out.current, out.motor_angle, out.motor_speed, out.q, out.v};
+      for (int r = 0; r < 5; ++r)
+        for (int j = 0; to[r] && j < N; ++j) to[r][j] = row[r][j];
+      out.time = static_cast<double>(lanes.steps_taken(l)) * machine[k]->step;
+    });
+  }
+  template <class Number>
+  static Number* row_of(Number* rows, int first) {
+    return rows ? rows + first : nullptr;
   }
 
   // OK if check(machine, arm) is for all arms of a mask.
@@ -93,7 +212,9 @@ struct arm_fleet {
   int check_all(const std::uint8_t* mask, Check&& check) const {
     refused = -1;
     for (int k = 0; k < arms; ++k)
-      if ((!mask || mask[k]) && check(machine[k], k) != ARM_OK) {
+      if (!mask || mask[k]) {
+        settle(k);
+        if (check(machine[k], k) == ARM_OK) continue;
         refused = k;
         return ARM_REFUSED;
       }
@@ -102,13 +223,14 @@ struct arm_fleet {
   template <class Do>
   void for_all(const std::uint8_t* mask, Do&& act) {
     for (int k = 0; k < arms; ++k)
-      if (!mask || mask[k]) act(machine[k], k);
+      if (!mask || mask[k]) settle(k), act(machine[k], k);
   }
 
   int groups() const { return (arms + lanes - 1) / lanes; }
 
   int arms;
   arm_machine** machine;
+  std::int32_t* lent;  // how often an arm is used by itself: then it settles after every call
   Group** group = nullptr;
   bool sound = true;
   mutable std::int32_t refused = -1;
@@ -130,7 +252,13 @@ arm_fleet* arm_fleet_new(const arm_options* options, std::int32_t count) {
 void arm_fleet_delete(arm_fleet* fleet) { delete fleet; }
 
 arm_machine* arm_fleet_machine(arm_fleet* fleet, std::int32_t arm) {
-  return fleet && arm >= 0 && arm < fleet->arms ? fleet->machine[arm] : nullptr;
+  if (!fleet || arm < 0 || arm >= fleet->arms) return nullptr;
+  fleet->settle(arm);
+  ++fleet->lent[arm];
+  return fleet->machine[arm];
+}
+void arm_fleet_give_back(arm_fleet* fleet, std::int32_t arm) {
+  if (fleet && arm >= 0 && arm < fleet->arms && fleet->lent[arm] > 0) --fleet->lent[arm];
 }
 
 int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const double* command,
@@ -217,23 +345,8 @@ int arm_fleet_restore(arm_fleet* fleet, const std::uint8_t* mask, const void* sa
 }
 
 int arm_fleet_measure(const arm_fleet* fleet, arm_fleet_measurement* out) {
-  constexpr int N = arm_fleet::N, M = arm_machine::Sensors::M;
   if (!fleet || !out || out->size < sizeof *out) return ARM_REFUSED;
-  const auto row = [](auto* rows, int first) { return rows ? rows + first : nullptr; };
-  for (int arm = 0; arm < fleet->arms; ++arm) {
-    arm_joint_measurement joint[N];
-    arm_measurement one = {};
-    one.size = sizeof one;
-    one.joint = out->joint ? out->joint + arm * N : joint;
-    one.sensors = row(out->sensors, arm * N);
-    one.imu = row(out->imu, arm * M);
-    one.current_d = row(out->current_d, arm * N);
-    one.readings = row(out->readings, arm * Scene::readings * N);
-    fleet->machine[arm]->measure(&one);
-    if (out->powered) out->powered[arm] = one.powered != 0;
-    if (out->tick) out->tick[arm] = one.tick;
-    if (out->answered) out->answered[arm] = one.answered;
-  }
+  for (int arm = 0; arm < fleet->arms; ++arm) fleet->measure(arm, *out);
   return ARM_OK;
 }
 
@@ -248,40 +361,33 @@ int arm_fleet_exchange(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
   const auto of = [&](std::int32_t k) { return second ? second + k * N : nullptr; };
   for (std::int32_t k = first; k < end; ++k)
     if (fleet->machine[k]->check_commands(command->joint + k * N, of(k))) return ARM_REFUSED;
-  for (std::int32_t k = first; k < end; ++k)
-    fleet->machine[k]->take_commands(command->joint + k * N, of(k), command->tick);
-  for (std::int32_t k = first; k < end; k += lanes) fleet->exchange(k / lanes);
+  for (std::int32_t k = first; k < end; k += lanes)
+    fleet->exchange(k / lanes, command->joint, second, command->tick);
   for (std::int32_t k = first; k < end; ++k)
     if (fleet->machine[k]->result() != ARM_OK) return ARM_DIVERGED;
   return ARM_OK;
 }
 
-int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {
-  constexpr int N = arm_fleet::N;
-  if (!fleet || !out || out->size < sizeof *out) return ARM_REFUSED;
-  const auto row = [](double* rows, int arm) { return rows ? rows + arm * N : nullptr; };
-  for (int arm = 0; arm < fleet->arms; ++arm) {
-    const arm_machine& machine = *fleet->machine[arm];
-    arm_truth truth = {sizeof truth,
-                       0,
-                       0.0,
-                       out->energy ? out->energy + arm : nullptr,
-                       row(out->current, arm),
-                       row(out->motor_angle, arm),
-                       row(out->motor_speed, arm),
-                       row(out->q, arm),
-                       row(out->v, arm),
-                       row(out->gear_torque, arm)};
-    arm_get_truth(&machine, &truth);
-    if (out->fault) out->fault[arm] = truth.fault;
-    if (out->time) out->time[arm] = truth.time;
-    if (!out->encoder) continue;
-    arm_joint_measurement joint[N];
-    arm_measurement measurement = {};
-    measurement.size = sizeof measurement, measurement.joint = joint;
-    arm_measure(&machine, &measurement);
-    for (int j = 0; j < N; ++j) out->encoder[arm * N + j] = joint[j].encoder;
+int arm_fleet_step(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
+                   const arm_command* command, std::int64_t periods,
+                   arm_fleet_measurement* measurement, arm_fleet_truth* truth) {
+  if (!fleet || periods < 0 || (measurement && measurement->size < sizeof *measurement) ||
+      (truth && truth->size < sizeof *truth))
+    return ARM_REFUSED;
+  int result = ARM_OK;
+  for (; periods > 0 && result != ARM_REFUSED; --periods)
+    result = arm_fleet_exchange(fleet, first, arms, command);
+  if (result == ARM_REFUSED) return result;
+  for (std::int32_t k = first; k < first + arms; ++k) {
+    if (measurement) fleet->measure(k, *measurement);
+    if (truth) fleet->get_truth(k, *truth);
   }
+  return result;
+}
+
+int arm_fleet_get_truth(const arm_fleet* fleet, arm_fleet_truth* out) {
+  if (!fleet || !out || out->size < sizeof *out) return ARM_REFUSED;
+  for (int arm = 0; arm < fleet->arms; ++arm) fleet->get_truth(arm, *out);
   return ARM_OK;
 }
 

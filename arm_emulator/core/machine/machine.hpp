@@ -114,6 +114,7 @@ class Machine {
     brakes_.want(k, closed, brake_closed(k), steps_taken_, delay_[k][closed ? 0 : 1]);
     follow_brakes();
   }
+  bool wants_brake(int k) const { return brakes_.wants(k); }
   bool brake_closed(int k) const { return numbers_.value(S::parameters + k) != 0.0; }
   // Have all brakes closed, or open, without delay.
   void put_brakes(bool closed) {

@@ -26,7 +26,8 @@ class SideBySide {
 
   // Take `steps` steps for each of `rows` rows of commands. A row is of many machines, `stride`
   // numbers long; those of the machines here begin at `command`, one after the other. The positions
-  // after each row go to `q` in the same places; a machine at fault stays where it is.
+  // after each row go to `q` in the same places, if it is not null; a machine at fault stays where
+  // it is. Machines that go on from lanes are only there until they settle.
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
               double* q) {
     take_numbers();
@@ -35,29 +36,63 @@ class SideBySide {
     std::int64_t began[width];
     for (int lane = 0; lane < width; ++lane) {
       commands[lane] = command + (lane < used_ ? lane : 0) * N;
-      positions[lane] = lane < used_ ? q + lane * N : nullptr;
-      if (lane < used_) began[lane] = machine_[lane]->steps();
+      positions[lane] = q && lane < used_ ? q + lane * N : nullptr;
+      if (lane < used_) began[lane] = steps_taken(lane);
     }
     Course course(commands, positions, stride, steps);
     for (std::int64_t left = rows * steps; left > 0;) {
       int count = left < kSection ? static_cast<int>(left) : kSection;
-      if constexpr (S::brakes > 0)
-        for (int lane = 0; lane < used_; ++lane)
-          if (machine_[lane]->steps_to_brakes() < count)
-            count = static_cast<int>(machine_[lane]->steps_to_brakes());
+      for (int lane = 0; lane < used_; ++lane)
+        if (const std::int64_t due = steps_to_brakes(lane); due < count)
+          count = static_cast<int>(due);
       section(course, count);
       left -= count;
-      if constexpr (S::brakes > 0) {
-        for (int lane = 0; lane < used_; ++lane) machine_[lane]->follow_brakes();
-        take_numbers();
-      }
+      bool changed = false;
+      for (int lane = 0; lane < used_; ++lane)
+        if (steps_to_brakes(lane) <= 0) {
+          settle(lane);
+          machine_[lane]->follow_brakes();
+          changed = true;
+        }
+      if (changed) take_numbers();
     }
-    for (int lane = 0; lane < used_; ++lane) {
+    for (int lane = 0; q && lane < used_; ++lane) {
+      if (steps > 0 && abreast_[lane]) continue;  // it has come to the end of all rows
+      settle(lane);
       std::int64_t row = steps > 0 ? (machine_[lane]->steps() - began[lane]) / steps : 0;
       for (; row < rows; ++row)
         for (int j = 0; j < N; ++j)
           positions[lane][row * stride + j] = machine_[lane]->state().q[j];
     }
+  }
+
+  // Have a machine be where its lane is. To be called before anybody else looks at it or changes
+  // it: lanes keep machines from one call of `follow` to the next, since what is packed and
+  // unpacked in every period would take longer than the period.
+  void settle(int lane) {
+    if (!abreast_[lane]) return;
+    take(lane, at_, whole_[lane].now);
+    machine_[lane]->restore(whole_[lane]);
+    abreast_[lane] = false;
+  }
+  bool is_abreast(int lane) const { return abreast_[lane]; }
+
+  // Of a machine that is in its lane: steps since the reset, commands of the newest step, what
+  // Machine::report reports, and the links.
+  std::int64_t steps_taken(int lane) const {
+    return abreast_[lane] ? at_.steps_taken[lane] : machine_[lane]->steps();
+  }
+  double applied(int lane, int j) const { return at_.u[j][lane]; }
+  void report(int lane, double* current, double* angle, double* speed) const {
+    machine_[lane]->numbers_now().for_each_drive([&](const auto& drive, int j) {
+      const auto here = input_in_lane(drive, j, at_.x, X{}, lane);
+      current[j] = drive.current(here);
+      angle[j] = drive.motor_angle(here);
+      speed[j] = drive.motor_speed(here);
+    });
+  }
+  void links(int lane, double* q, double* v) const {
+    for (int j = 0; j < N; ++j) q[j] = at_.x.q[j][lane], v[j] = at_.x.v[j][lane];
   }
 
  private:
@@ -67,10 +102,11 @@ class SideBySide {
   using Course = arm::Course<S, X, Method::row>;
   using Balance = EnergyBalance<S>;
   using Whole = typename Machine::Whole;
+  using Instant = typename Machine::Instant;
 
-  static constexpr int kSection = 256;  // steps after which each machine has its state again
+  static constexpr int kSection = 256;  // steps after which machines that diverged stand still
 
-  // Where all lanes are within a section.
+  // Where all lanes are.
   struct Abreast {
     State<S, X> x;
     alignas(64) X u[Method::row] = {};
@@ -79,6 +115,12 @@ class SideBySide {
     ExternalWork<S> work[width];
     std::int64_t steps_taken[width];
   };
+
+  std::int64_t steps_to_brakes(int lane) const {
+    if (S::brakes == 0) return Brakes<S>::never;
+    return abreast_[lane] ? whole_[lane].brakes.next() - at_.steps_taken[lane]
+                          : machine_[lane]->steps_to_brakes();
+  }
 
   void take_numbers() {
     bool renewed = false;
@@ -95,74 +137,96 @@ class SideBySide {
         numbers_.set_external_wrenches(lane, numbers_of(lane));
   }
 
-  void section(Course& course, int count) {
-    const Course start = course;
-    Whole whole[width];
-    int sound = -1;  // a lane whose machine is not at fault
+  // Put all sound machines into their lanes; the other lanes go along with one of these. False
+  // without a sound machine.
+  bool line_up() {
+    typename Threads::Memory past = threads_.memory();
+    int sound = -1;
+    bool all = true;
     for (int lane = 0; lane < used_; ++lane) {
-      whole[lane] = machine_[lane]->whole();
-      if (whole[lane].fault < 0) sound = lane;
+      if (!abreast_[lane]) {
+        whole_[lane] = machine_[lane]->whole();
+        abreast_[lane] = whole_[lane].fault < 0;
+        if (abreast_[lane]) put(lane, whole_[lane].now, at_, past);
+      }
+      all = all && abreast_[lane];
+      if (abreast_[lane]) sound = lane;
     }
-    if (sound < 0) return;
-    Abreast at;
-    typename Threads::Memory past = {};
-    for (int lane = 0; lane < width; ++lane)
-      put(lane, whole[lane < used_ && whole[lane].fault < 0 ? lane : sound].now, at, past);
+    if (sound < 0) return false;
+    if (!all || used_ < width) {
+      Instant one = {};
+      threads_.restore(past);
+      take(sound, at_, one);
+      for (int lane = 0; lane < width; ++lane)
+        if (lane >= used_ || !abreast_[lane]) put(lane, one, at_, past);
+    }
     threads_.restore(past);
+    return true;
+  }
 
-    Mask<X> lost = {};
+  void section(Course& course, int count) {
+    if (!line_up()) return;
+    const Course start = course;
+    const Abreast began = at_;
+    const typename Threads::Memory before = threads_.memory();
+    Instant checked[width];
+    Mask<X> lost = {}, sound = {};  // in what follows; at the newest check
     for (int left = count; left > 0;) {
       int steps = left;
-      for (const std::int64_t taken : at.steps_taken) {
+      for (const std::int64_t taken : at_.steps_taken) {
         const int due = Machine::steps_to_check(taken);
         if (due < steps) steps = due;
       }
-      march(course, steps, at);
+      march(course, steps);
       left -= steps;
       for_each_drive<S>(
-          [&](const auto& drive, int j) { lost |= ~Machine::within_bounds(drive, j, at.x, h_); });
+          [&](const auto& drive, int j) { lost |= ~Machine::within_bounds(drive, j, at_.x, h_); });
       for (int lane = 0; lane < width; ++lane) {
-        at.steps_taken[lane] += steps;
-        if (lost[lane] || !Machine::is_check(at.steps_taken[lane])) continue;
-        if constexpr (S::external_wrench) account_for_work(lane, at);
-        if (at.balance[lane].due_after(Machine::kCheckEvery) && !balanced(lane, at))
+        at_.steps_taken[lane] += steps;
+        if (lost[lane] || !Machine::is_check(at_.steps_taken[lane])) continue;
+        if constexpr (S::external_wrench) account_for_work(lane);
+        if (at_.balance[lane].due_after(Machine::kCheckEvery) && !balanced(lane)) {
           lost[lane] = -1;
-        else if (left < Machine::kCheckEvery && lane < used_)
-          take(lane, at, whole[lane].checked);
+        } else if (left < Machine::kCheckEvery && lane < used_) {
+          take(lane, at_, checked[lane]);
+          sound[lane] = -1;
+        }
       }
     }
     for (int lane = 0; lane < used_; ++lane) {
-      if (whole[lane].fault >= 0) continue;
+      if (!abreast_[lane]) continue;
       if (lost[lane]) {
+        take(lane, began, before, whole_[lane].now);
+        machine_[lane]->restore(whole_[lane]);
+        abreast_[lane] = false;
         auto alone = start.template of_lane<Machine::Stepper::row>(lane);
         machine_[lane]->follow(alone, count);
-      } else {
-        take(lane, at, whole[lane].now);
-        machine_[lane]->restore(whole[lane]);
+      } else if (sound[lane]) {
+        whole_[lane].checked = checked[lane];
       }
     }
   }
 
   // Neither inlined nor cloned, as a single machine's steps.
-  ARM_APART void march(Course& course, int steps, Abreast& at) {
-    State<S, X> y = at.x;
+  ARM_APART void march(Course& course, int steps) {
+    State<S, X> y = at_.x;
     alignas(64) X u[Method::row];
-    for (int j = 0; j < Method::row; ++j) u[j] = at.u[j];
-    X power = at.power, most = at.most;
+    for (int j = 0; j < Method::row; ++j) u[j] = at_.u[j];
+    X power = at_.power, most = at_.most;
     Mask<X> checked = {};
     for (int lane = 0; lane < width; ++lane)
-      if (Machine::is_check(at.steps_taken[lane])) checked[lane] = -1;
+      if (Machine::is_check(at_.steps_taken[lane])) checked[lane] = -1;
     power = select(checked, Balance::largest_power(numbers_, y, u), power);
     course.march(numbers_, threads_, h_, steps, y, u, power, most);
-    at.x = y;
-    for (int j = 0; j < Method::row; ++j) at.u[j] = u[j];
-    at.power = power, at.most = most;
+    at_.x = y;
+    for (int j = 0; j < Method::row; ++j) at_.u[j] = u[j];
+    at_.power = power, at_.most = most;
   }
 
-  void account_for_work(int lane, Abreast& at) {
-    typename Machine::Instant now = {};
-    take(lane, at, now);
-    at.most[lane] += at.work[lane].since(numbers_of(lane), now.x);
+  void account_for_work(int lane) {
+    Instant now = {};
+    take(lane, at_, now);
+    at_.most[lane] += at_.work[lane].since(numbers_of(lane), now.x);
   }
 
   const Numbers<S>& numbers_of(int lane) const {
@@ -170,12 +234,12 @@ class SideBySide {
   }
 
   // Whether the energy of a lane is one that a machine can have.
-  bool balanced(int lane, Abreast& at) {
-    typename Machine::Instant now = {};
-    take(lane, at, now);
+  bool balanced(int lane) {
+    Instant now = {};
+    take(lane, at_, now);
     const int joint = now.balance.broken_by(numbers_of(lane), now.x, h_);
-    at.balance[lane] = now.balance;
-    at.most[lane] = now.balance.most();
+    at_.balance[lane] = now.balance;
+    at_.most[lane] = now.balance.most();
     return joint < 0;
   }
 
@@ -185,8 +249,7 @@ class SideBySide {
     past.for_each_number(number);
   }
 
-  static void put(int lane, typename Machine::Instant& now, Abreast& at,
-                  typename Threads::Memory& past) {
+  static void put(int lane, Instant& now, Abreast& at, typename Threads::Memory& past) {
     double numbers[sizeof now / sizeof(double)];
     double *to = numbers, *from = numbers;
     for_each_number(now.x, now.past, [&](double number) { *to++ = number; });
@@ -199,11 +262,14 @@ class SideBySide {
     at.steps_taken[lane] = now.steps_taken;
   }
 
-  void take(int lane, Abreast& at, typename Machine::Instant& now) {
-    typename Threads::Memory past = threads_.memory();
+  void take(int lane, const Abreast& at, Instant& now) const {
+    take(lane, at, threads_.memory(), now);
+  }
+  static void take(int lane, const Abreast& at, typename Threads::Memory past, Instant& now) {
+    State<S, X> x = at.x;
     double numbers[sizeof now / sizeof(double)];
     double *to = numbers, *from = numbers;
-    for_each_number(at.x, past, [&](const X& number) { *to++ = number[lane]; });
+    for_each_number(x, past, [&](const X& number) { *to++ = number[lane]; });
     for_each_number(now.x, now.past, [&](double& number) { number = *from++; });
     for (int j = 0; j < N; ++j) now.u[j] = at.u[j][lane];
     now.power = at.power[lane];
@@ -219,6 +285,9 @@ class SideBySide {
   std::int64_t editions_[width];  // of the numbers that are in use; none are at first
   Numbers<S, X> numbers_;
   Threads threads_;
+  Abreast at_;
+  bool abreast_[width] = {};  // whether a machine is in its lane; if not, it is where it is itself
+  Whole whole_[width];        // of machines in lanes; `now` is that of the time when they came
 };
 
 // A machine that has nobody beside it.
@@ -232,11 +301,14 @@ class SideBySide<S, 1> {
 
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
               double* q) {
-    for (; rows > 0; --rows, command += stride, q += stride) {
+    for (; rows > 0; --rows, command += stride) {
       machine_->advance(command, steps);
+      if (!q) continue;
       for (int j = 0; j < N; ++j) q[j] = machine_->state().q[j];
+      q += stride;
     }
   }
+  void settle(int) {}
 
  private:
   Machine* machine_;

@@ -1,0 +1,170 @@
+"""Arms stay in their lanes between calls, and nobody can see it; `step` is exchange and looks."""
+
+from __future__ import annotations
+
+import copy
+import gc
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.outputs import KNOWN
+from arm_emulator.machine.scene import Scene, load_scene
+
+COUNT = 11  # more than one group, and none that is full
+NUMBER = "joints.elbow.friction.viscous"
+BRAKED: dict[str, Any] = {
+    "varied": ["joints.*.friction.viscous"],
+    "joints.waist.brake": {"torque": 50.0, "close_delay": 0.004, "release_delay": 0.006},
+    "external_wrench": True,
+}
+SENSED: dict[str, Any] = {
+    "varied": ["joints.*.friction.viscous", "seed"],
+    "joints.*.current_sensor": {"noise": 0.01},
+}
+SCENES = {"braked": BRAKED, "sensed": SENSED}
+
+
+@pytest.fixture(scope="module", params=some(list(SCENES), 2))
+def scene(request: pytest.FixtureRequest) -> Scene:
+    return load_scene("three_axis", overrides=SCENES[request.param])
+
+
+def walk(fleet: Fleet, seed: int, calls: int) -> list[bytes]:
+    """Call whatever a fleet can be asked; return its state and what it measures after some."""
+    rng = np.random.default_rng(seed)
+    seen = []
+    kept = fleet.save()
+    for _ in range(calls):
+        which = rng.random(COUNT) < 0.3
+        arm = int(rng.integers(COUNT))
+        rows = rng.uniform(-20.0, 20.0, (COUNT, 3))
+        what = int(rng.integers(12))
+        if what <= 2:
+            fleet.exchange(rows, tick=what)
+        elif what == 3:
+            fleet.step(rows, int(rng.integers(1, 40)))
+        elif what == 4:
+            fleet.advance(rows, int(rng.integers(40)))
+        elif what == 5:
+            fleet.run(rng.uniform(-20.0, 20.0, (3, COUNT, 3)), int(rng.integers(1, 20)))
+        elif what == 6:
+            fleet.reset(which, q=rng.uniform(-0.5, 0.5, (int(which.sum()), 3)))
+        elif what == 7:
+            fleet.set_parameter(NUMBER, rng.uniform(1.0, 5.0, int(which.sum())), arms=which)
+        elif what == 8:
+            fleet.powered = ~which
+        elif what == 9:
+            fleet.restore(kept, arms=which)
+        elif what == 10:
+            kept = fleet.save()
+        else:
+            one = fleet[arm]
+            one.state = one.state
+            one.advance(rows[0], 3)
+        if rng.random() < 0.3:
+            seen.append(everything(fleet))
+    return [*seen, everything(fleet)]
+
+
+def everything(fleet: Fleet) -> bytes:
+    state, measured = fleet.state, fleet.measured
+    rows = [getattr(state, name) for name in state.__dataclass_fields__]
+    rows += [getattr(measured, name) for name in KNOWN]
+    return b"".join(np.ascontiguousarray(row).tobytes() for row in (*rows, fleet.faults))
+
+
+@pytest.mark.parametrize("seed", some(range(40), 4))
+def test_a_fleet_whose_arms_are_looked_at_one_by_one_moves_as_one_that_is_not(
+    seed: int, scene: Scene
+) -> None:
+    alone, watched = Fleet(scene, COUNT, workers=1), Fleet(scene, COUNT, workers=2)
+    arms = list(watched)  # as long as these are there, no arm stays in its lane
+    assert walk(alone, seed, 120) == walk(watched, seed, 120)
+    assert len(arms) == COUNT
+
+
+def test_a_step_is_an_exchange_and_a_look(scene: Scene) -> None:
+    rng = np.random.default_rng(3)
+    fleet = Fleet(scene, COUNT, q=rng.uniform(-1.0, 1.0, (COUNT, 3)))
+    other = copy.copy(fleet)
+    frame = fleet.frame()
+    for tick in range(40):
+        if tick == 20:
+            fleet.powered = other.powered = np.arange(COUNT) % 2 == 0
+        rows = rng.uniform(-20.0, 20.0, (COUNT, 3))
+        periods = 1 + tick % 3
+        assert fleet.step(rows, periods, out=frame) is frame
+        for _ in range(periods):
+            other.exchange(rows)
+        state, measured = other.state, other.measured
+        for name in ("t", "q", "v", "current", "theta_m", "omega_m"):
+            assert np.array_equal(getattr(frame, name), getattr(state, name)), name
+        for name in KNOWN:
+            mine, its = getattr(frame.measured, name), getattr(measured, name)
+            assert np.array_equal(mine, its), name
+        assert np.array_equal(frame.powered, other.powered)
+        assert np.array_equal(frame.faults, other.faults)
+
+
+def test_an_arm_that_diverges_is_reported_by_steps_and_its_neighbours_go_on() -> None:
+    scene = load_scene("three_axis", {"integrator.scheme": "paper", "integrator.dt": 1e-3})
+    fleet, other = Fleet(scene, COUNT), Fleet(scene, COUNT)
+    fast = np.zeros((COUNT, 3))
+    fast[4] = 4000.0  # rad/s: more than half a turn in a step
+    fleet.reset(v=fast)
+    frame = fleet.frame()
+    rows = np.zeros((COUNT, 3))
+    for _ in range(30):
+        fleet.step(rows, out=frame)
+        other.step(rows)
+    assert frame.faults[4] >= 0 and (np.delete(frame.faults, 4) == -1).all()
+    assert list(fleet.diverged) == [4]
+    sound = np.arange(COUNT) != 4
+    assert np.array_equal(frame.q[sound], other.state.q[sound])
+    assert frame.t[4] < frame.t[5]
+    fleet.reset([4])
+    fleet.step(rows, out=frame)
+    assert (frame.faults == -1).all()
+
+
+def test_an_arm_goes_on_in_its_lane_when_nobody_holds_it_any_more(scene: Scene) -> None:
+    """What is set by hand is where the fleet goes on from."""
+    fleet = Fleet(scene, COUNT)
+    rows = np.full((COUNT, 3), 5.0)
+    for _ in range(3):
+        fleet.step(rows)
+        arm = fleet[2]
+        before = arm.state
+        arm.reset(q=[0.1, 0.2, 0.3])
+        assert not np.array_equal(before.q, arm.state.q)
+        del arm
+        gc.collect()
+        frame = fleet.step(rows, 0)
+        np.testing.assert_array_equal(frame.q[2], [0.1, 0.2, 0.3])
+        assert frame.t[2] == 0.0 < frame.t[3]
+
+
+@pytest.mark.parametrize(
+    ("attempt", "words"),
+    [
+        (lambda f: f.step(np.zeros(4)), r"command must have shape"),
+        (lambda f: f.step(np.full(3, np.nan)), r"command must be finite"),
+        (lambda f: f.step(np.zeros(3), -1), r"periods must"),
+        (lambda f: f.step(np.zeros(3), 1.5), r"periods must"),
+        (lambda f: f.step(np.zeros(3), True), r"periods must"),
+        (lambda f: f.step(np.zeros(3), out={}), r"out must be a frame of this fleet"),
+        (lambda f: f.step(np.zeros(3), out=Fleet(f.scene, 3).frame()), r"out must be a frame"),
+    ],
+)
+def test_steps_that_make_no_sense_change_nothing(attempt: Any, words: str, scene: Scene) -> None:
+    fleet = Fleet(scene, COUNT)
+    fleet.step(np.full(3, 5.0))
+    before = fleet.save()
+    with pytest.raises(Refusal, match=words):
+        attempt(fleet)
+    assert fleet.save() == before
