@@ -106,7 +106,7 @@ def other_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> list[Mot
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came out of one scene for one error."""
+    """Result of one scene for one error."""
 
     seed: int
     kind: str

@@ -180,7 +180,7 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of the demo of one arm."""
+    """Result of the demo of one arm."""
 
     residual: float  # mm, that remains at the end
     away: float  # mm, by which it was away from the scene's own arm at most, before any instruction

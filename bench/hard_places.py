@@ -38,7 +38,7 @@ ARRIVED = 2e-3  # m from the target by the true tool, the wind-up included
 
 @dataclass
 class Track:
-    """What the true arm did: samples since the case began."""
+    """Motion of the true arm: samples since the case began."""
 
     kinematics: Kinematics
     start: Array
@@ -55,7 +55,7 @@ class Track:
 
     @property
     def end(self) -> str:
-        """What is left at the end."""
+        """The error at the end."""
         error = self.errors[-1]
         words = _metres(float(np.linalg.norm(error[:3])))
         if len(error) > 3:

@@ -292,7 +292,7 @@ class MotionControllerNode(Node):
         return None
 
     def _report_status(self) -> None:
-        """Publish what became of targets, trajectories and paths since the last time."""
+        """Publish the results of targets, trajectories and paths since the last time."""
         for one in self._instructor.reports.take():
             if self._action is not None:
                 self._action.hear(one)

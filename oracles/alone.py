@@ -146,7 +146,7 @@ def truth_of(scene: Scene, rows: Array, smoothing: Smoothing) -> Array:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came out of one mixture."""
+    """Result of one mixture."""
 
     seed: int
     parts: list[str]

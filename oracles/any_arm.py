@@ -45,7 +45,7 @@ NO_ARMS = (
 
 @dataclass
 class Outcome:
-    """What became of one arm."""
+    """Result of one arm."""
 
     name: str
     joints: int = 0

@@ -338,7 +338,7 @@ def write_scene(folder: Path, urdf: str, joints: Numbers, **more: Any) -> Path:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came out of one mixture."""
+    """Result of one mixture."""
 
     seed: int
     parts: list[str]

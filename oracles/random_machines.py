@@ -47,7 +47,7 @@ ROUNDED = 1e-12  # of the energy exchanged: what sums of 1e5 parts lose to round
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came out of one machine with one scheme."""
+    """Result of one machine with one scheme."""
 
     seed: int
     scheme: str

@@ -67,7 +67,7 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
         user.wait("the run to go on", lambda: user.tick >= tick + TICKS)
         assert not user.printed("servo", "the emulator began anew"), user.words["servo"]
         end = pause_at(user, user.tick)
-        # Neither its states nor its commands are others': not a bit has changed.
+        # Its states and commands do not mix with others': not a bit has changed.
         run = load_offline_run("three_axis")
         assert_same_bits(user.motor_states(), offline_states(run, end), end)
         printed = (log / "emulator.log").read_text()

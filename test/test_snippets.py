@@ -51,6 +51,7 @@ OTHERS = {
     **dict.fromkeys(("apt", "colcon", "pip", "rosdep"), "installs"),
     **dict.fromkeys(("callgrind_annotate", "gdb", "perf", "valgrind"), "a tool of the reader"),
     **dict.fromkeys(("ip", "sudo"), "needs root"),
+    "cc": "an example in C; test_library_examples.py builds it",
     **dict.fromkeys(
         (".", "c++", "cat", "cd", "cp", "echo", "eval", "export", "git", "grep", "ulimit"), "shell"
     ),

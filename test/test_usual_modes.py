@@ -1,4 +1,4 @@
-"""Where drives report at once that they are in their usual modes, their parts do one by one."""
+"""Where drives report at once that they are in their usual modes, their parts agree one by one."""
 
 from __future__ import annotations
 

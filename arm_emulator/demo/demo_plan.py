@@ -1,4 +1,4 @@
-"""What the demo does with a scene."""
+"""The demo's motions of a scene."""
 
 from __future__ import annotations
 

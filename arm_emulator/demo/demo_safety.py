@@ -1,4 +1,4 @@
-"""What the demo shows of brakes and end stops, with the machine alone."""
+"""Brakes and end stops in the demo, with the machine alone."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:
 def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
     """Return a scene's text with some values by their dotted places.
 
-    Where each has a place of its own, the rest of the text stays as it is. Where joints share a
+    If each has a place of its own, the rest of the text is kept. Where joints share a
     section by an alias, or a place is not there yet, the scene is written anew.
     """
     text = read_text(file, MOST_BYTES)

@@ -1,4 +1,4 @@
-"""What the joints of a machine are given and what they dissipate."""
+"""Energy that the joints of a machine are given and that they dissipate."""
 
 from __future__ import annotations
 

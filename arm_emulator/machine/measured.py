@@ -1,4 +1,4 @@
-"""What the drive electronics measured at one tick."""
+"""Measurement of the drive electronics at one tick."""
 
 from __future__ import annotations
 

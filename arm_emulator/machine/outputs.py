@@ -1,4 +1,4 @@
-"""What a machine reports, from what its parts declare."""
+"""Outputs of a machine, as its parts declare them."""
 
 from __future__ import annotations
 

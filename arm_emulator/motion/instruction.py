@@ -1,4 +1,4 @@
-"""What a motion controller answers in a motion period."""
+"""Answer of a motion controller for a motion period."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Instructions to the servo, one per motion period: what holds now, and what became of the rest."""
+"""Instructions to the servo, one per motion period: the current order, results of the others."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Instructor:
     Attributes:
         restarts: how often that happened.
         trouble: why, the last time, in words.
-        reports: what became of targets, trajectories and paths.
+        reports: results of targets, trajectories and paths.
     """
 
     def __init__(self, config: MotionConfig | None = None) -> None:

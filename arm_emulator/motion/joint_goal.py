@@ -1,4 +1,4 @@
-"""Which joint angles bring the tool to its target, or nearest to it."""
+"""Joint angles that bring the tool to its target, or nearest to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a tool is, or shall be."""
+"""Pose of a tool."""
 
 from __future__ import annotations
 

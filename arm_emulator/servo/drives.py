@@ -104,7 +104,7 @@ class Drives:
 
     @property
     def state(self) -> WatchdogState:
-        """What the last `command` did."""
+        """Action of the last `command`."""
         return DOES[self.servo.arm.does]
 
     @property

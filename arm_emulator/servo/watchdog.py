@@ -24,7 +24,7 @@ _LONGEST = 2**62  # ns, which no run lasts
 
 
 class WatchdogState(enum.Enum):
-    """What the drive shall do."""
+    """Action of the drive."""
 
     OK = "ok"  # follow the targets
     HOLD = "hold"  # hold the angles measured when this began

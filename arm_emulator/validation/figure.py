@@ -1,4 +1,4 @@
-"""What a validation measures, each figure with the limit that it must keep.
+"""Figures of a validation, each with the limit that it must keep.
 
 The table that is printed and the exit code come from one list of these, so that no figure is shown
 that does not count.

@@ -212,7 +212,7 @@ void report(void) {
 
 @pytest.mark.parametrize("seed", range(2))
 def test_tasks_are_switched_as_operating_systems_do_it(seed: int, tmp_path: Path) -> None:
-    """What two tasks compute with floats does not change when they are torn apart anywhere."""
+    """Interrupting two tasks anywhere does not change what they compute with floats."""
     rng = np.random.default_rng([8, seed])
     load, rounds = int(rng.integers(700, 3000)), 3000
     plain = f"""{SWITCH}

@@ -332,7 +332,7 @@ class Machine {
     if (brake_closed(k) != closed) set_parameter(S::parameters + k, closed ? 1.0 : 0.0);
   }
 
-  // What the external wrenches have done comes to the energy that there may be.
+  // The work of the external wrenches adds to the largest possible energy.
   void account_for_work() {
     if constexpr (S::external_wrench) balance_.allow(balance_.most() + work_.since(numbers_, x_));
   }

@@ -1,5 +1,5 @@
-// What the supply and external wrenches give to each joint and what each joint dissipates, at an
-// instant and over a motion. With what is stored (energy.hpp) the balance must close:
+// Energy that the supply and external wrenches give to each joint and that each joint dissipates,
+// at an instant and over a motion. With what is stored (energy.hpp) the balance must close:
 //
 //   energy(t1) - energy(t0) = sum over the joints of given - dissipated
 //

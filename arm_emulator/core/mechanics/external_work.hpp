@@ -1,4 +1,4 @@
-// What the external wrenches of a machine have done [J], for the account of its energy
+// Work of the external wrenches of a machine [J], for the account of its energy
 // (energy.hpp): J^T w, the mean of both ends of a stretch, times the way between them. So it needs
 // no look at each step, and is right whatever the speed did in between.
 #pragma once

@@ -1,5 +1,5 @@
-// What a scene gives the core. The loader writes one `struct Scene` of these constants per scene,
-// and the core is compiled over it: what is zero or absent here costs nothing at run time.
+// Structure of a scene, for the core. The loader writes one `struct Scene` of these constants per
+// scene, and the core is compiled over it: what is zero or absent here costs nothing at run time.
 #pragma once
 
 #include <tuple>

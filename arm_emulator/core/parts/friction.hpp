@@ -22,7 +22,7 @@ struct Friction {
   // See drive.hpp.
   constexpr const Friction& linear() const { return *this; }
 
-  // Whether it can hold a shaft at rest. What holds at an instant may be 0 all the same.
+  // Whether it can hold a shaft at rest. The holding torque at an instant may still be 0.
   constexpr bool is_dry() const { return Dc > 0.0; }
   // Torques against sliding at the speed w, and that hold at rest, under the torque T of the gear
   // on that shaft.

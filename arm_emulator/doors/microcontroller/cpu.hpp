@@ -164,7 +164,7 @@ class Cpu {
 
   // Run one instruction (a whole IT block is one), within a block or at the beginning of one.
   Stop step() {
-    // What was translated for a run does not stop within blocks.
+    // Code translated for a run does not stop within blocks.
     if (!stepping_) uc_ctl_flush_tb(uc_);
     if (!inside()) watch_closely();
     stepping_ = true;
@@ -310,7 +310,7 @@ class Cpu {
     uc_hook_add(uc_, &handle, kind, call, this, from, to);
   }
 
-  // What the translator knows of mode and FPU follows the registers only after this write.
+  // The translator updates its mode and FPU state only after this write.
   void refresh() { set(UC_ARM_REG_APSR_NZCV, get(UC_ARM_REG_XPSR) & 0xf0000000u); }
 
   Stop start(size_t count) {

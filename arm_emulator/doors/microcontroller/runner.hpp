@@ -199,8 +199,7 @@ class Runner : public Bus, public Debugged {
     cpu_.reset(table[0], table[1]);
   }
 
-  // What firmware has done to a device may ask for an interrupt, or for one sooner than was
-  // thought.
+  // Firmware's access to a device may raise an interrupt, or one sooner than planned.
   void settle() {
     set_lines();
     if (nvic_.changed() || next_event() < deadline_) cpu_.attend();

@@ -1,4 +1,4 @@
-"""What parts report: each quantity declared once, by the part that has it.
+"""Outputs of parts: each quantity declared once, by the part that has it.
 
 Measurement, messages, FMU variables, registers, the comparison of recorded runs and Rerun's signals
 follow from these lists.

@@ -160,7 +160,7 @@ SERVO_INLINE servo_real drive(const servo_joint* joint, servo_state* state, serv
   servo_real i_ref, asked;
   wish->limited = 0;
   if (wish->wants == SERVO_CURRENT) {
-    /* What the velocity stage would ask for at the largest speeds is the most that is given. */
+    /* The current is limited to what the velocity stage asks for at the largest speeds. */
     asked = bound(wish->current, joint->velocity_gain * (wish->least_omega - state->omega),
                   joint->velocity_gain * (wish->most_omega - state->omega));
     if (asked != wish->current) wish->limited |= SERVO_LIMITS_SPEED;
