@@ -144,7 +144,8 @@ COLCON := colcon --log-base /dev/null build --base-paths . msg
 install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 	@echo 'setup: messages ...'
 	@rm -rf build/arm_emulator_msgs install/arm_emulator_msgs
-	@$(call quietly,messages,$(ACTIVATE) && $(COLCON) --packages-select arm_emulator_msgs)
+	@$(call quietly,messages,$(ACTIVATE) && $(COLCON) --packages-select arm_emulator_msgs \
+	  --cmake-args -DFOR_PYTHON_ALONE=ON)
 	@touch $@
 
 # Linked, not copied: edits of Python sources, headers and configuration need no rebuild. A build by
