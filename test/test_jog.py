@@ -7,6 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 from draws import some
+from geometry_msgs.msg import TwistStamped
+from in_process import in_process
+from std_msgs.msg import Int8
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
@@ -19,11 +22,12 @@ from arm_emulator.motion.jog import (
     twist_command,
 )
 from arm_emulator.motion.kinematics import Kinematics
-from arm_emulator.motion.motion_report import State
+from arm_emulator.motion.motion_report import Kind, State
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import OfflineRun
+from arm_emulator_msgs.msg import MotionStatus
 
 NS = 1_000_000_000
 
@@ -225,3 +229,31 @@ def test_commands_are_refused() -> None:
     fast = dataclasses.replace(config, jog_command_in_type="speed_units")
     most = twist_command(0, [3.0, 4.0, 0.0, 0.0, 0.0, 0.5], False, arm, fast)
     np.testing.assert_allclose(most.twist, [0.24, 0.32, 0.0, 0.0, 0.0, 0.5])
+
+
+def test_the_node_takes_twists_and_publishes_what_limits_them() -> None:
+    """By its topics, in lock-step: the tool moves, the status goes to a code and back, refusals."""
+    with in_process() as nodes:
+        nodes.run_to(5)
+        heard: list[MotionStatus] = []
+        nodes.listen_alone("motion/status", MotionStatus, heard.append)
+        codes: list[int] = []
+        nodes.listen_alone("~/status", Int8, lambda one: codes.append(one.data))
+        wrong = TwistStamped()
+        wrong.header.frame_id = "elsewhere"
+        nodes.send("~/delta_twist_cmds", wrong)
+        turn = TwistStamped()
+        turn.twist.angular.z = 0.1
+        nodes.send("~/delta_twist_cmds", turn)
+        for tick in range(20, 620, 20):
+            one = TwistStamped()
+            one.twist.linear.z = 0.5  # of jog_scale_linear
+            nodes.send("~/delta_twist_cmds", one)
+            nodes.run_to(tick)
+        nodes.run_to(1500)
+    states = [(one.state, one.reason) for one in heard if one.kind == Kind.JOG]
+    assert [state for state, _ in states[:2]] == [State.REFUSED, State.REFUSED]
+    assert "frame_id" in states[0][1] and "twist.angular must be 0" in states[1][1]
+    assert [state for state, _ in states[2:]] == [State.ACCEPTED, State.MOVING, State.REACHED]
+    # Upwards from its start three_axis comes nearer to its stretched pose; in the end nobody jogs.
+    assert codes[0] == JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY and codes[-1] == 0
