@@ -65,7 +65,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"locked": {"elbow": "open"}}, "locked.elbow must be a number from -10000 to 10000 rad or m, got 'open'"),
     ({"urdf": "none.urdf"}, "urdf must be a file, got none.urdf"),
     ({"name": None}, "name must be a text, got nothing"),
-    ({"colour": "red"}, "key colour must be known, got 'colour'; valid: assumed, cores, demo, energy_flow, external_wrench,"),
+    ({"colour": "red"}, "key colour must be known, got 'colour'; valid: assumed, cores, couplings, demo, energy_flow, external_wrench,"),
 ]  # fmt: skip
 
 EXTRA = LINK.format(
@@ -93,7 +93,7 @@ BAD_URDFS: list[tuple[tuple[str, str], str]] = [
     (('</robot>', '<xacro:arm/></robot>'), "file must be a URDF, not a xacro source, got <xacro:arm>"),
     (('</robot>', 70 * "<a>" + 70 * "</a>" + "</robot>"), "file must nest at most 64 levels, got more"),
     (('name="elbow" type="continuous"', 'name="elbow" type="floating"'), "joint elbow: type must be one the emulator knows, got floating; valid: revolute, continuous, prismatic, fixed, or held where it is in the scene: locked: {elbow: 0.0}"),
-    (('name="elbow" type="continuous">', 'name="elbow" type="continuous"><mimic joint="waist"/>'), "joint elbow must move on its own, got a mimic joint; valid: lock it"),
+    (('name="elbow" type="continuous">', 'name="elbow" type="continuous"><mimic joint="nobody"/>'), "joint elbow: mimic must name a joint of the URDF, got 'nobody'"),
     (("</robot>", f"{LOOP}</robot>"), "link column must hang on one joint (closed loops"),
     (("</robot>", f"{EXTRA}</robot>"), "must follow the chain (the emulator moves serial arms)"),
     (('<child link="forearm"/>', '<child link="hand"/>'), "joint elbow: child must be a link of the URDF, got 'hand'"),

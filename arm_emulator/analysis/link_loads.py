@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 
 
 class LinkLoads:
-    """The links of a scene, with plain joint angles in its order."""
+    """The links of a scene, by the angles of its shafts."""
 
     def __init__(self, scene: Scene) -> None:
         model = pin.Model()
         parent = 0
-        for joint in scene.chain.joints:
+        for joint in scene.chain.links:
             c, s = joint.cos_alpha, joint.sin_alpha
             tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
             C, S = np.cos(joint.theta_0), np.sin(joint.theta_0)
@@ -35,14 +35,21 @@ class LinkLoads:
         gravity = np.array(scene.gravity or (0.0, 0.0, 0.0))
         model.gravity.linear = scene.chain.R_BW @ gravity
         self._model, self._data = model, model.createData()
+        self._coupling = scene.chain.coupling
 
     def mass_matrix(self, q: Array) -> Array:
         """Return M(q), (N, N)."""
-        M = pin.crba(self._model, self._data, q)
-        whole: Array = np.triu(M) + np.triu(M, 1).T
+        C = self._coupling.C
+        M = pin.crba(self._model, self._data, self._joints(q))
+        whole: Array = C.T @ (np.triu(M) + np.triu(M, 1).T) @ C
         return whole
 
     def weight(self, q: Array) -> Array:
         """Return the torques that hold the links at q, (N,) [N m or N]."""
-        torque: Array = pin.computeGeneralizedGravity(self._model, self._data, q).copy()
+        held = pin.computeGeneralizedGravity(self._model, self._data, self._joints(q))
+        torque: Array = self._coupling.C.T @ held
         return torque
+
+    def _joints(self, q: Array) -> Array:
+        joints: Array = self._coupling.C @ q + self._coupling.offset
+        return joints

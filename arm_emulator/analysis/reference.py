@@ -296,6 +296,9 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
     Raises:
         Refusal: the masses are not the scene's: its payload was not given.
     """
+    if not scene.chain.coupling.plain:
+        rule = "have a drive for each joint, to be solved independently"
+        raise Refusal("reference", scene.where, rule, "couplings or mimic joints")
     robot = ET.fromstring(scene.urdf)
     # Pinocchio need not parse what is not used here.
     robot.set("name", "robot")

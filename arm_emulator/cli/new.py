@@ -261,7 +261,7 @@ def _texts(
     seen = bare
     if payload:
         seen = survey(_links_alone(text, robot.name, choice, payload), kinematics)
-    tool = TOOL_PART * sum(joint.body.mass for joint in links.chain.joints) * WEIGHT
+    tool = TOOL_PART * sum(joint.body.mass for joint in links.chain.links) * WEIGHT
     limits = read_limits(description)
     count = len(links.joints)
     sheets = published(description.get("name", ""), count) or (None,) * count

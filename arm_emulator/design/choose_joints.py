@@ -104,7 +104,8 @@ def choose_joints(
     """Choose the arm in a robot description.
 
     Given nothing, the arm is the longest row of joints from the base; a gripper at its end, named
-    by a fork or by its name, is held. A joint that copies another one (mimic) is held.
+    by a fork or by its name, is held. A joint on the way to the tool that copies one of the arm
+    (mimic) moves along with it; another one that copies is held.
 
     Args:
         robot: the URDF's root element.
@@ -119,20 +120,25 @@ def choose_joints(
     guesses: list[str] = []
     if joints is not None:
         chosen = _named(tree, joints, tool)
+        way = tree.path(tool or (chosen[-1].child if chosen else tree.links[0]))
     else:
-        chosen = [joint for joint in tree.path(_tip(tree, tool)) if joint.moves]
+        way = tree.path(_tip(tree, tool))
+        chosen = [joint for joint in way if joint.moves]
         if tool is None:
             chosen = _without_gripper(tree, chosen, guesses)
     if not chosen:
         raise Refusal(where, "the robot", "have a joint that moves", "none on the way to the tool")
+    along = _along(way, chosen)
+    guesses += [f"{joint.name} moves along with {joint.mimics} (mimic)" for joint in along]
     if tool is None:
-        tool = _tool_behind(tree, chosen[-1].child)
+        last = [joint for joint in way if joint in chosen or joint in along][-1]
+        tool = _tool_behind(tree, last.child)
         guesses.append(f"tool: {tool} (--tool names another)")
     names = tuple(joint.name for joint in chosen)
     held = {
         joint.name: _held(joint, chosen)
         for joint in tree.joints
-        if joint.kind != "fixed" and joint.name not in names
+        if joint.kind != "fixed" and joint.name not in names and joint not in along
     }
     return Choice(tool, names, held, tuple(guesses))
 
@@ -184,6 +190,17 @@ def _tip(tree: _Tree, tool: str | None) -> str:
     return max(tips, key=lambda link: sum(joint.moves for joint in tree.path(link)))
 
 
+def _along(way: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
+    """Return the joints on the way to the tool that copy one of those chosen, or each other."""
+    names, along = {joint.name for joint in chosen}, list[_Joint]()
+    for _ in way:
+        for joint in way:
+            if joint.mimics in names and joint.name not in names and joint.kind in MOVING:
+                names.add(joint.name)
+                along.append(joint)
+    return along
+
+
 def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]:
     """Return the joints of these names, base to tool."""
     known = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
@@ -232,6 +249,7 @@ def _held(joint: _Joint, chosen: Sequence[_Joint]) -> Held:
     position = 0.0 if joint.kind not in MOVING else min(max(0.0, low), high)
     if joint.mimics:
         coupled = any(one.name == joint.mimics for one in chosen)
-        reason = f"copies {joint.mimics}" + (", which moves: not coupled" if coupled else "")
+        off = ", which moves, but not on the way to the tool" if coupled else ""
+        reason = f"copies {joint.mimics}{off}"
         return Held(position, reason)
     return Held(position, "not part of the arm" if joint.kind in MOVING else joint.kind)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.couplings import Coupling, coupling_of, followers
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import complete_limits
 
@@ -152,16 +153,31 @@ class ChainJoint:
 class Chain:
     """The moving joints from base to tip, and the base's frame.
 
+    `links` has all of them; `joints` those by whose names the drives' shafts go, which is all where
+    each joint has a drive of its own. `coupling` is how the links' joints go with the shafts.
+
     `R_BW` (3, 3) turns world vectors (gravity) into the base's frame, from which the first joint is
     seen; both have their origin at the URDF's root link. `carried` has the URDF's links that move,
     each with the joint that carries it and its frame in that of the joint's child link, which
     `R_core` (N, 3, 3) turns into the core's.
     """
 
-    joints: tuple[ChainJoint, ...]
+    links: tuple[ChainJoint, ...]
+    coupling: Coupling
     R_BW: Array
     R_core: Array
     carried: Mapping[str, tuple[int, Frame]]
+
+    @property
+    def joints(self) -> tuple[ChainJoint, ...]:
+        """Those of the shafts."""
+        return tuple(self.links[k] for k in self.link_of)
+
+    @property
+    def link_of(self) -> tuple[int, ...]:
+        """Place among the links of each shaft's joint."""
+        names = [link.name for link in self.links]
+        return tuple(map(names.index, self.coupling.shafts))
 
     def place_of(self, link: str) -> tuple[int, Frame]:
         """Return the joint that carries a link of `carried`, and the frame in the core's of it."""
@@ -177,7 +193,6 @@ class _UrdfJoint:
     child: str
     placement: Frame
     axis: Array
-    mimic: bool
 
 
 def read_chain(
@@ -203,10 +218,12 @@ def read_chain(
         Refusal: it is no URDF, or its machine is no serial chain with sound inertias.
     """
     moving = _with_bodies(robot, where, asks, locked, tool, payload)
+    of_joints = followers(robot, where, list(locked))
+    coupling = coupling_of([one.joint.name for one in moving], of_joints, where)
     faults = [fault for one in moving if (fault := _fault_of_body(one, where)) is not None]
     if faults:
         raise _all_of(faults, where)
-    return _assemble(moving, where)
+    return _assemble(moving, coupling)
 
 
 @dataclass(frozen=True)
@@ -266,14 +283,6 @@ def _with_bodies(
             raise Refusal(asks, f"locked.{name}", "be a joint of the URDF", name, _names(joints))
     for joint in joints:
         _check_kind(joint, locked, where)
-        if joint.mimic and joint.name not in locked:
-            raise Refusal(
-                where,
-                f"joint {joint.name}",
-                "move on its own",
-                "a mimic joint",
-                "lock it in the scene: locked: {" + joint.name + ": 0.0}",
-            )
     if tool not in links:
         raise Refusal(asks, "tool", "be a link of the URDF", tool, ", ".join(links))
     moving = _moving_joints(_root(links, joints, where), links, joints, locked, where)
@@ -307,6 +316,10 @@ def _check_kind(joint: _UrdfJoint, locked: Mapping[str, float], where: str) -> N
         raise Refusal(where, f"locked.{joint.name}", rule, locked[joint.name])
 
 
+# What only a joint that moves has in a URDF, or has otherwise.
+_OF_MOVING = ("origin", "axis", "limit", "mimic", "coupling", "dynamics", "safety_controller")
+
+
 def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> bool:
     """Make the `locked` joints fixed at their positions, and joints without limits unlimited.
 
@@ -316,7 +329,7 @@ def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> b
     elements = [e for e in robot.findall("joint") if e.get("name") in locked]
     for element, joint in zip(elements, _parsed_joints(elements, where), strict=True):
         held = _moved(joint, locked[joint.name])
-        for tag in ("origin", "axis", "limit", "mimic", "dynamics", "safety_controller"):
+        for tag in _OF_MOVING:
             for old in element.findall(tag):
                 element.remove(old)
         element.set("type", "fixed")
@@ -373,7 +386,6 @@ def _parsed_joints(elements: list[ET.Element], where: str) -> list[_UrdfJoint]:
                 child="" if child is None else child.get("link") or "",
                 placement=placement,
                 axis=axis,
-                mimic=kind != "fixed" and element.find("mimic") is not None,
             )
         )
     return joints
@@ -592,7 +604,7 @@ def _moved(joint: _UrdfJoint, position: float) -> Frame:
     )
 
 
-def _assemble(moving: list[_Moving], where: str) -> Chain:
+def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
     """Choose each link's frame: z along its joint, x so that the next joint's tilt is about x.
 
     With z fixed, one free turn gamma about z is left per link. It is spent so that the next axis,
@@ -637,7 +649,7 @@ def _assemble(moving: list[_Moving], where: str) -> Chain:
         for index, one in enumerate(moving)
         for link, frame in zip(one.links, one.frames, strict=True)
     }
-    return Chain(tuple(joints), R_WB.T, np.array([R.T for R in turned]), carried)
+    return Chain(tuple(joints), coupling, R_WB.T, np.array([R.T for R in turned]), carried)
 
 
 def _fault_of_body(one: _Moving, where: str) -> Refusal | None:

@@ -56,6 +56,7 @@ LOCATING_SCHEMES = ("rosenbrock", "extrapolated")  # whose order 2 is worth to l
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
 
 _GRAVITY = Number.within("gravity", "m/s2", 1000.0)
+_SHARE = Number("couplings", "", at_least=-1e4, at_most=1e4)
 _LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
 _CORES = Number("cores", at_least=0, at_most=1023, whole=True)
 _MASS = Number("mass", "kg", at_least=0.0)  # of the payload
@@ -321,6 +322,7 @@ def _build(root: Section, file: Path) -> Scene:
     if locked_section is not None:
         locked = {key: locked_section.number(_LOCKED.named(key)) for key in locked_section.keys()}
     payload_body = None if payload is None else _payload(payload)
+    _couple(root.section("couplings"), robot)
 
     def read(load: Body | None) -> Chain:
         return read_chain(robot, urdf_file.name, where, locked=locked, tool=tool, payload=load)
@@ -333,9 +335,10 @@ def _build(root: Section, file: Path) -> Scene:
         bare = tuple(
             one.scaled(2.0) + two.scaled(-1.0) for one, two in zip(bare, twice, strict=True)
         )
-    if lock_joints(robot, locked, urdf_file.name):
+    if lock_joints(robot, locked, urdf_file.name) or root.has("couplings"):
         urdf = ET.tostring(robot, encoding="unicode")
-    joints = _joints(root, chain, urdf_file.name, limits_of(robot))
+    limits = {} if not chain.coupling.plain else limits_of(robot)
+    joints = _joints(root, chain, urdf_file.name, limits)
     integrator_section = root.required_section("integrator")
     integrator = Integrator(
         scheme=integrator_section.choice("scheme", SCHEMES, default=SCHEMES[0]),
@@ -362,11 +365,15 @@ def _build(root: Section, file: Path) -> Scene:
     if payload is not None and any(one.name == "payload.mass" for one in varied):
         load = _load(*(read(_payload(payload, mass=kg)) for kg in (1.0, 2.0)))
     if load is not None:
-        carrier = f"links.{chain.joints[load.link].link}."
+        carrier = f"links.{chain.links[load.link].link}."
         for one in varied:
             if one.name.startswith(carrier):
                 rule = "not name both payload.mass and numbers of the link that carries it"
                 raise Refusal(where, "varied", rule, one.name)
+    for key in ("external_wrench", "imus", "varied") if not chain.coupling.plain else ():
+        if root.has(key):
+            rule = "be absent from a scene with couplings or mimic joints"
+            raise root.refusal(key, rule, "given")
     external_wrench, energy_flow = root.flag("external_wrench"), root.flag("energy_flow")
     assumed = _links_named(root, "assumed", robot)
     for key in BESIDE:
@@ -392,6 +399,22 @@ def _build(root: Section, file: Path) -> Scene:
         assumed=assumed,
         **numbers,
     )
+
+
+def _couple(section: Section | None, robot: ET.Element) -> None:
+    """Put the scene's couplings into the joints of its description, where all readers find them."""
+    if section is None:
+        return
+    joints = {joint.get("name", ""): joint for joint in robot.findall("joint")}
+    for name in section.keys():
+        shares = section.required_section(name)
+        if name not in joints:
+            raise section.refusal(name, "be a joint of the URDF", name)
+        for old in [*joints[name].findall("mimic"), *joints[name].findall("coupling")]:
+            joints[name].remove(old)
+        for shaft in shares.keys():
+            share = shares.number(_SHARE.named(shaft))
+            ET.SubElement(joints[name], "coupling", joint=shaft, multiplier=repr(share))
 
 
 def _links_named(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:
@@ -516,7 +539,7 @@ def _payload(section: Section, mass: float | None = None) -> Body:
 
 def _load(light: Chain, heavy: Chain) -> Load | None:
     """Return the load of 1 and 2 kg in two chains; None where it rests on the base."""
-    for link, (one, two) in enumerate(zip(light.joints, heavy.joints, strict=True)):
+    for link, (one, two) in enumerate(zip(light.links, heavy.links, strict=True)):
         if one.body.mass != two.body.mass:
             per_kg = two.body + one.body.scaled(-1.0)
             return Load(link, one.body + per_kg.scaled(-1.0), per_kg)

@@ -35,11 +35,11 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
     R_BW = scene.chain.R_BW
     gravity = R_BW @ scene.gravity if scene.gravity is not None else (0.0, 0.0, 0.0)
     places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
-    bodies = [_link_body(geometry, places) for geometry in scene.chain.joints]
+    bodies = [_link_body(geometry, places) for geometry in scene.chain.links]
     if (load := scene.load) is not None:
         bare, per_kg = _body(load.bare), _body(load.per_kg)
         bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
-    links = ",\n".join(map(_link, scene.chain.joints, bodies))
+    links = ",\n".join(map(_link, scene.chain.links, bodies))
     axes = _axes(scene.chain) if scene.external_wrench else ""
     devices = ",\n".join(_device(joint) for joint in scene.joints)
     braked = [joint for joint in scene.joints if joint.brake]
@@ -64,6 +64,8 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
 
 struct Scene {{
   static constexpr int N = {len(scene.joints)};
+  static constexpr int L = {len(scene.chain.links)};
+{_coupling(scene.chain)}\
   static constexpr arm::Scheme scheme = arm::Scheme::{scene.integrator.scheme};
   template <class Stepper>
   using Threads = arm::{threads}<Scene, Stepper>;
@@ -80,7 +82,7 @@ struct Scene {{
   static constexpr int parameters = {len(scene.varied)};
   static constexpr arm::Parameter parameter[parameters + 1] = {{
 {parameters}  }};
-  static constexpr arm::LinkRow<N> links([[maybe_unused]] const double* p) {{
+  static constexpr arm::LinkRow<L> links([[maybe_unused]] const double* p) {{
     return {{{{
 {links}}}}};
   }}
@@ -108,6 +110,20 @@ def _readings(scene: Scene) -> str:
   static constexpr int readings = {len(rows)};
   static constexpr arm::Reading reading[readings] = {{
 {lines}}};
+"""
+
+
+def _coupling(chain: Chain) -> str:
+    """Return how joints go with shafts, where not each with one of its own."""
+    coupling = chain.coupling
+    if coupling.plain:
+        return ""
+    rows = ",\n".join(f"      {{{', '.join(map(number, row))}}}" for row in coupling.C)
+    return f"""\
+  static constexpr double coupling[L][N] = {{
+{rows}}};
+  static constexpr double coupling_offset[L] = {{{", ".join(map(number, coupling.offset))}}};
+  static constexpr int link_of[N] = {{{", ".join(map(str, chain.link_of))}}};
 """
 
 

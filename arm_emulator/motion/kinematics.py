@@ -22,6 +22,7 @@ from arm_emulator.motion.kinematics_model import (
     whole_model,
 )
 from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.shafts import Shafts, shafts_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -79,20 +80,24 @@ class Kinematics:
         self.tool = tool
         self.rows = _rows(task, len(self.joint_names), where)
         self.turns_tool = self.rows == POSE_ROWS
-        self.model = _model(urdf_xml, self.joint_names, tool, where)
+        self._shafts = Shafts(urdf_xml, self.joint_names, tool)
+        self.model = _model(urdf_xml, self.joint_names, self._shafts.joints, tool, where)
         self._data = self.model.createData()
         self._joints = [
-            self.model.joints[self.model.getJointId(JOINT + n)] for n in self.joint_names
+            self.model.joints[self.model.getJointId(JOINT + n)] for n in self._shafts.joints
         ]
         self._columns = [joint.idx_v for joint in self._joints]
-        self.continuous = np.array([joint.nq == 2 for joint in self._joints])
+        self._turning = np.array([joint.nq == 2 for joint in self._joints])
+        alone = np.count_nonzero(self._shafts.C, axis=0) == 1
+        self.continuous = self._turning[: len(alone)] & alone
         self._places = np.array([joint.idx_q for joint in self._joints])
         self._neutral = pin.neutral(self.model)
         self._frame = _frame(self.model, tool, where)
         self.lower, self.upper = self._position_limits()
         rates = rate_limits(urdf_xml)
-        self.velocity_limit = np.array([rates[name].velocity for name in self.joint_names])
-        self.acceleration_limit = np.array([rates[name].acceleration for name in self.joint_names])
+        moved = [rates[name] for name in self._shafts.joints]
+        self.velocity_limit = self._shafts.most(np.array([one.velocity for one in moved]))
+        self.acceleration_limit = self._shafts.most(np.array([one.acceleration for one in moved]))
         self.reach = self._reach()
         _REACH.check("robot_description", [self.reach])
         pin.framesForwardKinematics(self.model, self._data, self._neutral)
@@ -102,7 +107,7 @@ class Kinematics:
         self.base = _base(self.model)
         self.scale = np.ones(self.rows)
         self.scale[:POSITION_ROWS] = 1.0 / self.reach
-        slides = [_slides(joint) for joint in self._joints]
+        slides = [_slides(joint) for joint in self._joints[: len(self.joint_names)]]
         self.joint_scale = np.where(slides, self.reach, 1.0)
 
     def forward(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -135,7 +140,7 @@ class Kinematics:
         )
         J = np.reshape(J, (POSE_ROWS, -1))  # of a single joint it comes as a vector
         rows: FloatArray = J[: self.rows, self._columns]
-        return rows
+        return self._shafts.columns(rows)
 
     def _tool_error(self, R_WT: FloatArray, p_WT: FloatArray, target: Pose) -> FloatArray:
         error = target.p_WT - p_WT
@@ -159,10 +164,10 @@ class Kinematics:
 
     def _configuration(self, q: npt.ArrayLike) -> FloatArray:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""
-        q = self.vector(q)
+        q = self._shafts.of_joints(self.vector(q))
         configuration: FloatArray = self._neutral.copy()
         configuration[self._places] = q
-        turning = self.continuous
+        turning = self._turning
         if turning.any():
             configuration[self._places[turning]] = np.cos(q[turning])
             configuration[self._places[turning] + 1] = np.sin(q[turning])
@@ -179,7 +184,7 @@ class Kinematics:
             )
             for joint in self._joints
         ]
-        lower, upper = np.array(bounds, dtype=np.float64).T
+        lower, upper = self._shafts.positions(*np.array(bounds, dtype=np.float64).T)
         return lower, upper
 
     def _reach(self) -> float:
@@ -205,12 +210,14 @@ def _slides(joint: Any) -> bool:
 
 
 def moving_joints(urdf_xml: str) -> tuple[str, ...]:
-    """Return the names of a robot description's moving joints, base to tool.
+    """Return the joints of a robot description that are commanded, base to tool.
+
+    Those that only follow others are not among them.
 
     Raises:
         Refusal: not a robot description, or one that Pinocchio does not take.
     """
-    return _moving(whole_model(urdf_xml))
+    return shafts_of(_moving(whole_model(urdf_xml)), urdf_xml)
 
 
 def _rows(task: str, joints: int, where: str) -> int:
@@ -229,8 +236,10 @@ def _moving(model: Any) -> tuple[str, ...]:
     return tuple(name.removeprefix(JOINT) for name in list(model.names)[1:])
 
 
-def _model(urdf_xml: str, joint_names: tuple[str, ...], tool: str, where: str) -> Any:
-    """Return the Pinocchio model whose moving joints are exactly `joint_names`."""
+def _model(
+    urdf_xml: str, joint_names: tuple[str, ...], moved: tuple[str, ...], tool: str, where: str
+) -> Any:
+    """Return the Pinocchio model whose moving joints are exactly `moved`."""
     model = whole_model(urdf_xml, tool)
     moving = _moving(model)
     for name in joint_names:
@@ -244,7 +253,7 @@ def _model(urdf_xml: str, joint_names: tuple[str, ...], tool: str, where: str) -
             )
     if not joint_names or len(set(joint_names)) != len(joint_names):
         raise Refusal(where, "joint_names", "be different names", joint_names)
-    locked = [model.getJointId(JOINT + name) for name in moving if name not in joint_names]
+    locked = [model.getJointId(JOINT + name) for name in moving if name not in moved]
     model = pin.buildReducedModel(model, locked, pin.neutral(model))
     for name in joint_names:
         if model.joints[model.getJointId(JOINT + name)].nv != 1:

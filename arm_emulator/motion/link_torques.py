@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.kinematics_model import JOINT, whole_model
+from arm_emulator.motion.shafts import Shafts
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -32,11 +33,13 @@ class LinkTorques:
         self._model = whole_model(urdf_xml, masses=True)
         self._model.gravity.linear = np.array(gravity, dtype=np.float64)
         self._data = self._model.createData()
-        joints = [self._model.joints[self._model.getJointId(JOINT + n)] for n in joint_names]
+        self._shafts = Shafts(urdf_xml, joint_names)
+        names = self._shafts.joints
+        joints = [self._model.joints[self._model.getJointId(JOINT + n)] for n in names]
         self._columns = np.array([joint.idx_v for joint in joints])
         self._square = np.ix_(self._columns, self._columns)
         self._neutral = pin.neutral(self._model)
-        still = np.zeros(len(joints))
+        still = np.zeros(len(joint_names))
         if not np.isfinite(self.at(still, still)).all():
             raise Refusal("robot_description", "its masses", "be finite", "others")
 
@@ -44,7 +47,7 @@ class LinkTorques:
         """Return the torques (N,) [N m] at angles [rad], speeds [rad/s], accelerations [rad/s2]."""
         configuration, full_v, full_a = self._whole(q, v, np.zeros_like(v) if a is None else a)
         tau = pin.rnea(self._model, self._data, configuration, full_v, full_a)
-        return np.asarray(tau[self._columns], dtype=np.float64)
+        return self._shafts.columns(np.asarray(tau[self._columns], dtype=np.float64))
 
     def rates(
         self, q: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray
@@ -55,11 +58,14 @@ class LinkTorques:
             self._model, self._data, configuration, full_v, full_a
         )
         M = np.triu(M) + np.triu(M, 1).T  # the upper half is what it computes
+        v, a, jerk = (self._shafts.rates(one) for one in (v, a, jerk))
         rate = by_q[self._square] @ v + by_v[self._square] @ a + M[self._square] @ jerk
-        return np.asarray(self._data.tau[self._columns], dtype=np.float64), rate
+        tau = np.asarray(self._data.tau[self._columns], dtype=np.float64)
+        return self._shafts.columns(tau), self._shafts.columns(rate)
 
     def _whole(self, q: FloatArray, v: FloatArray, a: FloatArray) -> list[FloatArray]:
         """Return Pinocchio's configuration, speeds and accelerations, of all joints."""
         whole = np.zeros((3, self._model.nv))
-        whole[:, self._columns] = q, v, a
+        shafts = self._shafts
+        whole[:, self._columns] = shafts.of_joints(q), shafts.rates(v), shafts.rates(a)
         return [pin.integrate(self._model, self._neutral, whole[0]), whole[1], whole[2]]

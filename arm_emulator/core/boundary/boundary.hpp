@@ -51,7 +51,7 @@ template <class S>
 int describe_reading(int reading, int joint, arm_reading* out) {
   if constexpr (S::readings > 0) {
     const Reading& one = S::reading[reading];
-    const bool slides = kLinks<S>.at[joint].kind != JointKind::revolute;
+    const bool slides = kind_of<S>(joint) != JointKind::revolute;
     out->present = senses<S>(joint, Field::reading, reading);
     out->name = one.name, out->unit = slides ? one.unit_of_slides : one.unit;
   }
@@ -387,8 +387,7 @@ int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
   arm_joint_description all = {};
   all.size = out->size;
   all.name = Scene::device[joint].name;
-  all.kind =
-      arm::kLinks<Scene>.at[joint].kind == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
+  all.kind = arm::kind_of<Scene>(joint) == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
   all.counts_per_rad = Scene::device[joint].counts_per_rad;
   arm::for_each_drive<Scene>([&](const auto& drive, int j) {
     if (j != joint) return;

@@ -14,7 +14,7 @@ namespace arm {
 template <class S>
 struct Sheet {
   decltype(S::drives(nullptr)) drives;
-  BaseParameters<S::N> base;
+  BaseParameters<S::L> base;
   double carried[S::N] = {};  // inertia of the rotors that turn with their links, as these feel it
   double Dc[S::N] = {}, Ds[S::N] = {};
 
@@ -48,13 +48,13 @@ struct BodyMask {
 
 template <class S>
 struct VariedBodies {
-  BodyMask at[S::N] = {};
+  BodyMask at[S::L] = {};
 
   constexpr VariedBodies() {
     const Sheet<S> one = sheet_with<S>(-1);
     for (int k = 0; k < S::parameters; ++k) {
       const Sheet<S> other = sheet_with<S>(k);
-      for (int j = 0; j < S::N; ++j) {
+      for (int j = 0; j < S::L; ++j) {
         const Body<double>&a = one.base.body[j], &b = other.base.body[j];
         BodyMask& mask = at[j];
         mask.m |= a.m != b.m;
@@ -180,7 +180,7 @@ class Numbers {
   void set(int lane, const Numbers<S>& one) {
     of_[lane] = &one;
     if constexpr (varied) {
-      for (int j = 0; j < N; ++j) {
+      for (int j = 0; j < S::L; ++j) {
         const Body<double> from = one.body(j);
         Body<X>& to = bodies_[j];
         set_lane(to.m, lane, from.m);
@@ -189,6 +189,8 @@ class Numbers {
         set_lane(to.I.xx, lane, from.I.xx), set_lane(to.I.yy, lane, from.I.yy);
         set_lane(to.I.zz, lane, from.I.zz), set_lane(to.I.xy, lane, from.I.xy);
         set_lane(to.I.xz, lane, from.I.xz), set_lane(to.I.yz, lane, from.I.yz);
+      }
+      for (int j = 0; j < N; ++j) {
         set_lane(rotor_[j], lane, one.carried(j));
         set_lane(coulomb_[j], lane, one.Dc(j)), set_lane(breakaway_[j], lane, one.Ds(j));
       }
@@ -245,7 +247,7 @@ class Numbers {
   }
 
   const Numbers<S>* of_[width] = {};
-  Body<Number> bodies_[varied ? N : 1] = {};
+  Body<Number> bodies_[varied ? S::L : 1] = {};
   Row rotor_ = {}, coulomb_ = {}, breakaway_ = {};
   ExternalWrenches<S, X> outside_;
 };

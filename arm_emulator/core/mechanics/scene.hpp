@@ -45,9 +45,9 @@ struct Link {
   Body<double> body;
 };
 
-template <int N>
+template <int L>
 struct LinkRow {
-  Link at[N];
+  Link at[L];
 };
 
 // A number that a scene lists as varied, and its bounds. Its value is no part of the scene's
@@ -74,6 +74,19 @@ template <class S>
 inline constexpr auto kDrives = S::drives(SomeValues<S>().p);
 template <class S>
 inline constexpr auto kLinks = S::links(SomeValues<S>().p);
+
+// Whether joints go with several drives or a drive with several joints (coupled_links.hpp).
+template <class S>
+inline constexpr bool kCoupled = requires { S::coupling; };
+
+// How the joint moves by whose name the shaft of drive j goes.
+template <class S>
+constexpr JointKind kind_of(int j) {
+  if constexpr (kCoupled<S>)
+    return kLinks<S>.at[S::link_of[j]].kind;
+  else
+    return kLinks<S>.at[j].kind;
+}
 
 // MethodOf<S, scheme, X>::type takes the steps of a scheme, of numbers X. A scheme without one does
 // not compile.

@@ -1,0 +1,137 @@
+"""Joints of a robot description that do not go each with a drive of its own.
+
+A mimic joint follows another one; an element <coupling joint= multiplier=> in a joint, of which
+there may be several, adds a share of a shaft. The angles of all joints are q = C p + q_0, with p
+those of the shafts, each called after a joint.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.refusal import Refusal
+
+Array = NDArray[np.float64]
+
+MOST = 1e4  # of a share, and of an offset [rad or m]
+RANK = 1e-9  # singular values below, by the largest, count as 0
+_MIMIC, _COUPLING = "mimic", "coupling"
+
+
+@dataclass(frozen=True)
+class Follows:
+    """What a joint's angle is made of."""
+
+    shares: Mapping[str, float]  # by the shaft's name
+    offset: float  # rad or m
+
+
+def followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> dict[str, Follows]:
+    """Return the joints that follow shafts other than one of their own, by name.
+
+    Args:
+        robot: the URDF's root element.
+        where: what to call it in refusals.
+        but: joints that are held, whatever they follow.
+
+    Raises:
+        Refusal: a joint that follows an unknown one, or itself by a detour; no number.
+    """
+    elements = {joint.get("name", ""): joint for joint in robot.findall("joint")}
+    found = {
+        name: _read(joint, elements, where)
+        for name, joint in elements.items()
+        if name not in but
+        and joint.get("type") != "fixed"
+        and (joint.find(_MIMIC) is not None or joint.find(_COUPLING) is not None)
+    }
+    return {name: _resolved(name, found, where) for name in found}
+
+
+def _read(joint: ET.Element, known: Mapping[str, ET.Element], where: str) -> Follows:
+    what = f"joint {joint.get('name')}"
+    shares: dict[str, float] = {}
+    offset = 0.0
+    rows = joint.findall(_COUPLING) or joint.findall(_MIMIC)
+    for row in rows:
+        shaft = row.get("joint", "")
+        if shaft not in known:
+            raise Refusal(where, f"{what}: {row.tag}", "name a joint of the URDF", repr(shaft))
+        share = _number(row.get("multiplier", "1"), f"{what}: multiplier", where)
+        shares[shaft] = shares.get(shaft, 0.0) + share
+        offset += _number(row.get("offset", "0"), f"{what}: offset", where)
+    return Follows(shares, offset)
+
+
+def _number(text: str, what: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= MOST:
+        raise Refusal(where, what, f"be a number from {-MOST:g} to {MOST:g}", repr(text))
+    return value
+
+
+def _resolved(name: str, found: Mapping[str, Follows], where: str) -> Follows:
+    """Return what a joint follows by shafts alone, through other followers."""
+    shares, offset = dict(found[name].shares), found[name].offset
+    for _ in range(len(found)):
+        through = [one for one in shares if one in found and one not in found[one].shares]
+        if not through:
+            return Follows(shares, offset)
+        for one in through:
+            share = shares.pop(one)
+            offset += share * found[one].offset
+            for shaft, factor in found[one].shares.items():
+                shares[shaft] = shares.get(shaft, 0.0) + share * factor
+    raise Refusal(where, f"joint {name}", "follow a joint that moves by itself", "a circle")
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """How joints go with shafts: q = C p + q_0."""
+
+    shafts: tuple[str, ...]
+    C: Array  # (joints, shafts)
+    offset: Array  # (joints,) [rad or m]
+
+    @property
+    def plain(self) -> bool:
+        """Whether every joint has a shaft of its own."""
+        return self.C.shape[0] == self.C.shape[1] and bool((np.eye(len(self.C)) == self.C).all())
+
+
+def own_shafts(joints: Sequence[str], followers: Mapping[str, Follows]) -> list[str]:
+    """Return the joints by whose names shafts go: no followers, or followed themselves."""
+    followed = {shaft for one in followers.values() for shaft in one.shares}
+    return [name for name in joints if name not in followers or name in followed]
+
+
+def coupling_of(joints: Sequence[str], followers: Mapping[str, Follows], where: str) -> Coupling:
+    """Return the coupling of joints in a row.
+
+    Raises:
+        Refusal: a joint that follows one that is not among them, or shafts that move nothing of
+            their own.
+    """
+    shafts = own_shafts(joints, followers)
+    for name, one in followers.items():
+        for shaft in one.shares:
+            if name in joints and shaft not in shafts:
+                rule = "follow joints on the way from base to tool"
+                held = f"lock it in the scene: locked: {{{name}: 0.0}}"
+                raise Refusal(where, f"joint {name}", rule, shaft, held)
+    rows = [followers.get(name, Follows({name: 1.0}, 0.0)) for name in joints]
+    C = np.array([[row.shares.get(shaft, 0.0) for shaft in shafts] for row in rows])
+    values = np.linalg.svd(C, compute_uv=False) if shafts else np.zeros(1)
+    if len(values) < len(shafts) or values[-1] <= RANK * values[0]:
+        rule = "let every shaft move joints in a way of its own"
+        raise Refusal(where, "couplings", rule, np.array2string(C, separator=", "))
+    return Coupling(tuple(shafts), C, np.array([row.offset for row in rows]))

@@ -1,0 +1,118 @@
+// Links whose joints do not go each with one drive: mimic joints of a telescope, parallelograms,
+// bevel wrists, differentials. With p the angles of the drives' shafts, behind their gears,
+//
+//   q = C p + q_0        C: constant, a row per joint, a column per shaft
+//
+// so that, since C is constant, the equation of motion in p is that of the chain, seen through C:
+//
+//   C^T M(q) C dp'/dt + C^T nle(q, C p') = T
+//
+// All that stands between motors and shafts (rotors, gears, friction, brakes, stops, encoders) is
+// of a drive, and so of p.
+#pragma once
+
+#include "mechanics/link_chain.hpp"
+
+namespace arm {
+
+template <class S, class X>
+struct CoupledLinks {
+  static constexpr int N = S::N, L = S::L;
+  using Chain = LinkChain<S, X>;
+  using Numbers = arm::Numbers<S, X>;
+  using Kinematics = typename Chain::Kinematics;
+
+  struct MassMatrix {
+    alignas(64) Symmetric<N, X> at;
+  };
+  struct Dynamics {
+    alignas(64) X nle[N];
+    MassMatrix M;
+  };
+
+  static ARM_INLINE void kinematics(const X* p, Kinematics& k) {
+    X q[L];
+    joints(p, q);
+    for_each<L>([&](auto i)
+                    __attribute__((always_inline)) { q[i] = q[i] + S::coupling_offset[i]; });
+    Chain::kinematics(q, k);
+  }
+
+  static ARM_INLINE void inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
+                                          const X* a, X* tau) {
+    X joint_v[L], joint_a[L], joint_tau[L];
+    joints(v, joint_v);
+    if (a) joints(a, joint_a);
+    Chain::inverse_dynamics(n, k, joint_v, a ? joint_a : nullptr, joint_tau);
+    shafts(joint_tau, tau);
+  }
+
+  static ARM_INLINE void mass_matrix(const Numbers& n, const Kinematics& k, MassMatrix& M) {
+    typename Chain::MassMatrix of_joints;
+    Chain::mass_matrix(n, k, of_joints);
+    project(of_joints, M);
+  }
+
+  static ARM_INLINE void dynamics(const Numbers& n, const X* p, const X* v, Dynamics& links) {
+    Kinematics k;
+    kinematics(p, k);
+    inverse_dynamics(n, k, v, nullptr, links.nle);
+    mass_matrix(n, k, links.M);
+  }
+  static __attribute__((noinline)) void dynamics_apart(const Numbers& n, const X* p, const X* v,
+                                                       Dynamics& links) {
+    dynamics(n, p, v, links);
+  }
+
+  static void external_torques(const Numbers& n, const Kinematics& k, X* tau) {
+    X joint_tau[L];
+    Chain::external_torques(n, k, joint_tau);
+    shafts(joint_tau, tau);
+  }
+  static X potential_energy(const Numbers& n, const Kinematics& k) {
+    return Chain::potential_energy(n, k);
+  }
+
+  // C x, of the shafts' speeds or accelerations those of the joints.
+  static ARM_INLINE void joints(const X* of_shafts, X* of_joints) {
+    for_each<L>([&](auto i) __attribute__((always_inline)) {
+      of_joints[i] = X{};
+      for_each<N>([&](auto j) __attribute__((always_inline)) {
+        if (S::coupling[i][j] != 0.0)
+          of_joints[i] = of_joints[i] + S::coupling[i][j] * of_shafts[j];
+      });
+    });
+  }
+
+ private:
+  // C^T x, of the joints' torques those of the shafts.
+  static ARM_INLINE void shafts(const X* of_joints, X* of_shafts) {
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      of_shafts[j] = X{};
+      for_each<L>([&](auto i) __attribute__((always_inline)) {
+        if (S::coupling[i][j] != 0.0)
+          of_shafts[j] = of_shafts[j] + S::coupling[i][j] * of_joints[i];
+      });
+    });
+  }
+
+  // C^T M C, column by column.
+  static ARM_INLINE void project(const typename Chain::MassMatrix& of_joints, MassMatrix& M) {
+    for_each<N, kUnrollNested>([&](auto j) __attribute__((always_inline)) {
+      X column[L], seen[N];
+      for_each<L>([&](auto i) __attribute__((always_inline)) {
+        column[i] = X{};
+        for_each<L>([&](auto k) __attribute__((always_inline)) {
+          if (S::coupling[k][j] != 0.0)
+            column[i] = column[i] + S::coupling[k][j] * of_joints.at[i < k ? i : k][i < k ? k : i];
+        });
+      });
+      shafts(column, seen);
+      for_each<N>([&](auto i) __attribute__((always_inline)) {
+        if (i <= j) M.at[i][j] = seen[i];
+      });
+    });
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,126 @@
+"""Which joints an arm's shafts move, and what the joints' limits leave to the shafts."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.couplings import Follows, followers, own_shafts
+from arm_emulator.base.urdf_text import parse_urdf
+
+WHERE = "robot_description"
+FloatArray = npt.NDArray[np.float64]
+
+
+def shafts_of(joints: Sequence[str], urdf_xml: str) -> tuple[str, ...]:
+    """Return those of a description's moving joints by whose names shafts go."""
+    found = followers(parse_urdf(urdf_xml, WHERE), WHERE)
+    return tuple(own_shafts(joints, found))
+
+
+def _way_to(tool: str, robot: ET.Element) -> set[str]:
+    """Return the joints between a description's base and a link or fixed joint."""
+    above, ends = dict[str, tuple[str, str]](), dict[str, str]()
+    for joint in robot.findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is not None and child is not None:
+            name, end = joint.get("name", ""), child.get("link", "")
+            above[end] = name, parent.get("link", "")
+            ends[name] = end
+    link, way = tool if tool in above else ends.get(tool, tool), set[str]()
+    while link in above and above[link][0] not in way:
+        name, link = above[link]
+        way.add(name)
+    return way
+
+
+class Shafts:
+    """The joints that are commanded, and those that follow them: q = C p + q_0.
+
+    Args:
+        urdf_xml: the robot description.
+        names: of the shafts, in the order of all arrays.
+        tool: link or fixed joint: of what follows, only what is on the way there counts; None: all.
+
+    Attributes:
+        joints: all that move, those of the shafts first.
+        C: (joints, shafts).
+        offset: (joints,) [rad or m].
+        coupled: whether any joint does not go with a shaft of its own alone.
+    """
+
+    def __init__(self, urdf_xml: str, names: Sequence[str], tool: str | None = None) -> None:
+        robot = parse_urdf(urdf_xml, WHERE)
+        found = followers(robot, WHERE)
+        way = found if tool is None else _way_to(tool, robot)
+        # Who commands a joint that only follows has it move by itself.
+        for name in {*names} - {*own_shafts(tuple(names), found)}:
+            del found[name]
+        along = [
+            name
+            for name, one in found.items()
+            if name not in names and set(one.shares) <= {*names} and name in way
+        ]
+        self.joints = (*names, *along)
+        known = {*names}
+        self.C, self.offset = np.zeros((len(self.joints), len(names))), np.zeros(len(self.joints))
+        for k, name in enumerate(self.joints):
+            row = found.get(name, Follows({name: 1.0}, 0.0))
+            if not set(row.shares) <= known:  # it follows what is held, and moves by itself
+                row = Follows({name: 1.0}, 0.0)
+            self.C[k] = [row.shares.get(shaft, 0.0) for shaft in names]
+            self.offset[k] = row.offset
+        self.coupled = len(along) > 0 or bool((self.C != np.eye(len(names))).any())
+
+    def of_joints(self, p: FloatArray) -> FloatArray:
+        """Return the joints' angles."""
+        return self.C @ p + self.offset if self.coupled else p
+
+    def rates(self, p: FloatArray) -> FloatArray:
+        """Return the joints' speeds or accelerations."""
+        return self.C @ p if self.coupled else p
+
+    def columns(self, J: FloatArray) -> FloatArray:
+        """Return columns (or torques) by the shafts, of those by the joints."""
+        return J @ self.C if self.coupled else J
+
+    def positions(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return limits of the shafts within which no joint passes its own.
+
+        Where a joint goes with several shafts, these are a box around the middle of the joints'
+        limits: it leaves some corners out, and none of it is beyond a limit.
+        """
+        if not self.coupled:
+            return lower, upper
+        low, high = np.full(self.C.shape[1], -np.inf), np.full(self.C.shape[1], np.inf)
+        several = np.count_nonzero(self.C, axis=1) > 1
+        boxed = np.abs(self.C[several]).sum(axis=0) > 0.0
+        for row, offset, least, most in zip(self.C, self.offset, lower, upper, strict=True):
+            (own,) = np.nonzero(row)
+            if len(own) == 1 and not boxed[own[0]]:
+                ends = (np.array([least, most]) - offset) / row[own[0]]
+                low[own[0]] = max(low[own[0]], ends.min())
+                high[own[0]] = min(high[own[0]], ends.max())
+        limited = np.isfinite(upper - lower) & (np.abs(self.C[:, boxed]).sum(axis=1) > 0.0)
+        if boxed.any() and limited.any():
+            C = self.C[limited]
+            middle, half = 0.5 * (lower + upper)[limited], 0.5 * (upper - lower)[limited]
+            centre = np.linalg.lstsq(C, middle - self.offset[limited])[0]
+            spare = np.maximum(half - np.abs(C @ centre + self.offset[limited] - middle), 0.0)
+            reach = self._least(spare, C)
+            low[boxed], high[boxed] = (centre - reach)[boxed], (centre + reach)[boxed]
+        return low, high
+
+    def most(self, of_joints: FloatArray) -> FloatArray:
+        """Return limits of the shafts' rates with which no joint passes its own."""
+        return self._least(of_joints, self.C) if self.coupled else of_joints
+
+    @staticmethod
+    def _least(limits: FloatArray, C: FloatArray) -> FloatArray:
+        sums = np.abs(C).sum(axis=1)
+        shares = limits / np.where(sums > 0.0, sums, 1.0)
+        least: FloatArray = np.where(C != 0.0, shares[:, None], np.inf).min(axis=0)
+        return least

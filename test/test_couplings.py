@@ -1,0 +1,395 @@
+"""Joints that do not go each with a drive: telescopes, palletizers, bevel wrists, any constant C.
+
+The independent solution knows no shafts' mass matrix: it has all joints of the chain (Pinocchio, by
+the description alone), the shafts, and one Lagrange multiplier for each row of q = C p + q_0.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from draws import FULL, some
+from scipy.integrate import solve_ivp
+
+from arm_emulator.analysis.holding import overloads
+from arm_emulator.analysis.link_loads import LinkLoads
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.cli.new import write_new
+from arm_emulator.cli.tune import tune
+from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.runs.gains import load_gains
+from oracles.any_arm import move, reachable
+from oracles.own_robots import Part, serial
+
+GRAVITY = (0.4, -1.1, -9.7)
+Shares = dict[str, dict[str, float]]
+
+TURN = Part("0 0 1", (0.1, 0.0, 0.4), 6.0)
+BOOM = [
+    TURN,
+    Part("0 1 0", (0.8, 0.1, 0.0), 5.0, limits=(-1.2, 0.8)),
+    Part("1 0 0", (0.3, 0.0, 0.1), 3.0, "prismatic", (0.0, 0.6)),
+    Part("1 0 0", (0.2, 0.1, 0.0), 2.0, "prismatic", (0.0, 0.4)),
+    Part("1 0 0", (0.1, 0.0, 0.1), 1.0, "prismatic", (0.0, 0.3)),
+]
+PALLETIZER = [
+    TURN,
+    Part("0 1 0", (0.0, 0.05, 0.8), 5.0, limits=(-0.7, 1.2)),
+    Part("0 1 0", (0.7, 0.0, 0.1), 4.0, limits=(-1.5, 1.0)),
+    Part("0 1 0", (0.1, 0.1, 0.0), 1.0, limits=(-1.5, 1.5)),
+    Part("0 0 -1", (0.1, 0.0, -0.1), 0.5),
+]
+WRIST = [
+    TURN,
+    Part("0 1 0", (0.5, 0.0, 0.0), 4.0),
+    Part("1 0 0", (0.1, 0.05, 0.0), 1.5),
+    Part("0 1 0", (0.1, 0.0, 0.05), 1.0, limits=(-2.0, 2.0)),
+    Part("1 0 0", (0.1, 0.05, 0.0), 0.7),
+]
+ARMS: dict[str, tuple[list[Part], Shares]] = {
+    # One drive, three slides.
+    "telescope": (BOOM, {"j4": {"j3": 0.7}, "j5": {"j3": -0.4}}),
+    # The forearm's motor stands on the base, and rods keep the flange level.
+    "palletizer": (PALLETIZER, {"j3": {"j3": 1.0, "j2": -1.0}, "j4": {"j3": -1.0}}),
+    # Two motors turn both of the last axes through bevel gears.
+    "bevel wrist": (WRIST, {"j4": {"j4": 1.0}, "j5": {"j5": 1.0, "j4": -0.8}}),
+    "differential": (WRIST, {"j4": {"j4": 0.5, "j5": 0.5}, "j5": {"j4": 0.5, "j5": -0.5}}),
+}
+
+
+def drive(ratio: float) -> dict[str, Any]:
+    return {
+        "motor": {
+            "kind": "torque", "rotor_inertia": 2e-4, "friction": {"viscous": 1e-3},
+        },
+        "gear": {"ratio": ratio, "stiffness": 4e3, "damping": 6.0},
+        "friction": {"viscous": 0.8},
+    }  # fmt: skip
+
+
+def shafts_of(parts: list[Part], shares: Shares) -> list[str]:
+    names = [f"j{k + 1}" for k in range(len(parts))]
+    used = {shaft for row in shares.values() for shaft in row}
+    return [name for name in names if name in used or name not in shares]
+
+
+def machine(folder: Path, parts: list[Part], shares: Shares, **more: Any) -> Scene:
+    """The scene, every shaft with its drive."""
+    (folder / "arm.urdf").write_text(serial("arm", parts))
+    shafts = shafts_of(parts, shares)
+    draw = np.random.default_rng(5)
+    drives = {name: drive(0.03) | {"start": float(draw.uniform(-0.2, 0.3))} for name in shafts}
+    scene = {
+        "name": "arm",
+        "urdf": "arm.urdf",
+        "tool": "tool0",
+        "gravity": list(GRAVITY),
+        "supply_voltage": 48.0,
+        "couplings": shares,
+        "joints": drives,
+        "integrator": {"scheme": "rosenbrock", "dt": 1e-4},
+        "servo_period": 1e-3,
+    }  # fmt: skip
+    file = folder / "arm.yaml"
+    file.write_text(yaml.safe_dump(scene | more))
+    return load_scene(file)
+
+
+class Lagrange:
+    """All joints of the chain and all shafts, with a multiplier for each joint's coupling."""
+
+    def __init__(self, urdf: str, C: np.ndarray, q_0: np.ndarray) -> None:
+        robot = ET.fromstring(urdf)
+        for joint in robot.findall("joint"):
+            for tag in ("mimic", "coupling"):
+                for element in joint.findall(tag):
+                    joint.remove(element)
+            limit = joint.find("limit")
+            if limit is not None:  # which Pinocchio wants to be complete
+                limit.attrib |= {"effort": "1", "velocity": "1"}
+        self.model = pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
+        self.model.gravity.linear = np.array(GRAVITY)
+        self.data = self.model.createData()
+        self.C, self.q_0 = C, q_0
+
+    def accelerations(self, p: np.ndarray, v: np.ndarray, T: np.ndarray) -> np.ndarray:
+        C, (L, N) = self.C, self.C.shape
+        q = C @ p + self.q_0
+        M = pin.crba(self.model, self.data, q)
+        M = np.triu(M) + np.triu(M, 1).T
+        nle = pin.nonLinearEffects(self.model, self.data, q, C @ v)
+        system = np.block([
+            [M, np.zeros((L, N)), np.eye(L)],  # M q'' + nle + lambda = 0
+            [np.zeros((N, L + N)), C.T],  # C^T lambda + T = 0
+            [np.eye(L), -C, np.zeros((L, L))],  # q'' = C p''
+        ])  # fmt: skip
+        return np.linalg.solve(system, np.concatenate([-nle, -T, np.zeros(L)]))[L : L + N]
+
+
+def matrix(parts: list[Part], shares: Shares) -> np.ndarray:
+    shafts = shafts_of(parts, shares)
+    rows = [shares.get(name, {name: 1.0}) for name in (f"j{k + 1}" for k in range(len(parts)))]
+    return np.array([[row.get(shaft, 0.0) for shaft in shafts] for row in rows])
+
+
+def any_arm(seed: int) -> tuple[list[Part], Shares]:
+    """A chain of any joints whose shafts move them by any matrix of full rank."""
+    draw = np.random.default_rng(seed)
+    L = int(draw.integers(2, 7))
+    parts = [
+        Part(
+            " ".join(map(repr, draw.normal(size=3).tolist())),
+            tuple(draw.uniform(-0.4, 0.4, 3).tolist()),
+            float(draw.uniform(0.5, 4.0)),
+            str(draw.choice(["revolute", "revolute", "prismatic"])),
+            (-2.0, 2.0),
+        )
+        for _ in range(L)
+    ]
+    names = [f"j{k + 1}" for k in range(L)]
+    shafts = sorted(draw.permutation(names)[: int(draw.integers(1, L + 1))].tolist())
+    return parts, {name: {shaft: float(draw.normal()) for shaft in shafts} for name in names}
+
+
+CASES: dict[str, Callable[[], tuple[list[Part], Shares]]] = {
+    **{name: (lambda arm=arm: arm) for name, arm in ARMS.items()},
+    **{f"any {seed}": (lambda seed=seed: any_arm(seed)) for seed in range(20)},
+}
+
+
+@pytest.mark.parametrize("name", [*list(ARMS)[:3], *some(list(CASES)[3:], 1)])
+def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) -> None:
+    parts, shares = CASES[name]()
+    free: dict[str, Any] = {name: {} for name in shafts_of(parts, shares)}
+    scene = machine(tmp_path, parts, shares, joints=free)
+    assert list(scene.joint_names) == shafts_of(parts, shares)
+    C = matrix(parts, shares)
+    truth = Lagrange(serial("arm", parts), C, np.zeros(len(parts)))
+    plant, draw = Plant(scene), np.random.default_rng(1)
+    loads = LinkLoads(scene)
+    for _ in range(20):
+        p, v, T = (draw.normal(size=C.shape[1]) * size for size in (1.0, 2.0, 30.0))
+        expected = truth.accelerations(p, v, T)
+        got = plant.links.accelerations(p, v, T)
+        np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+        M, still = loads.mass_matrix(p), np.zeros_like(v)
+        got = np.linalg.solve(M, T - loads.weight(p))
+        expected = truth.accelerations(p, still, T)
+        np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", some(list(ARMS), 1))
+def test_the_whole_machine_moves_as_its_equations(name: str, tmp_path: Path) -> None:
+    """Rotors, gears, friction of rotors and shafts, on the right side of the coupling: order 2."""
+    parts, shares = ARMS[name]
+    scene = machine(tmp_path, parts, shares)
+    C = matrix(parts, shares)
+    truth = Lagrange(serial("arm", parts), C, np.zeros(len(parts)))
+    N, Ng, Kg, Dg, Mm, Dl, Dv = C.shape[1], 0.03, 4e3, 6.0, 2e-4, 0.8, 1e-3
+    u = 0.2 * np.cos(np.arange(N))
+    assert any(abs(entry) not in (0.0, 1.0) or (row != 0.0).sum() > 1 for row in C for entry in row)
+
+    def rates(_: float, x: np.ndarray) -> np.ndarray:
+        theta, omega, p, v = x.reshape(4, N)
+        T = Kg * (Ng * theta - p) + Dg * (Ng * omega - v)
+        alpha = (u - Dv * omega - Ng * T) / Mm
+        return np.concatenate([omega, alpha, v, truth.accelerations(p, v, T - Dl * v)])
+
+    end, start = 0.2, scene.start
+    x = np.concatenate([start / Ng, np.zeros(N), start, np.zeros(N)])
+    solved = solve_ivp(rates, (0.0, end), x, method="DOP853", rtol=1e-12, atol=1e-14)
+    expected = solved.y[2 * N : 3 * N, -1]
+    errors = []
+    for dt in (1e-4, 5e-5):
+        at_step = machine(tmp_path, parts, shares, integrator={"scheme": "rosenbrock", "dt": dt})
+        plant = Plant(at_step)
+        plant.advance(u, round(end / dt))
+        errors.append(float(np.abs(plant.state.q - expected).max()))
+        np.testing.assert_allclose(Ng * plant.state.theta_m, plant.state.q, atol=0.05)
+    way = float(np.abs(expected - start).max())
+    assert way > 0.02, "it moves"
+    assert errors[1] < 1e-6 * way
+    assert 3.2 < errors[0] / errors[1] < 4.8, f"order 2: {errors}"
+
+
+def test_a_machine_without_losses_keeps_its_energy(tmp_path: Path) -> None:
+    parts, shares = ARMS["palletizer"]
+    free: dict[str, Any] = {name: {"start": 0.2} for name in shafts_of(parts, shares)}
+    scene = machine(tmp_path, parts, shares, joints=free)
+    plant = Plant(scene)
+    before = plant.energy
+    moved = []
+    for _ in range(20):
+        plant.advance(np.zeros(len(free)), 100)
+        moved.append(plant.energy - before)
+    speed = np.abs(plant.state.v).max()
+    M = LinkLoads(scene).mass_matrix(plant.state.q)
+    kinetic = 0.5 * plant.state.v @ M @ plant.state.v
+    assert speed > 0.3 and np.abs(moved).max() < 1e-6 * kinetic
+
+
+def mimicking(text: str, joint: str, of: str, multiplier: float, offset: float) -> str:
+    robot = ET.fromstring(text)
+    for element in robot.findall("joint"):
+        if element.get("name") == joint:
+            ET.SubElement(
+                element, "mimic", joint=of, multiplier=repr(multiplier), offset=repr(offset)
+            )
+    return ET.tostring(robot, encoding="unicode")
+
+
+def test_mimic_joints_on_the_way_to_the_tool_move_along(tmp_path: Path) -> None:
+    """Kinematics, limits, torques and dynamics of a telescope, by its description alone."""
+    text = mimicking(serial("arm", BOOM), "j4", "j3", 0.5, 0.02)
+    text = mimicking(text, "j5", "j4", -0.6, 0.1)  # a mimic of a mimic
+    (tmp_path / "arm.urdf").write_text(text)
+    names = ("j1", "j2", "j3")
+    scene = {
+        "name": "arm", "urdf": "arm.urdf", "tool": "tool0", "gravity": list(GRAVITY),
+        "supply_voltage": 48.0, "joints": {name: {} for name in names},
+        "integrator": {"dt": 1e-3}, "servo_period": 1e-3,
+    }  # fmt: skip
+    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(scene))
+    loaded = load_scene(tmp_path / "arm.yaml")
+    assert loaded.joint_names == names
+    C = np.vstack([np.eye(3), [0.0, 0.0, 0.5], [0.0, 0.0, -0.3]])
+    q_0 = np.array([0.0, 0.0, 0.0, 0.02, 0.1 - 0.6 * 0.02])
+    truth = Lagrange(text, C, q_0)
+    frame = truth.model.getFrameId("tool0")
+    kinematics = Kinematics(text, names, "tool0", task="pose")
+    torques = LinkTorques(text, names, GRAVITY)
+    plant, draw = Plant(loaded), np.random.default_rng(2)
+    for _ in range(10):
+        p, v, T = (draw.normal(size=3) * size for size in (0.5, 1.0, 20.0))
+        pin.framesForwardKinematics(truth.model, truth.data, C @ p + q_0)
+        R, at = kinematics.forward(p)
+        np.testing.assert_allclose(at, truth.data.oMf[frame].translation, atol=1e-12)
+        np.testing.assert_allclose(R, truth.data.oMf[frame].rotation, atol=1e-12)
+        J = pin.computeFrameJacobian(
+            truth.model, truth.data, C @ p + q_0, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        np.testing.assert_allclose(kinematics.jacobian(p), J @ C, atol=1e-12)
+        a = truth.accelerations(p, v, T)
+        np.testing.assert_allclose(plant.links.accelerations(p, v, T), a, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(torques.at(p, v, a), T, rtol=1e-9, atol=1e-9)
+    # 0 <= 0.5 p + 0.02 <= 0.4 and 0 <= 0.088 - 0.3 p <= 0.3, within 0 .. 0.6.
+    assert kinematics.lower[2] == pytest.approx(0.0)
+    assert kinematics.upper[2] == pytest.approx(0.088 / 0.3)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_limits_of_shafts_keep_all_joints_within_theirs(seed: int) -> None:
+    """Positions, and speeds; at the corners of the box some joint is at its limit."""
+    from arm_emulator.motion.shafts import Shafts
+
+    draw = np.random.default_rng(seed)
+    parts, shares = any_arm(seed)
+    robot = ET.fromstring(serial("arm", parts))
+    for joint in robot.findall("joint"):
+        for shaft, share in shares.get(joint.get("name", ""), {}).items():
+            ET.SubElement(joint, "coupling", joint=shaft, multiplier=repr(share))
+    names = shafts_of(parts, shares)
+    shafts = Shafts(ET.tostring(robot, encoding="unicode"), names)
+    L = len(shafts.joints)
+    lower = draw.uniform(-2.0, -0.5, L)
+    upper = draw.uniform(0.5, 2.0, L)
+    low, high = shafts.positions(lower, upper)
+    most = shafts.most(upper)
+    assert (low <= high).all()
+    for corner in draw.choice([0.0, 1.0], (50, len(names))):
+        q = shafts.of_joints(low + corner * (high - low))
+        assert (q > lower - 1e-9).all() and (q < upper + 1e-9).all()
+        assert (np.abs(shafts.rates((2.0 * corner - 1.0) * most)) < upper + 1e-9).all()
+
+
+BAD: list[tuple[Shares, str]] = [
+    ({"j4": {"nobody": 1.0}}, "must name a joint of the URDF, got 'nobody'"),
+    ({"j4": {"j5": 1.0}, "j5": {"j4": 1.0}}, "must follow a joint that moves by itself"),
+    ({"j4": {"j3": 0.0}}, ""),
+    ({"j3": {"j3": 1.0, "j2": 1.0}, "j2": {"j3": 2.0, "j2": 2.0}}, "in a way of its own"),
+    ({"j9": {"j3": 1.0}}, "must be a joint of the URDF, got j9"),
+]
+
+
+@pytest.mark.parametrize(("shares", "words"), BAD)
+def test_couplings_that_move_nothing_are_refused(
+    shares: Shares, words: str, tmp_path: Path
+) -> None:
+    if not words:  # a joint that stands still with its shaft is a fixed one
+        machine(tmp_path, BOOM, shares)
+        return
+    with pytest.raises(Refusal, match=words) as refusal:
+        machine(tmp_path, BOOM, shares)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("key", ["external_wrench", "varied"])
+def test_what_coupled_scenes_cannot_have_is_refused(key: str, tmp_path: Path) -> None:
+    value: Any = True if key == "external_wrench" else ["joints.j1.friction.viscous"]
+    with pytest.raises(Refusal, match=f"{key} must be absent from a scene with couplings"):
+        machine(tmp_path, *ARMS["telescope"], **{key: value})
+
+
+def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path) -> None:
+    """By its description: one drive for all slides; the whole machine arrives."""
+    text = mimicking(serial("arm", BOOM), "j4", "j3", 0.6, 0.0)
+    text = mimicking(text, "j5", "j3", 0.4, 0.0)
+    file = tmp_path / "arm.urdf"
+    file.write_text(text)
+    written = write_new(file, tmp_path / "new")
+    assert written.choice.joints == ("j1", "j2", "j3") and not written.choice.held
+    assert written.choice.tool == "tool0"
+    scene, gains = load_scene(written.file), load_gains(written.file)
+    kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    pair = reachable(kinematics, 0.2, np.random.default_rng(1))
+    assert pair is not None
+    words, _, peak = move(scene, gains, *pair, np.array([drive.speed for drive in written.drives]))
+    assert not words and peak <= 1.0, words
+
+
+def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> None:
+    """Servo and motion control take shafts; the true tool, by the joints, arrives."""
+    file = tmp_path / "arm.urdf"
+    # Both motors of the differential carry what its first axis takes.
+    efforts = (60.0, 120.0, 30.0, 20.0, 20.0)
+    parts = [replace(part, effort=one) for part, one in zip(WRIST, efforts, strict=True)]
+    file.write_text(serial("arm", parts))
+    written = write_new(file, tmp_path / "new")
+    _, shares = ARMS["differential"]
+    written.file.write_text(written.file.read_text() + yaml.safe_dump({"couplings": shares}))
+    assert tune(str(written.file), None, None, write=True) == 0
+    scene, gains = load_scene(written.file), load_gains(written.file)
+    kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    truth = Lagrange(serial("arm", WRIST), matrix(WRIST, shares), np.zeros(5))
+    frame, p = truth.model.getFrameId("tool0"), np.array([0.3, -0.2, 0.5, 0.4, -0.7])
+    pin.framesForwardKinematics(truth.model, truth.data, truth.C @ p)
+    expected = truth.data.oMf[frame].translation
+    np.testing.assert_allclose(kinematics.forward(p)[1], expected, atol=1e-12)
+    assert not overloads(scene)
+    pair = reachable(kinematics, 0.1, np.random.default_rng(1))
+    assert pair is not None
+    words, _, peak = move(scene, gains, *pair, np.array([drive.speed for drive in written.drives]))
+    assert not words and peak <= 1.0, words
+
+
+@pytest.mark.skipif(not FULL, reason="fleets are compiled once more for it: make test-in-full")
+@pytest.mark.parametrize("name", ARMS)
+def test_lanes_of_a_fleet_move_as_one_machine(name: str, tmp_path: Path) -> None:
+    scene = machine(tmp_path, *ARMS[name])
+    fleet, plant = Fleet(scene, 9), Plant(scene)
+    u = 0.3 * np.cos(np.arange(len(scene.joints)))
+    fleet.run(np.tile(u, (1, 9, 1)), 200)
+    plant.advance(u, 200)
+    np.testing.assert_allclose(fleet.state.q, np.tile(plant.state.q, (9, 1)), rtol=0.0, atol=1e-11)
