@@ -1,0 +1,77 @@
+"""Arms on a wall, under a ceiling, on a slope: gravity in the scene, or a base that is turned."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from arm_emulator.analysis.holding import overloads
+from arm_emulator.cli.new import write_new
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.runs.gains import load_gains
+from oracles.any_arm import move, reachable
+from oracles.own_robots import Part, serial
+
+DOWN = np.array([0.0, 0.0, -9.81])
+MOUNTS = {"wall": (0.0, np.pi / 2, 0.0), "ceiling": (np.pi, 0.0, 0.0), "slope": (0.4, -0.3, 0.8)}
+PARTS = [
+    Part("0 0 1", (0.0, 0.0, 0.2), 2.0, effort=40.0, velocity=3.0),
+    Part("0 1 0", (0.3, 0.0, 0.0), 1.5, effort=40.0, velocity=3.0),
+    Part("0 1 0", (0.2, 0.05, 0.0), 0.8, effort=15.0, velocity=3.0),
+]
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Path) -> None:
+    """The same machine in the axes of its base: equal motions, and it arrives where it is sent."""
+    R_WB = Rotation.from_euler("xyz", MOUNTS[mount]).as_matrix()
+    gravity = (R_WB.T @ DOWN).tolist()
+    file = tmp_path / "arm.urdf"
+    file.write_text(serial("arm", PARTS))
+    written = write_new(file, tmp_path / "new")
+    upright = load_scene(written.file, {"gravity": gravity})
+    text = written.file.read_text()
+    rpy = " ".join(map(repr, MOUNTS[mount]))
+    (tmp_path / "turned.urdf").write_text(serial("arm", PARTS, base_rpy=rpy))
+    turned_file = tmp_path / "turned.yaml"
+    turned_file.write_text(text.replace("urdf/arm.urdf", "turned.urdf"))
+    turned = load_scene(turned_file)
+    one, two = Plant(upright), Plant(turned)
+    draw = np.random.default_rng(0)
+    for _ in range(50):
+        u = draw.normal(size=3) * [0.5, 0.5, 0.2]
+        one.advance(u, 20)
+        two.advance(u, 20)
+    assert np.abs(one.state.q - upright.start).max() > 0.02, "it moves"
+    np.testing.assert_allclose(one.state.q, two.state.q, rtol=0.0, atol=1e-10)
+    gains = load_gains(written.file)
+    motion = dataclasses.replace(
+        gains.motion, gravity_x=gravity[0], gravity_y=gravity[1], gravity_z=gravity[2]
+    )
+    gains = dataclasses.replace(gains, motion=motion)
+    kinematics = Kinematics(upright.urdf, upright.joint_names, upright.tool)
+    pair = reachable(kinematics, 0.1, np.random.default_rng(3))
+    assert pair is not None
+    limits = np.array([drive.speed for drive in written.drives])
+    words, seconds, peak = move(upright, gains, *pair, limits)
+    assert not words and peak <= 1.0 and seconds < 6.0, (words, seconds, peak)
+
+
+def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None:
+    """The first joint carries weight as soon as the base is turned."""
+    file = tmp_path / "arm.urdf"
+    weak = [dataclasses.replace(PARTS[0], effort=4.0), *PARTS[1:]]
+    file.write_text(serial("arm", weak))
+    written = write_new(file, tmp_path / "new")
+    assert not written.overloads, "upright, the first joint carries no weight"
+    on_wall = overloads(load_scene(written.file, {"gravity": [9.81, 0.0, 0.0]}))
+    assert [one.joint for one in on_wall] == ["j1"]
+    # j1 turns about z, and on a wall the arm stretched out pulls at its own length.
+    stretched = 9.81 * (1.5 * 0.15 + 0.8 * 0.4)
+    assert 0.8 < on_wall[0].takes / stretched <= 1.05
