@@ -368,7 +368,13 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     file.write_text(serial("arm", parts))
     written = write_new(file, tmp_path / "new")
     _, shares = ARMS["differential"]
-    written.file.write_text(written.file.read_text() + yaml.safe_dump({"couplings": shares}))
+    scene = yaml.safe_load(written.file.read_text()) | {"couplings": shares}
+    written.file.write_text(yaml.safe_dump(scene))
+    with pytest.raises(Refusal, match=r"j4\.end_stops\.at must be absent"):
+        load_scene(written.file)  # the URDF's limits are those of joints, not of these shafts
+    for name in shares:
+        del scene["joints"][name]["end_stops"]
+    written.file.write_text(yaml.safe_dump(scene))
     assert tune(str(written.file), None, None, write=True) == 0
     scene, gains = load_scene(written.file), load_gains(written.file)
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)

@@ -98,9 +98,22 @@ def _resolved(name: str, found: Mapping[str, Follows], where: str) -> Follows:
 class Coupling:
     """How joints go with shafts: q = C p + q_0."""
 
+    joints: tuple[str, ...]  # that move, base to tool
     shafts: tuple[str, ...]
     C: Array  # (joints, shafts)
     offset: Array  # (joints,) [rad or m]
+
+    @property
+    def alone(self) -> set[str]:
+        """The shafts whose angle is that of the joint after which they are called."""
+        unit = np.eye(len(self.shafts))
+        rows = zip(self.joints, self.C, self.offset, strict=True)
+        own = {name: (row, offset) for name, row, offset in rows if name in self.shafts}
+        return {
+            name
+            for name, one in zip(self.shafts, unit, strict=True)
+            if own[name][1] == 0.0 and bool((own[name][0] == one).all())
+        }
 
     @property
     def plain(self) -> bool:
@@ -134,4 +147,4 @@ def coupling_of(joints: Sequence[str], followers: Mapping[str, Follows], where: 
     if len(values) < len(shafts) or values[-1] <= RANK * values[0]:
         rule = "let every shaft move joints in a way of its own"
         raise Refusal(where, "couplings", rule, np.array2string(C, separator=", "))
-    return Coupling(tuple(shafts), C, np.array([row.offset for row in rows]))
+    return Coupling(tuple(joints), tuple(shafts), C, np.array([row.offset for row in rows]))

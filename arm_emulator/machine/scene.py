@@ -337,7 +337,8 @@ def _build(root: Section, file: Path) -> Scene:
         )
     if lock_joints(robot, locked, urdf_file.name) or root.has("couplings"):
         urdf = ET.tostring(robot, encoding="unicode")
-    limits = {} if not chain.coupling.plain else limits_of(robot)
+    alone = chain.coupling.alone
+    limits = {name: ends for name, ends in limits_of(robot).items() if name in alone}
     joints = _joints(root, chain, urdf_file.name, limits)
     integrator_section = root.required_section("integrator")
     integrator = Integrator(
