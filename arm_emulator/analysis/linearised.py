@@ -1,59 +1,144 @@
-"""The whole machine as a linear system about rest in a pose."""
+"""The whole machine as a linear system about a state, or about rest in a pose."""
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.analysis.stability import SmallMotions
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.plant import Plant
-from arm_emulator.machine.plant_state import start_bounds
+from arm_emulator.machine.equations import Equations
+from arm_emulator.machine.plant import Commands, Plant
+
+MOST_ROUNDS = 30  # of Newton's method
+ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: what may be left at rest
 
 
 @dataclass(frozen=True)
 class LinearMachine:
-    """dx/dt = A x + B u about rest; x are the states of the drives, then q and v of the links.
+    """dx/dt = rate + A (x - x0) + B (u - u0); x are the states of the drives, then q and v.
 
-    Coulomb friction and current limits are left out. Constant torques on the links hold them.
+    What each joint does at x0 is held: a link that sticks rests, as does a stuck rotor, a current
+    at its limit stays there, a tooth touches or does not. What follows at once, such as a current
+    without inductance, is no state.
 
     Attributes:
         A: (n, n).
         B: (n, N), per unit of each joint's command.
-        theta_m: motor angles by x, (N, n).
-        current: motor currents by x, (N, n).
+        rate: (n,), dx/dt at x0 under u0; 0 at rest.
+        x0: (n,), the state.
+        u0: (N,), the commands [V, N m, A].
+        theta_m, theta_m_by_u: motor angles by x (N, n) and by u (N, N) [rad].
+        current, current_by_u: motor currents likewise [A].
         q, v: places of the links' positions and speeds in x.
+        sticks: links that stick (N,).
     """
 
     A: Array
     B: Array
+    rate: Array
+    x0: Array
+    u0: Array
     theta_m: Array
+    theta_m_by_u: Array
     current: Array
+    current_by_u: Array
     q: slice
     v: slice
+    sticks: NDArray[np.bool_]
 
 
-def linearise(plant: Plant, q: ArrayLike | None = None) -> LinearMachine:
-    """Return what a plant is for small motions about rest.
+def linearise(
+    plant: Plant, q: ArrayLike | None = None, *, command: Commands | None = None
+) -> LinearMachine:
+    """Return what a plant is for small motions.
+
+    Without a pose it is linearised where it is, as it sticks or slides. In a pose it is linearised
+    about rest: commands hold it, gears are wound up by its weight, and no joint sticks.
 
     Args:
         plant: the machine; its state stays as it is.
-        q: the pose (N,) [rad or m]; where its links are if None.
+        q: the pose (N,) [rad or m]; None: where the machine is.
+        command: about which (N,), or by names of joints [V, N m, A], without a pose; None: the
+            newest that the machine got.
 
     Raises:
-        Refusal: no such pose.
+        Refusal: no such pose or command, or a pose that the motors do not hold, as where a joint
+            has none or a gear has play.
     """
-    N = len(plant.scene.joints)
-    at = plant.state.q if q is None else start_bounds(plant.scene)[0].row("linearise", q, N)
-    motions = SmallMotions(plant, np.array(at))
-    first = motions.links
+    if q is None:
+        given = plant.commanded if command is None else command
+        return _without_what_follows(plant.equations(given))
+    if command is not None:
+        raise Refusal("linearise", "command", "be absent in a pose, which decides it", command)
+    return _without_what_follows(_at_rest(plant, q))
+
+
+def _at_rest(plant: Plant, q: ArrayLike) -> Equations:
+    """Return the equations where commands hold a pose, by Newton's method from gears unloaded."""
+    other = copy.copy(plant)
+    other.reset(q)
+    N = len(other.scene.joints)
+    x, u = other.equations(np.zeros(N), slides=True).x, np.zeros(N)
+    for _ in range(MOST_ROUNDS):
+        now = plant.equations(u, x, slides=True)
+        m = len(now.D)
+        rows = np.concatenate([now.states, m + np.arange(N)])
+        columns = np.concatenate([now.states, m + 2 * N + np.arange(N)])
+        J, off = now.by[np.ix_(rows, columns)], now.value[rows]
+        # Rows and columns of very different units, each by its largest entry.
+        of_row = np.abs(now.by[rows]).max(axis=1)
+        of_column = np.abs(J / of_row[:, np.newaxis]).max(axis=0)
+        of_column[of_column == 0.0] = 1.0
+        scaled = J / of_row[:, np.newaxis] / of_column
+        if (np.abs(off) <= ROUNDING * of_row).all():
+            return now
+        step = np.linalg.lstsq(scaled, -off / of_row, rcond=1e-12)[0] / of_column
+        x[now.states] += step[:-N]
+        u = u + step[-N:]
+    raise Refusal("linearise", "the pose", "be one that the motors hold", np.asarray(q))
+
+
+def _without_what_follows(of: Equations) -> LinearMachine:
+    """Return the linear system of the states that do not follow at once."""
+    N, m = len(of.u), len(of.D)
+    follows = of.states[of.D[of.states] == 0.0]
+    kept = of.states[of.D[of.states] != 0.0]
+    links = m + np.arange(2 * N)
+    columns = np.concatenate([kept, links, m + 2 * N + np.arange(N)])
+    # d(what follows) = W d(all others) + w, so that its rows stay 0.
+    inner, given = of.by[np.ix_(follows, follows)], of.by[np.ix_(follows, columns)]
+    W, w = -np.linalg.solve(inner, given), -np.linalg.solve(inner, of.value[follows])
+
+    def rows(places: NDArray[np.int64]) -> tuple[Array, Array]:
+        by = of.by[np.ix_(places, follows)]
+        return of.by[np.ix_(places, columns)] + by @ W, of.value[places] + by @ w
+
+    n = len(kept) + 2 * N
+    of_drives, of_links, of_currents, of_angles = (
+        rows(places) for places in (kept, *(m + k * N + np.arange(N) for k in range(3)))
+    )
+    D = of.D[kept]
+    of_q = np.eye(N, n + N, len(kept) + N), of.x[m + N :]
+    table = np.vstack([of_drives[0] / D[:, np.newaxis], of_q[0], of_links[0]])
+    rate = np.concatenate([of_drives[1] / D, of_q[1], of_links[1]])
+    (resting,) = np.nonzero(of.sticks)
+    for first in (len(kept), len(kept) + N):
+        table[first + resting], rate[first + resting] = 0.0, 0.0
     return LinearMachine(
-        motions.J,
-        motions.B,
-        motions.theta_m,
-        motions.current,
-        slice(first, first + N),
-        slice(first + N, first + 2 * N),
+        A=table[:, :n],
+        B=table[:, n:],
+        rate=rate,
+        x0=of.x[columns[:n]],
+        u0=of.u,
+        theta_m=of_angles[0][:, :n],
+        theta_m_by_u=of_angles[0][:, n:],
+        current=of_currents[0][:, :n],
+        current_by_u=of_currents[0][:, n:],
+        q=slice(len(kept), len(kept) + N),
+        v=slice(len(kept) + N, n),
+        sticks=of.sticks,
     )

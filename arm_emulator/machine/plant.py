@@ -36,6 +36,7 @@ from arm_emulator.machine.core_calls import (
 )
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.energy_flow import EnergyFlow
+from arm_emulator.machine.equations import Equations
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.linear_drive import LinearDrive
 from arm_emulator.machine.link_dynamics import LinkDynamics
@@ -600,6 +601,30 @@ class Plant(Turns):
         numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
         self.core.arm_linear_drives(self.machine, loaded, pointer(numbers))
         return [LinearDrive.of(row, K) for row in numbers]
+
+    @in_turn
+    def equations(
+        self, command: Commands, x: Array | None = None, *, slides: bool = False
+    ) -> Equations:
+        """Return the machine's equations about a state, and their derivatives there.
+
+        Args:
+            command: (N,), or by names of all joints [V, N m, A].
+            x: the state, as `Equations.x`; None: the machine's own.
+            slides: without dry friction.
+
+        Raises:
+            Refusal: wrong shape or not finite.
+        """
+        where, N = "Plant.equations", self._N
+        u = np.array(self._as_command(command, where))  # to be put within its bounds
+        size = N * (self.core.arm_linearise(self.machine, NULL, NULL, 0, 0, NULL) + 2)
+        at = np.zeros(size) if x is None else as_row(x, size, where, "x").copy()
+        numbers = np.zeros((size + N) * (size + N + 1) + size)
+        given = pointer(at), pointer(u), x is None, slides, pointer(numbers)
+        if self.core.arm_linearise(self.machine, *given) < 0:
+            raise self._refusal(where, "another one")
+        return Equations.of(at, u, numbers)
 
 
 def _again(scene: Scene, of_fleet: bool) -> Plant:

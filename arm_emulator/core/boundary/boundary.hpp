@@ -7,6 +7,7 @@
 
 #include "arm.h"
 #include "machine/machine.hpp"
+#include "mechanics/linearisation.hpp"
 #include "mechanics/sensors.hpp"
 
 // What a scene's library was built of; set by the compiler's command line (compiler.py).
@@ -529,11 +530,13 @@ int arm_set_parameter(arm_machine* machine, const char* name, double value) {
   return ARM_OK;
 }
 
-int arm_set_external_wrench(arm_machine* machine, std::int32_t joint, const arm_wrench* wrench) {
-  if (!machine || machine->refuse_wrench(joint) || machine->check_size(wrench)) return ARM_REFUSED;
+namespace {
+
+int check_wrench(const arm_machine* machine, std::int32_t joint, const arm_wrench* wrench,
+                 arm::GivenWrench& given) {
+  if (machine->refuse_wrench(joint) || machine->check_size(wrench)) return ARM_REFUSED;
   if (wrench->axes != ARM_LINK_AXES && wrench->axes != ARM_WORLD_AXES)
     return machine->refuse(joint, "axes", "be one of enum arm_axes", wrench->axes);
-  arm::GivenWrench given = {};
   double* to = given.numbers;
   for (const auto& vector : {wrench->point, wrench->force, wrench->moment})
     for (int k = 0; k < 3; ++k) {
@@ -542,6 +545,14 @@ int arm_set_external_wrench(arm_machine* machine, std::int32_t joint, const arm_
       *to++ = vector[k];
     }
   *to = wrench->axes == ARM_WORLD_AXES;
+  return ARM_OK;
+}
+
+}  // namespace
+
+int arm_set_external_wrench(arm_machine* machine, std::int32_t joint, const arm_wrench* wrench) {
+  arm::GivenWrench given = {};
+  if (!machine || check_wrench(machine, joint, wrench, given)) return ARM_REFUSED;
   machine->set_external_wrench(joint, given);
   return ARM_OK;
 }
@@ -822,6 +833,25 @@ ARM_ONCE int arm_linear_drives(const arm_machine* machine, std::int32_t loaded, 
     out += 2 * (K + 3);
   });
   return K;
+}
+
+ARM_ONCE int arm_linearise(const arm_machine* machine, double* x, double* command,
+                           std::int32_t as_it_is, std::int32_t slides, double* out) {
+  using Linear = arm::Linearisation<Scene>;
+  if (!out) return Linear::K;
+  if (!machine || machine->check_there(x, "x") || machine->check_finite(command, "command"))
+    return -1;
+  const arm::Numbers<Scene>& numbers = machine->machine.numbers_now();
+  arm::State<Scene> at = machine->machine.state();
+  if (!as_it_is)
+    for (int k = 0; k < Linear::numbers; ++k) Linear::number(at, k) = x[k];
+  arm::bound_commands(numbers, at, command);
+  arm::follow_at_once(numbers, at, command);
+  for (int k = 0; k < Linear::numbers; ++k) x[k] = Linear::number(at, k);
+  const Linear linear(numbers, at, command, slides);
+  linear.write(at, command, out);
+  linear.write_structure(out + Linear::rows * (Linear::numbers + arm_machine::N + 1));
+  return Linear::K;
 }
 
 void arm_forward_dynamics(const arm_machine* machine, std::int64_t count, const double* q,

@@ -319,6 +319,26 @@ int arm_fleet_set_parameter(arm_fleet* fleet, const std::uint8_t* mask, const ch
   return ARM_OK;
 }
 
+int arm_fleet_set_external_wrench(arm_fleet* fleet, const std::uint8_t* mask, std::int32_t joint,
+                                  const arm_wrench* wrench) {
+  if (!fleet || !wrench) return ARM_REFUSED;
+  arm::GivenWrench given = {};
+  if (fleet->check_all(mask, [&](const arm_machine* arm, int k) {
+        return check_wrench(arm, joint, wrench + k, given);
+      }))
+    return ARM_REFUSED;
+  fleet->for_all(mask,
+                 [&](arm_machine* arm, int k) { arm_set_external_wrench(arm, joint, wrench + k); });
+  return ARM_OK;
+}
+
+int arm_fleet_get_external_wrench(const arm_fleet* fleet, std::int32_t joint, arm_wrench* out) {
+  if (!fleet || !out) return ARM_REFUSED;
+  return fleet->check_all(nullptr, [&](const arm_machine* arm, int k) {
+    return arm_get_external_wrench(arm, joint, out + k);
+  });
+}
+
 void arm_fleet_power(arm_fleet* fleet, const std::uint8_t* on) {
   if (fleet && on)
     fleet->for_all(nullptr, [&](arm_machine* arm, int k) { arm_power(arm, on[k] != 0); });

@@ -1,0 +1,269 @@
+"""The linear machine is the derivative of the machine: every entry of A and B, on every scene.
+
+The truth is `analysis.reference` and `oracles.event_reference`, in NumPy and Pinocchio, by central
+differences; what they do not know, by what must follow from how the machine stands.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from arm_emulator import LinearMachine, Plant, Refusal, Scene, linearise, load_scene
+from arm_emulator.analysis.reference import ReferenceMachine
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.machine.parts.current_loop import CurrentLoop
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from oracles.event_reference import MachineWithModes
+
+Array = NDArray[np.float64]
+
+# Without what the references do not have, see below for that.
+ROTORS = {f"joints.axis_{k}.motor.friction": None for k in range(1, 7)}
+SCENES: dict[str, dict[str, Any]] = {
+    "three_axis": {}, "ur5": {}, "panda": {},
+    "kuka_kr300": {**ROTORS, "joints.axis_2.counterbalance": None},
+    "manutec_r3": {key: None for key in list(ROTORS)[:3]},
+}  # fmt: skip
+COUNTERBALANCE = yaml.safe_load(find_scene("kuka_kr300").read_text())["joints"]["axis_2"]
+RESTORED = COUNTERBALANCE["counterbalance"]
+CURRENT, TM, WM, Q, V, INTEGRAL = range(6)  # rows of a reference's state
+
+
+def places(scene: Scene) -> list[tuple[int, int]]:
+    """Row and joint in a reference's state for each number of x."""
+    own = []
+    for j, joint in enumerate(scene.joints):
+        if isinstance(joint.motor, DcMotor) and joint.motor.inductance > 0.0:
+            own.append((CURRENT, j))
+        if joint.find(CurrentLoop) is not None:
+            own.append((INTEGRAL, j))
+        if joint.motor is not None and joint.gear.stiffness is not None:
+            own += [(TM, j), (WM, j)]
+    return own + [(row, j) for row in (Q, V) for j in range(len(scene.joints))]
+
+
+def derivatives(machine: ReferenceMachine, scene: Scene, of: LinearMachine) -> tuple[Array, ...]:
+    """Return A, B and dx/dt of a reference at the same state."""
+    N, at = machine.N, places(scene)
+    x = np.zeros((6, N))
+    for value, place in zip(of.x0, at, strict=True):
+        x[place] = value
+
+    def rates(x: Array, u: Array) -> Array:
+        dx = machine.rates(0.0, x.ravel(), u).reshape(6, N)
+        return np.array([dx[place] for place in at])
+
+    columns, h = [], 2.0**-12
+    for k in range(len(at) + N):
+        column = np.zeros(len(at))
+        for place, factor in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):  # exact for cubes
+            some, u = x.copy(), of.u0.copy()
+            if k < len(at):
+                some[at[k]] += place * h
+            else:
+                u[k - len(at)] += place * h
+            column += factor * rates(some, u) / (12.0 * h)
+        columns.append(column)
+    table = np.array(columns).T
+    table[of.q.start + np.flatnonzero(of.sticks)] = 0.0  # there the speed is no number but 0
+    return table[:, : len(at)], table[:, len(at) :], rates(x, of.u0)
+
+
+def as_dc(scene: Scene) -> Scene:
+    """The same with ideal torque motors as DC motors: a command of 1 is 1 N m."""
+    joints = tuple(
+        dataclasses.replace(
+            joint,
+            motor=DcMotor(
+                resistance=1.0, torque_constant=1.0, back_emf_constant=0.0,
+                rotor_inertia=joint.motor.rotor_inertia, current_limit=joint.motor.torque_limit,
+            ),
+        )
+        if isinstance(joint.motor, TorqueMotor)
+        else joint
+        for joint in scene.joints
+    )  # fmt: skip
+    return dataclasses.replace(scene, joints=joints)
+
+
+def assert_same(got: Array, expected: Array, rounding: Array) -> None:
+    """Every entry, to what central differences and rounding of large torques leave in its row."""
+    off = np.abs(got - expected) - 1e-6 * np.abs(expected)
+    worst = np.unravel_index(int(np.argmax(off - rounding)), off.shape)
+    assert (off <= rounding).all(), f"{worst}: {got[worst]} is not {expected[worst]}"
+
+
+def compare(machine: ReferenceMachine, scene: Scene, of: LinearMachine) -> None:
+    A, B, rate = derivatives(machine, scene, of)
+    row = np.abs(A).max(axis=1, keepdims=True) + np.abs(B).max(axis=1, keepdims=True)
+    assert_same(of.A, A, 1e-9 * row + 1e-9)
+    assert_same(of.B, B, 1e-9 * row + 1e-9)
+    assert_same(of.rate[:, np.newaxis], rate[:, np.newaxis], 1e-10 * row + 1e-9)
+
+
+@pytest.fixture(params=SCENES, scope="module")
+def scene(request: pytest.FixtureRequest) -> Scene:
+    return load_scene(request.param, overrides=SCENES[request.param])
+
+
+def test_about_rest_every_entry_is_that_of_the_equations(scene: Scene) -> None:
+    payload = yaml.safe_load(find_scene(scene.name).read_text()).get("payload")
+    machine = ReferenceMachine(as_dc(scene), payload, smooth=False)
+    rng = np.random.default_rng(7)
+    plant = Plant(scene)
+    for q in (scene.start, scene.start + rng.uniform(-0.3, 0.3, len(scene.joints))):
+        linear = linearise(plant, q)
+        assert np.allclose(linear.x0[linear.q], q) and not linear.sticks.any()
+        assert np.abs(linear.rate).max() < 1e-4 * np.abs(linear.A).max(), "the commands hold it"
+        compare(machine, scene, linear)
+        # Held by these commands the machine itself stays: what is left is friction's.
+        assert np.array_equal(plant.state.q, Plant(scene).state.q), "the plant has not moved"
+
+
+def test_in_motion_every_entry_is_that_of_the_equations(scene: Scene) -> None:
+    """With joints that stick, and that slide with gears wound up, at speed."""
+    if scene.name == "manutec_r3":
+        pytest.skip("the reference with modes has no payload")
+    plant, N = Plant(scene), len(scene.joints)
+    rng = np.random.default_rng(8)
+    stuck = slid = 0
+    for _ in range(4):
+        command = rng.uniform(-0.3, 0.3, N) * np.where(rng.random(N) < 0.5, 0.0, 5.0)
+        for _ in range(30):
+            plant.exchange(command)
+        linear = linearise(plant)
+        machine = MachineWithModes(as_dc(scene))
+        x = np.zeros((6, N))
+        for value, place in zip(linear.x0, places(scene), strict=True):
+            x[place] = value
+        machine.choose_sides(x, linear.u0)
+        machine.choose_locks(x, linear.u0)
+        assert np.array_equal(machine.locked, linear.sticks)
+        stuck, slid = stuck + linear.sticks.sum(), slid + (~linear.sticks).sum()
+        compare(machine, scene, linear)
+    assert slid > 0 and (stuck > 0 or all(one.friction.coulomb == 0.0 for one in scene.joints))
+
+
+@pytest.mark.parametrize("name", ["kuka_kr300", "manutec_r3"])
+def test_friction_of_rotors_enters_at_their_speeds_alone(name: str) -> None:
+    bare = load_scene(name, overrides=SCENES[name])  # axes 1 to 3 have elastic gears
+    more = {key: None for key in SCENES[name] if key not in list(ROTORS)[:3]}
+    whole = load_scene(name, overrides=more)
+    linear, other = (linearise(Plant(one), one.start) for one in (whole, bare))
+    expected, at = other.A.copy(), places(as_dc(bare))
+    for j, joint in enumerate(whole.joints):
+        if joint.rotor_friction is not None and joint.motor is not None and j < 3:
+            k = at.index((WM, j))
+            expected[k, k] -= joint.rotor_friction.viscous / joint.motor.rotor_inertia
+    row = np.abs(expected).max(axis=1, keepdims=True)
+    assert_same(linear.A, expected, 1e-10 * row)
+    assert not np.array_equal(linear.A, other.A)
+
+
+def test_a_counterbalance_is_a_spring_by_its_potential() -> None:
+    bare, whole = (
+        load_scene("kuka_kr300", overrides=SCENES["kuka_kr300"] | more)
+        for more in ({}, {"joints.axis_2.counterbalance": RESTORED})
+    )
+    q, h = bare.start + 0.2, 1e-4
+    potential = []
+    for place in (-1.0, 0.0, 1.0):
+        at = q + place * h * np.eye(6)[1]
+        plants = Plant(whole), Plant(bare)
+        for plant in plants:
+            plant.reset(at)
+        potential.append(plants[0].energy - plants[1].energy)
+    stiffness = (potential[0] - 2.0 * potential[1] + potential[2]) / h**2
+    linear, other = (linearise(Plant(one), q) for one in (whole, bare))
+    M = Plant(bare).links.mass_matrix(q)
+    for j in range(3, 6):  # rigid gears carry their rotors
+        M[j, j] += bare.joints[j].motor.rotor_inertia / bare.joints[j].gear.ratio ** 2
+    bent = M @ (linear.A - other.A)[linear.v, linear.q]
+    # Wound-up gears are as they were: the motor holds less. Second differences of some kJ.
+    assert bent[1, 1] == pytest.approx(-stiffness, rel=1e-4)
+    bent[1, 1] = 0.0
+    assert np.abs(bent).max() < 1e-5 * abs(stiffness)
+
+
+def in_three_axis(**keys: Any) -> Plant:
+    return Plant(load_scene("three_axis", overrides=keys))
+
+
+def test_a_gear_with_play_pulls_where_it_touches() -> None:
+    gear = {"joints.elbow.gear.backlash": 2e-3}
+    plant, plain = Plant(load_scene("three_axis", overrides=gear)), in_three_axis()
+    N = slice(-3, None)
+    linear, other = linearise(plant), linearise(plain)
+    elbow = np.abs(linear.theta_m[2]).argmax()
+    size = np.abs(other.A[N]).max()
+    assert np.abs(linear.A[N, elbow]).max() < 1e-12 * size, "in the play nothing touches"
+    assert np.abs(other.A[N, elbow]).max() > 1e-3 * size
+    plant.put("test", {"theta_m": plant.state.theta_m + np.array([0.0, 0.0, 0.2])})
+    touching = linearise(plant).A[:, elbow : elbow + 2]  # the links' own pull at each other changes
+    assert_same(touching, other.A[:, elbow : elbow + 2], np.full((15, 2), 1e-9 * size))
+    with pytest.raises(Refusal, match="the motors hold"):
+        linearise(in_three_axis(gravity=[0, -9.81, 0], **gear), [0.0, 0.5, 0.8])
+
+
+def test_a_current_at_its_limit_stays_there() -> None:
+    plant = in_three_axis(**{"joints.waist.motor.current_limit": 2.0})
+    plant.advance([40.0, 0.0, 0.0], 5)
+    assert plant.state.current[0] == pytest.approx(2.0)
+    linear = linearise(plant, command=[40.0, 0.0, 0.0])
+    for rests in (linear.B[:, 0], linear.current[0], linear.current_by_u[0]):
+        assert np.abs(rests).max() < 1e-9
+    assert np.abs(linear.B[:, 1]).max() == pytest.approx(1e3, rel=1e-9)  # 1/L
+
+
+def test_a_link_that_sticks_rests_and_one_that_slides_does_not() -> None:
+    plant = in_three_axis(**{"joints.waist.friction.coulomb": 5.0})
+    linear = linearise(plant)
+    assert linear.sticks.tolist() == [True, False, False]
+    resting = [linear.q.start, linear.v.start]
+    assert not linear.A[resting].any() and not linear.B[resting].any()
+    # About rest in a pose there is no dry friction: design is for what moves.
+    assert np.array_equal(linearise(plant, plant.scene.start).A, linearise(in_three_axis()).A)
+
+
+def test_an_end_stop_is_a_spring_where_it_is_pressed() -> None:
+    stops = {"lower": -1.0, "upper": 0.5, "stiffness": 1e4, "damping": 20.0}
+    plant, plain = in_three_axis(**{"joints.waist.end_stops": stops}), in_three_axis()
+    for one in (plant, plain):
+        one.reset([0.52, 0.5, 0.8])
+    linear, other = linearise(plant), linearise(plain)
+    M = plain.links.mass_matrix([0.52, 0.5, 0.8])
+    pressed = M @ (linear.A - other.A)[linear.v]
+    for first, expected in ((linear.q.start, -1e4), (linear.v.start, -20.0)):
+        np.testing.assert_allclose(pressed[:, first], [expected, 0.0, 0.0], atol=1e-4)
+    assert (M @ linear.rate[linear.v])[0] == pytest.approx(-1e4 * 0.02)
+
+
+def test_a_current_without_inductance_is_no_state_and_follows_the_command() -> None:
+    linear = linearise(in_three_axis(**{"joints.*.motor.inductance": None}))
+    assert linear.A.shape == (12, 12)
+    np.testing.assert_allclose(linear.current_by_u, np.eye(3), atol=1e-12)  # 1/R, 1 ohm
+    np.testing.assert_allclose(linear.current, -0.05 * omega_m(linear), atol=1e-12)
+
+
+def omega_m(linear: LinearMachine) -> Array:
+    """Motor speeds by x: the rates of their angles, which are states."""
+    return linear.theta_m @ linear.A
+
+
+def test_what_is_no_point_of_a_machine_is_refused() -> None:
+    plant = in_three_axis()
+    assert linearise(plant, command=[1e30, 0.0, -1e30]).u0.tolist() == [48.0, 0.0, -48.0]
+    for wrong in ([1.0], [np.nan] * 3, "x", [True] * 3):
+        with pytest.raises(Refusal):
+            linearise(plant, wrong)
+        with pytest.raises(Refusal):
+            linearise(plant, command=wrong)
+    with pytest.raises(Refusal, match="command must be absent in a pose"):
+        linearise(plant, plant.scene.start, command=[0.0] * 3)
