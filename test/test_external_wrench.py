@@ -369,3 +369,28 @@ def test_bad_wrenches_are_refused_and_change_nothing(tmp_path: Path) -> None:
         with pytest.raises(Refusal, match="link must be one that moves"):
             plant.set_external_wrench(name, ExternalWrench([1.0, 0.0, 0.0]))
         assert plant.save() == kept, name
+
+
+def test_arms_of_a_fleet_are_pushed_in_one_call_each_as_alone() -> None:
+    scene = load_scene("three_axis", overrides={"external_wrench": True})
+    link, count = scene.chain.joints[2].link, 5
+    rng = np.random.default_rng(11)
+    force, moment, point = rng.normal(0.0, 20.0, (3, count, 3)) * [[[1.0]], [[0.1]], [[0.01]]]
+    for axes in ("link", "world"):
+        fleet, alone = Fleet(scene, count), Fleet(scene, count)
+        fleet.set_external_wrench(link, ExternalWrench(force, moment, point, axes), arms=[0, 2, 4])
+        fleet.set_external_wrench(link, ExternalWrench(force[1], axes=axes), arms=[1])
+        for k in (0, 2, 4):
+            alone[k].set_external_wrench(link, ExternalWrench(force[k], moment[k], point[k], axes))
+        alone[1].set_external_wrench(link, ExternalWrench(force[1], axes=axes))
+        assert fleet.save() == alone.save()
+        assert [arm.external_wrenches for arm in fleet] == [arm.external_wrenches for arm in alone]
+        fleet.advance(np.zeros(3), 20)
+        assert np.flatnonzero(np.abs(fleet.state.v).max(axis=1) > 1e-9).tolist() == [0, 1, 2, 4]
+    before = fleet.save()
+    for wrong in (np.zeros((4, 3)), np.zeros(2), np.full((5, 3), np.nan), np.full(3, 1e10), "x"):
+        with pytest.raises(Refusal):
+            fleet.set_external_wrench(link, ExternalWrench(wrong))
+        assert fleet.save() == before
+    with pytest.raises(Refusal, match="external_wrench must be true"):
+        Fleet("three_axis", 2).set_external_wrench(link, ExternalWrench())

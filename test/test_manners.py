@@ -18,12 +18,16 @@ import numpy as np
 import pytest
 from draws import some
 
+from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.fleet import Fleet
+from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
+from arm_emulator.machine.session import Session
+from arm_emulator.servo.servo import Servo
 
 PATIENCE = 60.0  # s, after which a child hangs
 ROW = [5.0, -20.0, 3.0]
@@ -159,6 +163,96 @@ def test_a_fork_waits_for_calls_of_other_threads(scene: Scene) -> None:
         text = in_child(lambda: plant.t)
         long.result()
     assert float(text) == pytest.approx(300_000 * scene.integrator.dt)
+
+
+def a_servo() -> Servo:
+    """In the middle of a motion, with an integral of its own."""
+    servo = Servo(find_beside(find_scene("three_axis"), "servo"))
+    for tick in range(30):
+        servo.update([tick, -2 * tick, 80], [0.1, 0.0, -0.2], [0.1, 0.2, 0.3])
+    return servo
+
+
+def go_on(servo: Servo) -> bytes:
+    commands = [servo.update([40, 9 * k, 80], [0.1] * 3, [0.2] * 3) for k in range(20)]
+    return np.array(commands).tobytes()
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_copy_of_a_servo_goes_on_alike_and_alone(way: str) -> None:
+    servo = a_servo()
+    other, still = WAYS[way](servo), WAYS[way](servo)
+    went = go_on(servo)
+    assert go_on(other) == went, "it has forgotten something"
+    assert go_on(still) == went, "they share what they remember"
+    assert go_on(Servo(servo.config)) != went, "any servo would have passed"
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_copy_of_a_session_goes_on_alike_and_alone(way: str, scene: Scene) -> None:
+    names = scene.joint_names
+
+    def run(session: Session, ticks: int) -> bytes:
+        for _ in range(ticks):
+            session.offer(session.tick, names, [3.0, -2.0, 1.0])
+            session.advance()
+        return session.plant.save()
+
+    session = Session(scene, "lockstep", "first_answer")
+    run(session, 20)
+    session.paused = True
+    other, still = WAYS[way](session), WAYS[way](session)
+    assert other.tick == 20 and other.paused and other.scene is other.plant.scene
+    went = run(session, 10)
+    assert run(other, 10) == went and still.tick == 20, "they share the machine"
+    assert run(still, 10) == went and still.state.t == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_session_whose_time_passes_by_itself_is_not_copied(way: str, scene: Scene) -> None:
+    session = real_time_session(scene, "paused")
+    with pytest.raises(Refusal, match="its clock must be its owner's"):
+        WAYS[way](session)
+    session.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
+def test_sessions_and_servos_of_a_forked_child(scene: Scene) -> None:
+    session, servo = Session(scene, "lockstep", "free_run"), a_servo()
+    loop = real_time_session(scene, "free_run")  # its thread runs
+
+    def work() -> list[float]:
+        for _ in range(20):
+            session.advance()
+        return [*session.state.q.tolist(), float(go_on(servo)[0])]
+
+    def started() -> None:
+        loop.paused = True
+        loop.paused = False
+
+    child = in_child(work)
+    assert session.tick == 0 and child == repr(work())
+    assert "must be the one that made it, got a forked child" in in_child(started)
+    assert loop.wait(PATIENCE), "the parent's goes on"
+    loop.close()
+
+
+def test_calls_of_threads_on_one_servo_and_one_session_go_one_after_the_other(scene: Scene) -> None:
+    """No measurement and no tick is lost."""
+    servo, session = a_servo(), Session(scene, "lockstep", "free_run")
+
+    def push(_: int) -> None:
+        for _ in range(200):
+            session.advance()
+            servo.observe([1, 2, 3], [0.0] * 3)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(push, range(4)))
+    assert session.tick == 800 and session.plant.t == pytest.approx(0.8)
+    expected = a_servo()
+    for _ in range(800):
+        expected.observe([1, 2, 3], [0.0] * 3)
+    assert go_on(servo) == go_on(expected)
 
 
 def test_workers_of_other_processes_take_and_give_plants(plant: Plant) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import arm_emulator
-from arm_emulator import Plant, Recording, Refusal, Servo, linearise, load_gains, testing
+from arm_emulator import Plant, Recording, Refusal, Servo, load_gains, testing
 from arm_emulator.base.config_files import find_config
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,34 +39,6 @@ def test_the_import_takes_nothing_along() -> None:
     code = "import sys, arm_emulator; print('numpy' in sys.modules, 'rclpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
-
-
-def test_a_linear_machine_is_the_derivative_of_the_machine() -> None:
-    """Central differences of the core's own steps, where the machine is smooth."""
-    keys = {"joints.*.friction.coulomb": None, "integrator.dt": 1e-6, "servo_period": 1e-3}
-    plant = testing.plant_of("three_axis", keys)
-    linear, N = linearise(plant), 3
-    dt, at = 1e-6, plant.scene.start
-    rest = plant.links.nle(at, np.zeros(N))
-    assert np.abs(rest).max() < 1e-9, "no weight acts: the pose holds itself"
-    change = {}
-    for joint in range(N):  # of the speeds, by the currents, after one step
-        for sign in (1.0, -1.0):
-            plant.reset(at)
-            state = plant.state
-            state.omega_m[joint] += sign * 1e-3
-            plant.state = state
-            plant.advance(np.zeros(N), 1)
-            change[sign] = plant.state
-        measured = (change[1.0].v - change[-1.0].v) / (2e-3 * dt)
-        # What a motor's speed does to the links: through the damping of the gear.
-        x, *_ = np.linalg.lstsq(
-            np.vstack([linear.theta_m @ linear.A, linear.theta_m, linear.current]),
-            np.concatenate([np.eye(N)[joint], np.zeros(2 * N)]),
-            rcond=None,
-        )
-        expected = (linear.A @ x)[linear.v]
-        np.testing.assert_allclose(measured, expected, rtol=2e-3, atol=1e-6)
 
 
 def test_a_recording_is_a_table(tmp_path: Path) -> None:

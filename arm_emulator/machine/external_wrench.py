@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.bound import FORCE, MOMENT, POINT
+from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array, Frame
 from arm_emulator.machine.scene import Scene
@@ -21,22 +21,24 @@ NONE = (0.0, 0.0, 0.0)
 class ExternalWrench:
     """Force and moment at a point that is fixed to a link.
 
+    Each is (3,); for the arms of a fleet a row each may be given, (arms, 3).
+
     Attributes:
-        force: (3,) [N].
-        moment: (3,) about the point [N m].
-        point: (3,) in the link's frame [m].
+        force: [N].
+        moment: about the point [N m].
+        point: in the link's frame [m].
         axes: of force and moment: "link", those of the link's frame, with which they turn, or
             "world".
     """
 
-    force: Sequence[float] = NONE
-    moment: Sequence[float] = NONE
-    point: Sequence[float] = NONE
+    force: ArrayLike = NONE
+    moment: ArrayLike = NONE
+    point: ArrayLike = NONE
     axes: str = "link"
 
 
 def on_moving_link(
-    scene: Scene, where: str, link: str, wrench: ExternalWrench
+    scene: Scene, where: str, link: str, wrench: ExternalWrench, *arms: int
 ) -> tuple[int, ExternalWrench]:
     """Return the same wrench as one on the link that a joint moves, and that joint's index.
 
@@ -45,28 +47,47 @@ def on_moving_link(
         where: name for refusals.
         link: any link of the URDF that moves; its frame is the wrench's.
         wrench: what acts on it.
+        arms: how many of a fleet, whose vectors may be rows, (arms, 3); nothing for one machine.
 
     Raises:
         Refusal: the scene has none, no such link, or numbers that are not finite or too large.
     """
     if not scene.external_wrench:
         raise Refusal(scene.where, "external_wrench", "be true", "false or absent")
+    if not isinstance(wrench, ExternalWrench):
+        raise Refusal(where, "wrench", "be an ExternalWrench", wrench)
     if wrench.axes not in AXES:
         raise Refusal(where, "axes", "be known", wrench.axes, ", ".join(AXES))
-    rows = [
-        bound.row(where, values, 3)
+    joint, frame = _frame_of(scene, where, link)
+    force, moment, point = (
+        _rows(where, bound, values, arms)
         for bound, values in (
             (FORCE, wrench.force), (MOMENT, wrench.moment), (POINT, wrench.point)
         )
-    ]  # fmt: skip
-    joint, frame = _frame_of(scene, where, link)
-    force, moment, point = rows
+    )  # fmt: skip
     if wrench.axes == "link":
         force, moment = _turned(frame.R, force), _turned(frame.R, moment)
     point = _turned(frame.R, point) + frame.p
-    return joint, ExternalWrench(
-        tuple(force.tolist()), tuple(moment.tolist()), tuple(point.tolist()), wrench.axes
-    )
+    if arms:
+        return joint, ExternalWrench(force, moment, point, wrench.axes)
+    f, m, p = (tuple(rows[0].tolist()) for rows in (force, moment, point))
+    return joint, ExternalWrench(f, m, p, wrench.axes)
+
+
+def _rows(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
+    """Return vectors as rows (arms, 3), or (1, 3) of one machine."""
+    if not arms:
+        return bound.row(where, values, 3)[np.newaxis]
+    rows = bound.numbers(where, values)
+    if rows.shape not in ((3,), (*arms, 3)):
+        rule = f"have shape (3,) or ({arms[0]}, 3)"
+        raise Refusal(where, bound.name, rule, rows.shape)
+    bound.check(where, rows)
+    return np.array(np.broadcast_to(rows, (*arms, 3)))
+
+
+def _turned(R: Array, rows: Array) -> Array:
+    return np.array([R @ row for row in rows])
 
 
 def _frame_of(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
@@ -75,8 +96,3 @@ def _frame_of(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
             return index, joint.links[link]
     known = [name for joint in scene.chain.joints for name in joint.links]
     raise Refusal(where, "link", "be one that moves", link, ", ".join(known))
-
-
-def _turned(R: Array, a: ArrayLike) -> Array:
-    out: Array = R @ np.asarray(a)
-    return out

@@ -17,6 +17,7 @@ from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import CData, pointer
 from arm_emulator.machine.call_arguments import (
     LARGEST_STEPS,
@@ -31,13 +32,13 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.compiler import fleet_library_of
 from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.fleet_frame import FleetFrame
 from arm_emulator.machine.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant import Borrowed, Plant
 from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
 from arm_emulator.machine.scene import Scene, scene_of
 from arm_emulator.machine.shares import Shares
-from arm_emulator.machine.turns import Turns, in_turn
 from arm_emulator.machine.varied import varied_number
 
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
@@ -390,6 +391,31 @@ class Fleet(Turns):
     def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
         set_all = self.core.arm_fleet_set_parameter
         set_all(self._fleet, _bytes(mask), name.encode(), pointer(column))
+
+    @in_turn
+    def set_external_wrench(
+        self, link: str, wrench: ExternalWrench, *, arms: ArrayLike | None = None
+    ) -> None:
+        """Let a force and a moment act on a link of arms, see `Plant.set_external_wrench`.
+
+        Args:
+            link: any link of the URDF that moves.
+            wrench: what acts; each vector (3,) for all of these arms, or (count, 3), of which the
+                rows of other arms are not used.
+            arms: a mask (count,) or indices; None: all.
+
+        Raises:
+            Refusal: see there; nothing has changed.
+        """
+        where = "Fleet.set_external_wrench"
+        mask = self._mask(arms, where)
+        joint, moved = on_moving_link(self.scene, where, link, wrench, self._count)
+        rows = ARM.rows("arm_wrench", self._count)
+        rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
+        for name in ("point", "force", "moment"):
+            rows[name] = getattr(moved, name)
+        places = _bytes(mask), joint, ARM.pointer("arm_wrench", rows)
+        self.core.arm_fleet_set_external_wrench(self._fleet, *places)
 
     @in_turn
     def save(self) -> bytes:

@@ -14,6 +14,7 @@ from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMAND_D, ANY_COMMANDS
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import NULL, CData, Library, pointer
 from arm_emulator.machine.call_arguments import (
     LARGEST_STEPS,
@@ -50,7 +51,6 @@ from arm_emulator.machine.plant_state import (
     start_bounds,
 )
 from arm_emulator.machine.scene import Scene, scene_of
-from arm_emulator.machine.turns import Turns, in_turn
 from arm_emulator.machine.varied import varied_number
 
 
@@ -360,8 +360,6 @@ class Plant(Turns):
                 finite or too large; nothing has changed.
         """
         where = "Plant.set_external_wrench"
-        if not isinstance(wrench, ExternalWrench):
-            raise Refusal(where, "wrench", "be an ExternalWrench", wrench)
         joint, wrench = on_moving_link(self.scene, where, link, wrench)
         vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
         one = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)

@@ -10,6 +10,9 @@ import numpy as np
 
 from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.turns import Turns
+from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.call_arguments import LARGEST_STEPS, commands_of
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Reached, RealTimeFigures
@@ -24,8 +27,8 @@ LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023
 
 
-class RealTimeLoop:
-    """The core's real-time thread, through its C interface.
+class RealTimeLoop(Turns):
+    """The core's real-time thread, through its C interface. A forked child has none.
 
     Args:
         plant: the machine. While the loop runs nobody else may touch it.
@@ -38,6 +41,7 @@ class RealTimeLoop:
     """
 
     def __init__(self, plant: Plant, period_ns: int, steps: int, core: int) -> None:
+        super().__init__()
         for quantity, value, least, largest in (
             ("period_ns", period_ns, 1, LONGEST_PERIOD),
             ("steps", steps, 1, LARGEST_STEPS),
@@ -76,13 +80,19 @@ class RealTimeLoop:
         if loop:
             self._calls.arm_real_time_delete(loop)
 
+    def _renew_threads(self) -> None:
+        self._loop = NULL  # the thread stayed behind, and the machine may be within a period
+
     def start(self, tick: int) -> None:
         """Run from `tick` on, until `stop` or a fault.
 
         Raises:
-            Refusal: no count.
+            Refusal: no count, or a forked child.
         """
-        check_count("RealTimeLoop.start", "tick", tick, 0, LARGEST // (2 * self._period_ns))
+        where = "RealTimeLoop.start"
+        check_count(where, "tick", tick, 0, LARGEST // (2 * self._period_ns))
+        if not self._loop:
+            raise Refusal(where, "the process", "be the one that made it", "a forked child")
         self._calls.arm_real_time_start(self._loop, tick)
 
     def stop(self) -> None:

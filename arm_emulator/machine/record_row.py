@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.column import Column, Rows
+from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.measured import Measured
@@ -16,7 +17,6 @@ from arm_emulator.machine.parts.output import READINGS
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS, unit_of
 from arm_emulator.machine.scene import Scene
-from arm_emulator.machine.turns import Turns, in_turn
 
 STRUCTS = ("joint", "sensors", "imu")  # what `arm_measurement` has as structs
 

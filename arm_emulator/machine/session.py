@@ -6,9 +6,12 @@ pass, that asks `may_advance` and calls `advance`; where a loop does, it calls `
 
 from __future__ import annotations
 
+import copy
 import enum
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +19,7 @@ from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.count import LARGEST, check_count
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Clock, RealTimeFigures
 from arm_emulator.machine.diverged import Diverged
@@ -24,7 +28,7 @@ from arm_emulator.machine.firmware_loop import FirmwareLoop
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import PlantState
-from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.scene import Scene, scene_of
 
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns
@@ -60,14 +64,17 @@ class EndOfTime(RuntimeError):
         super().__init__("logical time ends at 2**31 s, the largest that a message can report")
 
 
-class Session:
+class Session(Turns):
     """The machine, driven tick by tick by motor commands.
 
     Lock-step: tick k is left only with the command that answers tick k. Real time: the newest
     command is held.
 
+    A session takes turns with its plant, which threads may share. Copies and pickles are sessions
+    with a machine of their own at the same tick; one whose time passes by itself is refused.
+
     Args:
-        scene: the machine.
+        scene: the machine, or what `load_scene` takes: a name or a file.
         clock: "lockstep" or "realtime".
         start: what goes on until the first command: "free_run" runs under commands of 0,
             "first_answer" stands still at tick 0, "paused" stands still until `paused` is set to
@@ -80,13 +87,18 @@ class Session:
     """
 
     def __init__(
-        self, scene: Scene, clock: str, start: str, driver: Callable[[Plant], Clock] = Clock
+        self,
+        scene: Scene | str | Path,
+        clock: str,
+        start: str,
+        driver: Callable[[Plant], Clock] = Clock,
     ) -> None:
         for quantity, value, known in (("clock", clock, CLOCKS), ("start", start, STARTS)):
             if value not in known:
                 raise Refusal("Session", quantity, "be known", value, ", ".join(known))
-        self.scene = scene
+        self.scene = scene = scene_of(scene, "Session")
         self.plant = Plant(scene)
+        super().__init__(self.plant)
         self._powered = True
         self.lockstep = clock == "lockstep"
         self.period_ns = round(scene.servo_period * 1e9)
@@ -98,6 +110,27 @@ class Session:
         self._zero = np.zeros(len(scene.joint_names))
         self.tick = -1
         self.reset()
+
+    @in_turn
+    def __getstate__(self) -> dict[str, Any]:
+        if self.by_itself:
+            raise Refusal("Session", "its clock", "be its owner's to be copied", "a loop's")
+        return {name: one for name, one in vars(self).items() if name not in ("_turn", "_clock")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        super().__init__(self.plant)
+        self._clock = Clock(self.plant)
+
+    def __copy__(self) -> Session:
+        return copy.deepcopy(self)
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Session:
+        memo[id(self.scene)] = self.scene  # nothing changes it
+        other = Session.__new__(Session)
+        memo[id(self)] = other
+        other.__setstate__(copy.deepcopy(self.__getstate__(), memo))
+        return other
 
     @property
     def step_wall_ns(self) -> int:
@@ -114,6 +147,7 @@ class Session:
         """How punctual a loop is; zeros where the owner lets time pass."""
         return self._clock.figures
 
+    @in_turn
     def reset(self) -> None:
         """Begin anew at tick 0, as after construction. Power stays as it is."""
         with self.between_ticks():
@@ -172,6 +206,7 @@ class Session:
             else:
                 self._follow_phase()
 
+    @in_turn
     def restore(self, saved: bytes) -> None:
         """Continue with a machine that was saved, with its power and its fault.
 
@@ -185,6 +220,7 @@ class Session:
             self.plant.restore(saved)
             self._take_machine()
 
+    @in_turn
     def set_state(self, joint_names: Sequence[str], given: Mapping[str, Sequence[float]]) -> None:
         """Set some quantities of some joints; whatever is not given stays as it is.
 
@@ -219,6 +255,7 @@ class Session:
             self.plant.put(where, rows)
             self._take_machine()
 
+    @in_turn
     def set_varied(self, name: str, value: float) -> None:
         """Set a number that the scene lists as varied, see `Plant.set_parameter`.
 
@@ -229,6 +266,7 @@ class Session:
             self.plant.set_parameter(name, value)
             self._take_machine()
 
+    @in_turn
     def acts_already(self, link: str, wrench: ExternalWrench) -> bool:
         """Return whether this is the wrench that acts, so that setting it would change nothing.
 
@@ -238,6 +276,7 @@ class Session:
         joint, moved = on_moving_link(self.scene, "external wrench", link, wrench)
         return self.plant.external_wrenches[self.scene.chain.joints[joint].link] == moved
 
+    @in_turn
     def set_external_wrench(self, link: str, wrench: ExternalWrench) -> None:
         """Let a force and a moment act from now on, see `Plant.set_external_wrench`.
 
@@ -264,6 +303,7 @@ class Session:
             self._state, self._measured, self._energy = plant.state, plant.measured, plant.energy
 
     @property
+    @in_turn
     def state(self) -> PlantState:
         """State of the machine at this tick."""
         if self._state is None:
@@ -271,6 +311,7 @@ class Session:
         return self._state
 
     @property
+    @in_turn
     def measured(self) -> Measured:
         """What the sensors reported at this tick."""
         if self._measured is None:
@@ -278,6 +319,7 @@ class Session:
         return self._measured
 
     @property
+    @in_turn
     def energy(self) -> float:
         """Energy of the machine at this tick [J]."""
         return self.plant.energy if self._energy is None else self._energy
@@ -308,6 +350,7 @@ class Session:
         """Whether the rules of the clock allow to leave this tick now."""
         return self.phase in (Phase.FREE_RUNNING, Phase.RUNNING)
 
+    @in_turn
     def offer(self, tick: int, joint_names: Sequence[str], command: Sequence[float]) -> None:
         """Take a motor command; it changes nothing if it is refused.
 
@@ -352,6 +395,7 @@ class Session:
                 return True
         return False
 
+    @in_turn
     def advance(self) -> None:
         """Advance by one servo period under the command, or under 0 without one or without power.
 
@@ -360,6 +404,7 @@ class Session:
         commanded = self._commanded
         self.advance_under(self._zero if commanded is None else commanded, self._answered_tick)
 
+    @in_turn
     def advance_under(self, command: Array, answered: int = -1) -> None:
         """Advance by one servo period under commands (N,) that answer a tick, see `advance`."""
         if self.logical_ns + self.period_ns >= END_OF_TIME:
@@ -374,6 +419,7 @@ class Session:
             return
         self.tick += 1
 
+    @in_turn
     def advance_in(self, loop: FirmwareLoop, ticks: int) -> None:
         """Advance by so many servo periods, the commands of which control code in C gives.
 
@@ -395,6 +441,7 @@ class Session:
             self._commanded, self._answered_tick = self.plant.commanded, loop.tick - 1
             self.tick = loop.tick
 
+    @in_turn
     def close(self) -> None:
         """Let the machine stand still for good."""
         self._clock.stop()
@@ -403,6 +450,7 @@ class Session:
         """Wait at most `timeout` [s] for a tick of a loop."""
         return self._clock.wait(timeout)
 
+    @in_turn
     def take(self) -> bool:
         """Go on to the next tick that a loop has reached; False after the last."""
         reached = self._clock.take()
@@ -426,6 +474,7 @@ class Session:
                 pass
             self._clock.start(self.tick)
 
+    @in_turn
     def step(self) -> str:
         """Advance a paused session by one tick; return why not, or an empty text."""
         if self.fault is not None:

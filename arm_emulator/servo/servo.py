@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import copy
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.servo.servo_config import JointServo, ServoConfig, load_servo_config
 from arm_emulator.servo.servo_law import SERVO, Rows, servo_law
@@ -22,9 +27,13 @@ _APPLIED = COMMAND.named("applied")
 _Q_TARGET = POSITION.named("q_target")
 _V_TARGET = VELOCITY.named("v_target")
 _TAU = EFFORT.named("tau_feedforward")
+# Of the struct `servo`, beside its arrays and its watchdog.
+_SCALARS = tuple(
+    name for name, of in SERVO.ffi.typeof("servo").fields if of.type.kind == "primitive"
+)
 
 
-class Servo:
+class Servo(Turns):
     """All joints of an arm under cascaded control, see arm_emulator/servo/c/servo.h.
 
     Arrays are (N,) in the order of ``config.joints``. Call once in every servo period `update`, or
@@ -41,13 +50,18 @@ class Servo:
         places: where the law finds counts, current, applied, q, v, tau, and puts commands.
 
     Args:
-        config: data-sheet values, gains and limits.
+        config: data-sheet values, gains and limits, or the file that has them.
 
     Raises:
-        Refusal: numbers of a data sheet that cannot be computed with.
+        Refusal: numbers of a data sheet that cannot be computed with, or no such file.
     """
 
-    def __init__(self, config: ServoConfig) -> None:
+    def __init__(self, config: ServoConfig | str | Path) -> None:
+        super().__init__()
+        if isinstance(config, str | Path):
+            config = load_servo_config(config)
+        if not isinstance(config, ServoConfig):
+            raise Refusal("Servo", "config", "be a ServoConfig or a file", config)
         self.config = config
         self._law = servo_law()
         self._N = len(config.joints)
@@ -63,6 +77,23 @@ class Servo:
         self.places = (pointer(self._whole), *map(pointer, self._rows))
         self._law.servo_reset(self.arm)
 
+    @in_turn
+    def __getstate__(self) -> dict[str, Any]:
+        scalars = {name: copy.copy(getattr(self.arm, name)) for name in _SCALARS}
+        watchdog = bytes(SERVO.ffi.buffer(SERVO.ffi.addressof(self.arm, "watchdog")))
+        rows = {name: getattr(self, name).copy() for name in ("state", "_whole", "_rows", "_joint")}
+        return {"config": self.config, "scalars": scalars, "watchdog": watchdog, "rows": rows}
+
+    def __setstate__(self, of: dict[str, Any]) -> None:
+        Servo.__init__(self, of["config"])
+        for name, rows in of["rows"].items():
+            getattr(self, name)[:] = rows
+        SERVO.fill(self.arm, **of["scalars"])
+        SERVO.ffi.buffer(SERVO.ffi.addressof(self.arm, "watchdog"))[:] = of["watchdog"]
+
+    def __copy__(self) -> Servo:
+        return copy.deepcopy(self)
+
     @staticmethod
     def _numbers_of(config: ServoConfig) -> Rows:
         return servo_numbers(config.joints, config.period, config.supply_voltage)
@@ -72,10 +103,12 @@ class Servo:
         """How often the state of a joint was no longer finite, and began anew."""
         return int(self.arm.restarts)
 
+    @in_turn
     def reset(self) -> None:
         """Forget everything; the next measurement starts the observer where the motor stands."""
         self._law.servo_reset(self.arm)
 
+    @in_turn
     def retune(self, config: ServoConfig) -> None:
         """Go on with other gains and limits; what was observed and the integrals stay.
 
@@ -86,11 +119,13 @@ class Servo:
         self.config = config
 
     @property
+    @in_turn
     def q_measured(self) -> FloatArray:
         """Link angles by the encoders, the middle of the count, (N,) [rad]; NaN before any."""
         return self._known(self._theta_measured)
 
     @property
+    @in_turn
     def v_measured(self) -> FloatArray:
         """Link speeds by the observer, (N,) [rad/s]; NaN before any count."""
         return self._known(self._omega)
@@ -98,6 +133,7 @@ class Servo:
     def _known(self, of_motors: FloatArray) -> FloatArray:
         return of_motors * (self._ratio if self._is_known[0] else np.nan)
 
+    @in_turn
     def update(
         self,
         counts: npt.ArrayLike,
@@ -118,6 +154,7 @@ class Servo:
         self._law.servo_observe(self.arm, *measured)
         return self._control(wanted)
 
+    @in_turn
     def observe(
         self,
         counts: npt.ArrayLike,
@@ -138,6 +175,7 @@ class Servo:
         """
         self._law.servo_observe(self.arm, *self.measurement(counts, current, applied))
 
+    @in_turn
     def control(
         self,
         q_target: npt.ArrayLike,
@@ -163,6 +201,7 @@ class Servo:
             raise Refusal("servo", "control", "follow a measurement", "none since the reset")
         return self._control(wanted)
 
+    @in_turn
     def release(self) -> None:
         """Report that the motors get no command; control will start without an integral again."""
         self._law.servo_release(self.arm)
@@ -172,6 +211,7 @@ class Servo:
         return self.command
 
     @property
+    @in_turn
     def command(self) -> FloatArray:
         """The newest commands, (N,) [V, N m, A], as a copy."""
         command: FloatArray = self._rows[5].copy()

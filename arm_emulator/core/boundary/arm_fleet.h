@@ -51,7 +51,6 @@ int arm_fleet_get_parameter(const arm_fleet* fleet, const char* name, double* va
 int arm_fleet_set_parameter(arm_fleet* fleet, const uint8_t* mask, const char* name,
                             const double* values);
 /* An external wrench of each arm on the link of a joint, see `arm_set_external_wrench`. */
-int arm_fleet_get_external_wrench(const arm_fleet* fleet, int32_t joint, arm_wrench* out);
 int arm_fleet_set_external_wrench(arm_fleet* fleet, const uint8_t* mask, int32_t joint,
                                   const arm_wrench* wrench);
 /* Power of all drives of each arm; `on` has a byte for each. */

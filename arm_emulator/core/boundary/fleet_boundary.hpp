@@ -332,13 +332,6 @@ int arm_fleet_set_external_wrench(arm_fleet* fleet, const std::uint8_t* mask, st
   return ARM_OK;
 }
 
-int arm_fleet_get_external_wrench(const arm_fleet* fleet, std::int32_t joint, arm_wrench* out) {
-  if (!fleet || !out) return ARM_REFUSED;
-  return fleet->check_all(nullptr, [&](const arm_machine* arm, int k) {
-    return arm_get_external_wrench(arm, joint, out + k);
-  });
-}
-
 void arm_fleet_power(arm_fleet* fleet, const std::uint8_t* on) {
   if (fleet && on)
     fleet->for_all(nullptr, [&](arm_machine* arm, int k) { arm_power(arm, on[k] != 0); });
