@@ -53,7 +53,8 @@ OTHERS = {
     **dict.fromkeys(("ip", "sudo"), "needs root"),
     "cc": "an example in C; test_library_examples.py builds it",
     **dict.fromkeys(
-        (".", "c++", "cat", "cd", "cp", "echo", "eval", "export", "git", "grep", "ulimit"), "shell"
+        (".", "c++", "cat", "cc", "cd", "cp", "echo", "eval", "export", "git", "grep", "ulimit"),
+        "shell",
     ),
     "pytest": "a test of its own",
     "rerun": "opens a window",

@@ -616,11 +616,11 @@ class Plant(Turns):
         """
         where, N = "Plant.equations", self._N
         u = np.array(self._as_command(command, where))  # to be put within its bounds
-        size = N * (self.core.arm_linearise(self.machine, NULL, NULL, 0, 0, NULL) + 2)
+        size = N * (self.core.arm_linear_drives(self.machine, False, NULL) + 2)
         at = np.zeros(size) if x is None else as_row(x, size, where, "x").copy()
         numbers = np.zeros((size + N) * (size + N + 1) + size)
         given = pointer(at), pointer(u), x is None, slides, pointer(numbers)
-        if self.core.arm_linearise(self.machine, *given) < 0:
+        if self.core.arm_linearise(self.machine, *given) == REFUSED:
             raise self._refusal(where, "another one")
         return Equations.of(at, u, numbers)
 

@@ -316,14 +316,14 @@ int arm_advance_metered(arm_machine* machine, const double* command, int64_t ste
  * none. With `out` null only K is returned. */
 int arm_linear_drives(const arm_machine* machine, int32_t loaded, double* out);
 
-/* The machine about a state, for what changes little, with what each joint does there held: one that
- * sticks rests, a current at its limit stays, a tooth touches or does not. x has the K states of each
- * drive, z[state * joints + joint], then q and v; those of the machine are taken (`as_it_is`), or
- * those given, and written there, with what follows at once where it then is; commands are put
- * within the bounds of the drives. With `slides` there is no dry friction. Out: rows of an entry for each
- * number of x and each command, and the row's own value; the rows are D dz/dt, dv/dt, the motors'
- * currents [A] and their angles [rad]. Behind them D, whether each joint sticks, and how many states
- * its drive has. Returns K, alone with `out` null, or -1 where something is not finite. */
+/* The machine about a state, for what changes little, with what each joint does there held: one
+ * that sticks rests, a current at its limit stays, a tooth touches or does not. x has the K states
+ * of each drive, z[state * joints + joint], then q and v; those of the machine are taken
+ * (`as_it_is`), or those given, and written there, with what follows at once where it then is;
+ * commands are put within the bounds of the drives. With `slides` there is no dry friction. Out:
+ * rows of an entry for each number of x and each command, and the row's own value; the rows are D
+ * dz/dt, dv/dt, the motors' currents [A] and their angles [rad]. Behind them D, whether each joint
+ * sticks, and how many states its drive has. K is what `arm_linear_drives` returns. */
 int arm_linearise(const arm_machine* machine, double* x, double* command, int32_t as_it_is,
                   int32_t slides, double* out);
 

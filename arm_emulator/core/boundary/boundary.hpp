@@ -838,9 +838,9 @@ ARM_ONCE int arm_linear_drives(const arm_machine* machine, std::int32_t loaded, 
 ARM_ONCE int arm_linearise(const arm_machine* machine, double* x, double* command,
                            std::int32_t as_it_is, std::int32_t slides, double* out) {
   using Linear = arm::Linearisation<Scene>;
-  if (!out) return Linear::K;
-  if (!machine || machine->check_there(x, "x") || machine->check_finite(command, "command"))
-    return -1;
+  if (!machine || machine->check_there(x, "x") || machine->check_finite(command, "command") ||
+      machine->check_there(out, "out"))
+    return ARM_REFUSED;
   const arm::Numbers<Scene>& numbers = machine->machine.numbers_now();
   arm::State<Scene> at = machine->machine.state();
   if (!as_it_is)
@@ -851,7 +851,7 @@ ARM_ONCE int arm_linearise(const arm_machine* machine, double* x, double* comman
   const Linear linear(numbers, at, command, slides);
   linear.write(at, command, out);
   linear.write_structure(out + Linear::rows * (Linear::numbers + arm_machine::N + 1));
-  return Linear::K;
+  return ARM_OK;
 }
 
 void arm_forward_dynamics(const arm_machine* machine, std::int64_t count, const double* q,
