@@ -64,6 +64,21 @@ def test_a_recording_is_a_table(tmp_path: Path) -> None:
     assert table.schema.field("q.elbow").metadata == {b"unit": b"rad"}
 
 
+def test_a_recording_is_shown_by_rerun(tmp_path: Path) -> None:
+    """Every row, however quickly they come."""
+    from rerun.chunk import RrdReader
+
+    plant, rows = Plant("three_axis"), np.tile([5.0, 0.0, 1.0], (700, 1))
+    with Recording(plant, tmp_path / "run.rrd") as run:
+        run.run(rows, 1)
+    assert [file.name for file in tmp_path.iterdir()] == ["run.rrd"]
+    chunks = RrdReader(tmp_path / "run.rrd").stream().filter(content="/signals/q/waist")
+    shown = sum(one.to_record_batch().num_rows for one in chunks if not one.is_static)
+    assert shown == 700
+    with pytest.raises(Refusal, match="end in"):
+        Recording(plant, "run.txt")
+
+
 def test_a_run_is_recorded_every_so_often() -> None:
     rows = np.random.default_rng(4).uniform(-9.0, 9.0, (10, 3))
     run, alone = Recording(Plant("three_axis")), Plant("three_axis")

@@ -23,6 +23,7 @@ COMMAND = Number.within("command", "V, N m or A", 1e9)
 CURRENT = Number.within("current", "A", 1e9)
 # Commands within one process, of any size: drives limit them.
 ANY_COMMAND = Number.within("command", "V, N m or A", math.inf)
+ANY_STATE = Number.within("x", "", math.inf)
 ANY_COMMANDS = ANY_COMMAND.named("commands")
 ANY_COMMAND_D = Number.within("command_d", "V", math.inf)
 # What acts on a link from outside, and where on it.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMAND_D, ANY_COMMANDS
+from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMAND_D, ANY_COMMANDS, ANY_STATE
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
@@ -617,7 +617,7 @@ class Plant(Turns):
         where, N = "Plant.equations", self._N
         u = np.array(self._as_command(command, where))  # to be put within its bounds
         size = N * (self.core.arm_linear_drives(self.machine, False, NULL) + 2)
-        at = np.zeros(size) if x is None else as_row(x, size, where, "x").copy()
+        at = np.zeros(size) if x is None else ANY_STATE.row(where, x, size).copy()
         numbers = np.zeros((size + N) * (size + N + 1) + size)
         given = pointer(at), pointer(u), x is None, slides, pointer(numbers)
         if self.core.arm_linearise(self.machine, *given) == REFUSED:

@@ -17,11 +17,10 @@ from typing import Any
 
 from arm_emulator.base.kept import NOTHING, Kept
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.outputs import reported_by_parts
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.record_ring import RingWriter, SharedRing
 from arm_emulator.machine.record_row import RecordRow, columns_of
-from arm_emulator.machine.scene import example_robot_data
+from arm_emulator.runs.view_of import view_of
 
 HERE = Path(__file__).resolve().parents[2]  # what the other process imports from
 
@@ -113,22 +112,14 @@ class Recorder:
 
 def _task(plant: Plant, kept: Kept, memory: int) -> dict[str, Any]:
     """Return what the other process has to know."""
-    scene, robots = plant.scene, example_robot_data()
-    shown = [one for one in reported_by_parts(scene) if not one.per_unit]
+    scene = plant.scene
     return {
         "memory": memory,
         "kind": RecordRow(plant).rows.dtype,
         "columns": columns_of(scene),
         "record": kept.record,
         "rerun": kept.rerun,
-        "view": {
-            "urdf_xml": scene.urdf,
-            "joint_names": scene.joint_names,
-            "q_start": scene.start,
-            "tool": scene.tool,
-            "package_dirs": [robots.parents[1]] if robots else [],
-            "further": {one.name: one.unit for one in shown},
-        },
+        "view": view_of(scene),
         "angle_per_count": plant.link_angle_per_count,
     }
 

@@ -19,8 +19,10 @@ from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS
 from arm_emulator.machine.record_row import RecordRow, columns_of, row_type, values_of
+from arm_emulator.runs.view_of import view_of
 
 TRUTH = (*ROWS, "energy")
+RERUN = ".rrd"
 MEASURED = tuple(f"measured.{name}" for name in KNOWN)
 
 
@@ -31,7 +33,8 @@ class Recording:
 
     Args:
         plant: the machine.
-        file: .mcap, .csv, .parquet or .npz; None: nothing is written.
+        file: .mcap, .csv, .parquet or .npz; .rrd: the arm in motion and its signals, for Rerun;
+            None: nothing is written.
         names: quantities of the true state (`PlantState`, energy), or measured ones as
             ``measured.current``.
 
@@ -51,7 +54,7 @@ class Recording:
                 valid = ", ".join((*TRUTH, *MEASURED))
                 raise Refusal("Recording", "name", "be a quantity", name, valid)
         self._file = None if file is None else Path(file)
-        if self._file is not None:
+        if self._file is not None and self._file.suffix != RERUN:
             check_suffix("Recording", "file", self._file)
         self._plant, self._names = plant, tuple(names)
         self._row = RecordRow(plant)
@@ -121,9 +124,13 @@ class Recording:
         Raises:
             Refusal: another suffix, or a file that cannot be written.
         """
-        check_suffix("Recording", "file", file)
         part = file.with_name(f".{file.stem}.part{file.suffix}")
         part.unlink(missing_ok=True)
+        if file.suffix == RERUN:
+            self._show(part)
+            part.replace(file)
+            return
+        check_suffix("Recording", "file", file)
         record = open_record("Recording", part, self._columns)
         try:
             record.write(self._rows)
@@ -133,3 +140,13 @@ class Recording:
             record.give_up()
             part.unlink(missing_ok=True)
             raise Refusal("Recording", f"file {file}", "be writable", error.strerror) from None
+
+    def _show(self, file: Path) -> None:
+        """Write all quantities as a recording of Rerun."""
+        from arm_emulator.view.rerun_rows import RerunRows
+
+        scene, angle = self._plant.scene, self._plant.link_angle_per_count
+        rows = RerunRows(str(file), columns_of(scene), angle, view_of(scene))
+        rows.show(self._rows)
+        if trouble := rows.close():
+            raise Refusal("Recording", f"file {file}", "take every row", trouble)

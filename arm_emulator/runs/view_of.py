@@ -1,0 +1,22 @@
+"""What Rerun needs of a scene, to show rows of its machine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from arm_emulator.machine.outputs import reported_by_parts
+from arm_emulator.machine.scene import Scene, example_robot_data
+
+
+def view_of(scene: Scene) -> dict[str, Any]:
+    """Return what `RerunRows` gets of a scene as its view."""
+    robots = example_robot_data()
+    shown = [one for one in reported_by_parts(scene) if not one.per_unit]
+    return {
+        "urdf_xml": scene.urdf,
+        "joint_names": scene.joint_names,
+        "q_start": scene.start,
+        "tool": scene.tool,
+        "package_dirs": [robots.parents[1]] if robots else [],
+        "further": {one.name: one.unit for one in shown},
+    }
