@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from arm_emulator.base.count import check_count
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.measured import Measured
@@ -90,14 +91,20 @@ def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) ->
 
     Args:
         q: positions, a row each [rad or m].
-        target: where they shall be.
+        target: where they shall be (N,).
         within: how far off they may be [rad or m].
         last: rows at the end that must be there.
 
     Raises:
+        Refusal: other shapes, or fewer rows than that.
         AssertionError: which joint is how far off, and when.
     """
-    off = np.abs(np.asarray(q)[-last:] - np.asarray(target))
+    where, rows, wanted = "testing.assert_settles", np.asarray(q), np.asarray(target)
+    if rows.ndim != 2 or wanted.shape != rows.shape[1:]:
+        rule = "have shapes (K, N) and (N,)"
+        raise Refusal(where, "q and target", rule, f"{rows.shape} and {wanted.shape}")
+    last = check_count(where, "last", last, 1, len(rows))
+    off = np.abs(rows[-last:] - wanted)
     row, joint = np.unravel_index(int(np.argmax(off)), off.shape)
     worst = float(off[row, joint])
     assert worst <= within, (

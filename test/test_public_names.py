@@ -6,14 +6,15 @@ import inspect
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import arm_emulator
-from arm_emulator import Plant, Recording, Refusal, Servo, load_gains, testing
-from arm_emulator.base.config_files import find_config
+from arm_emulator import Plant, Recording, Refusal, Servo, linearise, load_gains, testing
+from arm_emulator.base.config_files import find_config, find_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -99,3 +100,38 @@ def test_what_users_test_with() -> None:
     testing.assert_settles(q, target, within=1e-3, last=100)
     with pytest.raises(AssertionError, match=r"joint 1 is .* off"):
         testing.assert_settles(q, target + np.array([0.0, 0.5, 0.0]), within=1e-3, last=100)
+
+
+# Tried in the first hour, and ended in a traceback of ours, in a page of text or in silence.
+ROWS = np.zeros((5, 3))
+FIRST_HOUR: list[tuple[Callable[[], object], str]] = [
+    (lambda: linearise("three_axis"), "plant must be a Plant"),  # type: ignore[arg-type]
+    (lambda: Recording("three_axis"), "plant must be a Plant"),  # type: ignore[arg-type]
+    (lambda: Recording(Plant("three_axis"), names="q"), "names must be several"),
+    (lambda: Recording(Plant("three_axis"), names=("q",))["v"], "be recorded, got v; valid: q"),
+    (lambda: Servo("ur5"), "ur5: file must be readable"),
+    (lambda: Servo(5), "config must be a ServoConfig or a file"),  # type: ignore[arg-type]
+    (lambda: load_gains("u5"), "must exist"),
+    (lambda: testing.assert_settles(ROWS, np.zeros(3), 1e-3, last=10), "last must be"),
+    (lambda: testing.assert_settles(ROWS[:0], np.zeros(3), 1e-3, last=1), "last must be"),
+    (lambda: testing.assert_settles(ROWS, 0.0, 1e-3, last=2), r"must have shapes \(K, N\) and"),
+    (lambda: testing.assert_settles(ROWS[0], np.zeros(3), 1e-3, last=2), "must have shapes"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "reason"), FIRST_HOUR, ids=range(len(FIRST_HOUR)))
+def test_what_a_newcomer_mistakes_is_refused_in_a_line(
+    call: Callable[[], object], reason: str
+) -> None:
+    with pytest.raises(Refusal, match=reason) as refused:
+        call()
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 200
+
+
+def test_scenes_and_measurements_are_shown_in_a_line() -> None:
+    plant = Plant("three_axis")
+    assert repr(plant.scene) == "<Scene three_axis: waist, shoulder, elbow>"
+    assert repr(plant.measured).startswith("<Measured encoder_counts=[0, 8148, 13037], current=[")
+    with pytest.raises(AssertionError, match="nan off"):
+        testing.assert_settles(np.full((5, 3), np.nan), np.zeros(3), 1e-3, last=2)
+    assert load_gains("three_axis").servo == load_gains(find_scene("three_axis")).servo

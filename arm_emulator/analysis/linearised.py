@@ -69,6 +69,8 @@ def linearise(
         Refusal: no such pose or command, or a pose that the motors do not hold, as where a joint
             has none or a gear has play.
     """
+    if not isinstance(plant, Plant):
+        raise Refusal("linearise", "plant", "be a Plant", plant)
     if q is None:
         given = plant.commanded if command is None else command
         return _without_what_follows(plant.equations(given))

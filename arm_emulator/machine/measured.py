@@ -43,6 +43,12 @@ class Measured:
             values = values[field]
         return values.astype(np.int64) if output.kind in ("flag", "bits") else values
 
+    def __repr__(self) -> str:
+        values = (
+            f"{name}={getattr(self, name).tolist()}" for name in ("encoder_counts", "current")
+        )
+        return f"<Measured {', '.join(values)}, ...>"
+
     def __dir__(self) -> list[str]:
         return sorted((*super().__dir__(), *KNOWN))
 

@@ -210,6 +210,9 @@ class Scene:
     seed: int = number(at_least=0, at_most=LARGEST_SEED, whole=True, default=0)
     assumed: tuple[str, ...] = ()  # links whose bodies nobody has measured
 
+    def __repr__(self) -> str:
+        return f"<Scene {self.name}: {', '.join(self.joint_names)}>"
+
     @property
     def sensed(self) -> bool:
         """Whether there are sensors that do not report what is there as it is."""

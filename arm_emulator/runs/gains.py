@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from arm_emulator.base.config_files import find_beside
+from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import warn
 from arm_emulator.machine.scene import Scene
@@ -21,12 +21,13 @@ class Gains:
     motion: MotionConfig
 
 
-def load_gains(file: Path) -> Gains:
-    """Return the gains that belong to a scene file.
+def load_gains(scene: str | Path) -> Gains:
+    """Return the gains that belong to a scene, by its name or file.
 
     Raises:
         Refusal: a file that is missing or not taken.
     """
+    file = find_scene(str(scene))
     return Gains(
         load_servo_config(find_beside(file, "servo")),
         load_motion_config(find_beside(file, "motion")),

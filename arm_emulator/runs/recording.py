@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,12 @@ class Recording:
         plant: Plant,
         file: str | Path | None = None,
         *,
-        names: tuple[str, ...] = ("q", "v", "measured.encoder_counts", "measured.current"),
+        names: Sequence[str] = ("q", "v", "measured.encoder_counts", "measured.current"),
     ) -> None:
+        if not isinstance(plant, Plant):
+            raise Refusal("Recording", "plant", "be a Plant", plant)
+        if isinstance(names, str):
+            raise Refusal("Recording", "names", "be several, as in a tuple", names)
         for name in names:
             if name not in (*TRUTH, *MEASURED):
                 valid = ", ".join((*TRUTH, *MEASURED))
@@ -100,7 +105,13 @@ class Recording:
         return self._rows["t"].copy()
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return the rows of a quantity, (K, N)."""
+        """Return the rows of a quantity that was asked for, (K, N).
+
+        Raises:
+            Refusal: it was not.
+        """
+        if name not in self._names:
+            raise Refusal("Recording", "name", "be recorded", name, ", ".join(self._names))
         return values_of(self._rows, name, self._plant.scene).copy()
 
     @property
