@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.call_arguments import Commands
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.equations import Equations
-from arm_emulator.machine.plant import Commands, Plant
+from arm_emulator.machine.plant import Plant
 
 MOST_ROUNDS = 30  # of Newton's method
 ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: what may be left at rest
