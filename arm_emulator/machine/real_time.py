@@ -80,7 +80,7 @@ class RealTimeLoop(Turns):
         if loop:
             self._calls.arm_real_time_delete(loop)
 
-    def _renew_threads(self) -> None:
+    def renew_threads(self) -> None:  # noqa: D102
         self._loop = NULL  # the thread stayed behind, and the machine may be within a period
 
     def start(self, tick: int) -> None:

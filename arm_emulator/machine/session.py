@@ -115,7 +115,7 @@ class Session(Turns):
     def __getstate__(self) -> dict[str, Any]:
         if self.by_itself:
             raise Refusal("Session", "its clock", "be its owner's to be copied", "a loop's")
-        return {name: one for name, one in vars(self).items() if name not in ("_turn", "_clock")}
+        return {name: one for name, one in vars(self).items() if name not in ("turn", "_clock")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
