@@ -19,7 +19,7 @@ class Equations:
     Attributes:
         x: z, q and v, ((K + 2) N,).
         u: commands (N,).
-        states: places in x of the states that there are, drive by drive.
+        states: places in x of the states of the drives, drive by drive.
         D: (K N,), 0 of what follows at once.
         by: derivatives of f, a, the motors' currents and their angles by x and u.
         value: those themselves, ((K + 3) N,).
