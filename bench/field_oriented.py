@@ -135,7 +135,7 @@ def drive(scene: Scene, seconds: float) -> dict[str, Any]:
     in_core = 0.0
     for k, (angle, speed) in enumerate(zip(angles, speeds, strict=True)):
         x = plant.state
-        i_d = plant.current_d
+        i_d = plant.measured.current_d
         ud, uq = control.voltages(x.theta_m, x.omega_m, i_d, x.current, angle, speed)
         error[k] = (angle - x.theta_m) * ratio
         off_q[k], d[k], u[k], q[k] = control.wanted_q - x.current, i_d, np.hypot(ud, uq), x.q

@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.inputs import named_inputs
 from arm_emulator.machine.session import Needless
 from arm_emulator.ros.doubles import STARTED
 from arm_emulator.ros.fixed_layout import taking
@@ -48,7 +49,10 @@ class Intake:
                 self._diagnostics.count("motor_commands for another emulator")
                 return
             try:
-                self._session.offer(command.tick, command.joint_names, command.command)
+                names = command.joint_names
+                given = (command.input_names, command.inputs)
+                further = named_inputs("motor_commands", *given, len(names))
+                self._session.offer(command.tick, names, command.command, further)
             except Needless as reason:
                 self._diagnostics.count(f"motor_commands {reason.kind}")
                 return

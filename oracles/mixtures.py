@@ -374,8 +374,8 @@ class Verdict:
 def commands(scene: Scene, seed: int) -> np.ndarray:
     """Return commands (ROWS, N) that jump, in the unit of each motor."""
     rng = np.random.default_rng([seed, 77])
-    sizes = {"V": 12.0, "V dq": 12.0, "N m": 0.3, "A": 6.0}
-    size = np.array([sizes[joint.command] if joint.motor else 0.0 for joint in scene.joints])
+    sizes = {"V": 12.0, "N m": 0.3, "A": 6.0}
+    size = np.array([sizes[joint.unit] if joint.motor else 0.0 for joint in scene.joints])
     rows: np.ndarray = rng.uniform(-1.0, 1.0, (ROWS, len(size))) * size
     rows[BRAKED] = 0.0  # which is what motors without power get
     return rows

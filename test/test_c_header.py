@@ -131,7 +131,7 @@ def test_an_array_of_other_numbers_is_no_place_for_a_struct(tmp_path: Path) -> N
     command = ARM.new("arm_command", joint=rows, tick=2**40)
     rows["value"][1] = 2.5
     assert (command.size, command.tick, command.joint[1].value) == (32, 2**40, 2.5)
-    assert command.value_d == NULL
+    assert command.further == NULL
     why = ARM.new("arm_refusal", quantity=b"q")
     assert text(why.quantity) == "q"
 

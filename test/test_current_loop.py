@@ -223,7 +223,7 @@ def test_energy_is_what_the_supply_gives_less_what_is_dissipated(
 def test_commands_are_currents_within_the_limit_and_zero_without_power(tmp_path: Path) -> None:
     scene = load_scene(write(tmp_path))
     plant = Plant(scene)
-    assert [joint.command for joint in scene.joints] == ["A", "A", "A"]
+    assert [joint.unit for joint in scene.joints] == ["A", "A", "A"]
     plant.exchange(np.array([100.0, -50.0, 9.0]))
     assert plant.measured.applied.tolist() == [100.0, -50.0, LIMIT], "the supply bounds no current"
     for _ in range(30):

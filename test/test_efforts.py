@@ -149,6 +149,6 @@ def test_free_runs_keep_all_that_the_scene_has(tmp_path: Path) -> None:
         ]  # fmt: skip
         electric = dataclasses.replace(scene, joints=tuple(other))
         for one, was in zip(torque_driven(electric, 2e-3, []).joints, other, strict=True):
-            assert one.command == "N m"
+            assert one.unit == "N m"
             assert vars(one.motor)["rotor_inertia"] == vars(was.motor)["rotor_inertia"]
             assert dataclasses.replace(one, motor=None) == dataclasses.replace(was, motor=None)

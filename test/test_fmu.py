@@ -73,7 +73,8 @@ def compare(one: Instance, plant: Plant, start: float = 0.0) -> None:
     reported: dict[str, Any] = {name: getattr(measured, name) for name in MEASURED}
     reported |= {
         "encoder_counts": measured.encoder_counts,
-        "current_d": plant.current_d,
+        "current_d": plant.measured.current_d,
+        "applied_d": plant.measured.applied_d,
         "applied": plant.measured.applied,
         "powered": plant.powered,
         "specific_force.'unit 1'": measured.specific_force[0],
@@ -245,7 +246,7 @@ def test_what_is_out_of_bounds_is_discarded(fmu: Fmu) -> None:
     for name, value, rule in (
         (MASS, -1.0, "within its bounds"),
         (STIFFNESS, -1.0, "within its bounds"),
-        ("command_d", [0.0, 1.0], "no such voltage"),
+        ("command_d", [0.0, 1.0], "no such input"),
         ("external.force", [1e10] + [0.0] * 5, "at most 1e9"),
     ):
         assert one.set(name, value) == DISCARD, name

@@ -104,7 +104,7 @@ def exact(scene: Scene, plant: Plant, commands: np.ndarray) -> np.ndarray:
                 out[k, 0, j] = u
             if Kg is None:
                 out[k, 1:3, j] = x[3:5] / Ng
-            if joint.command == "N m":
+            if joint.unit == "N m":
                 out[k, 0, j] = 0.0  # no current is known
     return out
 

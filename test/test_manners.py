@@ -390,7 +390,7 @@ def calls_of_plant() -> Iterator[tuple[str, Callable[[Any, Any], Any], list[Any]
     ones = {"force": (1.0, 0.0, 0.0)}
     yield "exchange", lambda p, x: p.exchange(x), NO_ROWS
     yield "tick", lambda p, x: p.exchange(ROW, x), NO_COUNTS
-    yield "command_d", lambda p, x: p.exchange(ROW, -1, x), NO_ROWS[1:]
+    yield "command_d", lambda p, x: p.exchange(ROW, command_d=x), NO_ROWS
     yield "powered", lambda p, x: setattr(p, "powered", x), NO_FLAGS
     yield "restore", lambda p, x: p.restore(x), NO_BYTES
     yield "state", lambda p, x: setattr(p, "state", x), NO_OBJECTS
@@ -420,7 +420,7 @@ def calls_of_fleet() -> Iterator[tuple[str, Callable[[Any, Any], Any], list[Any]
     no_columns: list[Any] = [*NO_NUMBERS, [1.0] * 3, [1.0, True, 1.0, 1.0], np.zeros((4, 1))]
     yield "exchange", lambda f, x: f.exchange(x), NO_ROWS
     yield "tick", lambda f, x: f.exchange(ROW, x), NO_COUNTS
-    yield "command_d", lambda f, x: f.exchange(ROW, -1, x), NO_ROWS[1:]
+    yield "command_d", lambda f, x: f.exchange(ROW, command_d=x), NO_ROWS
     yield "powered", lambda f, x: setattr(f, "powered", x), no_flags
     yield "restore", lambda f, x: f.restore(x), NO_BYTES
     yield "restore arms", lambda f, x: f.restore(f.save(), arms=x), no_arms

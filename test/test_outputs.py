@@ -21,7 +21,7 @@ from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.outputs import KNOWN, SYMBOLS, outputs_of, readings_of, reported_by_parts
-from arm_emulator.machine.parts.output import READINGS, Output
+from arm_emulator.machine.parts.output import FURTHER, READINGS, Output
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.parts.torque_sensor import TorqueSensor
 from arm_emulator.machine.plant import Plant
@@ -170,7 +170,7 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
     rows = [one for one in blocks(scene) if 1003 + 11 * N <= one.address < 2000]
     names = [name for name in KNOWN if name in ("current_d", "link_index_counts",
              "link_index_pulses", "torque", "specific_force", "angular_rate")
-             or KNOWN[name].symbol == READINGS]  # fmt: skip
+             or KNOWN[name].symbol in (READINGS, FURTHER)]  # fmt: skip
     assert len(rows) == len(names), [one.name for one in rows]
     for name, block in zip(names, rows, strict=True):
         words = np.array(converter.read(block.address, block.count), ">u2")

@@ -62,7 +62,7 @@ def drawn_commands(rng: np.random.Generator, rows: int) -> tuple[np.ndarray, np.
 
 def state_of(plant: Plant) -> np.ndarray:
     x = plant.state
-    return np.array([plant.current_d, x.current, x.theta_m, x.omega_m, x.q, x.v])
+    return np.array([plant.measured.current_d, x.current, x.theta_m, x.omega_m, x.q, x.v])
 
 
 def solved(scene: Scene, ud: np.ndarray, uq: np.ndarray) -> np.ndarray:
@@ -175,7 +175,9 @@ def test_a_rotor_that_is_held_takes_the_currents_of_a_winding_at_rest(tmp_path: 
         plant.exchange(uq, command_d=ud)
         t = PERIOD * (k + 1)
         # Second order: (h R/L)^2 is at most 1e-4 of the current.
-        assert plant.current_d == pytest.approx(ud / R * -np.expm1(-t * R / Ld), rel=1e-4), "id"
+        assert plant.measured.current_d == pytest.approx(
+            ud / R * -np.expm1(-t * R / Ld), rel=1e-4
+        ), "id"
         current = plant.state.current
         assert current == pytest.approx(uq / R * -np.expm1(-t * R / Lq), rel=1e-4), "iq"
 
@@ -220,4 +222,6 @@ def test_a_weakened_field_lets_a_motor_without_load_turn_faster(tmp_path: Path) 
     speed = 20.0 / (p * (psi + Ld * weak / R))
     # exp(-3 s / 0.4 s) of it is left to come at the weakest field.
     assert plant.state.omega_m == pytest.approx(speed, rel=1e-3), "speeds without load"
-    assert plant.current_d == pytest.approx(weak / R, rel=1e-3, abs=1e-3), "currents along the flux"
+    assert plant.measured.current_d == pytest.approx(weak / R, rel=1e-3, abs=1e-3), (
+        "currents along the flux"
+    )

@@ -91,7 +91,7 @@ def test_both_voltages_of_a_field_oriented_motor_go_with_power(tmp_path: Path) -
     )  # fmt: skip
     plant = Plant(load_scene(file))
     plant.exchange(np.array([3.0]), command_d=[4.0])
-    assert abs(plant.current_d[0]) > 0.1
+    assert abs(plant.measured.current_d[0]) > 0.1
     plant.powered = False
     plant.advance(np.array([3.0]), 1000)
-    assert abs(plant.current_d[0]) < 1e-3, "its current dies away"
+    assert abs(plant.measured.current_d[0]) < 1e-3, "its current dies away"

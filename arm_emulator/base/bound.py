@@ -25,7 +25,6 @@ CURRENT = Number.within("current", "A", 1e9)
 ANY_COMMAND = Number.within("command", "V, N m or A", math.inf)
 ANY_STATE = Number.within("x", "", math.inf)
 ANY_COMMANDS = ANY_COMMAND.named("commands")
-ANY_COMMAND_D = Number.within("command_d", "V", math.inf)
 # What acts on a link from outside, and where on it.
 FORCE = Number.within("force", "N", 1e6)
 MOMENT = Number.within("moment", "N m", 1e6)

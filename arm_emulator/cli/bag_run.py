@@ -42,7 +42,7 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
     if not t:
         raise Refusal(str(path), "bag", "have motor_states", "none")
     q_motor = (np.array(counts, np.float64) + 0.5) * link_angle_per_count(scene)
-    units = np.array([joint.command == "N m" for joint in scene.joints])
+    units = np.array([joint.unit == "N m" for joint in scene.joints])
     Kt = np.array([getattr(joint.motor, "torque_constant", np.nan) for joint in scene.joints])
     tau = np.array(current, np.float64) * np.nan_to_num(Kt)
     # A command is reported at the end of the period in which it held: here, half of it before.

@@ -23,14 +23,15 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator.analysis.stability import explain
-from arm_emulator.base.bound import COMMAND
 from arm_emulator.base.config_files import config_folder
-from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.yaml_file import read_yaml
 from arm_emulator.cli.checked import Tally
 from arm_emulator.cli.output import Output
+from arm_emulator.machine.inputs import further_inputs, named_inputs
+from arm_emulator.machine.measured import rows_of
 from arm_emulator.machine.measured_fields import MeasuredFields
+from arm_emulator.machine.parts.output import FURTHER
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import SET
 from arm_emulator.machine.scene import Scene, load_scene
@@ -145,8 +146,8 @@ class _Checker:
         self._reports_changes = any(name.endswith("/emulator/events") for name in bag.topics)
         self._reports_commands = any(name.endswith("/motor_commands") for name in bag.topics)
         self._machine = 0  # whose states the run has
-        self._commanded = JointOrder("motor_commands", session.scene.joint_names)
         self._inside = False  # a run that began at tick 0
+        self._further = rows_of(session.scene)[FURTHER]  # what motors got of further inputs
         self._measured = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
         self._reported = Plant(session.scene)  # machines as events report them
         self._event = (0, 0)  # emulator and number of the newest one
@@ -161,7 +162,7 @@ class _Checker:
         names = "stamp", "tick", *fields.in_all, *own, *fields.listed
         return {
             "motor_states": ", ".join(names),
-            "motor_commands": "command",
+            "motor_commands": ", ".join(("command", *further_inputs(self._session.scene))),
             "emulator/joint_states": "position, velocity, effort",
             "emulator/events": "tick, stamp, state",
         }
@@ -184,7 +185,9 @@ class _Checker:
         if not self._inside:
             return
         try:
-            row = self._commanded.arrange(command.joint_names, command.command, COMMAND)
+            names, given = command.joint_names, (command.input_names, command.inputs)
+            further = named_inputs("motor_commands", *given, len(names))
+            rows = self._session.arranged(names, command.command, further)
         except Refusal:
             self.tally.refused += 1
             return
@@ -193,7 +196,7 @@ class _Checker:
         if tick > self._session.tick:
             self.tally.refused += 1
             return
-        self._commands.setdefault(tick, []).append(row)
+        self._commands.setdefault(tick, []).append(rows)
 
     def _lead_past_a_lost_state(self, tick: int) -> None:
         """Go on to a tick whose state the bag misses, if the command before it is there."""
@@ -358,7 +361,7 @@ class _Checker:
         session = self._session
         session.powered = bool(state.powered)  # of the period before: switched between ticks
         self._has_values("applied", order, len(state.applied))
-        applied = np.array(state.applied)[order]
+        applied = self._got(state, order)
         commands = self._commands.pop(session.tick, [])
         self._led = self._led or bool(applied.any())
         self.tally.free += not self._led and not commands
@@ -369,15 +372,40 @@ class _Checker:
         # answer a tick that is past. Power may be switched while nothing moves.
         if commands and self._lockstep and led:
             self.tally.commands += 1
-            U = session.scene.largest_commands
-            if not any(_are_equal(applied, np.clip(one, -U, U)) for one in commands):
-                joint = int(np.argmax(applied != commands[-1]))
+            if not any(self._could_be(applied, one) for one in commands):
+                row, joint = np.argwhere(applied != commands[-1])[0].tolist()
                 raise Difference(
                     f"run {self.tally.runs}, tick {session.tick}, "
-                    f"joint {session.scene.joint_names[joint]}, applied: "
-                    f"commanded {commands[-1][joint].item()!r}, applied {applied[joint].item()!r}"
+                    f"joint {session.scene.joint_names[joint]}, "
+                    f"{('applied', *self._further)[row]}: commanded "
+                    f"{commands[-1][row, joint].item()!r}, applied {applied[row, joint].item()!r}"
                 )
         return applied
+
+    def _got(self, state: MotorState, order: list[int]) -> NDArray[np.float64]:
+        """Return what the motors got of commands and further inputs (1 + I, N)."""
+        rows, listed = [np.array(state.applied)[order]], list(state.reading_names)
+        N = len(order)
+        for name in self._further:
+            at = listed.index(name) * N if name in listed else 0
+            values = np.array(state.readings[at : at + N])
+            self._has_values(name, order, len(values) if name in listed else 0)
+            rows.append(values[order])
+        return np.array(rows)
+
+    def _could_be(self, applied: NDArray[np.float64], commanded: NDArray[np.float64]) -> bool:
+        """Return whether motors could get that of inputs (1 + I, N).
+
+        One that has several inputs has a limit for all of them together: it may get less of each.
+        """
+        scene = self._session.scene
+        U = scene.largest_commands
+        several = np.array([len(joint.inputs) > 1 for joint in scene.joints])
+        if not _are_equal(applied[0, ~several], np.clip(commanded[0], -U, U)[~several]):
+            return False
+        got, wanted = applied[:, several], commanded[:, several]
+        less = (np.abs(got) < np.abs(wanted)) & ((np.sign(got) == np.sign(wanted)) | (got == 0.0))
+        return bool((less | (got == wanted)).all())
 
     def _on_truth(self, truth: JointState) -> None:
         session, now = self._session, self._session.state

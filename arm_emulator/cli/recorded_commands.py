@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.measured import rows_of
+from arm_emulator.machine.parts.output import FURTHER
 from arm_emulator.machine.scene import Scene
 from arm_emulator.runs.target_table import load_target_table
 
@@ -44,6 +46,7 @@ def _from_bag(path: Path, scene: Scene) -> Array:
     from arm_emulator.cli.check_bag import read_topics
     from arm_emulator.ros.bag import Bag
 
+    applied_further = rows_of(scene)[FURTHER]
     rows, tick, gap = list[list[float]](), -1, ""  # of the newest run
     for _, state in read_topics(Bag(path), ("motor_states",)):
         if state.tick == tick:
@@ -61,6 +64,11 @@ def _from_bag(path: Path, scene: Scene) -> Array:
         if abs(at - tick * scene.servo_period) > 0.5 * scene.servo_period:
             rule = f"come after each {scene.servo_period:g} s, as the scene's"
             raise Refusal(str(path), "motor_states", rule, f"tick {tick} at {at:g} s")
+        for name in set(state.reading_names) & set(applied_further):
+            at = list(state.reading_names).index(name) * len(names)
+            if any(state.readings[at : at + len(names)]):
+                rule = "be 0: motions are judged under the commands alone"
+                raise Refusal(str(path), name, rule, f"another at tick {tick}")
         rows.append([float(state.applied[names.index(joint)]) for joint in scene.joint_names])
     if gap:
         rule = "have every tick of the last run, from 0 on"

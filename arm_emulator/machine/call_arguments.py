@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import CData, Library, text
 from arm_emulator.machine.chain import Array
-from arm_emulator.machine.core_calls import ARM, MODES, PLACES
+from arm_emulator.machine.core_calls import ARM, PLACES
+from arm_emulator.machine.inputs import modes_of
 from arm_emulator.machine.scene import Scene
 
 LARGEST_STEPS = 10**15  # of one call
@@ -59,7 +60,7 @@ def truth_at(**places: NDArray[Any]) -> CData:
 def commands_of(scene: Scene) -> NDArray[Any]:
     """Return commands of 0, as the joints' motors take them."""
     commands = ARM.rows("arm_joint_command", len(scene.joints))
-    commands["mode"] = [MODES[joint.command] for joint in scene.joints]
+    commands["mode"] = modes_of(scene)
     commands["enable"] = 1
     return commands
 

@@ -63,8 +63,8 @@ class Clock:
     def begin(self) -> None:
         """Begin anew at tick 0: forget the commands and the ticks of the run before."""
 
-    def command(self, answered: int, command: Array) -> None:
-        """Hold commands (N,) from now on, which answer a tick."""
+    def command(self, answered: int, rows: Array) -> None:
+        """Hold commands and further inputs (1 + I, N), which answer a tick, from now on."""
 
     def start(self, tick: int) -> None:
         """Let time pass from a tick on."""

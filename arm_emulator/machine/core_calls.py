@@ -13,12 +13,6 @@ FIRMWARE_LOOP = Header(BOUNDARY / "firmware_loop.h")
 
 OK, REFUSED, DIVERGED = map(ARM.constant, ("ARM_OK", "ARM_REFUSED", "ARM_DIVERGED"))
 FAULT_THERMAL = ARM.constant("ARM_FAULT_THERMAL")
-MODES = {
-    unit: ARM.constant(mode)
-    for unit, mode in {
-        "V": "ARM_VOLTAGE", "N m": "ARM_TORQUE", "A": "ARM_CURRENT", "V dq": "ARM_VOLTAGE_DQ",
-    }.items()
-}  # fmt: skip
 
 # Places of a state in C, by their names in `PlantState` and `FleetState`.
 PLACES = {

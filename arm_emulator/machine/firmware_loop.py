@@ -73,7 +73,7 @@ class FirmwareLoop:
             rows=self._rows,
             row_count=len(self._row_tick),
             joint=plant.command.joint,
-            value_d=plant.command.value_d,
+            further=plant.command.further,
             command=plant.command,
             measurement=plant.measurement,
             stop=code.stop,

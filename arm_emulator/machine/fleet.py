@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMAND_D, ANY_COMMANDS
+from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.number import Number
@@ -34,6 +34,7 @@ from arm_emulator.machine.core_calls import ARM, FLEET, PLACES, REFUSED
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.fleet_frame import FleetFrame
+from arm_emulator.machine.inputs import further_rows
 from arm_emulator.machine.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant import Borrowed, Plant
 from arm_emulator.machine.plant_state import ROWS, link_angle_per_count, start_bounds
@@ -230,10 +231,7 @@ class Fleet(Turns):
         q: Array = self._run(self._as_commands(command, where)[np.newaxis], steps)[0]
         return q
 
-    @in_turn
-    def exchange(
-        self, command: Commands, tick: int = -1, command_d: ArrayLike | None = None
-    ) -> None:
+    def exchange(self, command: Commands, tick: int = -1, **further: Commands) -> None:
         """Go through one servo period under commands that answer a tick, see `Plant.exchange`.
 
         An arm that diverges stays at its last sound state, and the others go on; see `diverged`.
@@ -241,20 +239,25 @@ class Fleet(Turns):
         Args:
             command: as for `advance`.
             tick: that they answer; -1: none.
-            command_d: (N,) or (count, N) [V], along the rotors' flux; 0 if None.
+            further: inputs of motors beside their command, by name, given alike; 0 otherwise.
 
         Raises:
-            Refusal: wrong shape or not finite; nothing has changed.
+            Refusal: wrong shape, not finite, or an input that no motor has; nothing has changed.
         """
         where = "Fleet.exchange"
-        rows, along = self._as_commands(command, where), None
+        rows = self._as_commands(command, where)
         tick = check_count(where, "tick", tick, -1)
-        if command_d is not None:
-            along = self._rows(command_d, None, where, ANY_COMMAND_D)
-        self._commands["value"] = rows
-        places = {"joint": self._commands} | ({} if along is None else {"value_d": along})
-        given, exchange = ARM.new("arm_command", tick=tick, **places), self.core.arm_fleet_exchange
-        self._shares.do(self._worth(1), lambda *share: exchange(self._fleet, *share, given))
+        given = {
+            name: self._as_commands(one, where, ANY_COMMAND.named(name))
+            for name, one in further.items()
+        }
+        others = further_rows(where, self.scene, given, self._count)
+        exchange = self.core.arm_fleet_exchange
+        with self.turn:
+            self._commands["value"] = rows
+            places = {"joint": self._commands} | ({} if others is None else {"further": others})
+            one = ARM.new("arm_command", tick=tick, **places)
+            self._shares.do(self._worth(1), lambda *share: exchange(self._fleet, *share, one))
 
     @in_turn
     def step(
@@ -530,16 +533,16 @@ class Fleet(Turns):
         one.number.check(where, column)
         return column
 
-    def _as_commands(self, command: Commands, where: str) -> Array:
+    def _as_commands(self, command: Commands, where: str, bound: Number = ANY_COMMAND) -> Array:
         given = by_joint(command, self.scene, where)
         if given is not command:
-            columns = [ANY_COMMAND.numbers(where, one) for one in given]  # type: ignore[attr-defined]
+            columns = [bound.numbers(where, one) for one in given]  # type: ignore[attr-defined]
             if any(one.shape not in ((), (self._count,)) for one in columns):
                 shapes = [one.shape for one in columns]
                 rule = f"have shape () or ({self._count},) for each joint"
-                raise Refusal(where, "command", rule, shapes)
+                raise Refusal(where, bound.name, rule, shapes)
             given = np.column_stack([np.broadcast_to(one, self._count) for one in columns])
-        return self._rows(given, None, where, ANY_COMMAND)
+        return self._rows(given, None, where, bound)
 
     def _rows(
         self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number

@@ -43,9 +43,9 @@ class LoopClock(Clock):
         self._loop.command(-1, self._zero)
         self._loop.clear_figures()
 
-    def command(self, answered: int, command: Array) -> None:
-        """Hold commands (N,) from now on, which answer a tick."""
-        self._loop.command(answered, command)
+    def command(self, answered: int, rows: Array) -> None:
+        """Hold commands and further inputs (1 + I, N), which answer a tick, from now on."""
+        self._loop.command(answered, rows[0], rows[1:])
 
     def start(self, tick: int) -> None:
         """Let time pass from a tick on."""

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.outputs import KNOWN, readings_of
-from arm_emulator.machine.parts.output import READINGS
+from arm_emulator.machine.inputs import further_inputs
+from arm_emulator.machine.outputs import KNOWN, input_of, outputs_of, readings_of
+from arm_emulator.machine.parts.output import FURTHER, READINGS
 from arm_emulator.machine.scene import Scene
 
 
@@ -23,22 +24,23 @@ class Measured:
 
     Args:
         arrays: of ``arm_measurement``, by their names there, as one record.
-        rows: names of the readings, a row each.
+        rows: names of the outputs that are rows of readings, and of further inputs.
     """
 
     arrays: NDArray[np.void]
-    rows: tuple[str, ...]
+    rows: dict[str, tuple[str, ...]]
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         output = KNOWN.get(name)
         if output is None:
             raise AttributeError(f"{name} is not measured; valid: {', '.join(KNOWN)}")
         array, _, field = output.symbol.partition(".")
-        if array == READINGS and name not in self.rows:
+        rows = self.rows.get(array)
+        if rows is not None and name not in rows:
             return np.zeros(self.arrays["joint"].shape)
         values = self.arrays[array]
-        if array == READINGS:
-            values = values[..., self.rows.index(name), :]
+        if rows is not None:
+            values = values[..., rows.index(name), :]
         elif field:
             values = values[field]
         return values.astype(np.int64) if output.kind in ("flag", "bits") else values
@@ -66,13 +68,13 @@ class MeasuredPlace:
 
     def __init__(self, scene: Scene, *arms: int) -> None:
         N, M = len(scene.joints), len(scene.imus)
-        self._rows = tuple(one.name for one in readings_of(scene))
+        self._rows = rows_of(scene)
         kinds = {
             "joint": (ARM.dtype("arm_joint_measurement"), (*arms, N)),
             "sensors": (ARM.dtype("arm_joint_sensors"), (*arms, N)),
             "imu": (ARM.dtype("arm_imu_measurement"), (*arms, M)),
             "current_d": ("f8", (*arms, N)),
-            READINGS: ("f8", (*arms, len(self._rows), N)),
+            **{array: ("f8", (*arms, len(rows), N)) for array, rows in self._rows.items()},
         }
         # One record, copied as bytes: NumPy copies structs number by number.
         self._type = np.dtype([(name, *kind) for name, kind in kinds.items()])
@@ -88,3 +90,12 @@ class MeasuredPlace:
     def view(self) -> Measured:
         """Return what is there at any time, no copy."""
         return Measured(self._record, self._rows)
+
+
+def rows_of(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Return the outputs that are rows of an array, by its name in ``arm_measurement``."""
+    of = {input_of(scene, one): one.name for one in outputs_of(scene) if one.symbol == FURTHER}
+    return {
+        READINGS: tuple(one.name for one in readings_of(scene)),
+        FURTHER: tuple(of[name] for name in further_inputs(scene)),
+    }

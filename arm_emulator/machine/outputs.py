@@ -6,10 +6,11 @@ from collections.abc import Iterable, Iterator
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.inputs import further_inputs, input_at, input_units
 from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
 from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.known import MOTORS, PARTS
-from arm_emulator.machine.parts.output import COMMAND, FAULTS, READINGS, Output
+from arm_emulator.machine.parts.output import COMMAND, FAULTS, FURTHER, READINGS, Output
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import ANALOG
 from arm_emulator.machine.scene import Scene
@@ -88,10 +89,22 @@ def readings_of(scene: Scene) -> tuple[Output, ...]:
     return tuple(one for one in outputs_of(scene) if one.symbol == READINGS)
 
 
+def input_of(scene: Scene, output: Output) -> str:
+    """Return the further input of which an output has what the motors got."""
+    return next(
+        name
+        for name in further_inputs(scene)
+        for joint in scene.joints
+        if (one := input_at(joint, name)) and one.applied == output.name
+    )
+
+
 def units_of(scene: Scene, output: Output) -> tuple[str, ...]:
     """Return the unit of an output at each joint; none where its values have none."""
     if output.unit == COMMAND:
-        return tuple(joint.command.removesuffix(" dq") for joint in scene.joints)
+        return tuple(joint.unit for joint in scene.joints)
+    if output.symbol == FURTHER:
+        return input_units(scene, input_of(scene, output))
     if not output.unit:
         return ()
     return tuple(output.unit_at(joint.kind) for joint in scene.chain.joints)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMAND_D, ANY_COMMANDS, ANY_STATE
+from arm_emulator.base.bound import ANY_COMMAND, ANY_COMMANDS, ANY_STATE
 from arm_emulator.base.count import check_count
 from arm_emulator.base.given import as_flag
 from arm_emulator.base.refusal import Refusal
@@ -39,6 +39,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.energy_flow import EnergyFlow
 from arm_emulator.machine.equations import Equations
 from arm_emulator.machine.external_wrench import AXES, ExternalWrench, on_moving_link
+from arm_emulator.machine.inputs import further_inputs, further_rows
 from arm_emulator.machine.linear_drive import LinearDrive
 from arm_emulator.machine.link_dynamics import LinkDynamics
 from arm_emulator.machine.measured import Measured, MeasuredPlace
@@ -113,8 +114,8 @@ class Plant(Turns):
         self._energy_alone = truth_at(energy=self._energy)
         self._truth = truth_at(**dict(zip(ROWS, self._rows, strict=True)))
         self._commands = commands_of(scene)
-        self._commands_d = np.zeros(N)
-        places = {"joint": self._commands, "value_d": self._commands_d}
+        self._further = np.zeros((len(further_inputs(scene)), N))
+        places = {"joint": self._commands, "further": self._further}
         self.command = ARM.new("arm_command", tick=-1, **places)
         self._place = MeasuredPlace(scene)
         self._measured = self._place.joints
@@ -154,13 +155,12 @@ class Plant(Turns):
 
     @in_turn
     def __getstate__(self) -> tuple[Any, ...]:
-        commands = np.array([self._commands["value"], self._commands_d])
-        return self.save(), self._added, self._reset_to, self._held.copy(), commands
+        return self.save(), self._added, self._reset_to, self._held.copy(), self.commanded
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         self.restore(state[0])
         self._added, self._reset_to, self._held[:], commands = state[1:]
-        self._commands["value"], self._commands_d[:] = commands
+        self._commands["value"], self._further[:] = commands[0], commands[1:]
 
     def renew_threads(self) -> None:  # noqa: D102
         self.core.arm_begin_threads(self.machine)
@@ -220,28 +220,27 @@ class Plant(Turns):
             if result == DIVERGED:
                 raise self._diverged(self._held)
 
-    def exchange(
-        self, command: Commands, tick: int = -1, command_d: ArrayLike | None = None
-    ) -> None:
+    def exchange(self, command: Commands, tick: int = -1, **further: Commands) -> None:
         """Go through one servo period under commands that answer a tick, -1: none.
 
-        A command is a voltage, torque or current [V, N m, A], as the joint's motor takes it
-        (`scene.joints[k].command`); of a motor in its rotor's frame it is the voltage across the
-        flux, and `command_d` (N,) [V] that along it, 0 if None. Commands are (N,), or by names of
-        all joints. Without power every command is 0.
+        A command is a voltage, torque or current, as the joint's motor takes it
+        (`scene.joints[k].inputs`). Commands are (N,), or by names of all joints. Further inputs of
+        motors are given alike, by their names (``command_d=``), and are 0 otherwise, as all
+        commands are without power.
 
         Raises:
-            Refusal: wrong shape or not finite; nothing has changed.
+            Refusal: wrong shape, not finite, or an input that no motor has; nothing has changed.
             Diverged: as `advance`.
         """
         where = "Plant.exchange"
         row = self._as_command(command, where)
         if type(tick) is not int or not -1 <= tick < 2**63:
             tick = check_count(where, "tick", tick, -1)
-        along = 0.0 if command_d is None else ANY_COMMAND_D.row(where, command_d, self._N)
+        rows = {name: self._as_further(where, name, given) for name, given in further.items()}
+        others = further_rows(where, self.scene, rows)
         with self.turn:
             self._commands["value"] = row
-            self._commands_d[:] = along
+            self._further[:] = 0.0 if others is None else others
             self.command.tick = tick
             result = self.core.arm_exchange(self.machine, self.command, self.measurement)
             if result == REFUSED:
@@ -259,6 +258,9 @@ class Plant(Turns):
         if row.shape != self._shape:
             raise Refusal(where, "command", f"have shape {self._shape}", row.shape)
         return row
+
+    def _as_further(self, where: str, name: str, given: Commands) -> Array:
+        return ANY_COMMAND.named(name).row(where, by_joint(given, self.scene, where), self._N)
 
     def exchange_in(self, loop: Callable[[], int]) -> None:
         """Go through servo periods in a loop in C, over `command` and `measurement`.
@@ -289,8 +291,8 @@ class Plant(Turns):
     @property
     @in_turn
     def commanded(self) -> Array:
-        """The newest commands of `exchange` or `exchange_in`, (N,) [V, N m, A]."""
-        return self._commands["value"].copy()
+        """The newest commands of `exchange` or `exchange_in`, and further inputs (1 + I, N)."""
+        return np.vstack([self._commands["value"], self._further])
 
     @property
     @in_turn
@@ -301,12 +303,6 @@ class Plant(Turns):
         """
         self.core.arm_measure(self.machine, self.measurement)
         return self._place.read()
-
-    @property
-    @in_turn
-    def current_d(self) -> Array:
-        """Currents along the rotors' flux (N,) [A], 0 of motors that have one current only."""
-        return self.measured.current_d
 
     @property
     def links(self) -> LinkDynamics:

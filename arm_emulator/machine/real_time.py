@@ -18,6 +18,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.clock import Reached, RealTimeFigures
 from arm_emulator.machine.compiler import real_time_library
 from arm_emulator.machine.core_calls import ARM, PLACES, REAL_TIME
+from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.measured import MeasuredPlace
 from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.plant import Plant
@@ -63,6 +64,7 @@ class RealTimeLoop(Turns):
             core=core,
             imus=len(plant.scene.imus),
             readings=len(readings_of(plant.scene)),
+            inputs=len(further_inputs(plant.scene)),
         )
         self._loop = self._calls.arm_real_time_new(options)
         self._bell = self._calls.arm_real_time_descriptor(self._loop)
@@ -73,7 +75,9 @@ class RealTimeLoop(Turns):
         truth = ARM.ffi.addressof(self._snapshot, "truth")
         ARM.fill(truth, energy=self._energy, **places)
         self._commands = commands_of(plant.scene)
-        self._command = ARM.new("arm_command", tick=-1, joint=self._commands)
+        self._further = np.zeros((len(further_inputs(plant.scene)), N))
+        places = {"joint": self._commands, "further": self._further}
+        self._command = ARM.new("arm_command", tick=-1, **places)
 
     def __del__(self) -> None:
         loop, self._loop = getattr(self, "_loop", None), None
@@ -103,8 +107,10 @@ class RealTimeLoop(Turns):
         """Go on as if it had not been stopped; what was missed is lateness, and lost periods."""
         self._calls.arm_real_time_go_on(self._loop)
 
-    def command(self, answered: int, command: Array) -> None:
+    def command(self, answered: int, command: Array, further: Array | None = None) -> None:
         """Set the commands (N,) [V, N m, A] for the periods to come; -1 answers no tick.
+
+        Further inputs are rows as in arm.h, 0 if None.
 
         Raises:
             Refusal: wrong shape, not finite, or no count.
@@ -112,6 +118,7 @@ class RealTimeLoop(Turns):
         where = "RealTimeLoop.command"
         check_count(where, "answered", answered, -1)
         self._commands["value"] = COMMAND.row(where, command, self._N)
+        self._further[:] = 0.0 if further is None else further
         self._command.tick = answered
         self._calls.arm_real_time_command(self._loop, self._command)
 

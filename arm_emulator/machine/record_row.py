@@ -11,9 +11,8 @@ from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.turns import Turns, in_turn
 from arm_emulator.machine.call_arguments import truth_at
 from arm_emulator.machine.core_calls import ARM
-from arm_emulator.machine.measured import Measured
-from arm_emulator.machine.outputs import outputs_of, readings_of, units_of
-from arm_emulator.machine.parts.output import READINGS
+from arm_emulator.machine.measured import Measured, rows_of
+from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import ROWS, unit_of
 from arm_emulator.machine.scene import Scene
@@ -38,7 +37,7 @@ class RecordRow(Turns):
         self._plant = plant
         self.rows = rows = np.zeros(1, row_type(plant.scene))
         self.truth = truth_at(energy=rows["energy"], **{name: rows[name][0] for name in ROWS})
-        places = {name: rows[name][0] for name in (*STRUCTS, "current_d", READINGS)}
+        places = {name: rows[name][0] for name in (*STRUCTS, "current_d", *rows_of(plant.scene))}
         self.measurement = ARM.new("arm_measurement", **places)
 
     @in_turn
@@ -53,20 +52,21 @@ class RecordRow(Turns):
 
 def row_type(scene: Scene) -> np.dtype[np.void]:
     """Return a row as numpy has it: as core/boundary/record_ring.h begins it, and then arrays."""
-    N, M, R = len(scene.joints), len(scene.imus), len(readings_of(scene))
+    N, M = len(scene.joints), len(scene.imus)
     counts = dict(zip(STRUCTS, (N, N, M), strict=True))
     kinds = {"joint": "joint_measurement", "sensors": "joint_sensors", "imu": "imu_measurement"}
     return np.dtype([
         ("t", "f8"), ("tick", "i8"), ("energy", "f8"),
         *[(name, "f8", (N,)) for name in ROWS],
         *[(name, ARM.dtype(f"arm_{kind}"), (counts[name],)) for name, kind in kinds.items()],
-        ("current_d", "f8", (N,)), (READINGS, "f8", (R, N)),
+        ("current_d", "f8", (N,)),
+        *[(array, "f8", (len(names), N)) for array, names in rows_of(scene).items()],
     ])  # fmt: skip
 
 
 def measured_in(rows: Rows, scene: Scene) -> Measured:
     """Return what rows (K,) have of `Plant.measured`, (K, N) each."""
-    return Measured(rows, tuple(one.name for one in readings_of(scene)))
+    return Measured(rows, rows_of(scene))
 
 
 def columns_of(scene: Scene) -> list[Column]:
@@ -79,7 +79,7 @@ def columns_of(scene: Scene) -> list[Column]:
             Column((name, joint.name), unit_of(name, joint.kind), name, "", (j,))
             for j, joint in joints
         ]
-    readings = [one.name for one in readings_of(scene)]
+    arrays = rows_of(scene)
     for output in outputs_of(scene):
         array, _, member = output.symbol.partition(".")
         path = ("measured", output.name)
@@ -90,7 +90,7 @@ def columns_of(scene: Scene) -> list[Column]:
                 for k, axis in enumerate("xyz")
             ]
             continue
-        row = (readings.index(output.name),) if array == READINGS else ()
+        row = (arrays[array].index(output.name),) if array in arrays else ()
         units = units_of(scene, output) or ("",) * len(joints)
         columns += [
             Column((*path, joint.name), units[j], array, member, (*row, j)) for j, joint in joints

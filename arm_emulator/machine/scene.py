@@ -32,6 +32,7 @@ from arm_emulator.machine.parts.end_stops import put_limits
 from arm_emulator.machine.parts.friction import Friction, LinkFriction
 from arm_emulator.machine.parts.gear import Gear, RigidGear
 from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.known import (
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
@@ -109,17 +110,22 @@ class Joint:
 
         Parts between a voltage or a current and the torque of the windings are left out.
         """
-        if self.motor is None or self.command == TorqueMotor.command:
+        if self.motor is None or self.inputs == TorqueMotor.inputs:
             return self
         motor = TorqueMotor(rotor_inertia=self.motor.inertia)
         kept = tuple(one for one in self.decorators if not one.electrical)
         return replace(self, motor=motor, decorators=kept)
 
     @property
-    def command(self) -> str:
-        """Unit of what its motor is commanded: V, N m or A."""
-        of_motor = self.motor.command if self.motor else "V"
-        return next((one.command for one in self.decorators[::-1] if one.command), of_motor)
+    def inputs(self) -> tuple[Input, ...]:
+        """What its motor takes: its command, and what it takes beside it."""
+        of_motor = self.motor.inputs if self.motor else (VOLTAGE,)
+        return next((one.inputs for one in self.decorators[::-1] if one.inputs), of_motor)
+
+    @property
+    def unit(self) -> str:
+        """Unit of its command: V, N m or A."""
+        return self.inputs[0].unit
 
     @property
     def current_bandwidth(self) -> float:
@@ -231,7 +237,7 @@ class Scene:
                 self.supply_voltage
                 if joint.motor is None
                 else joint.motor.largest_command(self.supply_voltage)
-                if joint.command.startswith("V")
+                if joint.unit == "V"
                 else joint.motor.command_limit or math.inf
                 for joint in self.joints
             ]

@@ -9,6 +9,7 @@ import numpy as np
 
 from arm_emulator.machine.chain import Array, Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import fields, number, text, vector
+from arm_emulator.machine.inputs import further_inputs, input_at
 from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.parts.decorator import CxxMotor
 from arm_emulator.machine.parts.part import Part
@@ -92,9 +93,25 @@ struct Scene {{
   }}
   static constexpr arm::Device device[N] = {{
 {devices}}};
-{_readings(scene)}{sensors}}};
+{_inputs(scene)}{_readings(scene)}{sensors}}};
 
 #include "{boundary}"
+"""
+
+
+def _inputs(scene: Scene) -> str:
+    """Return what motors take beside their command."""
+    names, rows = further_inputs(scene), []
+    for name in names:
+        at = [input_at(joint, name) for joint in scene.joints]
+        pairs = zip(scene.joints, at, strict=True)
+        of = ", ".join(str(joint.inputs[1:].index(one) if one else -1) for joint, one in pairs)
+        units = ", ".join(text(one.unit if one else "") for one in at)
+        rows.append(f"      {{{text(name)}, {{{of}}}, {{{units}}}}},\n")
+    return f"""\
+  static constexpr int inputs = {len(names)};
+  static constexpr arm::FurtherInput<N> input[inputs + 1] = {{
+{"".join(rows)}  }};
 """
 
 

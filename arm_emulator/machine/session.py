@@ -25,6 +25,7 @@ from arm_emulator.machine.clock import Clock, RealTimeFigures
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.firmware_loop import FirmwareLoop
+from arm_emulator.machine.inputs import further_inputs, further_rows
 from arm_emulator.machine.measured import Measured
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.plant_state import PlantState
@@ -107,7 +108,8 @@ class Session(Turns):
         self._goes_on = False  # after which a loop goes on where it was
         self._start = start
         self._order = JointOrder("motor_commands", scene.joint_names)
-        self._zero = np.zeros(len(scene.joint_names))
+        self._inputs = further_inputs(scene)
+        self._zero = np.zeros((1 + len(self._inputs), len(scene.joint_names)))
         self.tick = -1
         self.reset()
 
@@ -351,7 +353,13 @@ class Session(Turns):
         return self.phase in (Phase.FREE_RUNNING, Phase.RUNNING)
 
     @in_turn
-    def offer(self, tick: int, joint_names: Sequence[str], command: Sequence[float]) -> None:
+    def offer(
+        self,
+        tick: int,
+        joint_names: Sequence[str],
+        command: Sequence[float],
+        further: Mapping[str, Sequence[float]] | None = None,
+    ) -> None:
         """Take a motor command; it changes nothing if it is refused.
 
         Args:
@@ -360,11 +368,13 @@ class Session(Turns):
                 ends the free run, and the next one answers in time.
             joint_names: every joint of the scene once, in any order.
             command: one per name [V, N m, A].
+            further: inputs of motors beside it, by name, given alike; 0 otherwise.
 
         Raises:
             Needless: the same bits once more for one of the two ticks answered last, or an answer
                 that was on its way when the run before was left.
-            Refusal: wrong tick, names, length, or a command that is not finite or too large.
+            Refusal: wrong tick, names, length, an input that no motor has, or a number that is not
+                finite or too large.
         """
         check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
         if tick > self.tick:
@@ -376,18 +386,39 @@ class Session(Turns):
         if (self.lockstep and self._commanded is not None and tick < self.tick) or tick < newest:
             at_least = self.tick if self.lockstep else newest
             rule = f"be at least {at_least}"
-            if self._is_repeated(tick, self._order.arrange(joint_names, command, COMMAND)):
+            if self._is_repeated(tick, self.arranged(joint_names, command, further or {})):
                 raise Needless("repeated", rule, f"{tick}")
             raise Refusal("motor_commands", "tick", rule, f"{tick} (stale)")
-        row = self._order.arrange(joint_names, command, COMMAND)
-        if tick == newest and self._is_repeated(tick, row):
+        rows = self.arranged(joint_names, command, further or {})
+        if tick == newest and self._is_repeated(tick, rows):
             raise Needless("repeated", "be answered once", f"{tick}")
         if tick != newest:
             self._before = (newest, self._commanded)
-        self._commanded = row
+        self._commanded = rows
         self._answered_tick = tick
-        self._clock.command(tick, row)
+        self._clock.command(tick, rows)
         self._follow_phase()
+
+    def arranged(
+        self,
+        joint_names: Sequence[str],
+        command: Sequence[float],
+        further: Mapping[str, Sequence[float]],
+    ) -> Array:
+        """Return commands and further inputs (1 + I, N) in the scene's order of joints.
+
+        Raises:
+            Refusal: see `offer`.
+        """
+        row = self._order.arrange(joint_names, command, COMMAND)
+        if not further and not self._inputs:
+            return row[np.newaxis]
+        given = {
+            name: self._order.arrange(joint_names, values, COMMAND.named(name))
+            for name, values in further.items()
+        }
+        others = further_rows("motor_commands", self.scene, given)
+        return np.vstack([row, self._zero[1:] if others is None else others])
 
     def _is_repeated(self, tick: int, command: Array) -> bool:
         for answered, known in ((self._answered_tick, self._commanded), self._before):
@@ -406,12 +437,19 @@ class Session(Turns):
 
     @in_turn
     def advance_under(self, command: Array, answered: int = -1) -> None:
-        """Advance by one servo period under commands (N,) that answer a tick, see `advance`."""
+        """Advance by one servo period under commands that answer a tick, see `advance`.
+
+        Args:
+            command: (N,), or with further inputs after it (1 + I, N).
+            answered: the tick; -1: none.
+        """
         if self.logical_ns + self.period_ns >= END_OF_TIME:
             self.fault = EndOfTime()
             return
         try:
-            self.plant.exchange(command, answered)
+            rows = command if command.ndim > 1 else command[np.newaxis]
+            further = dict(zip(self._inputs, rows[1:], strict=False))
+            self.plant.exchange(rows[0], answered, **further)
         except Diverged as fault:
             self.fault = fault
         self._look()

@@ -75,7 +75,7 @@ def check_joints(scene: Scene, servo: ServoConfig) -> None:
         if joint.motor is not None and joint.servo_data is None:
             where = f"joints.{joint.name}.motor.kind"
             raise Refusal(scene.where, where, "be one that our servo drives", joint.motor.kind)
-        taken.check_command(scene.where, joint.command)
+        taken.check_command(scene.where, joint.unit)
         bits = 0 if joint.encoder is None else joint.encoder.bits or 0
         if taken.encoder_bits != bits:
             rule = f"be that of the scene's encoder, {bits}"

@@ -61,6 +61,8 @@ typedef struct arm_description {
   double servo_period;      /* s */
   double step;              /* s, of the integrator */
   int64_t steps_per_period; /* of a servo period */
+  int32_t inputs;           /* rows of arm_command.further; since version 5 */
+  int32_t reserved;
 } arm_description;
 
 enum arm_kind { ARM_REVOLUTE = 0, ARM_PRISMATIC = 1 };
@@ -70,7 +72,7 @@ enum arm_mode {
   ARM_VOLTAGE = 1,
   ARM_TORQUE = 2,
   ARM_CURRENT = 4,
-  ARM_VOLTAGE_DQ = 8 /* along and across the rotor's flux: uq in `value`, ud in `value_d` */
+  ARM_VOLTAGE_DQ = 8 /* across the rotor's flux; along it is a further input */
 };
 
 typedef struct arm_joint_description {
@@ -97,18 +99,20 @@ enum arm_sensor {
   ARM_HAS_TORQUE = 8
 };
 
-/* What a row of arm_measurement.readings is at a joint. */
+/* What a row of numbers is at a joint: of arm_measurement.readings, or of arm_command.further. */
 typedef struct arm_reading {
   uint32_t size;
-  int32_t present; /* 1: the joint has such a sensor; else the reading is 0 */
+  int32_t present; /* 1: the joint has such a sensor or input; else the number is 0 */
   const char* name;
   const char* unit;
 } arm_reading;
 
-/* Fill `out`. ARM_REFUSED if there is no such joint or reading. */
+/* Fill `out`. ARM_REFUSED if there is no such joint, reading or input. */
 int arm_describe(arm_description* out);
 int arm_describe_joint(int32_t joint, arm_joint_description* out);
 int arm_describe_reading(int32_t reading, int32_t joint, arm_reading* out); /* since version 4 */
+/* What a row of arm_command.further is at a joint. */
+int arm_describe_input(int32_t input, int32_t joint, arm_reading* out); /* since version 5 */
 
 /* ---------------------------------------------------------------------------------- a machine */
 
@@ -148,7 +152,9 @@ typedef struct arm_command {
   uint32_t reserved;
   int64_t tick; /* that it answers, repeated in the measurement; -1: none */
   const arm_joint_command* joint;
-  const double* value_d; /* V, an entry per joint, see ARM_VOLTAGE_DQ; null: 0; since version 2 */
+  /* What motors are commanded beside `value`: arm_description.inputs rows, an entry per joint each;
+   * null: 0. Since version 2, then the voltage along the rotor's flux. */
+  const double* further;
 } arm_command;
 
 enum arm_fault {
@@ -194,6 +200,8 @@ typedef struct arm_measurement {
   double* current_d;          /* A, along the rotor's flux, an entry per joint; null: not written */
   /* Since version 4. */
   double* readings; /* of further sensors: arm_description.readings rows, an entry per joint each */
+  /* Since version 5. */
+  double* further; /* what the motors got of arm_command.further, rows as there */
 } arm_measurement;
 
 /* Go through one servo period; `out` is as of its end, or of the last sound state. */

@@ -71,6 +71,7 @@ typedef struct arm_fleet_measurement {
   arm_imu_measurement* imu;
   double* current_d; /* A, along the rotors' flux */
   double* readings;  /* of each arm as in arm_measurement */
+  double* further;   /* of each arm as in arm_measurement */
 } arm_fleet_measurement;
 
 int arm_fleet_measure(const arm_fleet* fleet, arm_fleet_measurement* out);

@@ -190,36 +190,44 @@ struct arm_machine {
       sensors.begin(machine, tick(), false);
   }
 
-  // ARM_OK if a drive takes each of these; of `second` only that of a drive that is enabled counts.
-  int check_commands(const arm_joint_command* joint, const double* second) const {
+  // ARM_OK if a drive takes each of these; of `further` only that of a drive that is enabled
+  // counts.
+  int check_commands(const arm_joint_command* joint, const double* further) const {
     for (int j = 0; j < N; ++j) {
       if (!joint[j].enable) continue;
       if (joint[j].mode != arm::kModes.at[j])
         return refuse(j, "mode", "be one that the drive has", joint[j].mode);
       if (!arm::is_finite(joint[j].value)) return refuse(j, "value", "be finite", joint[j].value);
-      if (second && !arm::is_finite(second[j])) return refuse(j, "value_d", "be finite", second[j]);
+      for (int r = 0; further && r < Scene::inputs; ++r) {
+        const double value = further[r * N + j];
+        const char* name = Scene::input[r].name;
+        if (!arm::is_finite(value)) return refuse(j, name, "be finite", value);
+        if (Scene::input[r].of[j] < 0 && value != 0.0)
+          return refuse(j, name, "be 0, its motor has no such input", value);
+      }
     }
     return ARM_OK;
   }
   // Hold them for the period that begins, in `applied` what the motors get.
-  void take_commands(const arm_joint_command* joint, const double* second, std::int64_t tick) {
-    put_commands(joint, second, tick);
+  void take_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
+    put_commands(joint, further, tick);
     machine.bound(applied);
   }
   // The same but for their bounds.
-  void put_commands(const arm_joint_command* joint, const double* second, std::int64_t tick) {
-    double along[N] = {};
+  void put_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
+    double rows[Scene::inputs * N + 1] = {};
     bool hot[N] = {};  // a motor that is too hot is not enabled
     if constexpr (Machine::heats) machine.too_hot(hot);
     for (int j = 0; j < N; ++j) {
       const bool on = powered && joint[j].enable && !hot[j];
       applied[j] = on ? joint[j].value : 0.0;
-      along[j] = on && second ? second[j] : 0.0;
+      for (int r = 0; r < Scene::inputs; ++r)
+        rows[r * N + j] = on && further ? further[r * N + j] : 0.0;
     }
     for (int k = 0; k < Scene::brakes; ++k) {
       machine.want_brake(k, closes_brake(k, joint, hot));
     }
-    if constexpr (Machine::has_second) machine.put_second(along);
+    if constexpr (Scene::inputs > 0) machine.put_further(rows);
     answered = tick;
   }
   // Whether brake k is wanted closed under these commands.
@@ -260,9 +268,11 @@ struct arm_machine {
     out->tick = motors.steps / steps_per_period;
     out->answered = answered;
     const bool more = has(out, offsetof(arm_measurement, readings));
-    if (more && out->current_d) machine.second_currents(out->current_d);
+    if (more && out->current_d) machine.currents_d(out->current_d);
+    if constexpr (Scene::inputs > 0)
+      if (has(out, sizeof *out) && out->further) machine.further_got(out->further);
     const Places places = {out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr,
-                           has(out, sizeof *out) ? out->readings : nullptr};
+                           has(out, offsetof(arm_measurement, further)) ? out->readings : nullptr};
     measure_by(sensors, places);
   }
   static bool has(const arm_measurement* out, std::size_t size) { return out->size >= size; }
@@ -373,6 +383,7 @@ int arm_describe(arm_description* out) {
   all.supply_voltage = Scene::supply_voltage;
   all.imus = arm_machine::Sensors::M;
   all.readings = Scene::readings;
+  all.inputs = Scene::inputs;
   if (arm_scene_periods.steps_per_period > 0) {
     all.servo_period = arm_scene_periods.servo_period;
     all.step = arm_scene_periods.step;
@@ -405,6 +416,15 @@ int arm_describe_reading(std::int32_t reading, std::int32_t joint, arm_reading* 
       joint >= arm_machine::N)
     return ARM_REFUSED;
   return arm::describe_reading<Scene>(reading, joint, out);
+}
+
+int arm_describe_input(std::int32_t input, std::int32_t joint, arm_reading* out) {
+  if (!out || out->size < sizeof *out || input < 0 || input >= Scene::inputs || joint < 0 ||
+      joint >= arm_machine::N)
+    return ARM_REFUSED;
+  const arm::FurtherInput<arm_machine::N>& row = Scene::input[input];
+  *out = {out->size, row.of[joint] >= 0, row.name, row.unit[joint]};
+  return ARM_OK;
 }
 
 namespace {
@@ -452,13 +472,13 @@ void arm_begin_threads(arm_machine* machine) {
 }
 
 int arm_exchange(arm_machine* machine, const arm_command* command, arm_measurement* out) {
-  if (!machine || machine->check_size(command, offsetof(arm_command, value_d)) ||
+  if (!machine || machine->check_size(command, offsetof(arm_command, further)) ||
       machine->check_there(command->joint, "joint of the command") ||
       machine->check_measurement(out))
     return ARM_REFUSED;
-  const double* second = command->size >= sizeof *command ? command->value_d : nullptr;
-  if (machine->check_commands(command->joint, second)) return ARM_REFUSED;
-  machine->take_commands(command->joint, second, command->tick);
+  const double* further = command->size >= sizeof *command ? command->further : nullptr;
+  if (machine->check_commands(command->joint, further)) return ARM_REFUSED;
+  machine->take_commands(command->joint, further, command->tick);
   machine->go(machine->steps_per_period,
               [&](std::int64_t steps) { machine->machine.advance(machine->applied, steps); });
   machine->measure(out);
@@ -483,8 +503,10 @@ void arm_power(arm_machine* machine, int on) {
   if (!machine || machine->powered == (on != 0)) return;
   machine->powered = on != 0;
   for (int k = 0; k < Scene::brakes; ++k) machine->machine.want_brake(k, !machine->powered);
-  if constexpr (arm_machine::Machine::has_second)
-    if (!on) machine->machine.put_second(machine->with_power(nullptr));
+  if constexpr (Scene::inputs > 0) {
+    static constexpr double nothing[Scene::inputs * arm_machine::N] = {};
+    if (!on) machine->machine.put_further(nothing);
+  }
 }
 
 int arm_why(const arm_machine* machine, arm_refusal* out) {

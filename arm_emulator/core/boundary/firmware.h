@@ -44,7 +44,7 @@ typedef struct firmware_output {
   uint32_t size;
   uint32_t reserved;
   arm_joint_command* joint; /* an entry per joint */
-  double* value_d;          /* V, an entry per joint, see ARM_VOLTAGE_DQ */
+  double* further;          /* rows as in arm_command */
 } firmware_output;
 
 typedef struct firmware {

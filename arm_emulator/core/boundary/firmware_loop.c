@@ -12,7 +12,7 @@ static void aim(firmware_loop* loop, firmware_input* in) {
 
 int firmware_loop_run(firmware_loop* loop, int64_t ticks) {
   if (!loop) return ARM_REFUSED;
-  firmware_output out = {sizeof out, 0, loop->joint, loop->value_d};
+  firmware_output out = {sizeof out, 0, loop->joint, loop->further};
   arm_command command = *loop->command;
   int result = loop->measure(loop->machine, loop->measurement);
   for (; result == ARM_OK && ticks > 0; --ticks) {

@@ -25,7 +25,7 @@ typedef struct firmware_loop {
   int64_t row_count;
   int64_t row;              /* that holds; 0 at first */
   arm_joint_command* joint; /* of the command */
-  double* value_d;          /* of the command */
+  double* further;          /* of the command */
   const arm_command* command;
   arm_measurement* measurement;
   int64_t tick;        /* where the machine is */

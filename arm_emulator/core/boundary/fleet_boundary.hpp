@@ -17,7 +17,7 @@ struct arm_fleet {
   // Whether lanes know all that a measurement and a command need: what else does is looked up in
   // the machine.
   static constexpr bool in_lanes =
-      lanes > 1 && !arm_machine::Sensors::present && !Machine::heats && !Machine::has_second;
+      lanes > 1 && !arm_machine::Sensors::present && !Machine::heats && Scene::inputs == 0;
 
   arm_fleet(const arm_options& options, int count)
       : arms(count), machine(new arm_machine*[count]), lent(new std::int32_t[count]()) {
@@ -89,11 +89,11 @@ struct arm_fleet {
   }
 
   // One servo period under the commands that each takes.
-  void exchange(int g, const arm_joint_command* joint, const double* second, std::int64_t tick) {
+  void exchange(int g, const arm_joint_command* joint, const double* further, std::int64_t tick) {
     const int first = g * lanes, end = end_of(g);
     double given[lanes * N] = {};
     for (int k = first; k < end; ++k) {
-      take_commands(k, joint + k * N, second ? second + k * N : nullptr, tick);
+      take_commands(k, joint + k * N, further ? further + k * Scene::inputs * N : nullptr, tick);
       for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->applied[j];
     }
     follow_given(g, given, 0, 1, machine[first]->steps_per_period, nullptr);
@@ -103,16 +103,16 @@ struct arm_fleet {
       });
     give_back(g);
   }
-  void take_commands(int k, const arm_joint_command* joint, const double* second,
+  void take_commands(int k, const arm_joint_command* joint, const double* further,
                      std::int64_t tick) {
     bool stays = in_lanes;  // in its lane, where it gets its bounds
     for (int b = 0; b < Scene::brakes; ++b)
       stays &= machine[k]->closes_brake(b, joint, nullptr) == machine[k]->machine.wants_brake(b);
     if (stays) {
-      machine[k]->put_commands(joint, second, tick);
+      machine[k]->put_commands(joint, further, tick);
     } else {
       settle(k);
-      machine[k]->take_commands(joint, second, tick);
+      machine[k]->take_commands(joint, further, tick);
     }
   }
 
@@ -161,6 +161,7 @@ struct arm_fleet {
     one.imu = row_of(out.imu, k * M);
     one.current_d = row_of(out.current_d, k * N);
     one.readings = row_of(out.readings, k * Scene::readings * N);
+    one.further = row_of(out.further, k * Scene::inputs * N);
     measure(k, &one);
     if (out.powered) out.powered[k] = one.powered != 0;
     if (out.tick) out.tick[k] = one.tick;
@@ -366,16 +367,18 @@ int arm_fleet_measure(const arm_fleet* fleet, arm_fleet_measurement* out) {
 int arm_fleet_exchange(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
                        const arm_command* command) {
   constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
-  if (!fleet || !command || command->size < offsetof(arm_command, value_d) || !command->joint ||
+  if (!fleet || !command || command->size < offsetof(arm_command, further) || !command->joint ||
       first < 0 || first % lanes || arms < 0 || first > fleet->arms || arms > fleet->arms - first)
     return ARM_REFUSED;
-  const double* second = command->size >= sizeof *command ? command->value_d : nullptr;
+  const double* further = command->size >= sizeof *command ? command->further : nullptr;
   const std::int32_t end = first + arms;
-  const auto of = [&](std::int32_t k) { return second ? second + k * N : nullptr; };
+  const auto of = [&](std::int32_t k) {
+    return further ? further + k * Scene::inputs * N : nullptr;
+  };
   for (std::int32_t k = first; k < end; ++k)
     if (fleet->machine[k]->check_commands(command->joint + k * N, of(k))) return ARM_REFUSED;
   for (std::int32_t k = first; k < end; k += lanes)
-    fleet->exchange(k / lanes, command->joint, second, command->tick);
+    fleet->exchange(k / lanes, command->joint, further, command->tick);
   for (std::int32_t k = first; k < end; ++k)
     if (fleet->machine[k]->result() != ARM_OK) return ARM_DIVERGED;
   return ARM_OK;

@@ -27,7 +27,8 @@ namespace arm_loop {
 // reader never waits for the writer: it keeps what it had.
 class Cell {
  public:
-  explicit Cell(int joints) : modes_(joints), values_(joints) {}
+  Cell(int joints, int inputs)
+      : modes_(joints), values_(joints), further_(static_cast<std::size_t>(inputs) * joints) {}
 
   void write(const arm_command& command) {
     const std::uint32_t s = sequence_.load(std::memory_order_relaxed);
@@ -41,31 +42,40 @@ class Cell {
           std::memory_order_relaxed);
       values_[j].store(joint.value, std::memory_order_relaxed);
     }
+    for (std::size_t k = 0; k < further_.size(); ++k)
+      further_[k].store(command.further ? command.further[k] : 0.0, std::memory_order_relaxed);
     sequence_.store(s + 2, std::memory_order_release);
   }
 
-  // Leaves `command` alone if a write is under way. `scratch` has room for as many joints.
-  void read(arm_command& command, std::vector<arm_joint_command>& joints,
-            std::vector<arm_joint_command>& scratch) const {
+  // What a command has: entries of joints, and its further inputs.
+  struct Entries {
+    std::vector<arm_joint_command> joints;
+    std::vector<double> further;
+  };
+
+  // Leaves `command` and its entries alone if a write is under way. `scratch` has room for as many.
+  void read(arm_command& command, Entries& entries, Entries& scratch) const {
     const std::uint32_t s = sequence_.load(std::memory_order_acquire);
     const std::int64_t answers = tick_.load(std::memory_order_relaxed);
     for (std::size_t j = 0; j < values_.size(); ++j) {
       const std::uint64_t mode = modes_[j].load(std::memory_order_relaxed);
-      scratch[j] = {static_cast<std::int32_t>(mode & 0xffffffff),
-                    static_cast<std::uint32_t>(mode >> 32),
-                    values_[j].load(std::memory_order_relaxed)};
+      scratch.joints[j] = {static_cast<std::int32_t>(mode & 0xffffffff),
+                           static_cast<std::uint32_t>(mode >> 32),
+                           values_[j].load(std::memory_order_relaxed)};
     }
+    for (std::size_t k = 0; k < further_.size(); ++k)
+      scratch.further[k] = further_[k].load(std::memory_order_relaxed);
     std::atomic_thread_fence(std::memory_order_acquire);
     if (s % 2 == 1 || sequence_.load(std::memory_order_relaxed) != s) return;
     command.tick = answers;
-    joints = scratch;  // of equal length: nothing is allocated
+    entries = scratch;  // of equal lengths: nothing is allocated
   }
 
  private:
   std::atomic<std::uint32_t> sequence_ = 0;
   std::atomic<std::int64_t> tick_ = -1;
   std::vector<std::atomic<std::uint64_t>> modes_;  // enable, mode
-  std::vector<std::atomic<double>> values_;
+  std::vector<std::atomic<double>> values_, further_;
 };
 
 // The arrays of an arm_truth, with an entry per joint.
@@ -76,11 +86,12 @@ constexpr double* arm_truth::* kRows[] = {&arm_truth::current,     &arm_truth::m
 // Snapshots that one thread writes and another takes.
 class Ring {
  public:
-  Ring(int joints, int imus, int readings)
+  Ring(int joints, int imus, int readings, int inputs)
       : N(static_cast<std::size_t>(joints)),
         M(static_cast<std::size_t>(imus)),
         R(static_cast<std::size_t>(readings)),
-        numbers_(kSnapshots * (1 + (std::size(kRows) + 1 + R) * N)),
+        I(static_cast<std::size_t>(inputs)),
+        numbers_(kSnapshots * (1 + (std::size(kRows) + 1 + R + I) * N)),
         measured_(kSnapshots * N),
         sensors_(kSnapshots * N),
         units_(kSnapshots * M),
@@ -93,6 +104,7 @@ class Ring {
       for (const auto row : kRows) snapshot.truth.*row = next, next += N;
       snapshot.current_d = next, next += N;
       snapshot.readings = next, next += R * N;
+      snapshot.further = next, next += I * N;
       snapshot.joint = measured_.data() + k * N;
       snapshot.sensors = sensors_.data() + k * N;
       snapshot.imu = units_.data() + k * M;
@@ -122,6 +134,7 @@ class Ring {
     if (out.imu) std::copy_n(from.imu, M, out.imu);
     if (out.current_d) std::copy_n(from.current_d, N, out.current_d);
     if (out.readings) std::copy_n(from.readings, R * N, out.readings);
+    if (out.further) std::copy_n(from.further, I * N, out.further);
     taken_.store(t + 1, std::memory_order_release);
     return true;
   }
@@ -129,7 +142,7 @@ class Ring {
  private:
   static constexpr std::size_t kSnapshots = 16384;  // 16 s at 1 kHz: a busy machine may let us wait
 
-  const std::size_t N, M, R;  // joints, inertial measurement units, readings
+  const std::size_t N, M, R, I;  // joints, inertial measurement units, readings, further inputs
   std::vector<double> numbers_;
   std::vector<arm_joint_measurement> measured_;
   std::vector<arm_joint_sensors> sensors_;
@@ -193,8 +206,8 @@ struct arm_real_time {
   explicit arm_real_time(const arm_real_time_options& options)
       : arm(options),
         bell(eventfd(0, EFD_NONBLOCK)),
-        cell(options.joints),
-        ring(options.joints, options.imus, options.readings) {}
+        cell(options.joints, options.inputs),
+        ring(options.joints, options.imus, options.readings, options.inputs) {}
 
   ~arm_real_time() {
     stop();
@@ -224,10 +237,14 @@ struct arm_real_time {
   void run() {
     become_real_time();
     const auto joints = static_cast<std::size_t>(arm.joints);
-    std::vector<arm_joint_command> wanted(joints), scratch(joints);
+    const std::size_t further = joints * static_cast<std::size_t>(arm.inputs);
+    const Cell::Entries none = {std::vector<arm_joint_command>(joints),
+                                std::vector<double>(further)};
+    Cell::Entries wanted = none, scratch = none;
     std::vector<arm_joint_measurement> measured(joints);
     arm_command command = {};
-    command.size = sizeof command, command.tick = -1, command.joint = wanted.data();
+    command.size = sizeof command, command.tick = -1, command.joint = wanted.joints.data();
+    command.further = wanted.further.data();
     std::vector<arm_joint_sensors> sensors(joints);
     std::vector<arm_imu_measurement> units(static_cast<std::size_t>(arm.imus));
     arm_measurement measurement = {};
@@ -236,7 +253,9 @@ struct arm_real_time {
     measurement.imu = units.data();
     std::vector<double> current_d(joints);
     std::vector<double> readings(joints * static_cast<std::size_t>(arm.readings));
+    std::vector<double> got(further);
     measurement.current_d = current_d.data(), measurement.readings = readings.data();
+    measurement.further = got.data();
     while (!stopping.load(std::memory_order_relaxed)) {
       due += arm.period;
       sleep_until(due);
@@ -253,7 +272,7 @@ struct arm_real_time {
       const std::int64_t began = now();
       int result = arm.exchange(arm.machine, &command, &measurement);
       if (result == ARM_REFUSED) {  // a command that the machine does not know: nothing is applied
-        for (arm_joint_command& joint : wanted) joint.enable = 0;
+        for (arm_joint_command& joint : wanted.joints) joint.enable = 0;
         command.tick = -1;
         result = arm.exchange(arm.machine, &command, &measurement);
       }
@@ -280,6 +299,7 @@ struct arm_real_time {
     std::copy_n(measured.imu, arm.imus, out->imu);
     std::copy_n(measured.current_d, arm.joints, out->current_d);
     std::copy_n(measured.readings, arm.readings * arm.joints, out->readings);
+    std::copy_n(measured.further, arm.inputs * arm.joints, out->further);
     ring.publish();
     const std::uint64_t one = 1;
     [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
@@ -319,7 +339,7 @@ arm_real_time* arm_real_time_new(const arm_real_time_options* options) {
   const bool sound = options && options->size >= sizeof *options && options->joints > 0 &&
                      options->machine && options->exchange && options->get_truth &&
                      options->join_schedule && options->period > 0 && options->core >= -1 &&
-                     options->imus >= 0 && options->readings >= 0;
+                     options->imus >= 0 && options->readings >= 0 && options->inputs >= 0;
   return sound ? new arm_real_time(*options) : nullptr;
 }
 void arm_real_time_delete(arm_real_time* loop) { delete loop; }

@@ -23,7 +23,7 @@ typedef struct arm_real_time_options {
   int32_t core;     /* processor core of the thread; -1: any */
   int32_t imus;     /* inertial measurement units, arm_description.imus */
   int32_t readings; /* rows of them, arm_description.readings */
-  int32_t reserved;
+  int32_t inputs;   /* rows of further inputs, arm_description.inputs */
 } arm_real_time_options;
 
 /* What a period leaves behind: the machine at the tick that ends it. Every pointer may be null, in
@@ -41,6 +41,7 @@ typedef struct arm_snapshot {
   arm_imu_measurement* imu;     /* an entry per unit */
   double* current_d;            /* an entry per joint */
   double* readings;             /* a row of entries per joint for each */
+  double* further;              /* what the motors got of further inputs, alike */
 } arm_snapshot;
 
 /* Since `arm_real_time_clear_figures`; times in ns. */

@@ -228,20 +228,28 @@ class Machine {
     return joint;
   }
 
-  // Give the motors the second numbers of their commands, and report their second currents.
-  static constexpr bool has_second =
-      any_drive<S>([](const auto& drive) { return drive.has_second; });
-  void put_second(const double* value) {
+  // Give the motors their further inputs, rows as in arm_command, and report what they got of them.
+  void put_further(const double* rows) {
     numbers_.for_each_drive([&](const auto& drive, int j) {
       auto at = input_of(drive, j, x_, 0.0);
-      drive.put_second(at, value[j], S::supply_voltage);
+      for (int r = 0; r < S::inputs; ++r)
+        if (const int k = S::input[r].of[j]; k >= 0)
+          drive.put_further(k, at, rows[r * N + j], S::supply_voltage);
       put_states(drive, j, 0, at, x_);
     });
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
   }
-  void second_currents(double* current) const {
+  void further_got(double* rows) const {
     numbers_.for_each_drive([&](const auto& drive, int j) {
-      current[j] = drive.second_current(input_of(drive, j, x_, 0.0));
+      for (int r = 0; r < S::inputs; ++r) {
+        const int k = S::input[r].of[j];
+        rows[r * N + j] = k < 0 ? 0.0 : drive.further_got(k, input_of(drive, j, x_, 0.0));
+      }
+    });
+  }
+  void currents_d(double* current) const {
+    numbers_.for_each_drive([&](const auto& drive, int j) {
+      current[j] = drive.current_d(input_of(drive, j, x_, 0.0));
     });
   }
 

@@ -284,13 +284,21 @@ struct Drive {
       return clamp(x.u, motor.largest_command(x.z, supply));
   }
 
-  // Put the second number of a command into x, and report the second current.
-  static constexpr bool has_second = arm::has_second(Motor::takes);
-  constexpr void put_second(Input<double>& x, double value, double supply) const {
-    if constexpr (has_second) motor.put_second(x.z, value, supply);
+  // Put a further input of the motor into x, by its number, and what the motor got of it.
+  static constexpr bool has_further = requires { Motor::further; };
+  constexpr void put_further(int input, Input<double>& x, double value, double supply) const {
+    if constexpr (has_further) motor.put_further(input, x.z, value, supply);
   }
-  constexpr double second_current(const Input<double>& x) const {
-    if constexpr (has_second) return motor.second_current(x.z);
+  constexpr double further_got(int input, const Input<double>& x) const {
+    if constexpr (has_further) return motor.further_got(input, x.z);
+    return 0.0;
+  }
+
+  // The current along the rotor's flux [A], of motors that have one.
+  static constexpr bool has_current_d =
+      requires(const Motor& motor, const double* z) { motor.current_d(z); };
+  constexpr double current_d(const Input<double>& x) const {
+    if constexpr (has_current_d) return motor.current_d(x.z);
     return 0.0;
   }
 

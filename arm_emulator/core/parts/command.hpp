@@ -8,10 +8,6 @@ namespace arm {
 // As in arm.h, enum arm_mode.
 enum class Command { voltage = 1, torque = 2, current = 4, voltage_dq = 8 };
 
-// Whether a command has a second number, which the motor keeps as a state that rests: it is held
-// from one command to the next, and is part of what is saved.
-constexpr bool has_second(Command command) { return command == Command::voltage_dq; }
-
 // A limit of 0 does not limit.
 constexpr double limit_or_none(double limit) { return limit > 0.0 ? limit : 1e300; }
 

@@ -27,7 +27,8 @@ struct PmsmOf {
   static constexpr bool present = true;
   static constexpr int states = 3;  // id [A], iq [A], ud [V], which rests
   static constexpr int modes = 0;
-  static constexpr Command takes = Command::voltage_dq;  // uq, and ud as the second number
+  static constexpr Command takes = Command::voltage_dq;  // uq
+  static constexpr int further = 1;                      // ud
 
   constexpr PmsmOf<false> linear() const { return {R, Ld, Lq, psi, p, Mm}; }
 
@@ -55,13 +56,15 @@ struct PmsmOf {
     return z[1];
   }
   constexpr void put_current(double* z, double current) const { z[1] = current; }
-  constexpr double second_current(const double* z) const { return z[0]; }
+  constexpr double current_d(const double* z) const { return z[0]; }
   constexpr double largest_current() const { return 0.0; }
   constexpr void follow(double*, double, double) const {}
 
-  constexpr void put_second(double* z, double ud, double supply) const {
+  // A further input is a state that rests: held from one command to the next, and saved with them.
+  constexpr void put_further(int, double* z, double ud, double supply) const {
     z[2] = clamp(ud, amplitude(supply));
   }
+  constexpr double further_got(int, const double* z) const { return z[2]; }
   template <class X>
   ARM_INLINE constexpr X largest_command(const X* z, double supply) const {
     const X left = amplitude(supply) * amplitude(supply) - z[2] * z[2];

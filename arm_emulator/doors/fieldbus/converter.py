@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.doors.fieldbus.modbus_rtu import Code, ModbusException
 from arm_emulator.machine.core_calls import ARM
+from arm_emulator.machine.inputs import further_inputs
 from arm_emulator.machine.outputs import outputs_of, units_of
 from arm_emulator.machine.parts.output import AXES, Output
 from arm_emulator.machine.scene import Joint, Scene
@@ -120,6 +121,10 @@ def blocks(scene: Scene) -> tuple[Block, ...]:
     rows += [
         Block(COMMANDED, 1, 0, "control", "bits", "", True),
         Block(COMMANDED + 1, N, 1, "command", "int16", "full scale / 32768", True),
+        *(
+            Block(COMMANDED + 1 + (1 + k) * N, N, 1, name, "int16", "full scale / 32768", True)
+            for k, name in enumerate(further_inputs(scene))
+        ),
         Block(SETTINGS, 1, 0, "watchdog, 0: none", "uint16", "ms", True),
     ]
     for joint in range(N):
@@ -148,7 +153,7 @@ class Converter:
 
     Attributes:
         session: the machine.
-        wanted: commands that were written last (N,) [V, N m or A].
+        wanted: commands that were written last, and further inputs (1 + I, N) [V, N m or A].
         on_commands: is called when commands were written.
 
     Args:
@@ -167,9 +172,11 @@ class Converter:
             rule = f"be at most {LARGEST_PERIOD / 1e9:g} s"
             raise Refusal(scene.where, "servo_period", rule, scene.servo_period)
         N = len(scene.joints)
+        self._inputs = further_inputs(scene)
+        inputs = N * (1 + len(self._inputs))
         largest = SETTINGS - COMMANDED - 1
-        if N > largest:
-            raise Refusal(scene.where, "joints", f"be at most {largest}", N)
+        if inputs > largest:
+            raise Refusal(scene.where, "inputs of motors", f"be at most {largest}", inputs)
         measured = 3 + sum(one.count for one in measured_blocks(scene))
         if measured > COMMANDED - MEASURED:
             rule = f"fill at most {COMMANDED - MEASURED} registers with what is measured"
@@ -186,7 +193,7 @@ class Converter:
         self._sizes = {
             MACHINE: 4,
             MEASURED: measured,
-            COMMANDED: 1 + N,
+            COMMANDED: 1 + inputs,
             SETTINGS: 1,
             JOINTS: PER_JOINT * N,
         }
@@ -195,11 +202,15 @@ class Converter:
         self._forget()
 
     def _forget(self) -> None:
-        self._command = [0] * self._N
-        self.wanted = np.zeros(self._N)
+        self._stop()
         self._held = self.wanted  # in the period that is under way
         self._written_tick: int | None = None  # when the newest commands came
         self._tripped = False
+
+    def _stop(self) -> None:
+        """Want nothing of the motors."""
+        self._command = [0] * self._N * (1 + len(self._inputs))
+        self.wanted = np.zeros((1 + len(self._inputs), self._N))
 
     def _description(self, index: int) -> list[int]:
         scene = self.session.scene
@@ -298,7 +309,7 @@ class Converter:
             first = max(at - 1, 0)
             signed = [word - ((word & 0x8000) << 1) for word in values]
             self._command[first : first + len(signed)] = signed
-            self.wanted = np.array(self._command) * self._per_word
+            self.wanted = np.reshape(self._command, self.wanted.shape) * self._per_word
             self._written_tick = self.session.tick
             self.on_commands()
 
@@ -334,7 +345,9 @@ class Converter:
         """Hand the commands to a session that runs by the clock."""
         session = self.session
         try:
-            session.offer(session.tick, session.scene.joint_names, self.wanted.tolist())
+            command, *rows = self.wanted.tolist()
+            further = dict(zip(self._inputs, rows, strict=True))
+            session.offer(session.tick, session.scene.joint_names, command, further)
         except Needless:
             pass  # the same as before, in the same period
 
@@ -347,8 +360,7 @@ class Converter:
         if silent <= self._watchdog * 1_000_000:
             return False
         self._tripped = True
-        self._command = [0] * self._N
-        self.wanted = np.zeros(self._N)
+        self._stop()
         session.powered = False
         return True
 

@@ -17,7 +17,7 @@ from arm_emulator.build.c_header import CData, Header, Library, text
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.core_calls import MODES
+from arm_emulator.machine.inputs import modes_of
 from arm_emulator.machine.parts.end_stops import EndStops
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Joint, Scene
@@ -368,12 +368,12 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
     rows = DRIVES.rows("drives_joint", len(reported))
     rows["servo"] = servo_numbers(reported, servo.period, servo.supply_voltage)
     limits = limits_of(ET.fromstring(scene.urdf))
-    for row, joint in zip(rows, scene.joints, strict=True):
+    for row, joint, takes in zip(rows, scene.joints, modes_of(scene), strict=True):
         if joint.motor is not None and joint.servo_data is None:
             where = f"joints.{joint.name}.motor.kind"
             raise Refusal(scene.where, where, "be one that our servo drives", joint.motor.kind)
         own = known[joint.name]
-        own.check_command(scene.where, joint.command)
+        own.check_command(scene.where, joint.unit)
         if not math.isfinite(own.largest_command(servo.supply_voltage)):
             where = f"servo.joints.{joint.name}.current_limit"
             rule = "be given: the rated torque of its drive (0x6076) follows from it"
@@ -383,7 +383,7 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
         row["brake"] = joint.brake is not None
         row["index"] = joint.encoder is not None and joint.encoder.index != "none"
         row["stops"] = any(isinstance(part, EndStops) for part in joint.parts)
-        row["mode"] = MODES[joint.command]
+        row["mode"] = takes
         row["modes"] = sum(1 << mode.number - 1 for mode in modes())
     return rows
 

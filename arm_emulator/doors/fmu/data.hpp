@@ -17,7 +17,7 @@ constexpr int N = kJoints;
 
 // What the machine is given at a tick.
 struct Inputs {
-  double command[N], command_d[N];
+  double command[N], further[kInputs * N + 1];
   double external_force[3 * N], external_moment[3 * N], external_point[3 * N];
   unsigned char enable[N], close_brake[N], power, external_world_axes;
 };
@@ -48,6 +48,7 @@ struct Shown {
   arm_imu_measurement imu[kImus + 1];
   double current_d[N];
   double readings[kReadings * N + 1];
+  double further[kInputs * N + 1];
   std::uint32_t powered;
 };
 

@@ -482,7 +482,7 @@ class Instance {
       if (held.enable[j] && held.close_brake[j]) commands[j].enable |= ARM_CLOSE_BRAKE;
       commands[j].value = held.command[j];
     }
-    const arm_command command = {sizeof command, 0, -1, commands, held.command_d};
+    const arm_command command = {sizeof command, 0, -1, commands, held.further};
     reported_ = truth_reported_ = false;
     const int result = arm_exchange(machine_, &command, &measurement_);
     if (result == ARM_REFUSED) return refused(kError);
@@ -506,10 +506,9 @@ class Instance {
     switch (one.rule) {
       case Rule::command:
         return joints_[at].modes || value == 0.0 ? nullptr : "be 0, the joint has no motor";
-      case Rule::second_command:
-        return joints_[at].modes & ARM_VOLTAGE_DQ || value == 0.0
-                   ? nullptr
-                   : "be 0, the joint's motor has no such voltage";
+      case Rule::further:
+        return kHasInput[at] || value == 0.0 ? nullptr
+                                             : "be 0, the joint's motor has no such input";
       case Rule::wrench:
         return __builtin_fabs(value) <= ARM_LARGEST_WRENCH ? nullptr : "be at most 1e9";
       case Rule::start_q:
@@ -633,7 +632,8 @@ class Instance {
                                   data_.shown.sensors,
                                   data_.shown.imu,
                                   data_.shown.current_d,
-                                  data_.shown.readings};
+                                  data_.shown.readings,
+                                  data_.shown.further};
 };
 
 // A new instance; null if memory is short or the machine cannot be made.

@@ -15,8 +15,8 @@ from arm_emulator.build.unit import Unit
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fmu.variables import Variable
 from arm_emulator.machine.compiler import machine_unit
-from arm_emulator.machine.core_calls import MODES
 from arm_emulator.machine.cxx_literals import number
+from arm_emulator.machine.inputs import further_inputs, input_at, modes_of
 from arm_emulator.machine.outputs import readings_of
 from arm_emulator.machine.plant_state import largest_position
 from arm_emulator.machine.scene import Scene
@@ -53,7 +53,10 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
 def _table(scene: Scene, variables: Sequence[Variable]) -> str:
     """Return the constants of instance.hpp; the namespace is left open."""
     rows = ",\n".join(map(_row, variables))
-    modes = ", ".join(str(MODES[joint.command]) for joint in scene.joints)
+    modes = ", ".join(map(str, modes_of(scene)))
+    names = further_inputs(scene)
+    at = [input_at(joint, name) for name in names for joint in scene.joints]
+    has = ", ".join("true" if one else "false" for one in at)
     parameters = _numbers([*(one.value for one in scene.varied), 0.0])
     return f"""\
 #include "variable.hpp"
@@ -61,6 +64,8 @@ def _table(scene: Scene, variables: Sequence[Variable]) -> str:
 namespace fmu {{
 inline constexpr int kJoints = {len(scene.joints)}, kParameters = {len(scene.varied)};
 inline constexpr int kImus = {len(scene.imus)}, kReadings = {len(readings_of(scene))};
+inline constexpr int kInputs = {len(names)};  // of motors beside their command
+inline constexpr bool kHasInput[kInputs * kJoints + 1] = {{{has}}};
 inline constexpr bool kExternalWrench = {"true" if scene.external_wrench else "false"};
 inline constexpr double kPeriod = {number(scene.servo_period)};  // s, of the servo
 inline constexpr double kIntegrationStep = {number(scene.integrator.dt)};  // s

@@ -18,7 +18,7 @@ enum class Role {
 };
 
 // What a value must satisfy to be taken; `at` counts from Variable::first.
-enum class Rule { finite, command, second_command, wrench, start_q, start_v, parameter };
+enum class Rule { finite, command, further, wrench, start_q, start_v, parameter };
 
 // What stands in memory.
 enum class Wire { float64, int64, int32, uint32, byte };

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from arm_emulator.doors.fmu.names import Parts
-from arm_emulator.machine.outputs import outputs_of, readings_of, units_of
-from arm_emulator.machine.parts.output import AXES, READINGS, Output
+from arm_emulator.machine.inputs import further_inputs, input_at, input_units
+from arm_emulator.machine.measured import rows_of
+from arm_emulator.machine.outputs import outputs_of, units_of
+from arm_emulator.machine.parts.output import AXES, Output
 from arm_emulator.machine.scene import Scene
 from arm_emulator.machine.varied import Varied
 
@@ -121,13 +123,14 @@ def _elements(array: Variable) -> list[Variable]:
 def _inputs(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
     zero = (0.0,) * N
-    commands = tuple(joint.command.removesuffix(" dq") for joint in scene.joints)
+    commands = tuple(joint.unit for joint in scene.joints)
     what = "command to each motor, held over the step"
     found = [_input(scene, "command", "Float64", what, commands, zero, "command")]
-    if _turned(scene):
-        what = "second command, the voltage along each rotor's flux"
-        units = ("V",) * N
-        found.append(_input(scene, "command_d", "Float64", what, units, zero, "second_command"))
+    for k, name in enumerate(further_inputs(scene)):
+        abouts = (one.about for joint in scene.joints if (one := input_at(joint, name)))
+        what, units = " or ".join(dict.fromkeys(abouts)), input_units(scene, name)
+        row = _input(scene, name, "Float64", what, units, zero, "further")
+        found.append(replace(row, symbol="values.now.further[]", first=N * k))
     what = "whether each drive is enabled"
     found.append(_input(scene, "enable", "Boolean", what, (), (1.0,) * N))
     if any(joint.brake for joint in scene.joints):
@@ -204,9 +207,8 @@ def _output(scene: Scene, output: Output) -> Variable:
     one = _row(
         scene, (output.name,), symbol, _TYPES[output.kind], "output", output.about, units, None
     )
-    if array != READINGS:
-        return one
-    return replace(one, first=len(scene.joints) * readings_of(scene).index(output))
+    rows = rows_of(scene).get(array)
+    return one if rows is None else replace(one, first=len(scene.joints) * rows.index(output.name))
 
 
 def _in_unit(output: Output, unit: int) -> str:
@@ -285,11 +287,6 @@ def _row(
 def _of_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:
     kinds = [joint.kind for joint in scene.chain.joints]
     return tuple(prismatic if kind == "prismatic" else revolute for kind in kinds)
-
-
-def _turned(scene: Scene) -> bool:
-    """Whether a motor is commanded in the frame of its rotor."""
-    return any(joint.command == "V dq" for joint in scene.joints)
 
 
 def _parts(one: Varied, scene: Scene) -> Sequence[str]:

@@ -19,6 +19,7 @@ from arm_emulator.doors.microcontroller.unicorn_library import (
     unicorn_version,
 )
 from arm_emulator.machine.control_code import ControlCode
+from arm_emulator.machine.parts.input import VOLTAGE
 from arm_emulator.machine.scene import Scene
 
 FLAGS = (*"-std=c++20 -O2 -fvisibility=hidden -ffp-contract=off".split(), *SHARED)
@@ -141,11 +142,12 @@ class Microcontroller(ControlCode):
 
 def _full_scale(pwm: Pwm, scene: Scene) -> float:
     """Return what a duty of 1 stands for [V, A or N m]: of a bridge the supply."""
-    command = scene.joints[scene.joint_names.index(pwm.joint)].command
+    command = scene.joints[scene.joint_names.index(pwm.joint)].inputs[0]
     if pwm.full_scale is not None or pwm.kind == "float":
         return pwm.full_scale or 0.0
-    if command != "V":
-        rule = f"be given: the motor takes a command [{command}], and no bridge makes one of a duty"
+    if command != VOLTAGE:
+        takes = f"{command.about} [{command.unit}]"
+        rule = f"be given: the joint's command is {takes}, and no bridge makes that of a duty"
         raise Refusal("board", f"pwm.{pwm.joint}.full_scale", rule, "nothing")
     return scene.supply_voltage
 

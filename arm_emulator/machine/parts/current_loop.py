@@ -11,6 +11,7 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
+from arm_emulator.machine.parts.input import CURRENT
 from arm_emulator.machine.parts.motor import Circuit, Motor
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import AtRest, Share
@@ -26,7 +27,7 @@ class CurrentLoop(Decorator):
 
     section = "motor.current_loop"
     layer = 1
-    command = "A"
+    inputs = (CURRENT,)
     header = "current_loop.hpp"
     cxx = "CurrentControl"
 

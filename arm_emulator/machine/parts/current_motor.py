@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from arm_emulator.machine.parts.input import CURRENT
 from arm_emulator.machine.parts.motor import AT_ONCE, Motor, ServoData
 from arm_emulator.machine.parts.part import number
 
@@ -15,7 +16,7 @@ class CurrentMotor(Motor):
     kind = "current"
     header = "current_motor.hpp"
     cxx = "CurrentMotor"
-    command = "A"
+    inputs = (CURRENT,)
     limit = "current_limit"
 
     torque_constant: float = number("Kt", "N m/A", above=0.0)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from arm_emulator.base.section import Section
+from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
 
@@ -27,7 +28,7 @@ class Decorator(Part):
 
     shaft = "rotor"
     layer: ClassVar[int]
-    command: ClassVar[str] = ""  # unit of what the motor is commanded with it, if that is another
+    inputs: ClassVar[tuple[Input, ...]] = ()  # of the motor with it, if they are others
     electrical: ClassVar[bool] = True  # whether it stands between the command and the torque
 
     def check_motor(self, motor: Motor, joint: Section) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from arm_emulator.machine.chain import Array
+from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -47,7 +48,7 @@ class Motor(Part):
     shaft = "rotor"
     kind: ClassVar[str]  # `motor.kind` in the scene
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
-    command: ClassVar[str] = "V"  # unit of what it is commanded: V, N m, A or V dq
+    inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
 
     def effort(self, motion: ShaftMotion) -> Array:

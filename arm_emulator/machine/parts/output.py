@@ -12,6 +12,7 @@ from typing import Literal
 AXES = 3  # of inertial measurement units
 COMMAND = "command"  # the unit of what a joint's motor is commanded: V, N m or A
 READINGS = "readings"  # the symbol of what has no field of its own in arm.h
+FURTHER = "further"  # and of what a motor got of a further input
 
 Kind = Literal["number", "count", "flag", "bits"]
 
@@ -25,7 +26,7 @@ class Output:
         about: what it is, of each joint or unit.
         symbol: where arm.h has it: a field of `arm_joint_measurement` (joint.NAME), of
             `arm_joint_sensors` (sensors.NAME) or of `arm_imu_measurement` (imu.NAME), an array of
-            `arm_measurement`, or `READINGS`.
+            `arm_measurement`, `READINGS` or `FURTHER`.
         unit: of a joint that turns; none of counts, flags and bits.
         unit_of_slides: where that of a joint that slides is another one.
         kind: of its values.

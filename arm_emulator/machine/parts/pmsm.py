@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motor import Motor, ServoData
-from arm_emulator.machine.parts.output import Output
+from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
 
 
@@ -18,8 +19,14 @@ class Pmsm(Motor):
     has_winding = True
     header = "pmsm.hpp"
     cxx = "Pmsm"
-    command = "V dq"
-    outputs = (Output("current_d", "current along each rotor's flux", "current_d", "A"),)
+    inputs = (
+        Input("command", "voltage across each rotor's flux", "V", mode="ARM_VOLTAGE_DQ"),
+        Input("command_d", "voltage along each rotor's flux", "V", applied="applied_d"),
+    )
+    outputs = (
+        Output("current_d", "current along each rotor's flux", "current_d", "A"),
+        Output("applied_d", "what each motor got of command_d", FURTHER),
+    )
 
     resistance: float = number("R", "ohm", above=0.0)
     inductance_d: float = number("Ld", "H", above=0.0)

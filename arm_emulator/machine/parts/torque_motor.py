@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from arm_emulator.machine.parts.input import TORQUE
 from arm_emulator.machine.parts.motor import AT_ONCE, Motor, ServoData
 from arm_emulator.machine.parts.part import number
 
@@ -15,7 +16,7 @@ class TorqueMotor(Motor):
     kind = "torque"
     header = "torque_motor.hpp"
     cxx = "TorqueMotor"
-    command = "N m"
+    inputs = (TORQUE,)
     limit = "torque_limit"
 
     rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
