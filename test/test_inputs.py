@@ -222,8 +222,8 @@ def test_over_ros_and_repeated_from_its_bag(
         (["command_d"] * 2, [0.0] * 6, "input_names must name each input once"),
         (["ud"], [0.0] * 3, "inputs must be a further input of three_axis, got ud; valid: comm"),
         (["command_d"], [1.0, 2.0, 0.0], "command_d of shoulder must be 0, its motor has no such"),
-        (["command_d"], [np.nan, 0.0, 0.0], "command_d must be finite"),
-        (["command_d"], [1e10, 0.0, 0.0], "command_d must be within"),
+        (["command_d"], [np.nan, 0.0, 0.0], "command_d must be numbers within"),
+        (["command_d"], [1e10, 0.0, 0.0], "command_d must be numbers within"),
     ],
 )
 def test_what_no_motor_takes_is_refused(
@@ -246,7 +246,7 @@ def test_a_plant_refuses_alike(scene: Scene) -> None:
     for given, words in (
         ({"ud": [0.0] * 3}, "must be a further input of three_axis, got ud; valid: command_d"),
         ({"command_d": [0.0, 0.0, 1.0]}, "command_d of elbow must be 0"),
-        ({"command_d": [0.0, 0.0]}, "must have shape"),
+        ({"command_d": [0.0, 0.0]}, "must have"),
     ):
         with pytest.raises(Refusal, match=words):
             plant.exchange(np.zeros(3), **given)
