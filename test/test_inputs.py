@@ -71,8 +71,9 @@ def drawn(seed: int, rows: int = 30) -> tuple[np.ndarray, np.ndarray]:
 
 def test_every_declared_input_is_whole() -> None:
     """A command first, in a mode of arm.h; of further ones what a motor got is an output."""
-    for kind in (*MOTORS, *DECORATORS):
-        for k, one in enumerate(kind.inputs):
+    declared = [kind.inputs for kind in MOTORS] + [kind.inputs for kind in DECORATORS]
+    for inputs in declared:
+        for k, one in enumerate(inputs):
             assert one.about and one.unit in ("V", "N m", "A"), one
             assert (one.name == "command") == (k == 0), one
             if k == 0:
