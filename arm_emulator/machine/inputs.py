@@ -27,7 +27,7 @@ def input_at(joint: Joint, name: str) -> Input | None:
 
 
 def input_units(scene: Scene, name: str) -> tuple[str, ...]:
-    """Return the unit of a further input at each joint; where there is none, that of another."""
+    """Return the unit of a further input at each joint; a joint without it has that of another."""
     at = [input_at(joint, name) for joint in scene.joints]
     other = next(one.unit for one in at if one)
     return tuple(one.unit if one else other for one in at)
