@@ -30,7 +30,7 @@ from bench.motion import Array
 
 TITLE = "Hard places of motion control"
 
-METHODS = ("paper", "qp")
+METHODS = ("paper", "way")
 SETTLING = 0.5  # s of holding before a case begins
 EVERY = 0.01  # s between samples of the machine
 ARRIVED = 2e-3  # m from the target by the true tool, the wind-up included
@@ -287,7 +287,7 @@ def motion_periods(count: int) -> dict[str, float]:
     medians = {}
     for scene_name in ("ur5", "panda"):
         scene = load_scene(scene_name)
-        law = controller_for(scene.urdf, scene.joint_names, config_of(scene_name, "qp"))
+        law = controller_for(scene.urdf, scene.joint_names, config_of(scene_name, "way"))
         home, q, spent = at_start(law.kinematics, scene_name), scene.start, []
         law.begin(q)
         for k in range(count):
@@ -313,13 +313,13 @@ def report(figures: dict[str, Any]) -> str:
         "that ur5 and panda had with it. The wind-up of the gears (ur5 0.75 mm, panda 1 mm) is in "
         "the figures.",
         "",
-        "| case | scene | `paper` | `qp` |",
+        "| case | scene | `paper` | `way` |",
         "|---|---|---|---|",
     ]
     lines += [
-        f"| {row['case']} | {row['scene']} | {row['paper']} | {row['qp']} |"
+        f"| {row['case']} | {row['scene']} | {row['paper']} | {row['way']} |"
         for row in figures["rows"]
     ]
     times = ", ".join(f"{name} {t * 1e6:.0f} us" for name, t in figures["times"].items())
-    lines += ["", f"A motion period of `qp` takes in the median: {times}."]
+    lines += ["", f"A motion period of `way` takes in the median: {times}."]
     return "\n".join(lines)

@@ -105,6 +105,12 @@ def _kuka(scratch: Path) -> Path:
     return scratch / "kuka_kr300_run_B.png"
 
 
+def _tool_paths(scratch: Path) -> Path:
+    from bench import tool_paths
+
+    return tool_paths.draw(scratch)
+
+
 DRAWN: dict[str, Callable[[Path], Path]] = {
     "arm.gif": _arm,
     "convergence.png": _convergence,
@@ -112,6 +118,7 @@ DRAWN: dict[str, Callable[[Path], Path]] = {
     "fig4.png": _fig4,
     "kuka_kr300_run_B.png": _kuka,
     "manutec_r3.png": _manutec,
+    "tool_paths.png": _tool_paths,
     "tune_ur5.png": _tune,
 }
 

@@ -38,6 +38,7 @@ SECTIONS = (
 BY_NAME = (
     "tool_line",
     "feedforward",
+    "tool_paths",
     "hard_places",
     "convergence",
     "assumed",

@@ -47,7 +47,7 @@ def line(period: float, feedforward: str) -> dict[str, Any]:
     """Return the figures of one line."""
     file = find_scene(SCENE)
     scene, gains = load_scene(file), load_gains(file)
-    motion = dataclasses.replace(gains.motion, period=period, method="qp", feedforward=feedforward)
+    motion = dataclasses.replace(gains.motion, period=period, method="way", feedforward=feedforward)
     servo = dataclasses.replace(gains.servo, motion_period=period)
     one = OfflineRun(scene, servo, motion)
     kinematics = one.controller.kinematics

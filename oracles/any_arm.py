@@ -1,8 +1,10 @@
-"""Any serial arm, from its robot description alone: does it go where it is sent?
+"""Any serial arm, from its robot description alone: does it go where it is sent, and how?
 
 For every arm a scene is made by `arm_emulator new`; the whole machine, servo and motion controller
 are then sent on random moves of 50 and 300 mm (less for small arms) between poses within the
 joint limits. A move counts as arrived if the true tool rests where `predicted_residual` predicts.
+What the true tool does on the way is judged, too: how far it goes past the place where it comes to
+rest, how far from the straight line it is, and how fast the links turn.
 Without names: every robot of example-robot-data with an arm, and those of oracles/own_robots.py.
 """
 
@@ -23,6 +25,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.scene import Scene, example_robot_data, load_scene
 from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.motion_report import State
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.predicted_residual import predicted_residual
 from arm_emulator.runs.gains import load_gains
@@ -30,9 +33,11 @@ from arm_emulator.runs.offline import OfflineRun
 from oracles.own_robots import OWN
 
 DISTANCES = (0.05, 0.3)  # m, for arms that reach `FULL_REACH`; smaller ones go as much less
+DISTANCES_NAMED = [f"{distance * 1e3:g} mm" for distance in DISTANCES]
 FULL_REACH = 0.8  # m
 SETTLE = 1.0  # s of logical time before the target comes
 PATIENCE = 12.0  # s of logical time for a move
+SAMPLE = 0.005  # s between samples of the way
 LOOK = 0.1  # s between two looks at whether the tool rests within the prediction
 RESTS = 3  # looks in a row
 NEAREST_SINGULAR = 0.05  # singular value; poses nearer are no fair target for a prediction
@@ -44,20 +49,49 @@ NO_ARMS = (
 
 
 @dataclass
+class Move:
+    """What became of one move, judged over all of its way."""
+
+    distance: str
+    """Of all arms alike; small ones go as much less."""
+    length: float
+    """From where the true tool began to where it rested [m]."""
+    words: str = ""
+    """Why it did not arrive; empty: it did."""
+    seconds: float = 0.0
+    """Logical time to arrival."""
+    past: float = 0.0
+    """How far the true tool went along its line past the place where it rested [m]."""
+    aside: float = 0.0
+    """Largest distance of the true tool from the line to there [m]."""
+    peak_speed: float = 0.0
+    """Largest link speed over the joint's limit."""
+    way: str = ""
+    """What the motion controller published about the way that it took."""
+
+    @property
+    def overshot(self) -> bool:
+        """Whether it went past its rest by more than 1 mm and 0.5 % of its length."""
+        return self.past > max(1e-3, 5e-3 * self.length)
+
+
+@dataclass
 class Outcome:
     """Result of one arm."""
 
     name: str
     joints: int = 0
-    arrived: dict[str, int] = field(default_factory=dict)
-    """Moves that arrived, by the distance."""
-    moves: dict[str, int] = field(default_factory=dict)
-    seconds: list[float] = field(default_factory=list)
-    """Logical time to arrival."""
-    peak_speed: float = 0.0
-    """Largest link speed over the joint's limit."""
-    failures: list[str] = field(default_factory=list)
+    moves: list[Move] = field(default_factory=list)
     refused: str = ""
+
+    def of(self, distance: str) -> list[Move]:
+        """Return the moves of one distance."""
+        return [one for one in self.moves if one.distance == distance]
+
+    @property
+    def arrived(self) -> list[Move]:
+        """The moves that arrived."""
+        return [one for one in self.moves if not one.words]
 
 
 def arms() -> dict[str, Path | str]:
@@ -89,21 +123,12 @@ def examine(name: str, robot: Path | str, count: int) -> Outcome:
         outcome.joints = len(scene.joints)
         kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
         rng = np.random.default_rng(0)
-        for distance in DISTANCES:
+        for distance, key in zip(DISTANCES, DISTANCES_NAMED, strict=True):
             length = distance * min(1.0, kinematics.reach / FULL_REACH)
-            key = f"{distance * 1e3:g} mm"
-            for k in range(count):
+            for _ in range(count):
                 pair = reachable(kinematics, length, rng)
-                if pair is None:
-                    continue
-                outcome.moves[key] = outcome.moves.get(key, 0) + 1
-                words, seconds, peak = move(scene, gains, *pair, limits)
-                outcome.peak_speed = max(outcome.peak_speed, peak)
-                if words:
-                    outcome.failures.append(f"{key} #{k}: {words}")
-                else:
-                    outcome.arrived[key] = outcome.arrived.get(key, 0) + 1
-                    outcome.seconds.append(seconds)
+                if pair is not None:
+                    outcome.moves.append(move(scene, gains, key, *pair, limits))
     return outcome
 
 
@@ -136,14 +161,8 @@ def reachable(
     return None
 
 
-def move(
-    scene: Scene, gains: Any, q: Array, goal: Array, limits: Array
-) -> tuple[str, float, float]:
-    """Send the arm from one pose to another.
-
-    Returns:
-        Why it did not arrive, empty if it did; logical time to arrival [s]; peak speed over limit.
-    """
+def move(scene: Scene, gains: Any, distance: str, q: Array, goal: Array, limits: Array) -> Move:
+    """Send the arm from one pose to another, and watch it all the way."""
     joints = tuple(
         dataclasses.replace(joint, start=float(angle))
         for joint, angle in zip(scene.joints, q, strict=True)
@@ -155,27 +174,44 @@ def move(
     settle_ns = round(SETTLE / gains.motion.period) * round(gains.motion.period * 1e9)
     run.instructor.add(settle_ns, target)
     counts = gains.servo.count_angles(scene.joint_names)
-    ticks = round(0.01 / scene.servo_period)
-    look, peak, rested = round(LOOK / 0.01), 0.0, 0
-    words = ""
+    ticks = max(1, round(SAMPLE / scene.servo_period))
+    sample = ticks * scene.servo_period
+    look, peak, rested = max(1, round(LOOK / sample)), 0.0, 0
+    way: list[Array] = []
+    words, seconds = "", PATIENCE
     try:
         run.advance(round(settle_ns * 1e-9 / scene.servo_period))
-        for step in range(1, round(PATIENCE / 0.01) + 1):
-            run.advance(ticks)
+        for step in range(round(PATIENCE / sample) + 1):
             state = run.session.state
+            way.append(kinematics.forward(state.q)[1])
             peak = max(peak, float((np.abs(state.v) / limits).max()))
-            if step % look:
-                continue
-            error = kinematics.tool_error(state.q, target)
-            wind_up = scene.wind_up(state.gear_torque) - run.wound
-            predicted = predicted_residual(run.controller, state.q, counts, wind_up)
-            off = np.abs(error - predicted.wind_up) - predicted.encoder
-            rested = rested + 1 if (off <= 0.0).all() else 0
-            words = f"off by {np.abs(error[:3]).max() * 1e3:.3g} mm, " + "; ".join(
-                run.controller.notices
-            )
-            if rested == RESTS:
-                return "", (step - look * (RESTS - 1)) * 0.01, peak
+            if step and step % look == 0:
+                error = kinematics.tool_error(state.q, target)
+                wind_up = scene.wind_up(state.gear_torque) - run.wound
+                predicted = predicted_residual(run.controller, state.q, counts, wind_up)
+                off = np.abs(error - predicted.wind_up) - predicted.encoder
+                rested = rested + 1 if (off <= 0.0).all() else 0
+                words = f"off by {np.abs(error[:3]).max() * 1e3:.3g} mm, " + "; ".join(
+                    run.controller.notices
+                )
+                if rested == RESTS:
+                    words, seconds = "", (step - look * (RESTS - 1)) * sample
+                    break
+            run.advance(ticks)
     except (Diverged, Refusal) as fault:
         words = str(fault).splitlines()[0]
-    return words, PATIENCE, peak
+    reasons = [r.reason for r in run.instructor.reports.waiting if r.state is State.MOVING]
+    one = Move(distance, 0.0, words, seconds, peak_speed=peak, way="; ".join(reasons))
+    one.length, one.past, one.aside = along_its_line(np.array(way))
+    return one
+
+
+def along_its_line(way: Array) -> tuple[float, float, float]:
+    """Return length of the line from a way's first to its last point, how far the way goes past its
+    end, and how far aside of it, for points (K, 3) [m].
+    """
+    line = way[-1] - way[0]
+    length = float(np.linalg.norm(line))
+    along = (way - way[0]) @ line / max(length, 1e-12)
+    aside = way - way[0] - np.outer(along, line / max(length, 1e-12))
+    return length, float(along.max() - length), float(np.linalg.norm(aside, axis=1).max())

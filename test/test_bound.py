@@ -297,7 +297,7 @@ def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
     one.add(0, target)
 
 
-@pytest.mark.parametrize("method", ["paper", "qp"])
+@pytest.mark.parametrize("method", ["paper", "way"])
 @pytest.mark.parametrize("seed", range(3))
 def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str) -> None:
     rng = random.Random(seed)

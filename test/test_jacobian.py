@@ -602,7 +602,7 @@ def test_what_gravity_adds_is_the_gears_wind_up() -> None:
 
 @pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
-@pytest.mark.parametrize("method", ["paper", "qp"])
+@pytest.mark.parametrize("method", ["paper", "way"])
 def test_robots_move_50_mm_with_the_orientation_held(scene: str, method: str) -> None:
     """By either method, under gravity, through the whole machine."""
     file = find_scene(scene)

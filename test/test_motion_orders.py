@@ -107,7 +107,7 @@ def test_whatever_takes_over_whatever_nothing_jumps(seed: int) -> None:
         np.testing.assert_allclose(after.q, expected, atol=1e-9, err_msg="the next target")
         if after.v is not None:
             step = np.abs(after.v - v)
-            # 10 rad/s2 of the quadratic program; a quintic of 0.6 rad in a second, from any speed,
+            # 10 rad/s2 of a way; a quintic of 0.6 rad in a second, from any speed,
             # has less than 40.
             assert (step <= 40.0 * arm.config.period).all(), "no step of speed"
             assert (np.abs(after.v) <= 1.05 * limit).all(), "the speed limits"
@@ -254,7 +254,8 @@ def test_targets_beyond_reach_are_reported_as_such_with_the_distance(scene: str)
 
 def test_a_trajectory_waits_for_its_stamp_and_then_keeps_its_times() -> None:
     arm = Ideal()
-    points = [arm.point(0.5, 0.1), arm.point(1.0, 0.0)]
+    still = np.zeros(6)
+    points = [arm.point(t, by, velocities=still) for t, by in ((0.5, 0.1), (1.0, 0.0))]
     arm.instructor.add_trajectory(arm.controller, arm.names, points, stamp_ns=SECOND)
     arm.advance(2.5)
     at = {i * arm.period_ns: one.q for i, one in enumerate(arm.printed)}
@@ -266,6 +267,7 @@ def test_a_trajectory_waits_for_its_stamp_and_then_keeps_its_times() -> None:
 
 def test_a_trajectory_that_cannot_begin_is_refused_and_the_one_before_goes_on() -> None:
     arm = Ideal()
+    arm.instructor.retune(dataclasses.replace(arm.config, trajectory_limits="refuse"))
     arm.instructor.add(0, arm.pose((0.05, 0.0, 0.0)))
     arm.advance(0.1)
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(0.02, 1.0)])
@@ -426,13 +428,13 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
     heard = statuses(nodes)
     nodes.run_to(20)
     nodes.send("joint_trajectory", trajectory(SECOND // 10, names, (0.3, goal)))
-    nodes.send("tool_path", path(SECOND // 2, poses))
-    nodes.run_to(900)
+    nodes.send("tool_path", path(SECOND, poses))
+    nodes.run_to(1400)
     run.instructor.add_trajectory(
         run.controller, names, [TrajectoryPoint(3 * SECOND // 10, goal)], SECOND // 10
     )
-    run.instructor.add_path(run.controller, poses, SECOND // 2)
-    for tick in range(900):
+    run.instructor.add_path(run.controller, poses, SECOND)
+    for tick in range(1400):
         state = run.session.measured
         bits = np.asarray(state.encoder_counts, dtype=np.int64).tobytes() + state.current.tobytes()
         assert nodes.states[tick] == bits, f"the first other bit at tick {tick}"
@@ -607,3 +609,17 @@ def test_torques_for_another_gravity_than_the_scenes_are_warned_of(
         gravity != (0.0, 0.0, -9.81)
     )
     assert printed.count("\n") <= 1, "one line"
+
+
+@pytest.mark.parametrize("far", [(3.0, 0.0, 0.3), (0.5, 2.0, 1.0)])
+def test_out_of_reach_means_that_the_machine_rests(far: tuple[float, ...]) -> None:
+    """Eq. (6) would try for ever: 19.8 A and 1.29 rad/s."""
+    run = load_offline_run("three_axis")
+    run.advance(500)
+    run.instructor.add(run.session.logical_ns, Pose(np.array(far), np.eye(3)))
+    while run.instructor.reports.waiting[-1].state is not State.UNREACHABLE:
+        assert run.session.logical_ns < 30 * SECOND, "it is reported"
+        run.advance(50)
+    for _ in range(40):
+        run.advance(50)
+        assert np.abs(run.session.state.v).max() < 0.02, "it rests when it is reported to"

@@ -445,9 +445,9 @@ def test_a_new_arm_goes_where_it_is_sent(name: str, tmp_path: Path) -> None:
     for _ in range(3):
         pair = reachable(kinematics, 0.05, rng)
         assert pair is not None
-        words, seconds, peak = move(scene, gains, *pair, limits)
-        assert not words, words
-        assert seconds < 12.0 and peak <= 1.0, f"{seconds} s, {peak} of the speed limit"
+        one = move(scene, gains, "50 mm", *pair, limits)
+        assert not one.words, one.words
+        assert one.seconds < 12.0 and one.peak_speed <= 1.0, one
 
 
 @pytest.mark.usefixtures("untuned")

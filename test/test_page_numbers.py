@@ -11,11 +11,13 @@ from documents import page_of
 
 # Page, words with the number's place, where the number is, and in which unit the page has it.
 NUMBERS: list[tuple[str, str, str, float]] = [
-    ("motion", "uses {} of the description's speed limits", "qp._SPEED_SHARE", 1),
-    ("motion", "more than {} rad (or as many parts of its reach) from", "qp.LOST", 1),
-    ("motion", "brake with {} of its acceleration", "qp._BRAKES", 1),
-    ("motion", "no faster than {} of the way in a period", "qp._APPROACH", 1),
-    ("motion", "with s_i below {} the joints' line", "qp._SINGULAR", 1),
+    ("motion", "uses {} of the description's speed limits", "way_controller.SPEED_SHARE", 1),
+    ("motion", "more than {} rad (or as many parts of its reach) from", "way_controller.LOST", 1),
+    ("motion", "would take more than {} times and", "way_controller.MUCH_LONGER", 1),
+    ("motion", "times and {} s longer", "way_controller.LONGER", 1),
+    ("motion", "comes to its limit in {} ms", "way_controller.JERK_TIME", 1e3),
+    ("motion", "no farther than {} of the reach from the line", "tool_line.OFF_THE_LINE", 1),
+    ("motion", "Flat corners are rounded, {} um from", "tool_path.ROUNDED", 1e6),
     ("motion", "effect in first order are tried by {} rad", "joint_goal._PROBE", 1),
     ("motion", "then from {} sets of joint angles", "configuration_search.STARTS", 1),
     ("topics", "none or more than {}, stamps", "tool_path.MOST_POSES", 1),

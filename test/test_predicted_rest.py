@@ -102,18 +102,18 @@ def test_a_part_that_states_none_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_out_of_reach_and_not_yet_there_are_reported_apart() -> None:
     scene, gains, plan = given("three_axis", {})
-    qp = dataclasses.replace(gains, motion=dataclasses.replace(gains.motion, method="qp"))
+    way = dataclasses.replace(gains, motion=dataclasses.replace(gains.motion, method="way"))
     far = dataclasses.replace(plan, displacement=np.array([5.0, 0.0, 0.0]), instructions=400)
-    found = predicted_rest(scene, qp, far)
+    found = predicted_rest(scene, way, far)
     assert found.arrival is Arrival.UNREACHABLE and np.linalg.norm(found.reference) > 1.0
-    residual = left_by(scene, qp, far)
+    residual = left_by(scene, way, far)
     assert found.contains(residual), "it rests at the nearest point"
     words = verdict(found, np.tile(residual, (30, 1)))
     assert "out of reach" in words and "within" in words
     soon = dataclasses.replace(plan, instructions=3)
-    found = predicted_rest(scene, qp, soon)
+    found = predicted_rest(scene, way, soon)
     assert found.arrival is Arrival.NOT_YET
-    near = predicted_rest(scene, qp, plan)
+    near = predicted_rest(scene, way, plan)
     still = np.tile(near.centre[:3] + 3.0 * near.radius, (30, 1))
     assert "outside" in verdict(near, still)
     moving = still + np.linspace(1.0, 0.0, 30)[:, None] * 50.0 * near.radius

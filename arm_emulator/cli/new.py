@@ -287,7 +287,7 @@ def _texts(
     motion = {
         "tool": choice.tool,
         "period": MOTION_PERIOD,
-        "method": "qp",
+        "method": "way",
         "velocity_limit": max(drive.speed for drive in drives),
         "acceleration_limit": max(drive.acceleration for drive in drives),
     }

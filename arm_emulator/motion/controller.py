@@ -15,7 +15,8 @@ from arm_emulator.motion.jacobian import JacobianController
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.qp import QpController
+from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.way_controller import WayController
 
 
 class Controller(Protocol):
@@ -25,11 +26,21 @@ class Controller(Protocol):
         kinematics: of the arm.
         error: tool error that the last `update` found, (rows,) [m, rad]; NaN before any.
         notices: what limited the last `update`, in words; empty: nothing did.
+        way: which way leads to the target, and why that one, in words; empty: not known.
     """
 
     kinematics: Kinematics
     error: FloatArray
     notices: tuple[str, ...]
+    way: str
+
+    @property
+    def coming(self) -> Reference | None:
+        """How the joints are commanded to move at the next motion period; None: not known."""
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing more is to be expected of the law, but for the machine to follow."""
 
     @property
     def searching(self) -> bool:
@@ -37,6 +48,9 @@ class Controller(Protocol):
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
         """Begin at joint angles q (N,), with joint speeds v (N,); None: at rest."""
+
+    def begin_moving(self, now: Reference) -> None:
+        """Begin with the joints as they are commanded to move."""
 
     def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
         """Return the joint targets of this motion period, from the measured joint angles (N,)."""
@@ -58,8 +72,6 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
             raise Refusal(config.where, f"{SECTION}.{name}", "be a joint of the arm", name, known)
     if config.watches_collisions:
         CollisionGuard(kinematics, config)  # which refuses shapes that cannot be read
-    if config.method_for(len(kinematics.joint_names)) == "qp":
-        return QpController(
-            kinematics, config.period, config.velocity_limit, config.acceleration_limit
-        )
+    if config.method_for(len(kinematics.joint_names)) == "way":
+        return WayController(kinematics, config)
     return JacobianController(kinematics, config.weight, config.step_limit, config.singular_below)

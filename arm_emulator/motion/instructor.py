@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,11 +27,11 @@ from arm_emulator.motion.orders import (
     TrajectoryOrder,
 )
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.qp import LOST
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.stream_order import TargetStream
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 from arm_emulator.motion.tool_path import ToolPath
+from arm_emulator.motion.way_controller import LOST
 
 MOST_TARGETS = 10_000  # that wait for their time
 LONGEST_WAIT_NS = 3_600_000_000_000  # an hour; a stamp of the wall clock is decades ahead
@@ -51,6 +51,8 @@ class _Taken:
     begins_ns: int = 0
     """Logical time at which it begins at the earliest."""
     state: State = State.ACCEPTED
+    way: str = ""
+    """That was published last."""
 
 
 class Instructor:
@@ -324,7 +326,6 @@ class Instructor:
             if self._active is not None:
                 self._report(self._active, _replaced_by(taken))
             self._active = taken
-            self._report(taken, Progress(State.MOVING))
 
     def _refuse_long_waits(self, now_ns: int) -> None:
         for one in list(self._coming):
@@ -345,6 +346,10 @@ class Instructor:
             return Instruction(self._hold)
         instruction = taken.order.instruct(laws, time_ns, q)
         progress = taken.order.progress(time_ns, q, v)
+        way = taken.order.way
+        if taken.state is State.ACCEPTED or (taken.state is State.MOVING and way != taken.way):
+            taken.way = way
+            self._report(taken, replace(progress, state=State.MOVING, reason=way), anew=True)
         if taken.state is State.MOVING or (taken.state, progress.state) == (
             State.UNREACHABLE,
             State.REACHED,
@@ -377,7 +382,7 @@ class Instructor:
         still = np.zeros_like(q)
         q = laws.feedforward.standing(q)
         stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
-        self._active = _Taken(stop, 0, State.MOVING)
+        self._active = _Taken(stop, 0)
         return stop.instruct(laws, time_ns, q)
 
     def _reference(self, laws: Laws, time_ns: int, q: FloatArray) -> Reference:
@@ -397,12 +402,12 @@ class Instructor:
             return Reference(q, still, still)
         return reference
 
-    def _report(self, taken: _Taken, progress: Progress) -> None:
+    def _report(self, taken: _Taken, progress: Progress, anew: bool = False) -> None:
         if taken.state.final and not (
             taken.state is State.UNREACHABLE and progress.state is State.REACHED
         ):
             return
-        if progress.state is taken.state is State.MOVING or not taken.number:
+        if (progress.state is taken.state is State.MOVING and not anew) or not taken.number:
             taken.state = progress.state
             return
         taken.state = progress.state

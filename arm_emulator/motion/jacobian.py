@@ -17,6 +17,7 @@ from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.reference import Reference
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -70,12 +71,22 @@ class JacobianController:
         """What limited the last `update`, in words; empty: nothing did."""
         self.searching = False
         """Eq. (6) has one way only."""
+        self.way = ""
+        """Eq. (6) knows where to, not which way."""
+        self.coming: Reference | None = None
+        """Eq. (6) knows no speed."""
+        self.resting = True
+        """Each answer of eq. (6) is where the arm shall rest."""
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last `update` found, (rows,) [m, rad]; NaN before any."""
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
         """Begin at joint angles q (N,): eq. (6) remembers nothing."""
         self.kinematics.vector(q)
+
+    def begin_moving(self, now: Reference) -> None:
+        """Begin with the joints as they are commanded to move."""
+        self.begin(now.q)
 
     def retune(self, config: MotionConfig) -> None:
         """Go on with other parameters."""

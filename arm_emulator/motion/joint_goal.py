@@ -84,6 +84,11 @@ class JointGoal:
         return self._x * self.kinematics.joint_scale
 
     @property
+    def posture(self) -> FloatArray:
+        """The angles that redundant joints come back to (N,)."""
+        return self._posture * self.kinematics.joint_scale
+
+    @property
     def reached(self) -> bool:
         """Whether the tool is at its target there."""
         return bool(_size(self.error) <= REACHED)

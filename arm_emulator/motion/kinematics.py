@@ -54,14 +54,15 @@ class Kinematics:
         turns_tool: whether the task rules the tool's orientation.
         reach: length of the chain from its first joint to the tool, with what limited joints slide
             [m].
+        shafts: which joints go with the coordinates that are commanded.
         base: link that stands in the world, in whose frame poses are given.
         scale: of the rows of the task, (rows,): translations are divided by `reach`, so that all
             entries of a scaled Jacobian are rad per rad.
         joint_scale: of the joints, (N,): 1 for one that turns, `reach` for one that slides.
         continuous: whether a joint is the same again after a turn, (N,).
         lower, upper: position limits, (N,) each [rad or m]; infinite without a limit.
-        velocity_limit, acceleration_limit: (N,) each, in rad or m and s; infinite without
-            a limit.
+        velocity_limit, acceleration_limit, effort_limit: (N,) each, in rad or m, s, and N m or N;
+            infinite without a limit.
 
     Raises:
         Refusal: a description, name or value that is not taken.
@@ -80,24 +81,26 @@ class Kinematics:
         self.tool = tool
         self.rows = _rows(task, len(self.joint_names), where)
         self.turns_tool = self.rows == POSE_ROWS
-        self._shafts = Shafts(urdf_xml, self.joint_names, tool)
-        self.model = _model(urdf_xml, self.joint_names, self._shafts.joints, tool, where)
+        self.shafts = Shafts(urdf_xml, self.joint_names, tool)
+        self.model = arm_model(urdf_xml, self.joint_names, self.shafts.joints, tool, where)
         self._data = self.model.createData()
         self._joints = [
-            self.model.joints[self.model.getJointId(JOINT + n)] for n in self._shafts.joints
+            self.model.joints[self.model.getJointId(JOINT + n)] for n in self.shafts.joints
         ]
         self._columns = [joint.idx_v for joint in self._joints]
         self._turning = np.array([joint.nq == 2 for joint in self._joints])
-        alone = np.count_nonzero(self._shafts.C, axis=0) == 1
+        alone = np.count_nonzero(self.shafts.C, axis=0) == 1
         self.continuous = self._turning[: len(alone)] & alone
         self._places = np.array([joint.idx_q for joint in self._joints])
         self._neutral = pin.neutral(self.model)
-        self._frame = _frame(self.model, tool, where)
+        self._frame = tool_frame(self.model, tool, where)
         self.lower, self.upper = self._position_limits()
         rates = rate_limits(urdf_xml)
-        moved = [rates[name] for name in self._shafts.joints]
-        self.velocity_limit = self._shafts.most(np.array([one.velocity for one in moved]))
-        self.acceleration_limit = self._shafts.most(np.array([one.acceleration for one in moved]))
+        moved = [rates[name] for name in self.shafts.joints]
+        self.velocity_limit = self.shafts.most(np.array([one.velocity for one in moved]))
+        self.acceleration_limit = self.shafts.most(np.array([one.acceleration for one in moved]))
+        own = np.array([rates[name].effort for name in self.joint_names])
+        self.effort_limit = np.where(alone, own, np.inf)
         self.reach = self._reach()
         _REACH.check("robot_description", [self.reach])
         pin.framesForwardKinematics(self.model, self._data, self._neutral)
@@ -140,7 +143,7 @@ class Kinematics:
         )
         J = np.reshape(J, (POSE_ROWS, -1))  # of a single joint it comes as a vector
         rows: FloatArray = J[: self.rows, self._columns]
-        return self._shafts.columns(rows)
+        return self.shafts.columns(rows)
 
     def _tool_error(self, R_WT: FloatArray, p_WT: FloatArray, target: Pose) -> FloatArray:
         error = target.p_WT - p_WT
@@ -164,7 +167,7 @@ class Kinematics:
 
     def _configuration(self, q: npt.ArrayLike) -> FloatArray:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""
-        q = self._shafts.of_joints(self.vector(q))
+        q = self.shafts.of_joints(self.vector(q))
         configuration: FloatArray = self._neutral.copy()
         configuration[self._places] = q
         turning = self._turning
@@ -184,7 +187,7 @@ class Kinematics:
             )
             for joint in self._joints
         ]
-        lower, upper = self._shafts.positions(*np.array(bounds, dtype=np.float64).T)
+        lower, upper = self.shafts.positions(*np.array(bounds, dtype=np.float64).T)
         return lower, upper
 
     def _reach(self) -> float:
@@ -236,11 +239,20 @@ def _moving(model: Any) -> tuple[str, ...]:
     return tuple(name.removeprefix(JOINT) for name in list(model.names)[1:])
 
 
-def _model(
-    urdf_xml: str, joint_names: tuple[str, ...], moved: tuple[str, ...], tool: str, where: str
+def arm_model(
+    urdf_xml: str,
+    joint_names: tuple[str, ...],
+    moved: tuple[str, ...],
+    tool: str,
+    where: str,
+    masses: bool = False,
 ) -> Any:
-    """Return the Pinocchio model whose moving joints are exactly `moved`."""
-    model = whole_model(urdf_xml, tool)
+    """Return the Pinocchio model whose moving joints are exactly `moved`.
+
+    Raises:
+        Refusal: a description or name that is not taken.
+    """
+    model = whole_model(urdf_xml, tool, masses)
     moving = _moving(model)
     for name in joint_names:
         if name not in moving:
@@ -261,7 +273,7 @@ def _model(
     return model
 
 
-def _frame(model: Any, tool: str, where: str) -> int:
+def tool_frame(model: Any, tool: str, where: str) -> int:
     """Return the index of the link (or other frame) `tool`."""
     for name, kind in (
         (LINK + tool, pin.FrameType.BODY),

@@ -1,8 +1,8 @@
 """From a robot description to Pinocchio's model, of what its kinematics need and nothing else.
 
-Shapes, masses, transmissions and limits of effort are left out: they need not even be
-readable. Fixed links cost nothing, however many they are. Limits of speed and acceleration are read
-here, since readers of a URDF drop them with a joint that has no limits of position.
+Shapes, masses and transmissions are left out: they need not even be readable. Fixed links cost
+nothing, however many they are. Limits of speed, acceleration and effort are read here, since
+readers of a URDF drop them with a joint that has no limits of position.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from arm_emulator.base.urdf_text import complete_limits, parse_urdf
 JOINT, LINK = "joint ", "link "
 MOST_MOVING = 128  # joints; for 400 Pinocchio takes 20 s to set up its data
 MOST_IN_A_ROW = 1000  # joints; Pinocchio goes down a chain by recursion
+
+NO_EFFORT = 1e9  # N m or N: such a limit limits nothing
 
 WHERE = "robot_description"
 
@@ -55,19 +57,21 @@ def whole_model(urdf_xml: str, tool: str = "", masses: bool = False) -> Any:
 
 @dataclass(frozen=True)
 class RateLimits:
-    """How fast a joint may move; infinite where the description has none."""
+    """How fast a joint may move, and with which torque; infinite where the description has none."""
 
     velocity: float
     """[rad/s or m/s]"""
     acceleration: float
     """[rad/s2 or m/s2]"""
+    effort: float
+    """[N m or N]"""
 
 
 def rate_limits(urdf_xml: str) -> dict[str, RateLimits]:
     """Return the limits of a robot description's joints by their names.
 
-    They are the attributes `velocity` and `acceleration` of <limit>; 0 is how descriptions leave
-    one open.
+    They are the attributes `velocity`, `acceleration` and `effort` of <limit>; 0 is how
+    descriptions leave one open.
 
     Raises:
         Refusal: not a robot description, or a limit that is no number or below 0.
@@ -77,9 +81,19 @@ def rate_limits(urdf_xml: str) -> dict[str, RateLimits]:
         if joint.get("type") == "fixed":
             continue
         limits[joint.get("name", "")] = RateLimits(
-            _rate_limit(joint, "velocity"), _rate_limit(joint, "acceleration")
+            _rate_limit(joint, "velocity"), _rate_limit(joint, "acceleration"), _effort(joint)
         )
     return limits
+
+
+def _effort(joint: ET.Element) -> float:
+    """Return the largest torque; what is no number > 0 limits nothing."""
+    limit = joint.find("limit")
+    try:
+        value = float("0" if limit is None else limit.get("effort", "0"))
+    except ValueError:
+        return math.inf
+    return value if 0.0 < value < NO_EFFORT else math.inf
 
 
 def _rate_limit(joint: ET.Element, key: str) -> float:

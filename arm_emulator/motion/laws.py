@@ -7,13 +7,13 @@ import numpy as np
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.feedforward import Feedforward
-from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.joint_trajectory import JointLimits
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig
-from arm_emulator.motion.qp import QpController
+from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.motion.tool_path import ToolLimits
+from arm_emulator.motion.way_controller import WayController, way_limits
 
 RISE = 0.05  # s, in which jogged joints take up their largest acceleration
 
@@ -21,8 +21,8 @@ RISE = 0.05  # s, in which jogged joints take up their largest acceleration
 class Laws:
     """The control laws for tool targets and for tool paths.
 
-    Paths are followed by the quadratic program, whatever the method for targets is: eq. (6) knows
-    no speed.
+    Paths are followed along ways that are planned before they begin, whatever the method for
+    targets is: eq. (6) knows no speed.
 
     Attributes:
         controller: for tool targets.
@@ -36,7 +36,7 @@ class Laws:
     def __init__(self, controller: Controller, config: MotionConfig) -> None:
         self.controller, self.config = controller, config
         self.period_ns = round(config.period * 1e9)
-        self._follower = controller if isinstance(controller, QpController) else None
+        self._ways = controller if isinstance(controller, WayController) else None
         self.leading: Controller | None = None
         self._braking: SmoothJoints | None = None
         self.feedforward = Feedforward(controller.kinematics, config)
@@ -44,17 +44,11 @@ class Laws:
         self.guard = CollisionGuard(controller.kinematics, config) if watched else None
 
     @property
-    def follower(self) -> QpController:
+    def ways(self) -> WayController:
         """The law for tool paths; the same where that is possible."""
-        if self._follower is None:
-            config = self.config
-            self._follower = QpController(
-                self.controller.kinematics,
-                config.period,
-                config.velocity_limit,
-                config.acceleration_limit,
-            )
-        return self._follower
+        if self._ways is None:
+            self._ways = WayController(self.controller.kinematics, self.config)
+        return self._ways
 
     @property
     def braking(self) -> SmoothJoints:
@@ -67,13 +61,13 @@ class Laws:
     def retune(self, config: MotionConfig) -> None:
         """Go on with other parameters; `controller` is its owner's to retune."""
         self.config, self._braking = config, None
-        if self._follower not in (None, self.controller):
-            self.follower.retune(config)
+        if self._ways not in (None, self.controller):
+            self.ways.retune(config)
 
-    def lead(self, law: Controller, q: FloatArray, v: FloatArray) -> None:
-        """Let a law lead from now on; if it did not before it begins at these angles and speeds."""
+    def lead(self, law: Controller, now: Reference) -> None:
+        """Let a law lead from now on; if it did not before it begins as the joints move."""
         if self.leading is not law:
-            law.begin(q, v)
+            law.begin_moving(now)
             self.leading = law
 
     def nobody_leads(self) -> None:
@@ -83,11 +77,15 @@ class Laws:
 
 def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
     """Return what joint trajectories are held against."""
+    limits = way_limits(kinematics, config)
+    speed = np.minimum(kinematics.velocity_limit, config.velocity_limit)
+    if config.trajectory_limits == "scale":
+        speed = np.full_like(speed, np.inf)  # what is faster takes longer
     return JointLimits(
         kinematics.lower,
         kinematics.upper,
-        kinematics.velocity_limit,
-        np.minimum(kinematics.acceleration_limit, config.acceleration_limit),
+        speed,
+        limits.acceleration,
         kinematics.continuous,
     )
 
@@ -118,5 +116,4 @@ def tool_limits(config: MotionConfig) -> ToolLimits:
         config.tool_turn_speed,
         config.tool_acceleration,
         config.tool_jerk,
-        config.period,
     )

@@ -25,8 +25,9 @@ class MotionConfig:
     )
     method: str = parameter(
         "auto",
-        "control law: paper, eq. (6); qp, within all limits; auto: paper below 6 joints, else qp",
-        choices=("auto", "paper", "qp"),
+        "control law: way, along ways that are known before they begin, within all limits; paper, "
+        "eq. (6); auto: way",
+        choices=("auto", "way", "paper"),
     )
     weight: float = parameter(0.5, "w of eq. (6)", at_least=1e-6, at_most=1.0, settable=True)
     task: str = parameter(
@@ -51,7 +52,7 @@ class MotionConfig:
     )
     velocity_limit: float = parameter(
         3.0,
-        "qp: largest joint speed, beside the robot description's",
+        "largest joint speed, beside the robot description's",
         unit="rad/s",
         at_least=1e-6,
         at_most=1e3,
@@ -59,10 +60,18 @@ class MotionConfig:
     )
     acceleration_limit: float = parameter(
         10.0,
-        "qp: largest joint acceleration, beside the robot description's",
+        "largest joint acceleration, beside the robot description's",
         unit="rad/s2",
         at_least=1e-6,
         at_most=1e5,
+        settable=True,
+    )
+    jerk_limit: float = parameter(
+        0.0,
+        "largest joint jerk; 0: the acceleration comes to its limit in 50 ms",
+        unit="rad/s3",
+        at_least=0.0,
+        at_most=1e8,
         settable=True,
     )
     feedforward: str = parameter(
@@ -130,6 +139,21 @@ class MotionConfig:
         unit="rad",
         at_least=0.0,
         at_most=1e3,
+        settable=True,
+    )
+    tool_path_tolerance: float = parameter(
+        5e-3,
+        "a tool farther beside its tool path gives it up; 0: however far",
+        unit="m",
+        at_least=0.0,
+        at_most=1e3,
+        settable=True,
+    )
+    trajectory_limits: str = parameter(
+        "scale",
+        "joint trajectories, and tool paths with times, that are faster than the joints' limits: "
+        "scale, they take longer; refuse",
+        choices=("scale", "refuse"),
         settable=True,
     )
     goal_tolerance: float = parameter(
@@ -234,8 +258,8 @@ class MotionConfig:
         return replace(self, where=where, drives=drives, obstacles=obstacles)
 
     def method_for(self, joints: int) -> str:
-        """Return the method, paper or qp, for an arm of so many joints."""
-        return self.method if self.method != "auto" else "qp" if joints >= 6 else "paper"
+        """Return the method, way or paper, for an arm of so many joints."""
+        return self.method if self.method != "auto" else "way"
 
     def feedforward_for(self, joints: int) -> str:
         """Return what is given beside joint angles: none, speed, torque (and speed), or full."""

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import pinocchio as pin
 
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.instruction import FloatArray, Instruction
-from arm_emulator.motion.joint_trajectory import JointMotion, JointTrajectory
-from arm_emulator.motion.kinematics import POSE_ROWS, POSITION_ROWS
+from arm_emulator.motion.joint_trajectory import JointTrajectory
+from arm_emulator.motion.kinematics import POSITION_ROWS
 from arm_emulator.motion.laws import Laws
 from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.motion_report import Kind, State
+from arm_emulator.motion.path_watch import PathWatch
+from arm_emulator.motion.path_way import plan_path
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tolerances import Tolerances
-from arm_emulator.motion.tool_path import ToolMotion, ToolPath, ToolState
+from arm_emulator.motion.tool_path import ToolPath
+from arm_emulator.motion.trajectory_way import within_limits
 
 PATIENCE = 1.0  # s: an error that has not become smaller for so long will not
 _SMALLER = 0.99  # what counts as smaller
-_AT_REST = 1e-3  # rad/s
+_STAYS = 0.1  # s
 
 # With what the reasons begin why a trajectory was aborted.
 PATH_TOLERANCE = "path tolerance"
@@ -58,6 +60,10 @@ class Order(Protocol):
     kind: Kind
     stamp_ns: int
 
+    @property
+    def way(self) -> str:
+        """Which way it takes, and why that one, in words; empty: not known."""
+
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """Take over from `reference`.
 
@@ -82,24 +88,35 @@ class TargetOrder:
 
     def __init__(self, stamp_ns: int, pose: Pose) -> None:
         self.stamp_ns, self.pose = stamp_ns, pose
+        self._held: FloatArray | None = None
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
-        laws.lead(laws.controller, reference.q, reference.v)
+        laws.lead(laws.controller, reference)
         self._law, self._arrival = laws.controller, _Arrival(laws.config)
+
+    @property
+    def way(self) -> str:
+        """See `Order`."""
+        return self._law.way
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
-        self._instruction = self._law.update(q, self.pose)
-        return self._instruction
+        if self._held is not None:
+            return Instruction(self._held)
+        instruction = self._law.update(q, self.pose)
+        if self._law.coming is None and self._arrival.stalls(now_ns):
+            # Eq. (6) would try for ever what the arm cannot do.
+            self._held = q
+        return instruction
 
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""
-        return None
+        return self._law.coming
 
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""
-        return self._arrival.progress(now_ns, self._law, self._instruction)
+        return self._arrival.progress(now_ns, self._law, q, v)
 
 
 class PathOrder:
@@ -109,37 +126,44 @@ class PathOrder:
 
     def __init__(self, path: ToolPath) -> None:
         self.stamp_ns, self._path = path.stamp_ns, path
+        self.way = ""
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
-        kinematics = laws.follower.kinematics
-        R_WT, p_WT = kinematics.forward(reference.q)
-        twist = np.zeros(POSE_ROWS)
-        twist[: kinematics.rows] = kinematics.jacobian(reference.q) @ reference.v
-        whole = kinematics.rows == POSE_ROWS
-        pose = Pose(p_WT, R_WT if whole else self._path.first.R_WT)
-        state = ToolState(pose, twist[:POSITION_ROWS], twist[POSITION_ROWS:])
-        self._motion: ToolMotion = self._path.begin(now_ns, state)
-        laws.lead(laws.follower, reference.q, reference.v)
-        self._law, self._arrival = laws.follower, _Arrival(laws.config)
+        law, leading = laws.ways, laws.leading
+        config = laws.config
+        if leading is not law:
+            law.begin_moving(reference)
+        scaled = config.trajectory_limits == "scale"
+        self._motion = plan_path(law, self._path, reference, now_ns, scaled)
+        self._begin_ns = now_ns
+        laws.leading = law
+        law.follow(self._motion)
+        self._law, self._arrival = law, _Arrival(config)
+        self._watch = PathWatch(law.kinematics, self._path.poses, config.tool_path_tolerance)
+        self.way = f"in {self._motion.duration:.3g} s"
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
-        now, then = (self._motion.sample(now_ns + t).pose for t in (0, laws.period_ns))
-        turn = pin.log3(then.R_WT @ now.R_WT.T)
-        twist = np.concatenate([then.p_WT - now.p_WT, turn]) / (laws.period_ns * _SECONDS)
-        self._instruction = laws.follower.follow(q, now, twist)
-        return self._instruction
+        instruction = self._law.go_on(q, self._path.poses[-1])
+        self._watch.see(instruction.q, q)
+        return instruction
 
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""
-        return None
+        return self._law.coming
 
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""
-        if now_ns < self._motion.end_ns:
+        if self._watch.broken:
+            return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {self._watch.broken}")
+        if not self._law.resting:
             return MOVING
-        return self._arrival.progress(now_ns, self._law, self._instruction)
+        progress = self._arrival.progress(now_ns, self._law, q, v)
+        missed = self._watch.missed
+        if progress.state is State.REACHED and missed:
+            return replace(progress, state=State.ABORTED, reason=f"{PATH_TOLERANCE}: {missed}")
+        return progress
 
 
 class TrajectoryOrder:
@@ -154,35 +178,40 @@ class TrajectoryOrder:
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
         start_ns = self.stamp_ns or now_ns
-        self._motion: JointMotion = self.trajectory.begin(
-            now_ns, start_ns, reference.q, reference.v, reference.a
+        scaled = laws.config.trajectory_limits == "scale"
+        self._motion = within_limits(
+            laws.ways, self.trajectory, now_ns, start_ns, reference, scaled
         )
         self._start_ns = start_ns
         laws.nobody_leads()
 
+    @property
+    def way(self) -> str:
+        """See `Order`."""
+        return self._motion.way
+
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
-        now = Reference(*self._motion.sample(now_ns))
-        then = self._motion.sample(now_ns + laws.period_ns)[0]
+        now, then = (self._motion.at(now_ns + t) for t in (0, laws.period_ns))
         effort = None
         if not self.trajectory.stops:
-            effort = self.trajectory.effort(now_ns, self._start_ns)
-        return Instruction(now.q, (then - now.q) / (laws.period_ns * _SECONDS), effort, now)
+            effort = self.trajectory.effort(self._motion.asked_ns(now_ns), self._start_ns)
+        return Instruction(now.q, (then.q - now.q) / (laws.period_ns * _SECONDS), effort, now)
 
     def reference(self, now_ns: int) -> Reference | None:
         """See `Order`."""
-        return Reference(*self._motion.sample(now_ns))
+        return self._motion.at(now_ns)
 
     def progress(self, now_ns: int, q: FloatArray, v: FloatArray | None) -> Progress:
         """See `Order`."""
-        q_ref, v_ref, _ = self._motion.sample(now_ns)
-        v_error = None if v is None else v_ref - v
+        asked = self._motion.at(now_ns)
+        q_error, v_error = asked.q - q, None if v is None else asked.v - v
         names = self.trajectory.joint_names
         late = (now_ns - self._motion.end_ns) * _SECONDS
         if late < 0.0:
-            broken = self._tolerances.path.broken(names, q_ref - q, v_error)
+            broken = self._tolerances.path.broken(names, q_error, v_error)
             return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {broken}") if broken else MOVING
-        broken = self._tolerances.goal.broken(names, q_ref - q, v_error)
+        broken = self._tolerances.goal.broken(names, q_error, v_error)
         if not broken:
             return Progress(State.REACHED)
         if 0.0 < self._tolerances.goal_time < late:
@@ -191,26 +220,43 @@ class TrajectoryOrder:
 
 
 class _Arrival:
-    """Judges by the tool's error whether a tool has arrived, or comes no nearer."""
+    """Judges by the measured tool whether it has arrived and rests, or comes no nearer."""
 
     def __init__(self, config: MotionConfig) -> None:
         self._config = config
         self._best = math.inf
-        self._best_at = 0
+        self._best_at: int | None = None
 
-    def progress(self, now_ns: int, law: Controller, instruction: Instruction) -> Progress:
+    def stalls(self, now_ns: int) -> bool:
+        """Whether the tool has come no nearer for a while."""
+        return self._best_at is not None and (now_ns - self._best_at) * _SECONDS >= PATIENCE
+
+    def progress(
+        self, now_ns: int, law: Controller, q: FloatArray, v: FloatArray | None
+    ) -> Progress:
+        """Return how far a law has brought the tool, by measured angles and speeds."""
         config, error = self._config, law.error
         distance = float(np.linalg.norm(error[:POSITION_ROWS]))
         angle = float(np.linalg.norm(error[POSITION_ROWS:])) if len(error) > POSITION_ROWS else 0.0
         size = max(distance / config.reached_within, angle / config.reached_within_angle)
         shown = angle if len(error) > POSITION_ROWS else math.nan
-        if size <= 1.0:
-            return Progress(State.REACHED, "", distance, shown)
-        if size < _SMALLER * self._best:
+        rests = law.resting and self._rests(law, q, v)
+        if self._best_at is None or size < _SMALLER * self._best or size <= 1.0:
             self._best, self._best_at = size, now_ns
-        at_rest = instruction.v is None or float(np.abs(instruction.v).max()) <= _AT_REST
-        if law.searching:
+        if size <= 1.0 and rests:
+            return Progress(State.REACHED, "", distance, shown)
+        if not law.resting and law.coming is not None:
             self._best_at = now_ns
-        if at_rest and (now_ns - self._best_at) * _SECONDS >= PATIENCE:
+        if rests and self.stalls(now_ns):
             return Progress(State.UNREACHABLE, "; ".join(law.notices), distance, shown)
         return Progress(State.MOVING, "", distance, shown)
+
+    def _rests(self, law: Controller, q: FloatArray, v: FloatArray | None) -> bool:
+        """Whether the measured tool needs more than `_STAYS` to leave what counts as reached."""
+        if v is None:
+            return True
+        speed = law.kinematics.jacobian(q) @ v
+        return bool(
+            np.linalg.norm(speed[:POSITION_ROWS]) * _STAYS <= self._config.reached_within
+            and np.linalg.norm(speed[POSITION_ROWS:]) * _STAYS <= self._config.reached_within_angle
+        )

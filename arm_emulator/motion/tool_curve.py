@@ -17,10 +17,12 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.poses import Poses, rotations
 
 FloatArray = npt.NDArray[np.float64]
 
 SAME = 1e-9  # m, and rad: poses no farther apart are the same
+LEAST_CUT = 2e-3  # m: shorter arcs would be passed as slowly as a stop
 STRAIGHT = 1e-6  # of a distance: three points this near to a line lie on it
 
 
@@ -49,7 +51,9 @@ class ToolCurve:
         arcs: whether the poses 0, 1, 2, then 2, 3, 4 and so on lie on an arc of a circle each;
             three on a line stay on it.
         blend: where two lines meet, an arc begins this far before the corner [m], at most in the
-            middle of a line; 0: no arcs, the tool goes through every corner.
+            middle of a line.
+        rounding: corners so flat that an arc which passes them this near [m] begins `LEAST_CUT`
+            or more before them, or in the middle of a line, are rounded by it whatever `blend` is.
 
     Attributes:
         length: measure of each segment (S,) [m].
@@ -58,7 +62,12 @@ class ToolCurve:
     """
 
     def __init__(
-        self, poses: Sequence[Pose], per_turn: float, arcs: bool = False, blend: float = 0.0
+        self,
+        poses: Sequence[Pose],
+        per_turn: float,
+        arcs: bool = False,
+        blend: float = 0.0,
+        rounding: float = 0.0,
     ) -> None:
         self._per_turn = per_turn
         points = np.array([pose.p_WT for pose in poses])
@@ -69,8 +78,8 @@ class ToolCurve:
         whole = np.where(apart, self._measure(segments), 0.0)
         self.at_poses = np.concatenate([[0.0], np.cumsum(whole)])
         segments = _Segments(*(column[apart] for column in segments))
-        if blend > 0.0 and len(segments.gone) > 1:
-            segments = _with_round_corners(segments, blend)
+        if (blend > 0.0 or rounding > 0.0) and len(segments.gone) > 1:
+            segments = _with_round_corners(segments, blend, rounding)
         self._segments = segments
         self.length = self._measure(segments)
         self.ends = np.cumsum(self.length)
@@ -79,21 +88,18 @@ class ToolCurve:
         """Return the number of segments."""
         return len(self.length)
 
-    def sample(self, x: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the tool at a measure x from the start, between 0 and the end.
-
-        Returns:
-            ``p_WT`` (3,) [m], ``R_WT`` (3, 3), and their change per measure: of the position (3,)
-            [m/m], and the rotation vector along the world's axes (3,) [rad/m].
-        """
-        i = min(int(np.searchsorted(self.ends, x, side="right")), len(self) - 1)
-        part = min(1.0, max(0.0, 1.0 - (self.ends[i] - x) / self.length[i]))
+    def poses(self, x: FloatArray) -> Poses:
+        """Return the tool at measures x (K,) from the start, between 0 and the end."""
+        i = np.minimum(np.searchsorted(self.ends, x, side="right"), len(self) - 1)
+        part = np.clip(1.0 - (self.ends[i] - x) / self.length[i], 0.0, 1.0)
         one = _Segments(*(column[i] for column in self._segments))
-        k, gone = float(one.curvature), part * float(one.gone)
-        p = one.p0 + one.tangent * _sin_over(k, gone) + one.normal * _versine_over(k, gone)
-        tangent = one.tangent * math.cos(k * gone) + one.normal * math.sin(k * gone)
-        R = pin.exp3(part * one.turn) @ one.R0
-        return p, R, one.gone / self.length[i] * tangent, one.turn / self.length[i]
+        k, gone = one.curvature, part * one.gone
+        bent = k > 0.0
+        radius = 1.0 / np.where(bent, k, 1.0)
+        ahead = np.where(bent, radius * np.sin(k * gone), gone)
+        aside = np.where(bent, 2.0 * radius * np.sin(0.5 * k * gone) ** 2, 0.0)
+        p = one.p0 + ahead[:, None] * one.tangent + aside[:, None] * one.normal
+        return Poses(p, rotations(part[:, None] * one.turn) @ one.R0)
 
     def curvature(self) -> FloatArray:
         """Return, for each segment, the acceleration across at measure speed 1, (S,) [1/m]."""
@@ -152,13 +158,18 @@ def _bent_to_arcs(points: FloatArray, segments: _Segments) -> _Segments:
     return segments._replace(gone=gone, tangent=tangent, normal=normal, curvature=curvature)
 
 
-def _with_round_corners(segments: _Segments, blend: float) -> _Segments:
+def _with_round_corners(segments: _Segments, blend: float, rounding: float) -> _Segments:
     """Return the same segments with arcs where two lines meet, tangent to both."""
     tangent, gone = segments.tangent, np.asarray(segments.gone)
     cosine = np.einsum("ij,ij->i", tangent[:-1], tangent[1:])
     line = (np.asarray(segments.curvature) == 0.0) & (gone > SAME)
     corner = line[:-1] & line[1:] & (np.abs(cosine) < 1.0 - STRAIGHT)
-    cut = np.where(corner, np.minimum(blend, 0.5 * np.minimum(gone[:-1], gone[1:])), 0.0)
+    middle = 0.5 * np.minimum(gone[:-1], gone[1:])
+    # An arc that begins d before a corner of a small angle passes it at d angle / 4.
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    near = np.minimum(4.0 * rounding / np.maximum(angle, STRAIGHT), middle)
+    near = np.where(near >= np.minimum(LEAST_CUT, middle), near, 0.0)
+    cut = np.where(corner, np.maximum(np.minimum(blend, middle), near), 0.0)
     cut = np.concatenate([[0.0], cut, [0.0]])  # at the start of segment i, and at its end
     return _rows(_cut_and_joined(segments, cut))
 
@@ -218,13 +229,3 @@ def _circle(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, Fl
         return None
     to_center = (ac @ ac) * np.cross(across, ab) + (ab @ ab) * np.cross(ac, across)
     return a + to_center / (2.0 * twice_area**2), across / twice_area
-
-
-def _sin_over(k: float, gone: float) -> float:
-    """Return sin(k l) / k; l where k = 0."""
-    return math.sin(k * gone) / k if k else gone
-
-
-def _versine_over(k: float, gone: float) -> float:
-    """Return (1 - cos(k l)) / k; 0 where k = 0."""
-    return 2.0 * math.sin(0.5 * k * gone) ** 2 / k if k else 0.0

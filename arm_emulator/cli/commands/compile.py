@@ -35,11 +35,12 @@ def compile_scene(
     from arm_emulator.machine.firmware_loop import firmware_loop_unit
     from arm_emulator.machine.record_ring import record_ring_unit
     from arm_emulator.machine.scene import load_scene
+    from arm_emulator.motion.way_library import way_unit
     from arm_emulator.runs.servo_step import servo_step_unit
     from arm_emulator.servo.servo_law import servo_unit
 
     of_scene = compile_ahead(load_scene(scene), target, into, fleet=fleet)
-    code = [servo_unit(), servo_step_unit(), firmware_loop_unit(), record_ring_unit()]
+    code = [servo_unit(), way_unit(), servo_step_unit(), firmware_loop_unit(), record_ring_unit()]
     if fieldbus:
         from arm_emulator.doors.fieldbus.drives import drives_unit
         from arm_emulator.doors.fieldbus.ethercat import ethercat_unit

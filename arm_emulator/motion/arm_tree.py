@@ -1,0 +1,148 @@
+"""An arm as arrays, for computations over many configurations at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.build.c_header import NULL, pointer
+from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics, arm_model, tool_frame
+from arm_emulator.motion.kinematics_model import JOINT, WHERE
+from arm_emulator.motion.shafts import Shafts
+from arm_emulator.motion.way_library import WAY, way_library
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class ArmTree:
+    """Kinematics and inverse dynamics of an arm, a row per configuration.
+
+    Numbers come from the Pinocchio model, of which it is a copy.
+
+    Args:
+        kinematics: of the arm.
+        gravity: acceleration of gravity along the world's axes (3,) [m/s2].
+
+    Attributes:
+        trouble: why there are no masses, in words; empty: there are.
+    """
+
+    def __init__(
+        self, kinematics: Kinematics, gravity: Sequence[float] = (0.0, 0.0, -9.81)
+    ) -> None:
+        self.kinematics = kinematics
+        self.trouble = ""
+        names = kinematics.joint_names
+        shafts = Shafts(kinematics.urdf_xml, names)
+        try:
+            model = arm_model(
+                kinematics.urdf_xml, names, shafts.joints, kinematics.tool, WHERE, masses=True
+            )
+        except Refusal as reason:
+            self.trouble, model, shafts = str(reason), kinematics.model, kinematics.shafts
+        order = [model.getJointId(JOINT + name) for name in shafts.joints]
+        chain = sorted(order)  # parents before children
+        place_of = [order.index(joint) for joint in chain]
+        self._coupling = np.ascontiguousarray(shafts.C[place_of])
+        self._offset = np.ascontiguousarray(shafts.offset[place_of])
+        data = model.createData()
+        neutral = pin.neutral(model)
+        pin.computeJointJacobians(model, data, neutral)
+        slides, axis, parent, rotation, place = [], [], [], [], []
+        mass, centre, inertia = [], [], []
+        for joint in chain:
+            column = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
+            column = np.reshape(column, (POSE_ROWS, -1))[:, model.joints[joint].idx_v]
+            sliding = bool(np.linalg.norm(column[3:]) < 0.5)
+            slides.append(sliding)
+            axis.append(column[:3] if sliding else column[3:])
+            above = model.parents[joint]
+            parent.append(chain.index(above) if above in chain else -1)
+            rotation.append(model.jointPlacements[joint].rotation)
+            place.append(model.jointPlacements[joint].translation)
+            body = model.inertias[joint]
+            mass.append(body.mass)
+            centre.append(body.lever)
+            inertia.append(body.inertia)
+        frame = model.frames[tool_frame(model, kinematics.tool, WHERE)]
+        self._arrays = {
+            "parent": np.array(parent, dtype=np.int32),
+            "slides": np.array(slides, dtype=np.int32),
+            "axis": _doubles(axis),
+            "rotation": _doubles(rotation),
+            "place": _doubles(place),
+            "coupling": self._coupling,
+            "offset": self._offset,
+            "scale": _doubles(kinematics.joint_scale),
+            "mass": _doubles(mass),
+            "centre": _doubles(centre),
+            "inertia": _doubles(inertia),
+            "gravity": _doubles(gravity),
+            "tool_rotation": _doubles(frame.placement.rotation),
+            "tool_place": _doubles(frame.placement.translation),
+        }
+        self._arm = WAY.ffi.new("way_arm*")
+        self._arm.joints, self._arm.coordinates = len(chain), len(names)
+        self._arm.tool_parent = chain.index(frame.parentJoint) if frame.parentJoint else -1
+        self._arm.reach = kinematics.reach
+        self._held = [self._point(name, array) for name, array in self._arrays.items()]
+        self._law = way_library()
+
+    def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return tool positions (K, 3) [m] and rotations (K, 3, 3) of configurations (K, N)."""
+        q = self._joints(q)
+        p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
+        self._law.way_forward(self._arm, len(q), pointer(q), pointer(p), pointer(R))
+        return p, R
+
+    def torques(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the torques of the links, (K, N) [N m or N]."""
+        q = self._joints(q)
+        v, a = (np.ascontiguousarray(one @ self._coupling.T) for one in (v, a))
+        tau = np.empty_like(q)
+        self._law.way_torques(self._arm, len(q), pointer(q), pointer(v), pointer(a), pointer(tau))
+        return np.asarray(tau @ self._coupling)
+
+    def trace(
+        self, start: FloatArray, p: FloatArray, R: FloatArray, goal: FloatArray | None = None
+    ) -> FloatArray:
+        """Return joint angles along poses of the tool, (1 + those that were reached, N).
+
+        Args:
+            start: where the arm is (N,); the poses go on from there.
+            p: positions (K, 3) [m].
+            R: rotations (K, 3, 3).
+            goal: angles (N,) towards which joints go that the poses leave free; None: nowhere.
+        """
+        q = np.empty((len(p) + 1, len(start)))
+        q[0] = start
+        wanted = None if goal is None else np.ascontiguousarray(goal)
+        p, R = np.ascontiguousarray(p), np.ascontiguousarray(R)
+        reached = self._law.way_trace(
+            self._arm,
+            self.kinematics.rows,
+            len(p),
+            pointer(p),
+            pointer(R),
+            NULL if wanted is None else pointer(wanted),
+            pointer(q),
+        )
+        return q[: reached + 1]
+
+    def _joints(self, q: FloatArray) -> FloatArray:
+        """Return the joints of the tree, (K, joints)."""
+        return np.ascontiguousarray(q @ self._coupling.T + self._offset)
+
+    def _point(self, name: str, array: Any) -> Any:
+        place = pointer(array)
+        setattr(self._arm, name, place)
+        return place
+
+
+def _doubles(values: Any) -> FloatArray:
+    return np.ascontiguousarray(np.array(values, dtype=np.float64))

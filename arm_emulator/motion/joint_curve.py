@@ -1,0 +1,91 @@
+"""Curves of the joints: where they go, without when."""
+
+from __future__ import annotations
+
+import bisect
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.build.c_header import pointer
+from arm_emulator.motion.way_library import way_library
+
+FloatArray = npt.NDArray[np.float64]
+
+DERIVATIVES = 4  # the curve itself among them
+
+
+class JointCurve:
+    """Joint coordinates over s in [0, 1], polynomials piece by piece.
+
+    Args:
+        breaks: where pieces begin, and 1 (K + 1,), ascending from 0.
+        coefficients: of each piece, in powers of the distance from its begin, (K, D, N).
+    """
+
+    def __init__(self, breaks: FloatArray, coefficients: FloatArray) -> None:
+        self.breaks, self.coefficients = breaks, coefficients
+        self._breaks: list[float] = breaks[1:-1].tolist()
+        degree = coefficients.shape[1]
+        self._factors = np.array(
+            [[math.perm(d, order) for d in range(degree)] for order in range(DERIVATIVES)],
+            dtype=np.float64,
+        )
+        self._powers = np.array(
+            [[max(0, d - order) for d in range(degree)] for order in range(DERIVATIVES)]
+        )
+
+    @classmethod
+    def line(cls, start: FloatArray, end: FloatArray) -> JointCurve:
+        """Return the straight line between two configurations (N,)."""
+        return cls(np.array([0.0, 1.0]), np.stack([start, end - start])[None])
+
+    @classmethod
+    def spline(cls, nodes: FloatArray) -> JointCurve:
+        """Return the cubic spline through configurations (K + 1, N), evenly spread over s."""
+        y = np.ascontiguousarray(nodes)
+        count, columns = y.shape
+        h = 1.0 / (count - 1)
+        m, work = np.empty_like(y), np.empty(count)
+        way_library().way_spline(count, columns, h, pointer(y), pointer(m), pointer(work))
+        slope = np.diff(y, axis=0) / h - h / 6.0 * (2.0 * m[:-1] + m[1:])
+        rise = np.diff(m, axis=0) / (6.0 * h)
+        coefficients = np.stack([y[:-1], slope, 0.5 * m[:-1], rise], axis=1)
+        return cls(np.arange(count) * h, coefficients)
+
+    @property
+    def end(self) -> FloatArray:
+        """Where it ends (N,)."""
+        return np.asarray(self.derivatives(np.ones(1))[0, 0])
+
+    def derivatives(self, s: FloatArray) -> FloatArray:
+        """Return q and its first three derivatives at places (K,), (4, K, N)."""
+        piece = np.searchsorted(self._breaks, s, side="right")
+        x = (s - self.breaks[piece])[:, None, None]
+        weights = self._factors * x**self._powers
+        return np.asarray(np.swapaxes(weights @ self.coefficients[piece], 0, 1))
+
+    def moving(self, s: float, d1: float, d2: float, d3: float) -> FloatArray:
+        """Return q and its first three derivatives by time, (4, N), from those of s."""
+        piece = bisect.bisect_right(self._breaks, s)
+        x = s - float(self.breaks[piece])
+        coefficients = self.coefficients[piece]
+        by_s = []
+        for order in range(DERIVATIVES):
+            power, row = 1.0, [0.0] * order
+            for d in range(order, len(coefficients)):
+                row.append(math.perm(d, order) * power)
+                power *= x
+            by_s.append(row[: len(coefficients)])
+        q, q1, q2, q3 = by_s
+        weights = [
+            q,
+            [d1 * one for one in q1],
+            [d2 * one + d1 * d1 * two for one, two in zip(q1, q2, strict=True)],
+            [
+                d3 * one + 3.0 * d1 * d2 * two + d1**3 * three
+                for one, two, three in zip(q1, q2, q3, strict=True)
+            ],
+        ]
+        return np.asarray(np.array(weights) @ coefficients)

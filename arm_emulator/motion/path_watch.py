@@ -1,0 +1,79 @@
+"""Whether the measured tool keeps to its path, and comes through every pose of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.motion.kinematics import Kinematics
+from arm_emulator.motion.pose import Pose
+
+FloatArray = npt.NDArray[np.float64]
+
+_LATE = 100  # motion periods by which the tool may be behind its reference
+
+
+class PathWatch:
+    """Holds the measured tool against the way of the reference, not against its place on it.
+
+    A tool that is late on its path is on its path; one that is beside it is not.
+
+    Args:
+        kinematics: of the arm.
+        poses: of the path.
+        tolerance: farthest from the path [m]; 0: however far.
+
+    Attributes:
+        broken: how far the tool was beside its path, in words; empty: it was not.
+    """
+
+    def __init__(self, kinematics: Kinematics, poses: Sequence[Pose], tolerance: float) -> None:
+        self._kinematics, self._tolerance = kinematics, tolerance
+        self._poses = np.array([one.p_WT for one in poses])
+        self._way: deque[FloatArray] = deque(maxlen=_LATE)
+        self._before: FloatArray | None = None
+        self._passed = np.full(len(poses), np.inf)  # by the reference
+        self._reached = np.full(len(poses), np.inf)  # by the measured tool
+        self.broken = ""
+
+    def see(self, q_reference: FloatArray, q: FloatArray) -> None:
+        """Take reference and measured joint angles of a motion period, (N,) each."""
+        asked = self._kinematics.forward(q_reference)[1]
+        tool = self._kinematics.forward(q)[1]
+        if self._way:
+            passed = apart(self._poses, self._way[-1][None], asked[None])[:, 0]
+            self._passed = np.minimum(self._passed, passed)
+        if self._before is not None:
+            reached = apart(self._poses, self._before[None], tool[None])[:, 0]
+            self._reached = np.minimum(self._reached, reached)
+        self._before = tool
+        self._way.append(asked)
+        way = np.array(self._way)
+        off = float(apart(tool[None], way[:-1], way[1:]).min(initial=np.linalg.norm(tool - asked)))
+        if 0.0 < self._tolerance < off and not self.broken:
+            self.broken = (
+                f"the tool is {off * 1e3:.3g} mm beside its path, "
+                f"more than {self._tolerance * 1e3:.3g} mm"
+            )
+
+    @property
+    def missed(self) -> str:
+        """Which pose the tool has not come through, in words; empty: through all of them."""
+        seen = np.isfinite(self._passed)
+        off = np.where(seen, self._reached, 0.0) - np.where(seen, self._passed, 0.0)
+        if self._tolerance == 0.0 or not (off > self._tolerance).any():
+            return ""
+        k = int(np.argmax(off))
+        return f"poses[{k}] was missed by {off[k] * 1e3:.3g} mm"
+
+
+def apart(points: FloatArray, begins: FloatArray, ends: FloatArray) -> FloatArray:
+    """Return the distances of points (P, 3) from segments (S, 3), (P, S) [m]."""
+    along = ends - begins
+    to = points[:, None] - begins
+    square = np.maximum((along * along).sum(axis=1), 1e-300)
+    part = np.clip((to * along).sum(axis=2) / square, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(to - part[..., None] * along, axis=2))

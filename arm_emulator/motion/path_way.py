@@ -1,0 +1,279 @@
+"""The joints along a whole tool path, planned before it begins, or why there is no such way."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.joint_curve import JointCurve
+from arm_emulator.motion.joint_goal import JointGoal
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.take_over import Rest
+from arm_emulator.motion.timed_distance import TimedDistance
+from arm_emulator.motion.tool_line import OFF_THE_LINE, errors, joints_along, outside
+from arm_emulator.motion.tool_path import WHERE, ToolPath
+from arm_emulator.motion.way import AlongLimits, Way
+from arm_emulator.motion.way_controller import Motion, WayController
+
+FloatArray = npt.NDArray[np.float64]
+
+FEWEST_NODES = 32  # of a run between two stops
+MOST_NODES = 40_000
+LONGEST_TIME = 1e6  # s, of the whole path
+_IN_AN_ARC = 8.0  # nodes
+_FARTHEST_NODE = 5e-3  # m, or of the measure of a turn
+_NODE_TIME = 5e-3  # s, between nodes of a path with times
+_SETTLING_STEPS = 40  # of the joint goal
+_SECONDS = 1e-9
+
+
+class InARow:
+    """Motions one after the other, each beginning where the one before rests.
+
+    Attributes:
+        begins: of each motion, and the end of the last one (M + 1,) [s].
+        duration: [s].
+    """
+
+    def __init__(self, motions: Sequence[Motion]) -> None:
+        self.motions = list(motions)
+        self.begins = [0.0]
+        for one in self.motions:
+            self.begins.append(self.begins[-1] + one.duration)
+        self.duration = self.begins[-1]
+
+    def at(self, time: float) -> Reference:
+        """Return the joints at a time since the begin [s]."""
+        k = min(max(0, bisect.bisect_right(self.begins, time) - 1), len(self.motions) - 1)
+        return self.motions[k].at(time - self.begins[k])
+
+
+def plan_path(
+    law: WayController, path: ToolPath, now: Reference, now_ns: int, scaled: bool
+) -> InARow:
+    """Return the joints' motion to a path and along it.
+
+    Args:
+        law: whose arm and limits hold.
+        path: the path.
+        now: how the joints move.
+        now_ns: logical time [ns].
+        scaled: whether a path with times may take longer than they allow.
+
+    Raises:
+        Refusal: some place of it cannot be reached, or not by its time.
+    """
+    stop = law.stopping(now)
+    rest = stop.at(stop.duration).q
+    way_in = _way_in(law, rest, path)
+    start = way_in.at(way_in.duration).q
+    before: list[Motion] = [stop, way_in]
+    arrival = stop.duration + way_in.duration
+    if path.times_ns is not None:
+        given = (path.times_ns[0] - now_ns) * _SECONDS
+        if arrival > given + 1e-9:
+            rule = f"leave the tool {arrival:.3g} s to reach it"
+            raise Refusal(WHERE, "the time of the first pose", rule, f"{given:.6g} s")
+        before.append(Rest(start, max(0.0, given - arrival)))
+        along = _timed(law, path, start, scaled)
+    else:
+        along = _as_limits_allow(law, path, start)
+    row = InARow([*before, *along])
+    if row.duration > LONGEST_TIME:
+        got = f"{row.duration:.6g} s"
+        raise Refusal(WHERE, "the path", f"take at most {LONGEST_TIME:g} s", got)
+    return row
+
+
+def _way_in(law: WayController, q: FloatArray, path: ToolPath) -> Motion:
+    """Return the way from rest to the first pose: the tool's line, or that of the joints."""
+    kinematics, to, limits = law.kinematics, path.first, path.limits
+    R_WT, p_WT = kinematics.forward(q)
+    begin = Pose(p_WT, R_WT if kinematics.turns_tool else to.R_WT)
+    off = kinematics.tool_error(q, to) * kinematics.scale
+    if float(np.linalg.norm(off)) < 1e-9:
+        return Rest(q)
+    redundant = len(q) > kinematics.rows
+    goal = None
+    line: JointCurve | str = "" if redundant else joints_along(law.arm, q, begin, to, None)
+    if not isinstance(line, JointCurve):
+        goal = JointGoal(kinematics)
+        goal.begin(law.posture)
+        goal.aim(to, q)
+        goal.approach(_SETTLING_STEPS)
+        if not goal.reached:
+            error = goal.error[:3] / kinematics.scale[:3]
+            got = f"one {np.linalg.norm(error):.3g} m beyond the nearest point"
+            raise Refusal(WHERE, "poses[0]", "be where a way leads to", got)
+        line = joints_along(law.arm, q, begin, to, goal.q)
+    if not isinstance(line, JointCurve):
+        assert goal is not None
+        return Way(JointCurve.line(q, goal.q), law.limits, law.arm, where=WHERE)
+    turned = float(np.linalg.norm(off[3:])) if kinematics.turns_tool else 0.0
+    length = max(float(np.linalg.norm(to.p_WT - p_WT)), limits.per_turn * turned)
+    along = AlongLimits.straight(length, limits.speed, limits.acceleration, limits.jerk)
+    return Way(line, law.limits, law.arm, along, where=WHERE)
+
+
+def _as_limits_allow(law: WayController, path: ToolPath, start: FloatArray) -> list[Motion]:
+    """Return a way for each run between stops."""
+    curve, limits = path.curve, path.limits
+    ends = [(float(a), float(b)) for a, b in zip(path.stops, path.stops[1:], strict=False)]
+    if not ends:
+        return [Rest(start)]
+    nodes = [_run(path, a, b) for a, b in ends]
+    q = _joints(law, path, start, nodes)
+    ways: list[Motion] = []
+    bend = curve.curvature()
+    first = 0
+    for (a, b), x in zip(ends, nodes, strict=True):
+        joints = JointCurve.spline(q[first : first + len(x) + 1])
+        _check_between(law, path, joints, lambda s, a=a, b=b: a + s * (b - a))
+        first += len(x)
+        inside = slice(
+            int(np.searchsorted(curve.ends, a, side="right")),
+            int(np.searchsorted(curve.ends, b, side="left")) + 1,
+        )
+        along = AlongLimits(
+            b - a,
+            limits.speed,
+            limits.acceleration,
+            limits.jerk,
+            (curve.ends[inside] - a) / (b - a),
+            bend[inside],
+        )
+        ways.append(Way(joints, law.limits, law.arm, along, where=WHERE))
+    return ways
+
+
+def _run(path: ToolPath, a: float, b: float) -> FloatArray:
+    """Return evenly spread measures from one stop, without it, to the next (K,)."""
+    curve = path.curve
+    inside = (curve.ends > a) & (curve.ends - curve.length < b) & (curve.curvature() > 0.0)
+    farthest = _FARTHEST_NODE
+    if inside.any():
+        farthest = min(farthest, float(curve.length[inside].min()) / _IN_AN_ARC)
+    count = min(max(FEWEST_NODES, math.ceil((b - a) / farthest)), MOST_NODES)
+    return a + (b - a) * np.arange(1, count + 1) / count
+
+
+def _timed(law: WayController, path: ToolPath, start: FloatArray, scaled: bool) -> list[Motion]:
+    """Return the way of a path with times."""
+    assert path.times_ns is not None
+    curve = path.curve
+    times = (np.array(path.times_ns) - path.times_ns[0]) * _SECONDS
+    whole = float(times[-1])
+    if len(curve) == 0:
+        return [Rest(start, whole)]
+    stops = np.isclose(curve.at_poses[:, None], path.stops, rtol=0.0, atol=1e-9).any(axis=1)
+    distance = TimedDistance(times, curve.at_poses, stops)
+    count = min(max(FEWEST_NODES, math.ceil(whole / _NODE_TIME)), MOST_NODES)
+
+    def measure(s: FloatArray) -> FloatArray:
+        return distance.at(s * whole)
+
+    q = _joints(law, path, start, [measure(np.arange(1, count + 1) / count)])
+    joints = JointCurve.spline(q)
+    _check_between(law, path, joints, measure)
+    exact = Evenly(joints, whole)
+    beyond = exact.beyond(law)
+    if not beyond:
+        return [exact]
+    if not scaled:
+        j, share, s = beyond[:3]
+        name = law.kinematics.joint_names[j]
+        rule = f"keep the limits of {name}; with trajectory_limits: scale it takes longer"
+        got = f"{share:.3g} times its {beyond[3]} {path.place(float(measure(np.array([s]))[0]))}"
+        raise Refusal(WHERE, "the path", rule, got)
+    return [Way(joints, law.limits, law.arm, asked=whole, where=WHERE)]
+
+
+class Evenly:
+    """A curve of the joints gone through at an even pace.
+
+    Args:
+        curve: of the joints.
+        duration: [s].
+    """
+
+    def __init__(self, curve: JointCurve, duration: float) -> None:
+        self.curve, self.duration = curve, duration
+
+    def at(self, time: float) -> Reference:
+        """Return the joints at a time since the start [s]."""
+        if time >= self.duration:
+            return Reference.at_rest(self.curve.end)
+        return Reference(
+            *self.curve.moving(max(0.0, time) / self.duration, 1 / self.duration, 0, 0)
+        )
+
+    def beyond(self, law: WayController) -> tuple[int, float, float, str] | None:
+        """Return joint, how many times its limit, place and which limit are exceeded most."""
+        s = np.linspace(0.0, 1.0, 4 * len(self.curve.breaks) + 1)
+        derivatives = self.curve.derivatives(s)
+        worst = None
+        for order, (limit, name) in enumerate(
+            ((law.limits.speed, "speed"), (law.limits.acceleration, "acceleration")), start=1
+        ):
+            share = np.abs(derivatives[order]) / (limit * self.duration**order)
+            k, j = np.unravel_index(int(np.argmax(share)), share.shape)
+            most = float(share[k, j])
+            if most > 1.0 + 1e-6 and (worst is None or most > worst[1]):
+                worst = int(j), most, float(s[k]), name
+        return worst
+
+
+def _joints(
+    law: WayController, path: ToolPath, start: FloatArray, nodes: Sequence[FloatArray]
+) -> FloatArray:
+    """Return the joints at measures of a path (1 + K, N).
+
+    Raises:
+        Refusal: the arm cannot follow; with the place.
+    """
+    x = np.concatenate(nodes)
+    poses, arm, kinematics = path.curve.poses(x), law.arm, law.kinematics
+    q = arm.trace(start, poses.p, poses.R)
+    if len(q) == len(x) + 1 and len(start) > kinematics.rows:
+        goal = JointGoal(kinematics)  # redundant joints end where they began after a cycle
+        goal.begin(law.posture)
+        goal.aim(Pose(poses.p[-1], poses.R[-1]), q[-1])
+        goal.approach(_SETTLING_STEPS)
+        if goal.reached:
+            again = arm.trace(start, poses.p, poses.R, goal.q)
+            q = again if len(again) == len(q) and not outside(arm, again) else q
+    if len(q) <= len(x):
+        rule = "be where the arm can follow"
+        raise Refusal(WHERE, "the path", rule, f"a place beyond, {path.place(x[len(q) - 1])}")
+    low = np.minimum(kinematics.lower, start) - 1e-9
+    high = np.maximum(kinematics.upper, start) + 1e-9
+    beyond = np.argwhere((q < low) | (q > high))
+    if len(beyond):
+        node, j = beyond[0]
+        name = kinematics.joint_names[j]
+        rule = f"keep {name} within [{kinematics.lower[j]:.4g}, {kinematics.upper[j]:.4g}]"
+        raise Refusal(
+            WHERE, "the path", rule, f"{q[node, j]:.4g} {path.place(x[max(0, node - 1)])}"
+        )
+    return q
+
+
+def _check_between(law: WayController, path: ToolPath, joints: JointCurve, measure) -> None:  # type: ignore[no-untyped-def]
+    """Refuse a spline that leaves the path between its nodes: the arm would flip there."""
+    breaks = joints.breaks
+    s = 0.5 * (breaks[1:] + breaks[:-1])
+    x = measure(s)
+    off = errors(law.arm, joints.derivatives(s)[0], path.curve.poses(x))
+    k = int(np.argmax(off))
+    if off[k] > OFF_THE_PATH:
+        rule = "be where the joints can follow without a jump"
+        raise Refusal(WHERE, "the path", rule, f"a singular pose {path.place(float(x[k]))}")
+
+
+OFF_THE_PATH = 20.0 * OFF_THE_LINE  # rad, or m per reach: where the curvature steps

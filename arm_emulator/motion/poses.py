@@ -1,0 +1,46 @@
+"""Many poses of a tool, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from arm_emulator.motion.pose import Pose
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of a tool in a row."""
+
+    p: FloatArray
+    """(K, 3) [m]."""
+    R: FloatArray
+    """(K, 3, 3)."""
+
+    def __getitem__(self, places: slice) -> Poses:
+        """Return some of them."""
+        return Poses(self.p[places], self.R[places])
+
+
+def along_a_line(begin: Pose, end: Pose, parts: FloatArray) -> Poses:
+    """Return the poses at parts (K,) of the way, straight on and turning evenly about one axis."""
+    p = begin.p_WT + parts[:, None] * (end.p_WT - begin.p_WT)
+    turn = pin.log3(end.R_WT @ begin.R_WT.T)
+    return Poses(p, rotations(parts[:, None] * turn) @ begin.R_WT)
+
+
+def rotations(vectors: FloatArray) -> FloatArray:
+    """Return the rotation matrices of rotation vectors (K, 3), (K, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
+    x, y, z = vectors.T
+    none = np.zeros_like(x)
+    K = np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        first = np.where(angle > 1e-6, np.sin(angle) / angle, 1.0)
+        second = np.where(angle > 1e-6, 2.0 * (np.sin(0.5 * angle) / angle) ** 2, 0.5)
+    return np.asarray(np.eye(3) + first * K + second * (K @ K))

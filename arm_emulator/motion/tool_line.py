@@ -1,0 +1,75 @@
+"""The joints along a line of the tool: whether there is such a way, and why not."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.motion.arm_tree import ArmTree
+from arm_emulator.motion.joint_curve import JointCurve
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.poses import Poses, along_a_line
+
+FloatArray = npt.NDArray[np.float64]
+
+NODES = (32, 128, 512)  # of the spline; more where it leaves the line between them
+OFF_THE_LINE = 1e-5  # rad, or m per reach: between nodes
+
+
+def joints_along(
+    arm: ArmTree, start: FloatArray, begin: Pose, end: Pose, goal: FloatArray | None
+) -> JointCurve | str:
+    """Return the joints' curve along a line of the tool, or why no such curve exists.
+
+    Args:
+        arm: the arm.
+        start: its joints at the begin (N,).
+        begin: pose of the tool there.
+        end: pose of the tool at the end.
+        goal: angles of the joints at the end (N,); None: whichever the line leads to.
+    """
+    why = ""
+    for nodes in NODES:
+        poses = along_a_line(begin, end, np.arange(1, nodes + 1) / nodes)
+        q = arm.trace(start, poses.p, poses.R, goal)
+        if len(q) <= nodes:
+            why = f"the arm cannot follow it at {(len(q) - 1) / nodes:.0%} of its length"
+            if nodes < NODES[-1] and len(q) > 1:
+                continue  # a finer one may pass where the arm moves fast
+            return why
+        why = outside(arm, q)
+        if why:
+            return why
+        curve = JointCurve.spline(q)
+        between = (np.arange(nodes) + 0.5) / nodes
+        wanted = along_a_line(begin, end, between)
+        off = errors(arm, curve.derivatives(between)[0], wanted)
+        if float(off.max()) <= OFF_THE_LINE:
+            return curve
+        why = f"the joints would jump at {between[int(np.argmax(off))]:.0%} of its length"
+    return why
+
+
+def errors(arm: ArmTree, q: FloatArray, wanted: Poses) -> FloatArray:
+    """Return how far the tool is from poses at joint angles (K, N), scaled, (K,) [rad]."""
+    kinematics = arm.kinematics
+    p, R = arm.forward(q)
+    off = np.linalg.norm(p - wanted.p, axis=1) / kinematics.reach
+    if kinematics.turns_tool:
+        # Of a small rotation the vector is the antisymmetric part; a large one is far off anyway.
+        apart = wanted.R @ np.swapaxes(R, 1, 2)
+        off = off + np.linalg.norm(apart - np.swapaxes(apart, 1, 2), axis=(1, 2)) / np.sqrt(8.0)
+    return np.asarray(off)
+
+
+def outside(arm: ArmTree, q: FloatArray) -> str:
+    """Return which joint leaves its limits first on a way (K + 1, N) and where; empty: none."""
+    kinematics = arm.kinematics
+    low = np.minimum(kinematics.lower, q[0]) - 1e-9
+    high = np.maximum(kinematics.upper, q[0]) + 1e-9
+    beyond = np.argwhere((q < low) | (q > high))
+    if not len(beyond):
+        return ""
+    node, joint = beyond[0]
+    name = kinematics.joint_names[joint]
+    return f"{name} would leave its limits at {node / (len(q) - 1):.0%} of its length"

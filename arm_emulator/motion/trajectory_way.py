@@ -1,0 +1,179 @@
+"""Joint trajectories within the limits of speed and acceleration: as they are, slower, or refused.
+
+A trajectory whose speeds step, as those of points without speeds do, comes to rest where they step.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.joint_curve import JointCurve
+from arm_emulator.motion.joint_trajectory import WHERE, JointMotion, JointTrajectory
+from arm_emulator.motion.path_way import InARow
+from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.way import Way
+from arm_emulator.motion.way_controller import Motion, WayController
+
+FloatArray = npt.NDArray[np.float64]
+
+# A planner's points keep the limits; a spline through them exceeds them a little here and there.
+BETWEEN_POINTS = 1.05
+_STEP = 1e-3  # of the speed limit: rounding of planners changes speeds by less
+_LOOKS = np.linspace(0.0, 1.0, 9)  # places of a piece at which it is held against the limits
+_SECONDS = 1e-9
+
+
+class AsAsked:
+    """A joint trajectory that keeps its times.
+
+    Attributes:
+        end_ns: when it ends.
+    """
+
+    way = ""
+
+    def __init__(self, motion: JointMotion) -> None:
+        self._motion, self.end_ns = motion, motion.end_ns
+
+    def at(self, time_ns: int) -> Reference:
+        """Return the joints at a logical time."""
+        return Reference(*self._motion.sample(time_ns))
+
+    def asked_ns(self, time_ns: int) -> int:
+        """Return the time for which the trajectory gives what holds at a logical time."""
+        return time_ns
+
+
+class Slower:
+    """A joint trajectory that takes longer than asked.
+
+    Attributes:
+        end_ns: when it ends.
+        way: why, in words.
+    """
+
+    def __init__(
+        self, now_ns: int, before: Motion, runs: list[tuple[int, int, Way]], way: str
+    ) -> None:
+        self._now_ns, self._runs, self.way = now_ns, runs, way
+        self._row = InARow([before, *(run for _, _, run in runs)])
+        self.end_ns = now_ns + round(self._row.duration / _SECONDS)
+
+    def at(self, time_ns: int) -> Reference:
+        """Return the joints at a logical time."""
+        return self._row.at((time_ns - self._now_ns) * _SECONDS)
+
+    def asked_ns(self, time_ns: int) -> int:
+        """Return the time for which the trajectory gives what holds at a logical time."""
+        time = (time_ns - self._now_ns) * _SECONDS
+        for (begin, end, run), since in zip(self._runs, self._row.begins[1:], strict=False):
+            if time < since + run.duration:
+                return begin + round(run.place(time - since) * (end - begin))
+        return self._runs[-1][1]
+
+
+def within_limits(
+    law: WayController,
+    trajectory: JointTrajectory,
+    now_ns: int,
+    start_ns: int,
+    now: Reference,
+    scaled: bool,
+) -> AsAsked | Slower:
+    """Return the motion of a trajectory.
+
+    Args:
+        law: whose arm and limits hold.
+        trajectory: that begins.
+        now_ns: logical time [ns].
+        start_ns: from which its times count [ns].
+        now: how the joints move.
+        scaled: whether it may take longer than asked.
+
+    Raises:
+        Refusal: it cannot be begun so, or is faster than the limits and must not be scaled.
+    """
+    motion = trajectory.begin(now_ns, start_ns, now.q, now.v, now.a)
+    beyond = "" if trajectory.stops else too_fast(law, motion, now)
+    if not beyond:
+        return AsAsked(motion)
+    if not scaled:
+        rule = "keep the limits (trajectory_limits: scale makes it slower)"
+        raise Refusal(WHERE, "the points", rule, beyond)
+    stop = law.stopping(now)
+    rest = stop.at(stop.duration)
+    still = Reference.at_rest(rest.q)
+    motion = trajectory.begin(now_ns, start_ns, still.q, still.v, still.a)
+    runs = [
+        (begin, end, Way(curve, law.limits, law.arm, asked=(end - begin) * _SECONDS, where=WHERE))
+        for begin, end, curve in _runs(law, motion)
+    ]
+    asked = (motion.end_ns - now_ns) * _SECONDS
+    takes = stop.duration + sum(run.duration for _, _, run in runs)
+    way = f"in {takes:.3g} s instead of {asked:.3g} s: {beyond}"
+    return Slower(now_ns, stop, runs, way)
+
+
+def too_fast(law: WayController, motion: JointMotion, now: Reference) -> str:
+    """Return which limit a motion exceeds most, where and by how much; empty: none."""
+    c, T = motion.coefficients, _durations(motion)[:, None, None]
+    limits, names = law.limits, law.kinematics.joint_names
+    top = law.top_speed
+    worst, words = BETWEEN_POINTS, ""
+    steps = _steps(motion, now) / limits.speed
+    k, j = np.unravel_index(int(np.argmax(steps)), steps.shape)
+    if steps[k, j] > _STEP:
+        v = steps[k, j] * limits.speed[j]
+        return f"the speed of {names[j]} steps by {v:.3g} rad/s at {_place(motion, int(k))}"
+    t = T[:, :, 0] * _LOOKS  # (S, looks)
+    for order, limit, what in ((1, top, "rad/s"), (2, limits.acceleration, "rad/s2")):
+        powers = np.stack([_falling(d, order) * t ** max(0, d - order) for d in range(6)], axis=2)
+        share = np.abs(powers @ c) / limit
+        k, look, j = np.unravel_index(int(np.argmax(share)), share.shape)
+        if share[k, look, j] > worst:
+            worst = float(share[k, look, j])
+            words = f"{names[j]} at {worst * limit[j]:.3g} {what} after {_place(motion, int(k))}"
+            words += f", its limit is {limit[j]:.3g}"
+    return words
+
+
+def _falling(d: int, order: int) -> float:
+    return float(d if order == 1 else d * (d - 1))
+
+
+def _steps(motion: JointMotion, now: Reference) -> FloatArray:
+    """Return by how much speeds change at once where pieces begin, and at the end, (S + 1, N)."""
+    c, T = motion.coefficients, _durations(motion)[:, None]
+    before = sum(d * c[:, d] * T ** (d - 1) for d in range(1, 6))
+    return np.asarray(np.abs(np.vstack([c[:, 1], 0.0 * now.v]) - np.vstack([now.v, before])))
+
+
+def _runs(law: WayController, motion: JointMotion) -> list[tuple[int, int, JointCurve]]:
+    """Return the stretches of a motion between steps of its speed: begin, end [ns], curve."""
+    times = [*motion.starts_ns, motion.end_ns]
+    steps = _steps(motion, Reference.at_rest(motion.coefficients[0, 0])) / law.limits.speed
+    cut = [k for k in range(1, len(times) - 1) if steps[k].max() > _STEP]
+    ends = [0, *cut, len(times) - 1]
+    runs = []
+    for first, last in itertools.pairwise(ends):
+        begin, end = times[first], times[last]
+        whole = (end - begin) * _SECONDS
+        breaks = (np.array(times[first : last + 1]) - begin) / (end - begin)
+        scaled = motion.coefficients[first:last] * whole ** np.arange(6)[:, None]
+        runs.append((begin, end, JointCurve(breaks, scaled)))
+    return runs
+
+
+def _durations(motion: JointMotion) -> FloatArray:
+    """Return how long each piece takes (S,) [s]."""
+    times = np.array([*motion.starts_ns, motion.end_ns], dtype=np.int64)
+    return np.diff(times).astype(np.float64) * _SECONDS
+
+
+def _place(motion: JointMotion, piece: int) -> str:
+    begins = [*motion.starts_ns, motion.end_ns][piece]
+    return f"{(begins - motion.starts_ns[0]) * _SECONDS:.3g} s"

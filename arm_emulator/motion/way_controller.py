@@ -1,0 +1,361 @@
+"""Tool targets along ways that are known before they begin.
+
+A target that comes while the arm rests is reached along the tool's line, or along the joints' line
+where that of the tool is not possible or takes much longer. One that comes while the arm moves is
+reached from that motion, jerk-limited (`TakeOver`). All of them are planned to their end within the
+limits of speed, acceleration and jerk, those from rest within the torques of the description too;
+so nothing goes past its end.
+
+The reference is the controller's own. It begins at rest where the arm is and never depends on a
+measurement later, so that the limits hold by construction, whatever the servo does, and measurement
+noise does not come back as motion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+import ruckig
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.arm_tree import ArmTree
+from arm_emulator.motion.configuration_search import ConfigurationSearch
+from arm_emulator.motion.instruction import Instruction
+from arm_emulator.motion.joint_curve import JointCurve
+from arm_emulator.motion.joint_goal import JointGoal
+from arm_emulator.motion.kinematics import POSITION_ROWS, Kinematics
+from arm_emulator.motion.motion_config import MotionConfig
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.take_over import Rest, TakeOver
+from arm_emulator.motion.tool_line import joints_along
+from arm_emulator.motion.way import Way, WayLimits
+
+FloatArray = npt.NDArray[np.float64]
+
+LOST = 0.2  # rad (or m per reach) between arm and reference: somebody else moves the arm
+SPEED_SHARE = 0.89  # of the description's limit; the rest is for links that swing on their gears
+JERK_TIME = 0.05  # s in which the acceleration comes to its limit, where no jerk is given
+_STEPS = 12  # of the joint goal per motion period
+_LONGEST_SEEK = 20  # periods, for which the arm waits
+_SEARCH_TIME = 3e-3  # s of logical time for a step of the search
+MUCH_LONGER = 1.5  # times the joints' line takes, and
+LONGER = 0.1  # s: then the joints' line is taken
+_STILL = 1e-9  # rad/s, rad/s2 and per reach
+_SAME = 1e-9  # m, and of a rotation's entries: the same target once more
+
+
+class Motion(Protocol):
+    """What the reference follows.
+
+    Attributes:
+        duration: [s]; from then on it rests.
+    """
+
+    @property
+    def duration(self) -> float:
+        """See above."""
+
+    def at(self, time: float) -> Reference:
+        """Return the joints at a time since its begin [s]."""
+
+
+class WayController:
+    """Tool targets to joint targets with their derivatives.
+
+    Args:
+        kinematics: of the arm, with its limits.
+        config: parameters.
+    """
+
+    def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
+        self.kinematics = kinematics
+        self.period = config.period
+        self.arm = ArmTree(kinematics, (config.gravity_x, config.gravity_y, config.gravity_z))
+        self._limit(config)
+        self._goal = JointGoal(kinematics)
+        self._elsewhere = ConfigurationSearch(kinematics)
+        self.error = np.full(kinematics.rows, math.nan)
+        """Tool error that the last answer found, (rows,) [m, rad]; NaN before any."""
+        self.notices: tuple[str, ...] = ()
+        """What limited the last answer, in words; empty: nothing did."""
+        self.way = ""
+        """Which way leads to the target, and why that one, in words; empty: not known yet."""
+        self._began = False
+        self._target: Pose | None = None
+        self._seeking, self._looking = 0, False
+        self._motion: Motion
+        self._time = 0.0
+        self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
+
+    def retune(self, config: MotionConfig) -> None:
+        """Go on with other limits, from the next way on."""
+        self._limit(config)
+
+    def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+        """Begin at joint angles q (N,), which redundant arms come back to.
+
+        Args:
+            q: [rad or m].
+            v: joint speeds (N,) [rad/s or m/s]; None: at rest.
+
+        Raises:
+            Refusal: q of a wrong length, not finite or too large. Nothing has changed then.
+        """
+        here = Reference.at_rest(self.kinematics.vector(q).copy())
+        if v is not None:
+            here = replace(here, v=np.asarray(v, dtype=np.float64))
+        self.begin_moving(here)
+
+    def begin_moving(self, now: Reference) -> None:
+        """Begin with the joints as they move."""
+        self._began = True
+        self._take(now)
+
+    @property
+    def coming(self) -> Reference:
+        """How the joints are commanded to move at the next motion period."""
+        return self._motion.at(self._time)
+
+    @property
+    def motion(self) -> Motion:
+        """What the reference follows now."""
+        return self._motion
+
+    @property
+    def seeking(self) -> bool:
+        """Whether the joint angles of the target are not found yet."""
+        return self._seeking > 0
+
+    @property
+    def posture(self) -> FloatArray:
+        """The joint angles that redundant arms come back to (N,)."""
+        return self._goal.posture
+
+    @property
+    def searching(self) -> bool:
+        """Whether it still looks for joint angles that reach the target."""
+        return self._seeking > 0 or (self._looking and not self._elsewhere.over)
+
+    def update(self, q: npt.ArrayLike, target: Pose) -> Instruction:
+        """Return the joint targets that bring the tool nearer to its target, and hold it there.
+
+        Args:
+            q: measured joint angles (N,) [rad or m].
+            target: where the tool shall be.
+
+        Raises:
+            Refusal: q of a wrong length, not finite or too large. Nothing has changed then.
+            ArithmeticError: the robot description holds numbers that cannot be computed with.
+        """
+        q = self.kinematics.vector(q)
+        notices = self._find_reference(q)
+        now = self.coming
+        if target is not self._target and not _same(target, self._target):
+            self._aim(target, now)
+        self._target = target
+        if self._seeking:
+            self._seek(now, notices)
+        elif self._goal.settled and not self._goal.reached:
+            self._look_elsewhere(now, notices)
+        if not self._seeking and not self._goal.reached:
+            notices.append(self._unreachable())
+        self.notices = tuple(notices)
+        return self.go_on(q, target)
+
+    def follow(self, motion: Motion) -> None:
+        """Go along a motion that begins as the joints are commanded to move, from now on."""
+        self._target, self._seeking, self._looking = None, 0, False
+        self._follow(motion, "")
+
+    def go_on(self, q: FloatArray, end: Pose) -> Instruction:
+        """Return the joint targets now, and go on along the motion.
+
+        Args:
+            q: measured joint angles (N,) [rad or m].
+            end: where the tool shall be in the end.
+        """
+        now = self.coming
+        self._time += self.period
+        v = (self.coming.q - now.q) / self.period
+        if not np.isfinite(v).all():
+            raise ArithmeticError(f"the joint speeds are not finite at q = {q}")
+        self.error = self.kinematics.tool_error(q, end)
+        return Instruction(now.q, v, None, now)
+
+    @property
+    def resting(self) -> bool:
+        """Whether the reference is at the end of its way, and knows no farther one."""
+        return self._time > self._motion.duration and not self.searching
+
+    def _limit(self, config: MotionConfig) -> None:
+        self.limits = way_limits(self.kinematics, config)
+        self.top_speed = np.minimum(self.kinematics.velocity_limit, config.velocity_limit)
+        """What speeds may be that others ask for (N,): without what is kept for swinging links."""
+
+    def _take(self, now: Reference) -> None:
+        """Let the reference be as the joints move, and come to rest."""
+        self._goal.begin(now.q)
+        self._target = None
+        self._seeking, self._looking = 0, False
+        self._follow(self.stopping(now), "")
+
+    def _follow(self, motion: Motion, way: str) -> None:
+        self._motion, self._time, self.way = motion, 0.0, way
+
+    def stopping(self, now: Reference) -> Motion:
+        """Return how the joints come to rest."""
+        if self._is_still(now):
+            return Rest(now.q)
+        kinematics = self.kinematics
+        return TakeOver(now, None, self.limits, kinematics.lower, kinematics.upper)
+
+    def _is_still(self, now: Reference) -> bool:
+        scale = self.kinematics.joint_scale
+        return bool((np.abs(now.v) <= _STILL * scale).all() and (np.abs(now.a) <= _STILL).all())
+
+    def _find_reference(self, q: FloatArray) -> list[str]:
+        """Begin anew where the arm is if that is far from the reference; report it."""
+        notices = []
+        if not self._began:
+            self.begin(q)
+        off = float(np.abs((q - self.coming.q) / self.kinematics.joint_scale).max())
+        if off > LOST:
+            self.begin(q)
+            notices.append(f"the arm was {off:.2g} rad from its reference, which began anew there")
+        return notices
+
+    def _aim(self, target: Pose, now: Reference) -> None:
+        self._goal.aim(target, now.q)
+        self._looking = False
+        self._seeking = 1
+        self._followed: JointCurve | str = ""
+        if self._is_still(now) and len(now.q) <= self.kinematics.rows:
+            # The tool's line leads to the only joint angles that continue those of now.
+            self._followed = self._tool_line(now, target, None)
+            if isinstance(self._followed, JointCurve):
+                self._goal.take(self._followed.end)
+
+    def _seek(self, now: Reference, notices: list[str]) -> None:
+        """Look for the joint angles of the target, and go there."""
+        assert self._target is not None
+        goal = self._goal
+        goal.approach(_STEPS)
+        still = self._is_still(now)
+        self._seeking = 0 if goal.settled else self._seeking + 1
+        if still and 0 < self._seeking < _LONGEST_SEEK:  # until it knows the end of its way
+            return
+        if not still:
+            self._turn_off(now)
+            return
+        line = self._followed
+        if goal.reached and not isinstance(line, JointCurve):
+            redundant = len(now.q) > self.kinematics.rows
+            line = self._tool_line(now, self._target, goal.q) if redundant else line
+        self._set_out(now, line if goal.reached else "the target is beyond reach", notices)
+
+    def _tool_line(self, now: Reference, target: Pose, goal: FloatArray | None) -> JointCurve | str:
+        R_WT, p_WT = self.kinematics.forward(now.q)
+        return joints_along(self.arm, now.q, Pose(p_WT, R_WT), target, goal)
+
+    def _turn_off(self, now: Reference) -> None:
+        """Go to the joint goal from a motion."""
+        kinematics = self.kinematics
+        way = TakeOver(now, self._goal.q, self.limits, kinematics.lower, kinematics.upper)
+        self._follow(way, "from its motion along a way of the joints: the target came on the way")
+        if way.stops:  # from rest it goes on
+            self._seeking = max(1, self._seeking)
+
+    def _set_out(self, now: Reference, line: JointCurve | str, notices: list[str]) -> None:
+        """Go to the joint goal from rest, along the tool's line or the reason why not."""
+        end = self._goal.q
+        if not isinstance(line, JointCurve):
+            joints = self._way(JointCurve.line(now.q, end), notices)
+            self._follow(joints, f"along the joints' line: {line}")
+            return
+        straight = self._way(line, notices)
+        least = joints_duration(end - now.q, self.limits)
+        if straight.duration <= MUCH_LONGER * least + LONGER:
+            self._follow(straight, "along the tool's line")
+            return
+        joints = self._way(JointCurve.line(now.q, end), notices)
+        if straight.duration <= MUCH_LONGER * joints.duration + LONGER:
+            self._follow(straight, "along the tool's line")
+            return
+        self._follow(
+            joints,
+            f"along the joints' line: the tool's passes near a singular pose and would take "
+            f"{straight.duration:.3g} s instead of {joints.duration:.3g} s",
+        )
+
+    def _way(self, curve: JointCurve, notices: list[str]) -> Way:
+        try:
+            return Way(curve, self.limits, self.arm)
+        except Refusal as reason:  # the arm is held there by more than its description allows
+            notices.append(str(reason))
+            return Way(curve, self.limits)
+
+    def _look_elsewhere(self, now: Reference, notices: list[str]) -> None:
+        """Where the arm rests at the nearest point, look for a configuration that reaches."""
+        assert self._target is not None
+        if not self._looking:
+            if self._time <= self._motion.duration:
+                return
+            self._looking = True
+            self._elsewhere.begin(self._target, now.q)
+        # As many per time whatever the period: it takes some 5 s.
+        found = self._elsewhere.search(max(3, round(self.period / _SEARCH_TIME)))
+        if found is not None:
+            self._goal.take(found)
+            self._set_out(now, "another configuration reaches the target", notices)
+        elif self.searching:
+            notices.append("looks for another configuration")
+
+    def _unreachable(self) -> str:
+        goal, kinematics = self._goal, self.kinematics
+        error = goal.error / kinematics.scale
+        words = f"unreachable: the nearest point is {np.linalg.norm(error[:3]):.3g} m"
+        if len(error) > POSITION_ROWS:
+            words += f" and {np.linalg.norm(error[3:]):.3g} rad"
+        words += " away"
+        at = (goal.q <= kinematics.lower) | (goal.q >= kinematics.upper)
+        if at.any():
+            names = ", ".join(kinematics.joint_names[j] for j in np.flatnonzero(at))
+            words += f", {names} at the limit"
+        return words
+
+
+def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:
+    """Return what the joints may do, by the robot description and the parameters."""
+    speed = np.minimum(SPEED_SHARE * kinematics.velocity_limit, config.velocity_limit)
+    acceleration = np.minimum(kinematics.acceleration_limit, config.acceleration_limit)
+    jerk = acceleration / JERK_TIME
+    if config.jerk_limit > 0.0:
+        jerk = np.full_like(acceleration, config.jerk_limit)
+    return WayLimits(speed, acceleration, jerk, kinematics.effort_limit)
+
+
+def joints_duration(step: FloatArray, limits: WayLimits) -> float:
+    """Return how long a line of the joints takes, but for torques [s]."""
+    size = np.maximum(np.abs(step), 1e-12)
+    problem, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
+    problem.target_position = [1.0]
+    problem.max_velocity = [float((limits.speed / size).min())]
+    problem.max_acceleration = [float((limits.acceleration / size).min())]
+    problem.max_jerk = [float((limits.jerk / size).min())]
+    try:
+        ruckig.Ruckig(1).calculate(problem, trajectory)
+    except ruckig.RuckigError:  # numbers beyond its range: a step of nothing
+        return 0.0
+    return float(trajectory.duration)
+
+
+def _same(one: Pose, other: Pose | None) -> bool:
+    return other is not None and bool(
+        (np.abs(one.p_WT - other.p_WT) <= _SAME).all()
+        and (np.abs(one.R_WT - other.R_WT) <= _SAME).all()
+    )

@@ -1,0 +1,169 @@
+"""Tool paths through the whole machine: how far the true tool is beside them.
+
+Lines, circles and corners with blend, at two speeds. What the gears give way at rest, where a path
+begins and ends, is taken off: the servo does not see it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.link_torques import LinkTorques
+from arm_emulator.motion.path_watch import apart
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
+from bench.measure import progress
+from bench.motion import Array
+from bench.pictures import new_figure
+
+TITLE = "Tool paths all the way"
+
+SCENES = ("ur5", "panda")
+SPEEDS = (0.25, 1.0)  # m/s
+KINDS = ("line", "circle", "corners")
+ACCELERATION, JERK = 5.0, 100.0  # m/s2, m/s3
+EVERY = 2  # servo periods between samples
+LONGEST = 20.0  # s
+
+
+@dataclass
+class Run:
+    """One path through the machine: samples of the true tool and of the joints."""
+
+    t: Array
+    tool: Array
+    off: Array
+    """Beside the path, without the wind-up at rest (K,) [m]."""
+    joints: Array
+    """Link speeds over their limits (K, N)."""
+    end: str
+    reason: str
+
+
+def poses(kind: str, home: Pose) -> list[Array]:
+    """Return the points of a path about the tool's start."""
+    if kind == "line":
+        points = [(0.0, -0.15, 0.0), (0.0, 0.15, 0.0)]
+    elif kind == "circle":
+        points = [
+            (0.1 * math.cos(turn) - 0.1, 0.1 * math.sin(turn), 0.0)
+            for turn in np.linspace(0.0, 2.0 * math.pi, 5)
+        ]
+    else:
+        points = [(0.0, -0.1, 0.0), (0.0, 0.1, 0.0), (0.0, 0.1, 0.15), (0.0, -0.1, 0.15)]
+    return [home.p_WT + np.array(one) for one in points]
+
+
+def drive(scene_name: str, kind: str, speed: float) -> Run:
+    """Send the tool along a path."""
+    file = find_scene(scene_name)
+    scene, gains = load_scene(file), load_gains(file)
+    motion = dataclasses.replace(
+        gains.motion,
+        tool_speed=speed,
+        tool_acceleration=ACCELERATION,
+        tool_jerk=JERK,
+        path_arcs=kind == "circle",
+        path_blend=0.03 * (kind == "corners"),
+        tool_path_tolerance=0.0,
+    )
+    one = OfflineRun(scene, gains.servo, motion)
+    kinematics, session = one.controller.kinematics, one.session
+    R_WT, p_WT = kinematics.forward(scene.start)
+    way = [Pose(p, R_WT) for p in poses(kind, Pose(p_WT, R_WT))]
+    settle = round(2.0 / scene.servo_period)
+    one.instructor.add_path(one.controller, way[:1])
+    one.advance(settle)
+    one.instructor.reports.take()
+    gravity = LinkTorques(scene.urdf, kinematics.joint_names, scene.gravity or (0.0, 0.0, 0.0))
+    one.instructor.add_path(one.controller, way)
+    t, tool, joints, asked = [], [], [], []
+    end, reason, after = "", "", 0
+    while session.logical_ns * 1e-9 < LONGEST and after < 100:
+        one.advance(EVERY)
+        q = session.state.q
+        still = gravity.at(q, np.zeros(len(q)))
+        t.append(session.logical_ns * 1e-9)
+        tool.append(kinematics.forward(q + scene.wind_up(still))[1])
+        joints.append(np.abs(session.state.v) / kinematics.velocity_limit)
+        asked.append(kinematics.forward(one.instructor.leading.coming.q)[1])  # type: ignore[union-attr]
+        for report in one.instructor.reports.take():
+            end, reason = report.state.name, report.reason or reason
+        after += end in ("REACHED", "REFUSED", "ABORTED", "UNREACHABLE")
+    line = np.array(asked)
+    off = np.array([apart(p[None], line[:-1], line[1:]).min() for p in np.array(tool)])
+    return Run(np.array(t) - t[0], np.array(tool), off, np.array(joints), end, reason)
+
+
+def run(quick: bool) -> dict[str, Any]:
+    """Measure all paths."""
+    cases = [(s, k, v) for s in SCENES for k in KINDS for v in SPEEDS]
+    rows = []
+    with progress("paths", len(cases[:: 4 if quick else 1])) as done:
+        for scene, kind, speed in cases[:: 4 if quick else 1]:
+            one = drive(scene, kind, speed)
+            rows.append(
+                {
+                    "scene": scene,
+                    "kind": kind,
+                    "speed": speed,
+                    "end": one.end,
+                    "reason": one.reason,
+                    "off": float(one.off.max()),
+                    "joints": float(one.joints.max()),
+                    "seconds": float(one.t[-1]),
+                }
+            )
+            done(f"{scene}, {kind}, {speed:g} m/s")
+    return {"rows": rows}
+
+
+def report(figures: dict[str, Any]) -> str:
+    """Return the section of the report."""
+    lines = [
+        "300 mm, circles of 100 mm radius and corners rounded from 30 mm before, with "
+        f"{ACCELERATION:g} m/s² and {JERK:g} m/s³. The true tool's largest distance from the way "
+        "asked for, without the gears' wind-up at rest, and the largest link speed over its limit.",
+        "",
+        "| scene | path | asked | ends | beside it | speed / limit |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['scene']} | {row['kind']} | {row['speed']:g} m/s | {row['end'].lower()} "
+        f"| {row['off'] * 1e3:.2f} mm | {row['joints']:.2f} |"
+        for row in figures["rows"]
+    ]
+    return "\n".join(lines)
+
+
+def draw(folder: Path) -> Path:
+    """Draw one path of each kind: where the tool goes, speeds over limits, distance from it."""
+    figure = new_figure(9.0, 7.0)
+    axes = figure.subplots(3, len(KINDS))
+    for column, kind in enumerate(KINDS):
+        one = drive("ur5", kind, SPEEDS[-1])
+        way, speeds, off = axes[:, column]
+        side = 2 if kind == "corners" else 0
+        way.plot(one.tool[:, 1], one.tool[:, side], lw=1.0)
+        way.set_title(f"{kind}, {SPEEDS[-1]:g} m/s")
+        way.set_xlabel("y [m]")
+        way.set_ylabel("z [m]" if side else "x [m]")
+        way.axis("equal")
+        speeds.plot(one.t, one.joints, lw=0.8)
+        speeds.axhline(1.0, color="k", lw=0.8)
+        speeds.set_ylabel("link speed / limit")
+        off.plot(one.t, one.off * 1e3, lw=0.8)
+        off.set_ylabel("beside the path [mm]")
+        off.set_xlabel("t [s]")
+    file = folder / "tool_paths.png"
+    figure.savefig(file, dpi=110)
+    return file

@@ -1,0 +1,56 @@
+"""Kinematics and torques of many configurations at once, against Pinocchio one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.arm_tree import ArmTree
+from arm_emulator.motion.kinematics import Kinematics, moving_joints
+from arm_emulator.motion.link_torques import LinkTorques
+from oracles.own_robots import OWN
+
+GRAVITY = (1.0, -2.0, -9.0)
+
+
+@pytest.mark.parametrize("name", some(sorted(OWN), 6))
+def test_it_is_pinocchio_in_rows(name: str) -> None:
+    urdf = OWN[name]()
+    scene_free = moving_joints(urdf)
+    tool = _last_link(urdf)
+    kinematics = Kinematics(urdf, scene_free, tool)
+    arm, torques = ArmTree(kinematics, GRAVITY), LinkTorques(urdf, scene_free, GRAVITY)
+    rng = np.random.default_rng(0)
+    q, v, a = rng.normal(size=(3, 5, len(scene_free)))
+    p, R = arm.forward(q)
+    tau = arm.torques(q, v, a)
+    for k in range(5):
+        R_WT, p_WT = kinematics.forward(q[k])
+        np.testing.assert_allclose(p[k], p_WT, atol=1e-12)
+        np.testing.assert_allclose(R[k], R_WT, atol=1e-12)
+        np.testing.assert_allclose(tau[k], torques.at(q[k], v[k], a[k]), rtol=1e-9, atol=1e-9)
+
+
+def test_a_trace_goes_through_its_poses() -> None:
+    scene = load_scene("manutec_r3")
+    kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    arm = ArmTree(kinematics)
+    start = np.array([-0.5, 0.6, 1.4, 0.3, -1.2, 0.2])
+    R_WT, p_WT = kinematics.forward(start)
+    p = p_WT + np.linspace(0.0, 1.0, 21)[1:, None] * [0.1, -0.05, 0.1]
+    q = arm.trace(start, p, np.repeat(R_WT[None], 20, axis=0))
+    np.testing.assert_array_equal(q[0], start)
+    np.testing.assert_allclose(arm.forward(q[1:])[0], p, atol=1e-9)
+
+
+def _last_link(urdf: str) -> str:
+    """Return a link from which nothing hangs."""
+    import xml.etree.ElementTree as ET
+
+    robot = ET.fromstring(urdf.encode())
+    parents = {one.get("link") for one in robot.iter("parent") if one.get("link")}
+    return next(
+        one.get("name", "") for one in robot.findall("link") if one.get("name") not in parents
+    )
