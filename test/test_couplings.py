@@ -355,8 +355,9 @@ def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     pair = reachable(kinematics, 0.2, np.random.default_rng(1))
     assert pair is not None
-    words, _, peak = move(scene, gains, *pair, np.array([drive.speed for drive in written.drives]))
-    assert not words and peak <= 1.0, words
+    limits = np.array([drive.speed for drive in written.drives])
+    one = move(scene, gains, "50 mm", *pair, limits)
+    assert not one.words and one.peak_speed <= 1.0 and not one.overshot, one
 
 
 def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> None:
@@ -386,8 +387,9 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     assert not overloads(scene)
     pair = reachable(kinematics, 0.1, np.random.default_rng(1))
     assert pair is not None
-    words, _, peak = move(scene, gains, *pair, np.array([drive.speed for drive in written.drives]))
-    assert not words and peak <= 1.0, words
+    limits = np.array([drive.speed for drive in written.drives])
+    one = move(scene, gains, "50 mm", *pair, limits)
+    assert not one.words and one.peak_speed <= 1.0 and not one.overshot, one
 
 
 @pytest.mark.skipif(not FULL, reason="fleets are compiled once more for it: make test-in-full")
