@@ -59,8 +59,9 @@ def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Pat
     pair = reachable(kinematics, 0.1, np.random.default_rng(3))
     assert pair is not None
     limits = np.array([drive.speed for drive in written.drives])
-    words, seconds, peak = move(upright, gains, *pair, limits)
-    assert not words and peak <= 1.0 and seconds < 6.0, (words, seconds, peak)
+    done = move(upright, gains, "100 mm", *pair, limits)
+    assert not done.words and done.peak_speed <= 1.0 and done.seconds < 6.0, done
+    assert not done.overshot, done
 
 
 def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None:
