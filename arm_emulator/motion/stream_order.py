@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jog import speeds_of_twist
+from arm_emulator.motion.joint_goal import directions
 from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics
 from arm_emulator.motion.laws import Laws, smooth_joints
 from arm_emulator.motion.motion_report import Kind
@@ -26,6 +27,7 @@ LEAST = 3  # targets in a row
 FASTEST, FASTEST_TURN = 2.0, 6.0  # m/s, rad/s: targets farther apart than that are no motion
 NEAR, NEAR_TURN = 0.1, 0.5  # m, rad: a tool farther from its target goes there by a way of its own
 GAIN = 15.0  # 1/s, of the tool's distance
+BACK = 2.0  # 1/s, of redundant joints' distance from their posture
 SMOOTH = 0.5  # part of a newly measured speed that counts
 _SECONDS = 1e-9
 
@@ -38,6 +40,8 @@ class _Seen:
     """Between this target and those before (6,) [m/s, rad/s]."""
     count: int
     """How many have come in a row."""
+    posture: FloatArray
+    """Joint angles at the first of them, which redundant joints come back to (N,) [rad or m]."""
 
 
 class TargetStream:
@@ -58,17 +62,20 @@ class TargetStream:
             q: where the joints are commanded to be (N,).
         """
         pose, last = order.pose, self._last
-        self._last = _Seen(now_ns, pose, np.zeros(POSE_ROWS), 1)
+        self._last = _Seen(now_ns, pose, np.zeros(POSE_ROWS), 1, q)
         if last is None or not 0.0 < (now_ns - last.time_ns) * _SECONDS <= GAP:
             return order
         twist = _between(last.pose, pose) / ((now_ns - last.time_ns) * _SECONDS)
         if np.linalg.norm(twist[:3]) > FASTEST or np.linalg.norm(twist[3:]) > FASTEST_TURN:
             return order
         twist = twist if last.count == 1 else SMOOTH * twist + (1.0 - SMOOTH) * last.twist
-        self._last = _Seen(now_ns, pose, twist, last.count + 1)
+        posture = last.posture
+        self._last = _Seen(now_ns, pose, twist, last.count + 1, posture)
         error = kinematics.tool_error(q, pose)
         far = np.linalg.norm(error[:3]) > NEAR or np.linalg.norm(error[3:]) > NEAR_TURN
-        return order if far or last.count + 1 < LEAST else StreamOrder(order, now_ns, twist)
+        return (
+            order if far or last.count + 1 < LEAST else StreamOrder(order, now_ns, twist, posture)
+        )
 
 
 class StreamOrder:
@@ -78,13 +85,16 @@ class StreamOrder:
         target: the order to rest at the target.
         time_ns: when the target held [ns].
         twist: its speed (6,) [m/s, rad/s].
+        posture: joint angles that redundant joints come back to (N,) [rad or m].
     """
 
     kind = Kind.TOOL_TARGET
     way = ""
 
-    def __init__(self, target: TargetOrder, time_ns: int, twist: FloatArray) -> None:
-        self.stamp_ns = target.stamp_ns
+    def __init__(
+        self, target: TargetOrder, time_ns: int, twist: FloatArray, posture: FloatArray
+    ) -> None:
+        self.stamp_ns, self._posture = target.stamp_ns, posture
         self._target, self._time_ns, self._twist = target, time_ns, twist
         self._rests = False
 
@@ -107,8 +117,18 @@ class StreamOrder:
         error = np.zeros(POSE_ROWS)
         error[: kinematics.rows] = kinematics.tool_error(now.q, self._at(age))
         v = speeds_of_twist(kinematics, coming, self._twist + GAIN * error, laws.config).v
+        v = v + self._back(kinematics, coming)
         mean = self._joints.go(v * self._joints.allowed(now.q, v).min(), alone=False)
         return Instruction(now.q, mean, None, now)
+
+    def _back(self, kinematics: Kinematics, q: FloatArray) -> FloatArray:
+        """Return the joint speeds towards the posture that leave the tool where it is (N,)."""
+        if len(q) <= kinematics.rows:
+            return np.zeros_like(q)
+        scale = kinematics.joint_scale
+        idle = directions(kinematics.scale[:, None] * kinematics.jacobian(q) * scale)[1]
+        idle = idle[:, : len(q) - kinematics.rows]
+        return np.asarray(scale * (idle @ (idle.T @ ((self._posture - q) / scale))) * BACK)
 
     def _at(self, age: float) -> Pose:
         """Return where the target has gone since it came."""

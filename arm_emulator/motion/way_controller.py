@@ -42,6 +42,8 @@ SPEED_SHARE = 0.89  # of the description's limit; the rest is for links that swi
 JERK_TIME = 0.05  # s in which the acceleration comes to its limit, where no jerk is given
 _STEPS = 12  # of the joint goal per motion period
 _LONGEST_SEEK = 20  # periods, for which the arm waits
+_FAR, _NEARER = 1.0, 0.8  # rad, and parts of it: then nearer joint angles are looked for
+_FAR_STEPS = 30  # of the joint goal, for them
 _SEARCH_TIME = 3e-3  # s of logical time for a step of the search
 MUCH_LONGER = 1.5  # times the joints' line takes, and
 LONGER = 0.1  # s: then the joints' line is taken
@@ -238,7 +240,22 @@ class WayController:
             # The tool's line leads to the only joint angles that continue those of now.
             self._followed = self._tool_line(now, target, None)
             if isinstance(self._followed, JointCurve):
-                self._goal.take(self._followed.end)
+                self._settle_for(self._followed.end, now)
+
+    def _settle_for(self, end: FloatArray, now: Reference) -> None:
+        """Take the joint angles that the tool's line leads to, unless there are nearer ones.
+
+        A line close by a singular pose may turn the wrist over.
+        """
+        scale = self.kinematics.joint_scale
+        far = float(np.abs((end - now.q) / scale).max())
+        if far > _FAR:
+            self._goal.approach(_FAR_STEPS)
+            found = float(np.abs((self._goal.q - now.q) / scale).max())
+            if self._goal.reached and found < _NEARER * far:
+                self._followed = "the tool's leads to joint angles that are farther away"
+                return
+        self._goal.take(end)
 
     def _seek(self, now: Reference, notices: list[str]) -> None:
         """Look for the joint angles of the target, and go there."""
