@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from draws import some
 from in_process import in_process
 from machines import CONFIG, MOVED, gantry_urdf, one_link_urdf, write_scene
 from test_by_hand import CLOCKS, go_on, session_of
@@ -142,6 +143,22 @@ def test_power_off_holds_the_arm_by_its_brakes(scene: Scene) -> None:
         np.testing.assert_array_equal(plant.state.theta_m, theta, err_msg="rotors, 1 s later")
         # What swings, swings about the wind-up under the weight.
         assert (highest <= 2.5 * np.abs(wind_up) + 1e-3).all(), f"{highest}, wind-up {wind_up}"
+
+
+@pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated", "paper"], 2))
+@pytest.mark.parametrize("dt", [1e-3, 1e-4])
+@pytest.mark.parametrize("torque", some([0.05, 0.5, 2.0, 50.0], 2))
+def test_a_brake_that_closes_at_rest_moves_nothing(torque: float, dt: float, scheme: str) -> None:
+    """Rotors without friction stand but for rounding: some 1e-12 rad/s of either sign."""
+    keys = {"joints.*.brake": {"torque": torque, "close_delay": 0.02}}
+    integrator = {"integrator.dt": dt, "integrator.scheme": scheme}
+    plant = Plant(load_scene("three_axis", overrides={**keys, **integrator}))
+    plant.powered = False
+    start = plant.state
+    plant.advance(np.zeros(3), round(0.3 / dt))
+    assert plant.measured.brake_closed.all()
+    np.testing.assert_allclose(plant.state.q, start.q, atol=1e-12)
+    np.testing.assert_allclose(plant.state.v, 0.0, atol=1e-11)
 
 
 def test_a_machine_is_saved_while_a_brake_is_on_its_way(scene: Scene) -> None:

@@ -51,8 +51,10 @@ struct RotorFriction {
   constexpr Mode wanted(double began, double wm, const OnRotor& on, const Mode& mode) const {
     if (mode.held) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on.of_gear);
     if (is_free()) return mode;
-    // A rotor that reverses comes to rest at the step's end; one that was at rest has not left it.
-    return began == 0.0 && wm * mode.offset < 0.0 ? Mode{true, 0.0} : mode;
+    // A rotor that reverses comes to rest at the step's end, or has rested all along if it stopped
+    // in the first half: friction that goes on beyond would wind up the gear.
+    const bool stops_early = magnitude(began) < magnitude(wm);
+    return wm * mode.offset < 0.0 && stops_early ? Mode{true, 0.0} : mode;
   }
   constexpr double margin(double wm, const OnRotor& on, const Mode& mode) const {
     if (mode.held) return spare(on);
