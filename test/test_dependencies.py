@@ -70,7 +70,7 @@ def test_wheels_for_ros_are_those_of_the_environment_that_is_tested() -> None:
 
 
 # What the wheel needs beside ROS is named in requirements*.txt, and follows from these.
-BROUGHT = {"lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
+BROUGHT = {"coal": "pin", "lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
 NAMES = {"pinocchio": "pin", "yaml": "PyYAML", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}
 NAMES |= {"can": "python-can", "elftools": "pyelftools", "_cffi_backend": "cffi"}
 OF_ROS = re.compile(r"\w+_(msgs|srvs|interfaces)|rclpy|ament_index_python|launch(_ros)?")
