@@ -22,6 +22,7 @@ from arm_emulator.motion.timing import Ramps, Rows, Timing, least_duration, plac
 FloatArray = npt.NDArray[np.float64]
 
 FEWEST_PIECES = 24  # of the timing
+MOST_PIECES = 400  # of a way in which the ramps decide how many it has
 IN_A_RAMP = 12  # pieces of it
 MARGIN = 1.002  # of time: for what lies between the checks
 JERK_MARGIN = 1.01  # likewise, of the jerk, which steps
@@ -141,7 +142,8 @@ class Way:
         ends = float(stiff[[0, -1]].max()) / cruise + float(
             (limits.acceleration / limits.jerk).max()
         )
-        ramp = min(0.5, ends / (cruise + ends))
+        # Ways of any length are planned in so many pieces at most; a longer ramp is gentler.
+        ramp = min(0.5, max(ends / (cruise + ends), IN_A_RAMP / MOST_PIECES))
         # Two checks or more in each piece of the curve, whose third derivative steps.
         in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / len(_CHECKS))
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
