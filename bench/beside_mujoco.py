@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -94,6 +93,8 @@ def _scene(machine: dict[str, Any], dt: float | None) -> Scene:
 
 
 def _model(name: str, integrator: str, dt: float) -> Any:
+    import mujoco  # of requirements-bench.txt, which tests do without
+
     model = mujoco.MjModel.from_xml_path(str(EXAMPLES / f"{name}_mujoco.xml"))
     model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
     model.opt.timestep = dt
@@ -173,6 +174,8 @@ def _observer(folder: Path) -> Program:
     """Return the servo in C; both are compiled into the folder."""
     table = ROOT / "arm_emulator/servo/c/template/targets.csv"
     source, library, twin = EXAMPLES / "my_observer.c", folder / "libobserver.so", folder / "twin"
+    import mujoco
+
     wheel = Path(mujoco.__file__).parent
     (shared,) = wheel.glob("libmujoco.so*")
     header = ROOT / "arm_emulator/core/boundary"
