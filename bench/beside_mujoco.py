@@ -28,7 +28,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.runs.table_run import load_table_run
 from bench.measure import progress
-from bench.mujoco_peer import INTEGRATORS
 
 TITLE = "Programs beside MuJoCo's"
 
@@ -241,6 +240,8 @@ class Choice:
 
 def _choose(program: Program, solution: Array) -> Choice:
     """Return the quickest way of MuJoCo to `TARGET`; the most exact one if none gets there."""
+    from bench.mujoco_peer import INTEGRATORS
+
     tried: list[Choice] = []
     for integrator in INTEGRATORS:
         for dt in STEPS:
