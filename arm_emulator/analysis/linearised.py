@@ -73,7 +73,7 @@ def linearise(
     if not isinstance(plant, Plant):
         raise Refusal("linearise", "plant", "be a Plant", plant)
     if q is None:
-        given = plant.commanded if command is None else command
+        given = plant.commanded[0] if command is None else command
         return _without_what_follows(plant.equations(given))
     if command is not None:
         raise Refusal("linearise", "command", "be absent in a pose, which decides it", command)

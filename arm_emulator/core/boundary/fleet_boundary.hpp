@@ -62,7 +62,7 @@ struct arm_fleet {
         follow_given(g, given, 0, 1, steps, q);
       }
     }
-    give_back(g);
+    settle_lent(g);
   }
   void follow_given(int g, const double* command, std::int64_t stride, std::int64_t rows,
                     std::int64_t steps, double* q) {
@@ -101,7 +101,7 @@ struct arm_fleet {
       if_in_lane(k, [&](const auto& lanes, int l) {
         for (int j = 0; j < N; ++j) machine[k]->applied[j] = lanes.applied(l, j);
       });
-    give_back(g);
+    settle_lent(g);
   }
   void take_commands(int k, const arm_joint_command* joint, const double* further,
                      std::int64_t tick) {
@@ -118,7 +118,7 @@ struct arm_fleet {
 
   // Have an arm be in its machine, for whoever looks at it or changes it there.
   void settle(int k) const { group[k / lanes]->settle(k % lanes); }
-  void give_back(int g) {
+  void settle_lent(int g) {
     for (int k = g * lanes; k < end_of(g); ++k)
       if (lent[k] > 0) settle(k);
   }
@@ -213,9 +213,7 @@ struct arm_fleet {
   int check_all(const std::uint8_t* mask, Check&& check) const {
     refused = -1;
     for (int k = 0; k < arms; ++k)
-      if (!mask || mask[k]) {
-        settle(k);
-        if (check(machine[k], k) == ARM_OK) continue;
+      if ((!mask || mask[k]) && check(machine[k], k) != ARM_OK) {
         refused = k;
         return ARM_REFUSED;
       }
@@ -227,6 +225,10 @@ struct arm_fleet {
       if (!mask || mask[k]) settle(k), act(machine[k], k);
   }
 
+  // Whether there are so many arms from the first of a group on.
+  bool has(std::int32_t first, std::int32_t count) const {
+    return first >= 0 && first % lanes == 0 && count >= 0 && first <= arms && count <= arms - first;
+  }
   int groups() const { return (arms + lanes - 1) / lanes; }
 
   int arms;
@@ -265,8 +267,7 @@ void arm_fleet_give_back(arm_fleet* fleet, std::int32_t arm) {
 int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const double* command,
                   std::int64_t rows, std::int64_t steps, double* q) {
   constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
-  if (!fleet || !command || !q || first < 0 || first % lanes || arms < 0 || first > fleet->arms ||
-      arms > fleet->arms - first || rows < 0 || steps < 0)
+  if (!fleet || !command || !q || !fleet->has(first, arms) || rows < 0 || steps < 0)
     return ARM_REFUSED;
   const std::int32_t end = first + arms;
   const std::int64_t stride = std::int64_t{fleet->arms} * N;
@@ -342,6 +343,7 @@ int arm_fleet_save(const arm_fleet* fleet, void* out, std::int64_t size) {
   const std::int64_t each = arm_saved_size();
   if (!fleet || !out || size != each * fleet->arms) return ARM_REFUSED;
   return fleet->check_all(nullptr, [&](const arm_machine* arm, int k) {
+    fleet->settle(k);
     return arm_save(arm, static_cast<unsigned char*>(out) + k * each, each);
   });
 }
@@ -368,7 +370,7 @@ int arm_fleet_exchange(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
                        const arm_command* command) {
   constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
   if (!fleet || !command || command->size < offsetof(arm_command, further) || !command->joint ||
-      first < 0 || first % lanes || arms < 0 || first > fleet->arms || arms > fleet->arms - first)
+      !fleet->has(first, arms))
     return ARM_REFUSED;
   const double* further = command->size >= sizeof *command ? command->further : nullptr;
   const std::int32_t end = first + arms;
@@ -387,7 +389,8 @@ int arm_fleet_exchange(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
 int arm_fleet_step(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
                    const arm_command* command, std::int64_t periods,
                    arm_fleet_measurement* measurement, arm_fleet_truth* truth) {
-  if (!fleet || periods < 0 || (measurement && measurement->size < sizeof *measurement) ||
+  if (!fleet || !fleet->has(first, arms) || periods < 0 ||
+      (measurement && measurement->size < sizeof *measurement) ||
       (truth && truth->size < sizeof *truth))
     return ARM_REFUSED;
   int result = ARM_OK;
