@@ -13,6 +13,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    __version__: str
     from arm_emulator import testing as testing
     from arm_emulator.analysis.linearised import LinearMachine as LinearMachine
     from arm_emulator.analysis.linearised import linearise as linearise
@@ -71,6 +72,10 @@ __all__ = [  # noqa: PLE0604  # found at their first use
 def __getattr__(name: str) -> Any:
     import importlib
 
+    if name == "__version__":
+        from arm_emulator.version import VERSION
+
+        return VERSION
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if not _MODULES[name]:

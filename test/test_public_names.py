@@ -31,6 +31,12 @@ def test_a_public_name_is_there_and_documented(name: str) -> None:
     assert f"::: {place}\n" in page, "the reference misses it"
 
 
+def test_the_version_is_that_of_the_package() -> None:
+    import xml.etree.ElementTree as ET
+
+    assert arm_emulator.__version__ == ET.parse(ROOT / "package.xml").getroot().findtext("version")
+
+
 def test_another_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'Arm'"):
         arm_emulator.Arm  # noqa: B018

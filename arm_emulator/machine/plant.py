@@ -306,7 +306,7 @@ class Plant(Turns):
 
     @property
     def links(self) -> LinkDynamics:
-        """Dynamics of the links alone: M(q), nle(q, v), inverse and forward."""
+        """Dynamics of the links alone: mass matrix, nle, inverse and forward dynamics."""
         return LinkDynamics(self._call, self._N)
 
     @property
