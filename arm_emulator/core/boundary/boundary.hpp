@@ -3,7 +3,7 @@
 #pragma once
 
 #include <array>
-#include <chrono>
+#include <time.h>
 #include <cstddef>
 
 #include "arm.h"
@@ -143,14 +143,18 @@ struct arm_machine {
   std::int64_t tick() const { return machine.steps() / steps_per_period; }
   int result() const { return machine.faulty_joint() < 0 ? ARM_OK : ARM_DIVERGED; }
 
-  using Instant = std::chrono::steady_clock::time_point;
+  static std::int64_t now_ns() {
+    timespec t{};
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return t.tv_sec * 1'000'000'000LL + t.tv_nsec;
+  }
 
   // Go through `steps` steps by advance(so many of them), and let the sensors look at every tick.
   template <class Advance>
   void go(std::int64_t steps, Advance&& advance) {
-    const auto began = measures_time ? std::chrono::steady_clock::now() : Instant{};
+    const std::int64_t began = measures_time ? now_ns() : 0;
     take_steps(steps, advance);
-    if (measures_time) spent += std::chrono::steady_clock::now() - began;
+    if (measures_time) spent_ns += now_ns() - began;
   }
   template <class Advance>
   void take_steps(std::int64_t steps, Advance& advance) {
@@ -342,7 +346,7 @@ struct arm_machine {
   double applied[N] = {};      // in the period that has passed
   std::int64_t powered = true;
   bool measures_time = false;
-  Instant::duration spent = {};  // wall time of steps, while it is measured
+  std::int64_t spent_ns = 0;  // wall time of steps, while it is measured
   arm::GivenWrench given[Scene::external_wrench ? N : 1] = {};
   void (*listener)(void*, const arm_machine*) = nullptr;  // called at the end of every exchange
   void* listens_with = nullptr;
@@ -640,8 +644,7 @@ ARM_ONCE void arm_measure_time(arm_machine* machine) {
 }
 
 ARM_ONCE std::int64_t arm_spent(const arm_machine* machine) {
-  using std::chrono::nanoseconds;
-  return machine ? std::chrono::duration_cast<nanoseconds>(machine->spent).count() : 0;
+  return machine ? machine->spent_ns : 0;
 }
 
 ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
