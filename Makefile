@@ -173,18 +173,21 @@ demo: setup $(ROBOTS)
 	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
 
 # Two files at a time, since many tests wait for a compiler or for processes; in the order of
-# test/conftest.py.
+# test/conftest.py. A worker that dies ends the run: xdist may wait for ever for the one in its place.
+# Tests start hundreds of processes, so bytecode is kept whatever the environment asks for.
+PYTEST := PYTHONDONTWRITEBYTECODE= pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+
 test: setup .venv/.robots
-	@$(RUN) && pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+	@$(RUN) && $(PYTEST) $(ARGS)
 
 test-in-full: setup .venv/.robots
-	@$(RUN) && FULL=1 pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+	@$(RUN) && FULL=1 $(PYTEST) $(ARGS)
 
 # What it needs beside Python's packages is installed where that is possible, else named in a line; the
 # tests that want it are then skipped.
 test-peers: setup .venv/.robots .venv/.peers
 	@sh test/peers/install.sh
-	@$(RUN) && pytest -n 2 --dist loadfile test/peers $(ARGS)
+	@$(RUN) && $(PYTEST) test/peers $(ARGS)
 
 NETWORK_TESTS := test/test_network.py test/test_lockstep.py
 
