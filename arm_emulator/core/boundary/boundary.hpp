@@ -2,8 +2,9 @@
 // `struct Scene`.
 #pragma once
 
-#include <array>
 #include <time.h>
+
+#include <array>
 #include <cstddef>
 
 #include "arm.h"
