@@ -1,1 +1,1 @@
-"""What a machine and its servos do together, worked out before anything moves."""
+"""Analysis of a machine with its servos before it moves."""

@@ -1,8 +1,8 @@
-"""Which scheme, events and step are the cheapest for a wanted error.
+"""Cheapest scheme, event handling and step for a requested error.
 
-Every setting is compared with the true motion (true_motion.py) on each of some motions, and the
-error of that truth is added: the largest error is a bound for these motions. For others of their
-kinds it is an estimate, by how far apart the errors on these motions are.
+Every setting is compared with the true motion (true_motion.py) on several motions, and the error of
+that truth is added: the largest error is a bound for these motions. For other motions of the same
+kinds it is an estimate from the spread of the errors.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from arm_emulator.machine.scene import EVENTS, SCHEMES, Scene, odds
 
 ORDERS = {"paper": 1, "implicit": 1, "rosenbrock": 2, "extrapolated": 2}
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
-SHARE = 0.05  # of the error asked for, which the truth may be off
-LOOK = 4  # steps per servo period at which it is seen whether there are events
-SPACING = 1.04  # between numbers of steps that are tried
+SHARE = 0.05  # of the requested error, permitted in the truth
+LOOK = 4  # steps per servo period at which events are looked for
+SPACING = 1.04  # between numbers of steps tried
 ROUNDS = 7  # of timing
-DEARER = 2.0  # than the cheapest by times that were taken in passing: not tried any further
+DEARER = 2.0  # than the cheapest by preliminary timing: not tried further
 LEAST_RESERVE = 5.0
 ENOUGH = 12  # motions, for an estimate of others
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A method at a step, what it costs and how far it is from the truth."""
+    """A method at a step, its cost and its distance from the truth."""
 
     method: Method
     dt: float  # s
@@ -55,11 +55,11 @@ class Setting:
 
 @dataclass(frozen=True)
 class Advice:
-    """What was found for an error.
+    """Settings found for an error.
 
     Attributes:
         settings: each method's cheapest, the cheapest of all first; empty: none keeps the error.
-        why_none: why there are no settings.
+        why_none: reason if there are no settings.
         now: the scene's own setting, timed along with them; None where no setting keeps the error.
     """
 
@@ -72,8 +72,8 @@ class Judge:
     """Compares methods with the true motions of a scene.
 
     Args:
-        scene: the machine; its own integrator plays no part but for two threads.
-        motions: on which it is judged, all of them.
+        scene: the machine; its own integrator is ignored, except for two threads.
+        motions: all test motions.
     """
 
     def __init__(self, scene: Scene, motions: Sequence[Motion]) -> None:
@@ -87,9 +87,9 @@ class Judge:
 
     @property
     def methods(self) -> list[Method]:
-        """All that the scene may be integrated by: in two threads if it is so now.
+        """All methods that the scene may use: with two threads if it has two now.
 
-        Motions without an event need no location.
+        Motions without an event need no event location.
         """
         found = []
         for threads in sorted({1, self.scene.threads}):
@@ -116,14 +116,14 @@ class Judge:
     def error(self, method: Method, steps: int, limit: float = math.inf) -> float:
         """Return the largest error on the motions, inf where one diverges.
 
-        Beyond `limit` that of the first motion which is beyond it will do.
+        Beyond `limit` the error of the first motion beyond it is enough.
         """
         worst = 0.0
         for m in tuple(self._hardest):
             one = self._error_on(method, steps, m)
             worst = max(worst, one)
             if one > limit:
-                # It is asked first from now on.
+                # Ask this motion first from now on.
                 self._hardest.remove(m)
                 self._hardest.insert(0, m)
                 break
@@ -142,11 +142,11 @@ class Judge:
         return np.array([self._error_on(method, steps, m) for m in range(len(self.motions))])
 
     def truth(self, m: int) -> Truth:
-        """Return the truth of a motion, by its number, as far as it is known by now."""
+        """Return the best known truth of a motion, by its number."""
         return self._truths[m]
 
     def know_truths(self, error: float) -> str:
-        """Find the truths to a share of an error; return why that cannot be done, or nothing."""
+        """Find the truths to a share of an error; return why that is impossible, or nothing."""
         for m, motion in enumerate(self.motions):
             most = int(MOST_STEPS / len(motion.commands))
             known = self._truths.get(m)
@@ -166,12 +166,12 @@ class Judge:
         return ""
 
     def cheapest(self, method: Method, error: float, most_cost: float) -> int | None:
-        """Return the fewest steps per servo period that keep the error; None: none within reach.
+        """Return the fewest steps per servo period that keep the error; None: none found.
 
         Args:
-            method: of which it is asked.
+            method: the integration method.
             error: on the motions judged.
-            most_cost: no setting that is expected to cost more is tried [s/s].
+            most_cost: settings expected to cost more are not tried [s/s].
         """
         most = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
         failed, steps = 0, 1
@@ -187,7 +187,7 @@ class Judge:
     def cost(self, chosen: Sequence[tuple[Method, int]]) -> list[float]:
         """Return wall times per simulated second [s]: of each motion the least of some rounds.
 
-        All take turns on each motion, so that a machine's changing speed is no difference.
+        All take turns on each motion, so that a changing speed of the machine affects all alike.
         """
         plants = [(self.runs.plant(method, steps), steps) for method, steps in chosen]
         least = np.full((len(plants), len(self.motions)), math.inf)
@@ -199,7 +199,7 @@ class Judge:
         return [float(one) / seconds for one in least.sum(axis=1)]
 
     def settings(self, chosen: Sequence[tuple[Method, int]]) -> list[Setting]:
-        """Return what methods give and cost at so many steps per servo period."""
+        """Return error and cost of methods with this number of steps per servo period."""
         costs = self.cost(chosen)
         found = []
         for (method, steps), cost in zip(chosen, costs, strict=True):
@@ -210,7 +210,7 @@ class Judge:
 
 
 def check_error(error: float) -> None:
-    """Refuse an error that cannot be asked for [rad or m]."""
+    """Refuse an error outside the range [rad or m]."""
     if not 1e-11 <= error <= 1.0:
         raise Refusal("advise", "error", "be from 1e-11 to 1 rad", error)
 
@@ -223,7 +223,7 @@ def advise(judge: Judge, error: float) -> Advice:
         error: largest error of a link on the way [rad or m].
 
     Raises:
-        Refusal: an error that cannot be asked for.
+        Refusal: the error is out of range.
     """
     check_error(error)
     why = judge.know_truths(error)
@@ -242,11 +242,10 @@ def advise(judge: Judge, error: float) -> Advice:
 
 
 def reserve(errors: Array) -> float:
-    """Return how much larger than the largest of some errors those of other motions may be.
+    """Return the ratio of the errors of other motions to the largest of some errors, at most.
 
-    `LEAST_RESERVE`, or more where the largest stands out: the next one may stand out as much.
-    `python -m bench.advice` measures how often that is enough. Of few motions nothing follows for
-    others.
+    `LEAST_RESERVE`, or more if the largest stands out: the next one may stand out as much.
+    `python -m bench.advice` measures how often that is enough. Few motions permit no estimate.
     """
     if len(errors) < ENOUGH or not np.isfinite(errors).all():
         return math.inf
@@ -255,7 +254,7 @@ def reserve(errors: Array) -> float:
 
 
 def _time(plant: Plant, steps: int, motion: Motion) -> float:
-    """Return how long a motion takes [s, wall]; inf where it diverges."""
+    """Return the wall time of a motion [s]; inf if it diverges."""
     plant.reset()
     began = time.perf_counter()
     try:
@@ -266,8 +265,8 @@ def _time(plant: Plant, steps: int, motion: Motion) -> float:
 
 
 def _next(steps: int, off: float, order: int) -> int:
-    """Return how many steps to try where so many are `off` times too far from the truth."""
-    # Less than its order asks for: a method may be lucky, or not yet fall by its order.
+    """Return the number of steps to try if this one is `off` times too far from the truth."""
+    # Less than its order requires: a method may be lucky, or not yet converge at its order.
     factor = 0.7 * off ** (1.0 / order) if math.isfinite(off) else 2.0
     return max(steps + 1, math.ceil(steps * min(max(factor, SPACING), 2.0)))
 

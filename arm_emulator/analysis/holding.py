@@ -1,4 +1,4 @@
-"""Whether an arm's motors hold it, with its payload, wherever its joints may go."""
+"""Check that an arm's motors hold it, with its payload, over the range of its joints."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene import Joint, Scene
 
 POSES = 400
-NEARLY = 1.0 - 1e-9  # a motor that gives just the weight holds it
+NEARLY = 1.0 - 1e-9  # a motor with just the torque of the weight holds it
 
 
 @dataclass(frozen=True, eq=False)
 class Overload:
-    """A joint whose motor gives less than it takes to hold what is behind it."""
+    """A joint whose motor is too weak to hold the links behind it."""
 
     joint: str
     unit: str
     gives: float
-    takes: float  # most over the poses
+    takes: float  # N m or N, largest over the poses
     at: Array  # that pose
-    at_start: float | None  # what the start takes, where that is too much
-    poses: int  # of `POSES` in which it is too much
+    at_start: float | None  # N m or N at the start, if too much
+    poses: int  # of `POSES` in which the motor is too weak
 
     def __str__(self) -> str:
         if self.at_start is not None:
@@ -42,7 +42,7 @@ class Overload:
 
 
 def overloads(scene: Scene) -> list[Overload]:
-    """Return the joints that do not hold the arm in every pose; first among them is the start."""
+    """Return the joints that cannot hold the arm in every pose; the first pose is the start."""
     loads = LinkLoads(scene)
     at = np.array(poses(scene, POSES))
     takes = np.abs(np.array([loads.weight(q) + _springs(scene, q) for q in at]))

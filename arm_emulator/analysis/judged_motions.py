@@ -1,8 +1,8 @@
-"""Motions on which schemes and steps are judged: commands for a machine, in its motors' units.
+"""Test motions for schemes and steps: commands for a machine, in its motors' units.
 
-Some push the drives to what they take, some lead the arm along a reference: by computed torques on
-a finely integrated machine, whose commands are written down. Played back they are open loop, so
-that errors are those of the integration, and not what a control made of them.
+Some drive the motors to their limits, others lead the arm along a reference: a computed-torque
+controller on a finely integrated machine generates the commands, which are recorded. Played back
+in open loop, they show the errors of the integration alone, without the effect of a controller.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 
 SECONDS = 1.0
-FINE = 20  # steps per servo period while a motion is led
-RATE = 2.0 * np.pi * 3.0  # rad/s, of the control that leads it
-OF_EACH = 4  # motions of each kind that judge a scene
+FINE = 20  # steps per servo period while commands are generated
+RATE = 2.0 * np.pi * 3.0  # rad/s, bandwidth of the controller
+OF_EACH = 4  # motions of each kind per scene
 TURN, SLIDE = 0.4, 0.1  # rad, m: size of references
 # rad/s2, m/s2: of a joint at rest, where a motor takes any command.
 ACCELERATION = 50.0
@@ -38,11 +38,11 @@ class Motion:
 
 
 class Leader:
-    """Makes motions of a scene at random: leads the arm along references, writes down commands.
+    """Generates random motions of a scene: leads the arm along references, records the commands.
 
     Args:
         scene: the machine.
-        seconds: how long each lasts.
+        seconds: length of each.
     """
 
     def __init__(self, scene: Scene, seconds: float = SECONDS) -> None:
@@ -65,7 +65,7 @@ class Leader:
         """Return a motion of one of the `KINDS`.
 
         Raises:
-            Diverged: no step that is tried holds the machine while it is led.
+            Diverged: the machine diverges at every step tried.
         """
         shape = np.column_stack([KINDS[kind](self.t, rng) for _ in self.scene.joints])
         if kind == "limits":
@@ -81,7 +81,7 @@ class Leader:
 
     @property
     def pushed(self) -> Array:
-        """What the drives take, or what moves a joint briskly from rest (N,)."""
+        """Largest commands of the drives, or those that move a joint briskly from rest (N,)."""
         M, bias = self._equation(self.scene.start, np.zeros(len(self._size)))
         brisk = self._command(np.abs(bias) + ACCELERATION * np.diag(M))
         return np.where(np.isfinite(self._limit), self._limit, np.abs(brisk))
@@ -105,7 +105,7 @@ class Leader:
         return out
 
     def _equation(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return M with rotors (N, N) and what the joints need to go on evenly (N,)."""
+        """Return M with rotors (N, N) and the torques of motion at constant speed (N,)."""
         N = len(q)
         at, torques = np.tile(q, (N + 1, 1)), np.vstack([np.zeros(N), np.eye(N)])
         a = self._plant.links.accelerations(at, np.tile(v, (N + 1, 1)), torques)
@@ -121,9 +121,9 @@ class Leader:
 
 
 def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[Motion]:
-    """Return the motions on which a scene is judged if nobody gives another, always the same."""
+    """Return the default test motions of a scene, always the same."""
     leader = Leader(scene, seconds)
-    kinds = [*OF_EACH * list(KINDS), *OF_EACH * ["limits"]]  # which most often go farthest off
+    kinds = [*OF_EACH * list(KINDS), *OF_EACH * ["limits"]]  # often of the largest errors
     return [
         leader.drawn(kind, np.random.default_rng([7, number])) for number, kind in enumerate(kinds)
     ]
@@ -133,21 +133,21 @@ def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[Motion]:
 
 
 def _telegraph(t: Array, rng: Rng) -> Array:
-    """To and fro, after 20 to 150 ms each."""
+    """Reversals after 20 to 150 ms each."""
     turns = np.cumsum(rng.uniform(0.02, 0.15, 2 + int(t[-1] / 0.02)))
     sign: Array = rng.choice([-1.0, 1.0]) * (-1.0) ** np.searchsorted(turns, t)
     return sign
 
 
 def _steps(t: Array, rng: Rng) -> Array:
-    """Jumps to places at random, after 0.1 to 0.4 s each."""
+    """Jumps to random positions, after 0.1 to 0.4 s each."""
     turns = np.cumsum(rng.uniform(0.1, 0.4, 2 + int(t[-1] / 0.1)))
     places: Array = rng.uniform(-1.0, 1.0, len(turns) + 1)
     return places[np.searchsorted(turns, t)]
 
 
 def _sweep(t: Array, rng: Rng) -> Array:
-    """A sine of 0.3 Hz that becomes one of 4 Hz, smaller as it gets faster."""
+    """A sine swept from 0.3 to 4 Hz, with falling amplitude."""
     low, high = rng.uniform(0.3, 0.5), rng.uniform(2.0, 4.0)
     rate = low + (high - low) * t / t[-1]
     phase = 2.0 * np.pi * (low * t + 0.5 * (high - low) * t**2 / t[-1]) + rng.uniform(0.0, 6.3)
@@ -156,14 +156,14 @@ def _sweep(t: Array, rng: Rng) -> Array:
 
 
 def _reversals(t: Array, rng: Rng) -> Array:
-    """There and back at an even speed, with sharp turns."""
+    """Back and forth at constant speed, with sharp turns."""
     phase = rng.uniform(1.0, 3.0) * t + rng.uniform(0.0, 1.0)
     wave: Array = 0.5 * (4.0 * np.abs(phase % 1.0 - 0.5) - 1.0)
     return wave
 
 
 def _creep(t: Array, rng: Rng) -> Array:
-    """The same at a twentieth of the way, after a rest."""
+    """The same at a twentieth of the distance, after a rest."""
     begun = t - rng.uniform(0.05, 0.2) * t[-1]
     return 0.05 * _reversals(np.maximum(begun, 0.0), rng)
 
@@ -174,5 +174,5 @@ KINDS: dict[str, Callable[[Array, Rng], Array]] = {
     "sweep": _sweep,
     "reversals": _reversals,
     "creep": _creep,
-    "stop": _sweep,  # and without commands from the middle on
+    "stop": _sweep,  # without commands from the middle on
 }

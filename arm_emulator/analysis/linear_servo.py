@@ -23,7 +23,7 @@ INPUTS = ("theta", "current", "applied", "target", "v_target", "tau_feedforward"
 
 
 class Loop(enum.Enum):
-    """What a servo controls: enum servo_wants, and what becomes of a torque at the speed limit."""
+    """Controlled quantity of a servo: enum servo_wants, and a torque at the speed limit."""
 
     POSITION = "position"
     SPEED = "speed"
@@ -34,12 +34,12 @@ class Loop(enum.Enum):
 class LinearServo:
     """One joint's servo for an encoder without steps, and without limits.
 
-    With x the `STATES` after a tick and u the `INPUTS` at the next one, `applied` that of the
-    period between,
+    With x the `STATES` after a tick, u the `INPUTS` at the next one, and `applied` the command of
+    the period between,
 
         x' = A x + B u        V = C x + D u
 
-    The numbers are those of the very law that runs: it is asked for unit states and inputs.
+    The matrices are those of the actual law, which is evaluated for unit states and inputs.
     `target` is a link angle; a motor's speed, a current or the largest motor speed for other loops.
 
     Attributes:
@@ -47,13 +47,12 @@ class LinearServo:
         B: (5, 6).
         C: (5,).
         D: (6,).
-        current_per_angle: by how much a jump of the measured angle changes the current asked for
-            at once [A/rad].
+        current_per_angle: change of the requested current per jump of the measured angle [A/rad].
 
     Args:
         joint: data sheet and gains.
         period: servo period [s].
-        loop: what is controlled.
+        loop: the controlled quantity.
 
     Raises:
         Refusal: as `Servo`.
@@ -63,7 +62,7 @@ class LinearServo:
         numbers = servo_numbers((joint,), period, math.inf)
         for limit in ("omega_limit", "current_limit", "voltage_limit"):
             numbers[limit] = math.inf
-        numbers["count_angle"] = -1.0  # no target is within a count
+        numbers["count_angle"] = -1.0  # no target counts as reached
         gains = numbers[0]
         self.current_per_angle = float(
             gains["velocity_gain"]

@@ -15,16 +15,16 @@ from arm_emulator.machine.equations import Equations
 from arm_emulator.machine.plant import Plant
 
 MOST_ROUNDS = 30  # of Newton's method
-ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: what may be left at rest
+ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: residual permitted at rest
 
 
 @dataclass(frozen=True)
 class LinearMachine:
     """dx/dt = rate + A (x - x0) + B (u - u0); x are the states of the drives, then q and v.
 
-    What each joint does at x0 is held: a link that sticks rests, as does a stuck rotor, a current
-    at its limit stays there, a tooth touches or does not. What follows at once, such as a current
-    without inductance, is no state.
+    The modes of x0 are kept: a link that sticks stays at rest, as does a stuck rotor; a current at
+    its limit stays there; a tooth stays in or out of contact. Algebraic quantities, such as a
+    current without inductance, are not states.
 
     Attributes:
         A: (n, n).
@@ -55,20 +55,20 @@ class LinearMachine:
 def linearise(
     plant: Plant, q: ArrayLike | None = None, *, command: Commands | None = None
 ) -> LinearMachine:
-    """Return what a plant is for small motions.
+    """Return the linearised machine.
 
-    Without a pose it is linearised where it is, as it sticks or slides. In a pose it is linearised
-    about rest: commands hold it, gears are wound up by its weight, and no joint sticks.
+    Without a pose it is linearised at its present state, sticking or sliding. With a pose it is
+    linearised about rest: commands hold it, gears are wound up by its weight, and no joint sticks.
 
     Args:
-        plant: the machine; its state stays as it is.
+        plant: the machine; its state is unchanged.
         q: the pose (N,) [rad or m]; None: where the machine is.
         command: about which (N,), or by names of joints [V, N m, A], without a pose; None: the
-            newest that the machine got.
+            newest that was applied.
 
     Raises:
-        Refusal: no such pose or command, or a pose that the motors do not hold, as where a joint
-            has none or a gear has play.
+        Refusal: the pose or command is invalid, or the motors do not hold the pose, as for a joint
+            without a motor or a gear with play.
     """
     if not isinstance(plant, Plant):
         raise Refusal("linearise", "plant", "be a Plant", plant)
@@ -81,7 +81,7 @@ def linearise(
 
 
 def _at_rest(plant: Plant, q: ArrayLike) -> Equations:
-    """Return the equations where commands hold a pose, by Newton's method from gears unloaded."""
+    """Return the equations at commands that hold a pose, by Newton's method from unloaded gears."""
     other = copy.copy(plant)
     other.reset(q)
     N = len(other.scene.joints)
@@ -92,7 +92,7 @@ def _at_rest(plant: Plant, q: ArrayLike) -> Equations:
         rows = np.concatenate([now.states, m + np.arange(N)])
         columns = np.concatenate([now.states, m + 2 * N + np.arange(N)])
         J, off = now.by[np.ix_(rows, columns)], now.value[rows]
-        # Rows and columns of very different units, each by its largest entry.
+        # Rows and columns of very different units, each scaled by its largest entry.
         of_row = np.abs(now.by[rows]).max(axis=1)
         of_column = np.abs(J / of_row[:, np.newaxis]).max(axis=0)
         of_column[of_column == 0.0] = 1.0
@@ -106,13 +106,13 @@ def _at_rest(plant: Plant, q: ArrayLike) -> Equations:
 
 
 def _without_what_follows(of: Equations) -> LinearMachine:
-    """Return the linear system of the states that do not follow at once."""
+    """Return the linear system without the algebraic states."""
     N, m = len(of.u), len(of.D)
     follows = of.states[of.D[of.states] == 0.0]
     kept = of.states[of.D[of.states] != 0.0]
     links = m + np.arange(2 * N)
     columns = np.concatenate([kept, links, m + 2 * N + np.arange(N)])
-    # d(what follows) = W d(all others) + w, so that its rows stay 0.
+    # d(algebraic) = W d(all others) + w, so that its rows stay 0.
     inner, given = of.by[np.ix_(follows, follows)], of.by[np.ix_(follows, columns)]
     W, w = -np.linalg.solve(inner, given), -np.linalg.solve(inner, of.value[follows])
 

@@ -1,6 +1,6 @@
-"""What the links ask of their joints: mass matrix and weight over poses, by Pinocchio.
+"""Mass matrix and weight of the links over poses, by Pinocchio.
 
-The bodies are the scene's own, so that payload and locked joints are in them.
+The bodies are the scene's own, payload and locked joints included.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""Every loop that a drive can be put into, linear: which of its modes hold the machine.
+"""Linear analysis of every loop of a drive: which of its modes are stable on the machine.
 
-A drive after CiA 402 controls a position, a speed or a torque, and a torque at the limit of the
-speed; each with the brake of its joint open or closed. The machine is linearised about rest in some
-poses, sampled exactly and closed by the law that runs (`servo_loop.py`): first with one joint in
-the loop that is judged and the others held in position, then with all joints in that loop.
+A CiA 402 drive controls position, speed or torque, or a torque at the speed limit; each with the
+joint's brake open or closed. The machine is linearised about rest in several poses, sampled exactly
+and closed by the actual law (`servo_loop.py`): first with one joint in the judged loop and the
+others in position control, then with all joints in that loop.
 
-A loop holds if no small motion grows with the command as it acts, and none that is faster than the
-position loop with a command that acts `GAIN` times as strongly or as weakly. (A torque by a voltage
-takes the back EMF from a data sheet: what it takes too much makes a speed grow slowly, which
-whoever commands torques sees and meets.) A torque does not hold a link up, and a speed only as
-far as its integral does: what grows no faster than the arm falls with motors that give no torque,
-by a speed than a tenth of it, is its weight and no fault of the loop.
+A loop is stable if no small motion grows with the nominal command, and none faster than the
+position loop grows with a command `GAIN` times as strong or as weak. (A torque by a voltage takes
+the back EMF from a data sheet: its excess makes a speed grow slowly, which a torque master
+observes and corrects.) A torque does not hold a link up, and a speed only by its integral:
+growth up to that of the arm's fall with motors without torque, or a tenth of it in speed loops, is
+its weight and not counted.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from arm_emulator.servo.servo_config import ServoConfig
 
 POSES = 4
 GAIN = 1.25
-# Of how fast an arm falls, what a loop that does not hold it up may leave: gears give way, too; the
-# integral of a speed holds against some weight.
+# Growth rate relative to the arm's fall that a loop without position control may leave: gears
+# give way, too; the integral of a speed loop holds against some weight.
 FALLING = {Loop.POSITION: 0.0, Loop.SPEED: 0.1, Loop.TORQUE: 1.1, Loop.SPEED_LIMIT: 1.1}
 
-_STANDS = 1e-4  # rad per period: what turns more slowly does not swing; rounding splits poles at 1
+_STANDS = 1e-4  # rad per period: slower rotation is not an oscillation; rounding splits poles at 1
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Mode:
     """A mode of operation of a drive."""
 
     number: int
-    """Of CiA 402, 0x6060."""
+    """Number in CiA 402, 0x6060."""
     name: str
     loops: tuple[Loop, ...]
-    """What it controls."""
+    """Controlled quantity."""
 
     def __str__(self) -> str:
         return f"{self.name} ({self.number})"
@@ -65,25 +65,25 @@ class LoopFigure:
     alike: bool
     """Whether all joints are in this loop; else the others are held in position."""
     radius: float
-    """Largest eigenvalue of a servo period: the factor by which the fastest motion grows."""
+    """Largest eigenvalue of a servo period: growth factor of the fastest growing motion."""
     swing: float
-    """The same of motions that swing; 0: none does."""
+    """The same of oscillating motions; 0: none."""
     frequency: float
-    """Of that swing [Hz]."""
+    """Frequency of that oscillation [Hz]."""
     beyond: float
-    """The same, of what grows beyond an arm's fall, with the gain that is worst [1/s]."""
+    """Growth rate beyond the arm's fall, at the worst gain [1/s]."""
     gain: float
-    """That gain; 1: as it is."""
+    """That gain; 1: nominal."""
     q: tuple[float, ...]
     """The worst pose [rad or m]."""
 
     @property
     def holds(self) -> bool:
-        """Whether small motions die away, or fall."""
+        """Whether small motions decay, or fall."""
         return self.beyond <= HARMLESS
 
     def why(self) -> str:
-        """Return in words why it does not hold."""
+        """Return the reason for its instability, as text."""
         pose = ", ".join(f"{q:.2f}" for q in self.q)
         brake = " with its brake closed" if self.braked else ""
         others = " with all joints in it" if self.alike else ""
@@ -109,7 +109,7 @@ class ModeLoops:
     Args:
         scene: the machine; every joint has a motor.
         servo: names the scene's joints, in any order.
-        plant: a machine of the scene, whose links are asked; None: one is made.
+        plant: a machine of the scene, used for its links; None: a new one.
     """
 
     def __init__(self, scene: Scene, servo: ServoConfig, plant: Plant | None = None) -> None:
@@ -145,7 +145,7 @@ class ModeLoops:
     def _figures(
         self, j: int, loop: Loop, braked: bool = False, alike: bool = False
     ) -> Iterator[LoopFigure]:
-        """Look at one loop; one that all joints are in is named after the joint that is loudest."""
+        """Evaluate one loop; a loop of all joints is named after the joint that moves most."""
         plants = self._braked[j] if braked else self._free
         servos = [
             self._servos[loop if alike or k == j else Loop.POSITION][k] for k in range(self._N)
@@ -179,14 +179,14 @@ class ModeLoops:
         )
 
     def _beyond(self, one: SampledLoop, falls: float, loop: Loop, least: float = 0.0) -> float:
-        """Return how fast what is faster than `least` [1/s] grows, beyond a fall [1/s]."""
+        """Return the growth rate of motions faster than `least` [1/s], beyond a fall [1/s]."""
         poles = one.poles[np.abs(one.poles) > 1e-300]
         rates = np.log(poles) / self._period
         growth = rates.real[np.abs(rates) >= least].max(initial=-math.inf)
         return float(growth) - FALLING[loop] * falls
 
     def withheld(self, modes: Iterable[Mode]) -> list[Withheld]:
-        """Return which of some modes do not hold, by joint and mode, each with its worst loop."""
+        """Return the unstable modes among some, by joint and mode, each with its worst loop."""
         found = []
         for j in range(self._N):
             for mode in modes:
@@ -202,7 +202,7 @@ class ModeLoops:
 
 
 def _scaled(plant: SampledPlant, factor: float, joint: int | None) -> SampledPlant:
-    """Return a machine on which the command of a joint (None: of all) acts more strongly."""
+    """Return a machine with a scaled command of a joint (None: of all)."""
     by = np.full(len(plant.q), factor)
     if joint is not None:
         by = np.where(np.arange(len(by)) == joint, factor, 1.0)
@@ -219,10 +219,9 @@ _MOST_KNOWN = 64
 def withheld_modes(
     scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...], plant: Plant | None = None
 ) -> list[Withheld]:
-    """Return which modes drives of this scene do not offer, with the reasons.
+    """Return the modes that drives of this scene do not offer, with the reasons.
 
-    None are where a joint has no motor, or numbers are so far apart that small motions cannot be
-    computed.
+    Empty if a joint has no motor, or if small motions cannot be computed for numerical range.
     """
     if any(joint.motor is None for joint in scene.joints):
         return []
@@ -240,7 +239,7 @@ def withheld_modes(
 
 
 def withheld_words(scene: Scene, withheld: list[Withheld]) -> list[str]:
-    """Return the same in lines for people, one per joint and reason."""
+    """Return the same as text, one line per joint and reason."""
     by_reason: dict[tuple[int, str], list[Mode]] = {}
     for one in withheld:
         by_reason.setdefault((one.joint, one.why), []).append(one.mode)

@@ -36,15 +36,15 @@ STIFF = 3e4
 
 
 class Beginning(TypedDict, total=False):
-    """Where a motion begins and how it is solved.
+    """Initial state and solver of a motion.
 
     Keys:
-        method: of `scipy.integrate.solve_ivp`: "LSODA" takes stiff machines, "DOP853" is the most
-            accurate where nothing is stiff, "Radau" checks both at ten times their cost. By the
-            machine's fastest time constant if it is not given.
+        method: of `scipy.integrate.solve_ivp`: "LSODA" for stiff machines, "DOP853" the most
+            accurate for non-stiff ones, "Radau" a check of both at ten times their cost. Chosen by
+            the machine's fastest time constant if not given.
         q: link positions (N,) [rad or m], the scene's start if not given; motors along.
         v: link speeds (N,) [rad/s or m/s], zero if not given.
-        payload: the scene file's section `payload`, which a loaded scene holds no more by itself.
+        payload: the scene file's section `payload`, which a loaded scene has merged into its links.
     """
 
     method: str | None
@@ -74,10 +74,10 @@ def reference_states(
     """Solve the machine's equations from rest at the scene's start.
 
     Args:
-        scene: the machine. Its integrator plays no part.
+        scene: the machine. Its integrator is ignored.
         commands: (K, N) [V, N m, A], row k held from k periods to
             k + 1.
-        period: how long each row is held [s]. The integration starts anew with each row, since
+        period: time of each row [s]. The integration starts anew with each row, since
             there the right-hand side jumps.
         rtol: relative error per step of the variable-step method; absolute: a hundredth of it.
             DOP853 takes a hundredth of both: at the edge of its stability its estimate is poor.
@@ -143,7 +143,7 @@ class ReferenceMachine:
     Args:
         scene: the machine.
         payload: the scene file's section `payload`.
-        smooth: whether to refuse what makes the right-hand side jump.
+        smooth: whether to refuse parts that make the right-hand side jump.
     """
 
     def __init__(
@@ -236,12 +236,12 @@ class ReferenceMachine:
         return float(np.abs(np.linalg.eigvals(J)).max())
 
     def gear_torques(self, tm: Array, wm: Array, q: Array, v: Array) -> Array:
-        """Return what elastic gears put on their links (N,) [N m]."""
+        """Return the torques of elastic gears on their links (N,) [N m]."""
         w = self.Ng * tm - q
         return self.Kg * w + self.Kg3 * w**3 + self.Dg * (self.Ng * wm - v)
 
     def stop_torques(self, q: Array, v: Array) -> Array:
-        """Return what end stops put on the links (N,) [N m]."""
+        """Return the torques of end stops on the links (N,) [N m]."""
         lower, upper, K, D = self.stops
         torque = np.zeros(self.N)
         for side, u in ((1.0, q - upper), (-1.0, lower - q)):
@@ -300,7 +300,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
         rule = "have a drive for each joint, to be solved independently"
         raise Refusal("reference", scene.where, rule, "couplings or mimic joints")
     robot = ET.fromstring(scene.urdf)
-    # Pinocchio need not parse what is not used here.
+    # Pinocchio need not parse unused elements.
     robot.set("name", "robot")
     for link in robot.findall("link"):
         for element in set(link) - set(link.findall("inertial")):
@@ -308,7 +308,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
     for element in set(robot) - {*robot.findall("link"), *robot.findall("joint")}:
         robot.remove(element)
     for joint in robot.iter("joint"):
-        # Pinocchio counts a continuous joint by cosine and sine; here every angle is a number.
+        # Pinocchio represents a continuous joint by cosine and sine; here every angle is a number.
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")
             for limit in joint.findall("limit"):

@@ -1,7 +1,7 @@
-"""What the parts of a scene leave of a target at rest, summed up joint by joint.
+"""Residual errors of a target at rest, summed over the parts of a scene, joint by joint.
 
-Each part states its own share (`Part.rests`). This sums them, and knows no part by name: where one
-states none, there is no prediction, and the part is named.
+Each part states its own share (`Part.rests`); no part is known by name here. If a part states none,
+there is no prediction, and the part is named.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RestShares:
-    """Of all joints, base to tool: rad of the links, m where they slide.
+    """Shares of all joints, base to tool: rad of the links, m for prismatic joints.
 
-    `ahead` is by how much the servo takes the links to be ahead of where they are, `stuck` how far
-    from their targets they may be left.
+    `ahead` is the error of the servo's measurement of the links, `stuck` the distance from their
+    targets at which they may stick.
     """
 
     ahead: tuple[Around, ...]
@@ -38,17 +38,17 @@ class RestShares:
 
     @property
     def centre(self) -> FloatArray:
-        """What is known of `ahead` (N,)."""
+        """Known values of `ahead` (N,)."""
         return np.array([one.centre for one in self.ahead])
 
     @property
     def within(self) -> FloatArray:
-        """How far the links may be off beside that (N,), noise aside."""
+        """Bounds of the links' deviations beside that (N,), without noise."""
         stuck = [max(one.short, one.beyond) for one in self.stuck]
         return np.array([one.within for one in self.ahead]) + stuck
 
     def draw(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Return how far the links may be short of their targets beyond that, (count, N)."""
+        """Return by how much the links may stop short of their targets beyond that, (count, N)."""
         columns = []
         for ahead, stuck in zip(self.ahead, self.stuck, strict=True):
             side = rng.choice([-1.0, 1.0], count)
@@ -60,14 +60,14 @@ class RestShares:
 def rest_shares(
     scene: Scene, servo: ServoConfig, q: FloatArray, seconds: float, times: float = 1.0
 ) -> RestShares:
-    """Return what is left in a pose.
+    """Return the residual errors in a pose.
 
     Args:
         scene: the machine.
-        servo: that holds it.
-        q: where the joints shall be (N,) [rad or m].
-        seconds: for which the servo has held the joints there.
-        times: by how much the motion controller multiplies what the servo leaves.
+        servo: the servo that holds it.
+        q: target of the joints (N,) [rad or m].
+        seconds: time for which the servo has held the joints there.
+        times: factor by which the motion controller amplifies the servo's error.
 
     Raises:
         Refusal: a part states no share; it is named.
@@ -105,7 +105,7 @@ def _of_joint(
     known = replace(
         at,
         theta_within=max(stuck.short, stuck.beyond) / abs(at.ratio),
-        # The gear need not carry what other parts put on the link.
+        # The gear need not transmit the torques of other parts on the link.
         torque=Around(at.torque.centre - torque.centre, torque.scaled(-1.0).unknown),
     )
     shares = _ask(scene, joint, known)
@@ -130,8 +130,8 @@ def _ask(scene: Scene, joint: Joint, at: AtRest) -> list[Share]:
 def _sum(shares: list[Share], times: float) -> tuple[Around, Around, Stuck]:
     """Return `ahead`, `torque` and `stuck` of all parts together.
 
-    The motion controller multiplies what the servo leaves of its target. A joint that has slipped
-    beyond it stays there.
+    The motion controller amplifies the servo's error. A joint that has slipped past its target
+    stays there.
     """
     ahead, torque, stuck = Around(), Around(), Stuck()
     for share in shares:

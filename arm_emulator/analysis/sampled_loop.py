@@ -1,4 +1,4 @@
-"""A machine and its servos as one sampled linear system: is it stable, and by what margin."""
+"""A machine and its servos as one sampled linear system: stability and margins."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
 class SampledPlant:
     """A machine of N joints with n states over one servo period, commands held.
 
-    x' = F x + G V. What the drives measure at a tick: motor angles theta x, and currents
+    x' = F x + G V. The drives measure at a tick motor angles theta x, and currents
     current x + current_by_command V with the commands of the period that ends there.
     """
 
@@ -54,26 +54,26 @@ class SampledPlant:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a joint's loop, cut at its command with all other loops closed, is from unstable."""
+    """Margins of a joint's loop, opened at its command with all other loops closed."""
 
     gain_up: float
-    """By what factor more the command may act; inf: any."""
+    """Factor by which the command may grow; inf: any."""
     gain_down: float
-    """By what factor less; 0: it may fail."""
+    """Factor by which it may shrink; 0: it may fail."""
     phase: float
     """Phase margin [rad]; pi where the gain never crosses 1."""
     delay: float
-    """What more dead time the loop stands [servo periods]."""
+    """Additional dead time that the loop tolerates [servo periods]."""
     sensitivity: float
-    """Largest |1 / (1 + L)|: what disturbances are amplified by at most."""
+    """Largest |1 / (1 + L)|: largest amplification of disturbances."""
 
 
 class SampledLoop:
-    """Machine and servos closed, for exact commands and encoders without steps.
+    """Closed loop of machine and servos, for exact commands and encoders without steps.
 
     Attributes:
         A: one servo period of everything, (n, n).
-        radius: the factor by which the fastest growing (slowest decaying) motion grows per period.
+        radius: growth factor per period of the fastest growing (slowest decaying) motion.
 
     Args:
         plant: the machine.
@@ -116,7 +116,7 @@ class SampledLoop:
         B[:n] += plant.G @ queue_target[:N]
         self.A, self.B = A, B
         self._states, self._command = n, command
-        # What is added to the commands that the servos ask for.
+        # Inputs added to the commands of the servos.
         added = np.zeros((size, N))
         added[applied + N * delay :] = np.eye(N)
         if delay == 0:
@@ -129,7 +129,7 @@ class SampledLoop:
     def _noise_of(
         self, servos: list[LinearServo], newest: int, n: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what noise of the motors' angles and of their currents adds to a period."""
+        """Return the effect of noise of motor angles and currents on a period."""
         N, s = len(servos), len(STATES)
         by_noise = np.zeros((2, len(self.A), N))
         for out, place in zip(by_noise, (_THETA, _CURRENT), strict=True):
@@ -157,13 +157,13 @@ class SampledLoop:
         share: float,
         periods: int,
     ) -> FloatArray:
-        """Return the same where the targets follow what is measured, when the next one is due.
+        """Return the same with targets that follow the measured angles, when the next one is due.
 
         Args:
             angle: as for `unrest`.
             current: as for `unrest`.
             ratios: link turns per motor turn (N,).
-            share: how far a target stays with the measured angle, 1: no other place draws it.
+            share: weight of the measured angle in a target; 1: nothing else draws it.
             periods: servo periods from target to target.
         """
         n, N = len(self.A), len(ratios)
@@ -171,7 +171,7 @@ class SampledLoop:
         measured = np.zeros((N, n))  # share of the link angles, in which the targets are
         measured[:, : self._states] = share * ratios[:, None] * self.plant.theta
         by_angle = np.vstack([self._by_noise[0], np.zeros((N, N))])
-        # States, then targets, which stand until the next ones.
+        # States, then targets, which are constant between updates.
         between = np.block([[self.A, self.B], [np.zeros((N, n)), np.eye(N)]])
         anew = np.block(
             [[self.A + self.B @ measured, np.zeros((n, N))], [measured, np.zeros((N, N))]]
@@ -186,7 +186,7 @@ class SampledLoop:
         return self._of_links(_settled(F, Q))
 
     def _added_by_noise(self, angle: npt.ArrayLike, current: npt.ArrayLike) -> FloatArray:
-        """Return the covariance that noise adds to the states in a period."""
+        """Return the covariance that noise adds to the states per period."""
         by_angle, by_current = self._by_noise
         Q = (by_angle * np.square(angle)) @ by_angle.T
         added: FloatArray = Q + (by_current * np.square(current)) @ by_current.T
@@ -199,11 +199,11 @@ class SampledLoop:
 
     @property
     def stable(self) -> bool:
-        """Whether every small motion dies away."""
+        """Whether every small motion decays."""
         return self.radius < 1.0
 
     def loudest(self) -> int:
-        """Return the joint whose command swings most in the motion that grows fastest."""
+        """Return the joint whose command is largest in the fastest growing motion."""
         values, vectors = np.linalg.eig(self.A)
         motion = vectors[:, int(np.argmax(np.abs(values)))]
         return int(np.argmax(np.abs(self._command @ motion)))
@@ -211,10 +211,10 @@ class SampledLoop:
     def sensitivities(self, count: int = _FREQUENCIES) -> tuple[FloatArray, ComplexArray]:
         """Return frequencies (K,) [rad per period] and 1 / (1 + L) of each joint, (K, N).
 
-        L is the loop cut at the joint's command, all other loops closed: by Schur's complement the
-        diagonal of the sensitivity matrix is just this.
+        L is the loop opened at the joint's command, all other loops closed: by Schur's complement
+        this is the diagonal of the sensitivity matrix.
         """
-        # Where a pole is near the unit circle, the loop changes within a narrow band.
+        # Near a pole close to the unit circle, the loop changes within a narrow band.
         resonances = self.poles[(np.abs(self.poles) > 0.7) & (self.poles.imag > 0.0)]
         width = np.abs(1.0 - np.abs(resonances))
         near = np.angle(resonances) + np.array([[-1.0], [-0.3], [0.0], [0.3], [1.0]]) * width
@@ -234,11 +234,11 @@ class SampledLoop:
         return [_margins(w, one) for one in S.T]
 
     def step(self, joint: int, rows: int, every: int = 1) -> FloatArray:
-        """Return the link positions that follow a joint's target of 1.
+        """Return the response of the link positions to a joint's unit target.
 
         Args:
-            joint: which one.
-            rows: how many, the first before anything has moved.
+            joint: its number.
+            rows: number of rows, the first before the arm has moved.
             every: servo periods from row to row.
 
         Returns:
@@ -260,7 +260,8 @@ class SampledLoop:
 
 def _margins(w: FloatArray, S: ComplexArray) -> Margins:
     L = 1.0 / S - 1.0
-    # Where L crosses the negative real axis, and the unit circle; linear between two frequencies.
+    # Crossings of L with the negative real axis and the unit circle; linear between two
+    # frequencies.
     across = np.flatnonzero(np.signbit(L.imag[1:]) != np.signbit(L.imag[:-1]))
     share = L.imag[across] / (L.imag[across] - L.imag[across + 1])
     real = L.real[across] + share * (L.real[across + 1] - L.real[across])
@@ -271,7 +272,7 @@ def _margins(w: FloatArray, S: ComplexArray) -> Margins:
     at = L[out] + share * (L[out + 1] - L[out])
     frequency = w[out] + share * (w[out + 1] - w[out])
     angle = np.angle(-at)
-    lag = np.mod(angle, 2.0 * math.pi)  # what it takes to turn clockwise to -1
+    lag = np.mod(angle, 2.0 * math.pi)  # clockwise turn to -1
     return Margins(
         float(factors[factors > 1.0].min(initial=math.inf)),
         float(factors[factors < 1.0].max(initial=0.0)),
@@ -282,7 +283,7 @@ def _margins(w: FloatArray, S: ComplexArray) -> Margins:
 
 
 def _settled(A: FloatArray, Q: FloatArray) -> FloatArray:
-    """Return the sum of A^k Q A'^k, its length doubled until nothing is added."""
+    """Return the sum of A^k Q A'^k, its length doubled until it no longer changes."""
     P = Q
     for _ in range(_DOUBLINGS):
         added = A @ P @ A.T

@@ -1,4 +1,4 @@
-"""Warnings about a scene, printed before anything moves."""
+"""Warnings about a scene, printed before the arm moves."""
 
 from __future__ import annotations
 

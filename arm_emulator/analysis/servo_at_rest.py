@@ -1,4 +1,4 @@
-"""How still a joint stands behind its encoder: the limit cycle at rest, predicted."""
+"""Prediction of the limit cycle of a joint at rest behind its encoder."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 _PLACES = (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)  # of the target within its count
-_TIMES = 60.0  # of 1 / position_gain, then half of it is watched
+_TIMES = 60.0  # of 1 / position_gain, the second half is evaluated
 _FEWEST, _MOST = 1000, 8000  # ticks
 
 
 def swing_at_rest(joint: JointServo, plant: SampledPlant, supply_voltage: float) -> float:
-    """Return by how much a link swings at rest, from end to end [rad].
+    """Return the limit cycle of a link at rest, peak to peak [rad].
 
-    The servo that runs, limits and counts included, holds one joint that nothing else moves, at
-    some places of its target within a count; the worst counts. About one count is what an encoder
-    leaves, since nobody sees a motor drift within one. More is a limit cycle: each count changes
-    the observed speed, and so the current, by more than the joint can stand.
+    The actual servo, with limits and counts, holds one joint that nothing else moves, at several
+    positions of its target within a count; the worst result is returned. About one count remains
+    behind any encoder, which cannot resolve drift within one. More is a limit cycle: each count
+    changes the observed speed, and thus the current, by more than the joint can stand.
 
     Args:
         joint: data sheet, gains and limits.

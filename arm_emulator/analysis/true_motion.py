@@ -1,11 +1,11 @@
-"""The true motion of a machine, with how well it is known, by steps that are halved.
+"""The true motion of a machine and its uncertainty, by halving steps.
 
-`rosenbrock` with events located is of order 2 wherever its events are separate; that is not taken
-for granted but measured: the differences between runs with n, 2 n, 4 n steps must fall, and what is
-left is estimated by how they fall. Steps begin where the fastest small motion is resolved: before
-that, differences may fall while an error stays. The motion is looked at more closely once, for a
-mode that was not seen because it began and ended within a step. Then the same scheme with events at
-the ends of steps, which decides them by other code, must come nearer and nearer.
+`rosenbrock` with located events is of order 2 if its events are separate. The order is measured:
+the differences between runs with n, 2 n, 4 n steps must fall, and their ratio gives an estimate of
+the remaining error. The largest step resolves the fastest small motion: with longer steps,
+differences may fall while an error stays. The motion is computed once with smaller steps, for a
+mode that began and ended within a step. Then the same scheme with events at the ends of steps,
+which uses other code to decide them, must approach the same motion.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Integrator, Scene
 
-# Differences that fall by less from a step to its half do not show where they lead to.
+# Differences that fall by less when a step is halved show no convergence.
 LEAST_FALL = 1.4
-MOST_FALL = 4.0  # of order 2; one that fell by more was lucky
-RESERVE = 2.0  # of what is left by that
+MOST_FALL = 4.0  # of order 2; a larger fall is chance
+RESERVE = 2.0  # on the remaining error
 FEWEST = 4  # steps per servo period to begin with, at least
 RESOLVED = 1.0  # of the fastest small motion in a step, by its rate
 ROUNDING = 1e-10  # rad or m: differences below, which do not fall any more, are of rounding
-CLOSER = 4  # times the steps with which a motion is looked at again
+CLOSER = 4  # times the steps in the second look at a motion
 HALVED = 6  # times at least that the first step can be halved
-NEARER = 0.1  # of its first distance, to which the scheme with events at the ends must come
-COARSER = 64  # times the steps of the truth, from which on it is watched, and up to which
+NEARER = 0.1  # of its first distance: required of the scheme with events at the ends
+COARSER = 64  # times the steps of the truth: range of the steps of that check
 PLANTS = 24  # that are kept
 
 
 @dataclass(frozen=True)
 class Method:
-    """How a machine is integrated, but for the step."""
+    """Integration of a machine, except for its step."""
 
     scheme: str
     events: str
     threads: int = 1
 
     def integrator(self, scene: Scene, steps: int) -> Integrator:
-        """Return it with so many steps per servo period."""
+        """Return it with this number of steps per servo period."""
         return dataclasses.replace(
             scene.integrator,
             scheme=self.scheme,
@@ -89,7 +89,7 @@ class Runs:
 
     @cached_property
     def rate(self) -> float:
-        """The fastest rate of a small motion about the start [1/s]."""
+        """Rate of the fastest small motion about the start [1/s]."""
         plant = self.plant(FINEST, FEWEST)
         try:
             J = SmallMotions(plant, self.scene.start).J
@@ -117,14 +117,14 @@ class Runs:
         return wall / simulated
 
     def least_cost(self, method: Method, steps: int) -> float:
-        """Return what the same is at least, by the cheapest step of this method; 0: unknown."""
+        """Return a lower bound of that time, from the cheapest step of this method; 0: unknown."""
         known = [self.cost(*key) / key[1] for key in self._times if key[0] == method]
         return steps * min(known, default=0.0)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Link positions after each row (K, N), and by how much they are off at most."""
+    """Link positions after each row (K, N), and a bound of their error."""
 
     q: Array
     error: float
@@ -132,12 +132,12 @@ class Truth:
 
 
 def find_truth(runs: Runs, commands: Array, wanted: float, most: int) -> Truth | str:
-    """Return the true motion, or why it cannot be known.
+    """Return the true motion, or why it cannot be determined.
 
     Args:
         runs: of the scene.
         commands: (K, N).
-        wanted: how well it is to be known [rad or m].
+        wanted: required accuracy [rad or m].
         most: steps per servo period.
     """
     resolved = min(runs.scene.servo_period * runs.rate / RESOLVED, most / 2**HALVED)
@@ -164,11 +164,11 @@ def find_truth(runs: Runs, commands: Array, wanted: float, most: int) -> Truth |
 
 
 def remainder(differences: list[float]) -> float:
-    """Return by how much the last run is off, by the differences of steps that were halved."""
+    """Return the error of the last run, from the differences of halved steps."""
     if len(differences) < 3:
         return np.inf
     before, one, last = differences[-3:]
-    # One that is by chance too small shall not count as what it is.
+    # A difference that is small by chance must not count.
     last = max(last, one / MOST_FALL / 2.0, before / MOST_FALL**2 / 2.0)
     if last == 0.0:
         return 0.0
@@ -177,13 +177,13 @@ def remainder(differences: list[float]) -> float:
 
 
 def is_confirmed(runs: Runs, commands: Array, truth: Truth, enough: float, most: int) -> bool:
-    """Whether the scheme with events at the ends of steps comes to the same motion.
+    """Whether the scheme with events at the ends of steps converges to the same motion.
 
     Args:
         runs: of the scene.
         commands: (K, N).
         truth: the motion with events located.
-        enough: how near is near [rad or m].
+        enough: required distance [rad or m].
         most: steps per servo period.
     """
     steps, seen = max(1, truth.steps // COARSER), list[float]()
@@ -193,5 +193,5 @@ def is_confirmed(runs: Runs, commands: Array, truth: Truth, enough: float, most:
         if seen[-1] <= enough:
             return True
         steps *= CLOSER
-    # Not that near, but on its way.
+    # Not that near, but converging.
     return seen[-1] == min(seen) and seen[-1] < NEARER * seen[0]

@@ -1,1 +1,1 @@
-"""What all other packages build on: refusals, bounds, files, parameters; no physics, no ROS."""
+"""Base of all other packages: refusals, bounds, files, parameters; no physics, no ROS."""

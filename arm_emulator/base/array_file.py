@@ -1,7 +1,7 @@
 """Arrays from outside: a NumPy archive (``.npz``) with arrays of real numbers.
 
-An archive may unpack to far more than its size, and an array's heading may promise what it likes:
-both are looked at before memory is taken. Nothing in it is run: pickled objects are no numbers.
+An archive may unpack to far more than its size, and an array's header may state any size: both are
+checked before memory is allocated. Nothing in the file is executed: pickled objects are refused.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_ENTRIES = 1000
 _END = struct.Struct("<4sHHHHIIH")  # of an archive: entries are the fifth number
 _END_SIGNATURE, _ZIP64_SIGNATURE = b"PK\x05\x06", b"PK\x06\x07"
 _ZIP64_SIZE, _LONGEST_COMMENT = 20, 2**16
-_METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # the others take memory as they like
+_METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # the memory of the others is unbounded
 _NUMBERS = "fiub"  # kinds of NumPy's types that are real numbers
 
 
@@ -36,8 +36,8 @@ def read_arrays(file: Path, names: Collection[str]) -> dict[str, FloatArray]:
     """Return those of the named arrays that an archive holds, as doubles.
 
     Raises:
-        Refusal: no such file, no archive, a damaged or a huge one, an array of something else than
-            real numbers.
+        Refusal: the file is missing, not an archive, damaged or too large, or an array does not
+            hold real numbers.
     """
     where = file.name
     with open_file(file) as stream:
@@ -47,20 +47,20 @@ def read_arrays(file: Path, names: Collection[str]) -> dict[str, FloatArray]:
                 return _arrays(archive, names, where)
         except Refusal:
             raise
-        except Exception as error:  # what a damaged one leads to, in zipfile, zlib and NumPy
+        except Exception as error:  # zipfile, zlib and NumPy raise various ones
             reason = f"{type(error).__name__} {error}"
             raise Refusal(where, "file", "be an archive of NumPy arrays", reason) from None
 
 
 def _check_entries(stream: IO[bytes], where: str) -> None:
-    """Refuse an archive whose table of contents is large, before anything is made of it."""
+    """Refuse an archive whose table of contents is large, before the archive is read."""
     size = stream.seek(0, io.SEEK_END)
     if size > MOST_BYTES:
         raise Refusal(where, "file", f"have at most {MOST_BYTES // 2**20} MiB", "more")
     start = max(0, size - _END.size - _LONGEST_COMMENT - _ZIP64_SIZE)
     stream.seek(start)
     tail = stream.read()
-    at = len(tail) - _END.size  # as zipfile looks for it: without a comment, else the last one
+    at = len(tail) - _END.size  # as zipfile: without a comment, else the last one
     if tail[max(0, at) :][:4] != _END_SIGNATURE:
         at = tail.rfind(_END_SIGNATURE)
     if not 0 <= at <= len(tail) - _END.size:
@@ -109,7 +109,7 @@ def _array(packed: IO[bytes], size: int, name: str, where: str) -> FloatArray:
 
 
 def _heading(packed: IO[bytes]) -> tuple[int, tuple[int, ...], bool, np.dtype[np.generic]]:
-    """Return size, shape, order and type that stand before an array."""
+    """Return size, shape, order and type from the header of an array."""
     counted = _Counted(packed)
     version = npy.read_magic(counted)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
@@ -119,7 +119,7 @@ def _heading(packed: IO[bytes]) -> tuple[int, tuple[int, ...], bool, np.dtype[np
 
 
 class _Counted:
-    """Counts what is read of a heading, and refuses a long one."""
+    """Counts the bytes read of a header, and refuses a long one."""
 
     LONGEST = 2**14
 

@@ -1,8 +1,8 @@
-"""Quantities of joints and of the tool that come from outside, and how large they may be.
+"""Bounds of quantities of joints and of the tool that come from outside.
 
-A joint at 1e308 rad is a mistake of its sender, and what is computed from it overflows. So every
-number is compared with a bound once, where it comes in. The bounds are far beyond every machine,
-and all that is computed within them is finite.
+A joint at 1e308 rad is a mistake of its sender, and computations with it overflow. Every number is
+therefore compared with a bound once, at its input. The bounds are far beyond every machine, and
+all results computed within them are finite.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from arm_emulator.base.number import Number
 
-# Commands to a joint and measurements of it; a joint that slides has m in place of rad.
+# Commands to a joint and measurements of it; m instead of rad for a prismatic joint.
 POSITION = Number.within("position", "rad", 1e6)
 VELOCITY = Number.within("velocity", "rad/s", 1e6)
 ACCELERATION = Number.within("acceleration", "rad/s2", 1e9)
@@ -25,14 +25,14 @@ CURRENT = Number.within("current", "A", 1e9)
 ANY_COMMAND = Number.within("command", "V, N m or A", math.inf)
 ANY_STATE = Number.within("x", "", math.inf)
 ANY_COMMANDS = ANY_COMMAND.named("commands")
-# What acts on a link from outside, and where on it.
+# An external force on a link, and its point of application.
 FORCE = Number.within("force", "N", 1e6)
 MOMENT = Number.within("moment", "N m", 1e6)
 POINT = Number.within("point", "m", 1e3)
 # Target of the tool, in the world.
 TOOL_POSITION = Number.within("position", "m", 1e6)
 
-# Beyond, half a count is lost in the rounding of a number.
+# Beyond this, half a count is lost in rounding.
 LARGEST_COUNT = 2.0**52
 
 

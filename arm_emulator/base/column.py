@@ -16,7 +16,7 @@ class Column:
     """One number of each row.
 
     Attributes:
-        path: what it is, the larger group first: ("measured", "current", "elbow").
+        path: names, the larger group first: ("measured", "current", "elbow").
         unit: "" if it has none.
         field: of the rows.
         member: of the field's structs; "": the field is numbers.

@@ -1,4 +1,4 @@
-"""Where configuration files are: scenes, and what lies beside them or comes with the emulator."""
+"""Paths of configuration files: scenes, files beside them, files shipped with the emulator."""
 
 import os
 from pathlib import Path
@@ -8,9 +8,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.yaml_file import read_yaml
 
-# What a scene may have beside it: parameters of the servo and of the motion controller, and a demo.
+# Files that may lie beside a scene: parameters of servo and motion controller, and a demo.
 BESIDE = ("servo", "motion", "demo")
-ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions, of which scenes can be made
+ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions, from which scenes can be made
 
 
 def config_folder() -> Path:
@@ -81,7 +81,7 @@ def find_config(name: str, ending: str, kind: str = ".") -> Path:
 
 
 def find_scene(name: str | Path) -> Path:
-    """Return the absolute path of the scene that `name` means; links in it stay what they are.
+    """Return the absolute path of the scene that `name` means; links in it are kept.
 
     Raises:
         Refusal: there is no such file.
@@ -90,7 +90,7 @@ def find_scene(name: str | Path) -> Path:
 
 
 def find_beside(scene: Path, kind: str) -> Path:
-    """Return the file that belongs to a scene: the one rule for every command and launch file.
+    """Return the file that belongs to a scene, by one rule for all commands and launch files.
 
     The scene's key `kind` names it, relative to the scene file, or by the name of one that comes
     with the emulator. Without the key it is ``KIND/NAME.yaml`` beside ``NAME.yaml``.
@@ -100,7 +100,7 @@ def find_beside(scene: Path, kind: str) -> Path:
         kind: one of `BESIDE`.
 
     Raises:
-        Refusal: there is no such file; with where it was looked for and what to write.
+        Refusal: there is no such file; names the folders searched and the remedy.
     """
     named = read_yaml(scene).get(kind)
     if named is not None and (not isinstance(named, str) or not named):

@@ -8,13 +8,13 @@ import numpy as np
 
 from arm_emulator.base.number import Number
 
-LARGEST = 2**63 - 1  # what the core counts with
+LARGEST = 2**63 - 1  # the core's integer
 
 
 def check_count(
     where: str, quantity: str, value: object, least: int = 0, largest: int = LARGEST
 ) -> int:
-    """Return a whole number from `least` to `largest`, of Python's or NumPy's, as Python's.
+    """Return a whole number from `least` to `largest`, of Python or NumPy, as Python's int.
 
     Raises:
         Refusal: it is something else.

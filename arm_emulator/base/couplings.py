@@ -1,4 +1,4 @@
-"""Joints of a robot description that do not go each with a drive of its own.
+"""Joints of a robot description that have no drive of their own.
 
 A mimic joint follows another one; an element <coupling joint= multiplier=> in a joint, of which
 there may be several, adds a share of a shaft. The angles of all joints are q = C p + q_0, with p
@@ -26,7 +26,7 @@ _MIMIC, _COUPLING = "mimic", "coupling"
 
 @dataclass(frozen=True)
 class Follows:
-    """What a joint's angle is made of."""
+    """A joint's angle as shares of shaft angles."""
 
     shares: Mapping[str, float]  # by the shaft's name
     offset: float  # rad or m
@@ -37,11 +37,11 @@ def followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> dict[st
 
     Args:
         robot: the URDF's root element.
-        where: what to call it in refusals.
+        where: its name in refusals.
         but: joints that are held, whatever they follow.
 
     Raises:
-        Refusal: a joint that follows an unknown one, or itself by a detour; no number.
+        Refusal: a joint follows an unknown one or, indirectly, itself; a value is not a number.
     """
     elements = {joint.get("name", ""): joint for joint in robot.findall("joint")}
     found = {
@@ -80,7 +80,7 @@ def _number(text: str, what: str, where: str) -> float:
 
 
 def _resolved(name: str, found: Mapping[str, Follows], where: str) -> Follows:
-    """Return what a joint follows by shafts alone, through other followers."""
+    """Return the shafts that a joint follows, directly or through other followers."""
     shares, offset = dict(found[name].shares), found[name].offset
     for _ in range(len(found)):
         through = [one for one in shares if one in found and one not in found[one].shares]
@@ -96,7 +96,7 @@ def _resolved(name: str, found: Mapping[str, Follows], where: str) -> Follows:
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """How joints go with shafts: q = C p + q_0."""
+    """Coupling of joints to shafts: q = C p + q_0."""
 
     joints: tuple[str, ...]  # that move, base to tool
     shafts: tuple[str, ...]
@@ -105,7 +105,7 @@ class Coupling:
 
     @property
     def alone(self) -> set[str]:
-        """The shafts whose angle is that of the joint after which they are called."""
+        """The shafts that turn as the joint of the same name does."""
         unit = np.eye(len(self.shafts))
         rows = zip(self.joints, self.C, self.offset, strict=True)
         own = {name: (row, offset) for name, row, offset in rows if name in self.shafts}
@@ -122,7 +122,7 @@ class Coupling:
 
 
 def own_shafts(joints: Sequence[str], followers: Mapping[str, Follows]) -> list[str]:
-    """Return the joints by whose names shafts go: no followers, or followed themselves."""
+    """Return the joints that name shafts: those that follow none, or that others follow."""
     followed = {shaft for one in followers.values() for shaft in one.shares}
     return [name for name in joints if name not in followers or name in followed]
 
@@ -131,8 +131,8 @@ def coupling_of(joints: Sequence[str], followers: Mapping[str, Follows], where: 
     """Return the coupling of joints in a row.
 
     Raises:
-        Refusal: a joint that follows one that is not among them, or shafts that move nothing of
-            their own.
+        Refusal: a joint follows one that is not in the row, or a shaft moves no joint of its
+            own.
     """
     shafts = own_shafts(joints, followers)
     for name, one in followers.items():

@@ -1,6 +1,6 @@
-"""Flags and rows of numbers as callers give them: Python's, or NumPy's of any width.
+"""Flags and rows of numbers from callers: Python's, or NumPy's of any width.
 
-``True`` is no number and 1 is no flag, wherever they stand.
+``True`` is not a number and 1 is not a flag, anywhere.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ _FLAGS = (bool, np.bool_)
 
 
 def array_of(values: object) -> FloatArray | None:
-    """Return `values` as an array of numbers in rows; a copy only where they are something else.
+    """Return `values` as an array of numbers in rows; a copy only if their type differs.
 
-    None: something in it is no real number.
+    None: one of them is not a real number.
     """
     if isinstance(values, np.ndarray) and values.dtype == np.float64 and values.flags.c_contiguous:
         return values
@@ -26,7 +26,7 @@ def array_of(values: object) -> FloatArray | None:
         array = np.asarray(values)
         if array.dtype.kind in "iuf" and (values is array or not _holds_flag(values)):
             return array.astype(np.float64, order="C")
-    except Exception:  # whatever an object does that is asked for its numbers, it has none
+    except Exception:  # an object may raise anything when converted
         pass
     return None
 

@@ -35,8 +35,8 @@ class JointOrder:
             bound: of the values, in the receiver's order.
 
         Raises:
-            Refusal: other names than the receiver's, another number of values, or one that is not
-                finite or too large.
+            Refusal: the names differ from the receiver's, the number of values is wrong, or a
+                value is not finite or too large.
         """
         array = np.array(bound.numbers(self.topic, values))
         if array.shape != (len(names),):

@@ -1,4 +1,4 @@
-"""What is kept of a run without a network, as the user asks for it."""
+"""Outputs of a run without a network, as requested by the user."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ SUFFIXES = (".mcap", ".csv", ".parquet", ".npz")
 
 @dataclass(frozen=True)
 class Kept:
-    """What is kept or shown of a run.
+    """Files and viewer to which a run is written.
 
     Args:
-        record: new file of what is true and what is measured (.mcap, .csv, .parquet or .npz).
+        record: new file for true and measured values (.mcap, .csv, .parquet or .npz).
         rerun: port at which a Rerun viewer may connect, or an .rrd file to write.
     """
 
@@ -23,10 +23,10 @@ class Kept:
     rerun: str | None = None
 
     def check(self, where: str) -> None:
-        """Refuse what cannot be meant, before anything is begun.
+        """Refuse unusable options before anything starts.
 
         Raises:
-            Refusal: a file of another kind, or neither port nor file.
+            Refusal: the suffix is unknown, or the value is neither port nor file.
         """
         if self.record is not None:
             check_suffix(where, "--record", self.record)
@@ -43,7 +43,7 @@ NOTHING = Kept()
 
 
 def check_suffix(where: str, quantity: str, file: Path) -> None:
-    """Refuse files of another kind than those of rows.
+    """Refuse files of a kind that cannot hold rows.
 
     Raises:
         Refusal: see above.

@@ -1,7 +1,7 @@
-"""An end for an MCAP file that has none: its writer was killed, or the disk was full.
+"""Completion of an MCAP file without an end: its writer was killed, or the disk was full.
 
-All whole chunks stay as and where they are. The incomplete rest behind them is removed, and the
-index that readers look for at the end of a file is written. Format: https://mcap.dev/spec
+All whole chunks are kept unchanged. The incomplete rest after them is removed, and the index that
+readers expect at the end of a file is written. Format: https://mcap.dev/spec
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Chunk:
 
 @dataclass
 class _Whole:
-    """Contents of a file without an end, up to where it was cut off."""
+    """Contents of a truncated file, up to the cut."""
 
     chunks: list[_Chunk] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)  # in no chunk
@@ -69,12 +69,12 @@ class _Whole:
 
 
 def give_end(file: Path) -> bool:
-    """Make a whole MCAP file of one that was cut off anywhere; False if it is whole already.
+    """Complete an MCAP file that was cut off anywhere; return False if it is complete already.
 
-    When the disk has no room for the index, the last chunks make room for it.
+    If the disk has no room for the index, the last chunks are removed to make room.
 
     Raises:
-        Refusal: it is no MCAP file, or damaged before its end.
+        Refusal: it is not an MCAP file, or damaged before its end.
         OSError: it cannot be written.
     """
     with open_file(file) as stream:
@@ -90,10 +90,10 @@ def give_end(file: Path) -> bool:
             _write_end(file, whole)
             return True
         except OSError as error:
-            # Less data would cure a lack of room only.
+            # Removing data helps only against a full disk.
             if error.errno not in NO_ROOM or not whole.chunks:
                 raise
-            # The index of the chunk before is whole, since another chunk came behind it.
+            # The index of the previous chunk is whole, since another chunk follows it.
             whole.end, whole.followed = whole.chunks.pop().start, True
 
 
@@ -197,7 +197,7 @@ def _write_end(file: Path, whole: _Whole) -> None:
     ).write(builder)
     builder.write(MCAP0_MAGIC)
     end = builder.end()
-    with file.open("r+b", buffering=0) as stream:  # what a buffer could not write, it would keep
+    with file.open("r+b", buffering=0) as stream:  # a buffer would keep what it could not write
         stream.truncate(whole.end)
         stream.seek(whole.end)
         write_all(stream, end)
@@ -205,10 +205,10 @@ def _write_end(file: Path, whole: _Whole) -> None:
 
 
 def write_all(stream: IO[bytes], data: bytes) -> None:
-    """Write to a file without a buffer, which may take a part at a time.
+    """Write to a file without a buffer, which may accept a part at a time.
 
     Raises:
-        OSError: it does not take all.
+        OSError: not all bytes were written.
     """
     rest = memoryview(data)
     while rest:
@@ -222,12 +222,12 @@ def flush_to_disk(descriptor: int) -> None:
     """Wait for the disk: some report only now that they are full, or over a quota.
 
     Raises:
-        OSError: it has not taken all.
+        OSError: not all bytes were written.
     """
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):  # it cannot be asked
+        if error.errno not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):  # fsync is not supported
             raise
 
 

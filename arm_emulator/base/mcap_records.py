@@ -1,7 +1,7 @@
-"""Records of an MCAP file, one by one, whoever wrote it: in bounded time and memory.
+"""Records of an MCAP file from any writer, one by one, in bounded time and memory.
 
-A file may end anywhere, since its writer may have been killed; what it holds up to there is sound.
-Anything else that is not as it should be is damage. Format: https://mcap.dev/spec
+A file may end anywhere, since its writer may have been killed; the records before the end are
+sound. Any other deviation is damage. Format: https://mcap.dev/spec
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC
 
-MOST_RECORD = 1 << 28  # bytes of a record, and of what a chunk unpacks to
-MOST_UNPACKED = 1 << 26  # bytes that a file unpacks to at most, and so many times its own size:
+MOST_RECORD = 1 << 28  # bytes of a record, and of an unpacked chunk
+MOST_UNPACKED = 1 << 26  # bytes that a file unpacks to at most, or by its own size:
 MOST_RATIO = 50  # a bomb unpacks to thousands of times, messages of machines to a few
 HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; the data follow
@@ -37,7 +37,7 @@ class CutOff(Exception):
 
 
 class Damaged(Exception):
-    """The file is not what a writer has written; the text gives the difference."""
+    """The file differs from what a writer has written; the text gives the difference."""
 
 
 @contextlib.contextmanager
@@ -54,9 +54,9 @@ class Record:
 
     Attributes:
         opcode: its kind.
-        start: where it begins, with its heading.
-        end: where the next one begins.
-        content: without its heading; empty where nobody looks at it.
+        start: its first byte, heading included.
+        end: first byte of the next one.
+        content: without its heading; empty if it is not read.
     """
 
     opcode: int
@@ -66,21 +66,21 @@ class Record:
 
     @property
     def schema(self) -> Schema:
-        """What a record of this kind holds."""
+        """Content of a schema record."""
         with _sound("a schema"):
             schema: Schema = Schema.read(ReadDataStream(BytesIO(self.content)))
         return schema
 
     @property
     def channel(self) -> Channel:
-        """What a record of this kind holds."""
+        """Content of a channel record."""
         with _sound("a channel"):
             channel: Channel = Channel.read(ReadDataStream(BytesIO(self.content)))
         return channel
 
     @property
     def message(self) -> tuple[int, int, int, int]:
-        """Channel, sequence, log time and publish time of a message [ns]; its data follow."""
+        """Channel, sequence, log time and publish time [ns] of a message; its data follow."""
         with _sound("a message"):
             channel, sequence, log_time, publish_time = MESSAGE.unpack_from(self.content)
             return channel, sequence, log_time, publish_time
@@ -106,7 +106,7 @@ class Chunk:
         """Yield the records in it.
 
         Raises:
-            Damaged: they do not fill it, or are of a kind that stands in no chunk.
+            Damaged: they do not fill it, or are of a kind not permitted in chunks.
         """
         at, data, size = 0, self.data, len(self.data)
         while at < size:
@@ -158,7 +158,7 @@ class McapFile:
             head = stream.read(HEAD.size)
             opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
             end = at + HEAD.size + length
-            # Zeros at the end are what a computer leaves that lost its power.
+            # A computer that lost its power leaves zeros at the end.
             if opcode == 0 or end > size:
                 raise Damaged("a record beyond its end") if self.ended else CutOff
             if opcode == Opcode.FOOTER:
@@ -174,10 +174,10 @@ class McapFile:
             at = end
 
     def chunk(self, record: Record) -> Chunk:
-        """Return what a chunk's record holds.
+        """Return the content of a chunk's record.
 
         Raises:
-            Damaged: it cannot be unpacked, holds something else than was packed, or too much.
+            Damaged: it cannot be unpacked, differs from what was packed, or is too large.
         """
         content = record.content
         try:

@@ -1,4 +1,4 @@
-"""Whether an error means that no memory is left: libraries report it in various ways."""
+"""Detection of errors that mean out of memory, which libraries report in various ways."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _WORDS = ("cannot allocate memory", "failed to map segment", "can't start new th
 
 
 def is_want_of_memory(error: BaseException | None) -> bool:
-    """Return whether an error, or what led to it, is want of memory."""
+    """Return whether an error, or its cause, is a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
             return True

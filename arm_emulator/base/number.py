@@ -147,7 +147,7 @@ class Number:
 
     @property
     def rule(self) -> str:
-        """What a refusal of it demands: ``be a number > 0 ohm``."""
+        """Rule of its refusals: ``be a number > 0 ohm``."""
         return f"be a {self.range}"
 
     @property
@@ -158,7 +158,7 @@ class Number:
 
     @property
     def described(self) -> str:
-        """What it is and its range, in a line."""
+        """Description with range, in a line."""
         return f"{self.text or self.name.replace('_', ' ')}: {self.range}"
 
     @cached_property
@@ -172,7 +172,7 @@ class Number:
 
     @cached_property
     def most(self) -> float:
-        """The largest; of a row, one that all its entries may have."""
+        """The largest number; of a row, one that all its entries may have."""
         return LARGEST if self.at_most is None else float(np.min(self.at_most))
 
     @property
@@ -182,7 +182,7 @@ class Number:
 
     @cached_property
     def _reach(self) -> float:
-        """Up to which size all numbers of either sign are in the range; < 0: up to none."""
+        """Largest size up to which all numbers of either sign are in the range; < 0: none."""
         free = (self.least <= 0.0 if self.in_size else self.least <= -self.most) and not self.whole
         return min(self.most, sys.float_info.max) if free else -1.0
 

@@ -14,7 +14,7 @@ from arm_emulator.base.yaml_file import read_yaml
 
 Parameters = TypeVar("Parameters")
 
-# Parameters that every ROS 2 node has of itself.
+# Parameters that every ROS 2 node has.
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
@@ -28,7 +28,7 @@ def parameter(
     choices: tuple[str, ...] = (),
     settable: bool = False,
 ) -> Any:
-    """Return a dataclass field with all that a parameter is: default, unit, range, choices.
+    """Return a dataclass field with the declaration of a parameter: default, unit, range, choices.
 
     `settable` ones can be set while the node runs, the others are read once at its start.
     """
@@ -57,10 +57,10 @@ def load_parameters(
     """Read a node's ROS parameter file into the frozen dataclass `kind`.
 
     Returns:
-        The parameters; and as they stand there the sections `beside` them, whose names begin so.
+        The parameters; and the sections whose names begin with `beside`, unchanged.
 
     Raises:
-        Refusal: no parameters of that node, an unknown name, or a value that is not taken.
+        Refusal: no parameters of that node, an unknown name, or a refused value.
     """
     given, sections = dict(ros_parameters(path, node)), dict[str, Any]()
     fields = parameters_of(kind)
@@ -100,13 +100,13 @@ def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
 
 
 def perhaps(name: str, known: Iterable[str]) -> str:
-    """Return a hint at the known name that comes nearest to an unknown one, empty if none does."""
+    """Return a hint at the known name nearest to an unknown one, empty if none is near."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f", perhaps for {near[0]}" if near else ""
 
 
 def _check_keys(parameters: Mapping[str, Any], where: str) -> None:
-    """Refuse a section whose name has dots: ROS's own reader takes what follows for another."""
+    """Refuse a section whose name has dots: ROS's own reader splits it."""
     for key, value in parameters.items():
         if not isinstance(value, Mapping):
             continue

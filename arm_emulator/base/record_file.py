@@ -1,7 +1,7 @@
-"""Files of rows, by their suffix: whole at every moment, or not there.
+"""Files of rows, by their suffix: whole at every moment, or absent.
 
-Rows reach the system as they come. What a full disk has taken stays a whole file, in the kinds that
-grow row by row; the others appear under their name when they are whole.
+Rows are written as they arrive. If the disk is full, files of kinds that grow row by row keep the
+rows written so far; files of other kinds get their name when they are complete.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from arm_emulator.base.kept import SUFFIXES, check_suffix
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.wheel import need_wheel
 
-CHUNK_SIZE = 2**30  # bytes of MCAP: chunks end between rows, not where they are full
+CHUNK_SIZE = 2**30  # bytes of MCAP: chunks end between rows, not by size
 ROWS_OF_CHUNK = 256
 ROWS_OF_GROUP = 2**14  # of Parquet
 NANOSECONDS = 1_000_000_000
-MEASURED = "measured"  # the first part of the path of what is
+MEASURED = "measured"  # first part of the path of measured values
 CLOCK = ("t", "tick")  # in both channels of MCAP
 
 
 class RecordFile(Protocol):
-    """A new file that rows go to."""
+    """A new file for rows."""
 
     def write(self, rows: Rows) -> None:
         """Append rows (K,).
 
         Raises:
-            OSError: the disk does not take all of them.
+            OSError: not all of them were written.
         """
 
     def close(self) -> None:
-        """Make it whole.
+        """Complete the file.
 
         Raises:
             OSError: see `write`.
         """
 
     def give_up(self) -> None:
-        """Leave a whole file of what was taken before the disk failed, or none."""
+        """Leave a whole file of the rows written before the disk failed, or no file."""
 
 
 def open_record(where: str, file: Path, columns: Sequence[Column]) -> RecordFile:
@@ -66,14 +66,14 @@ def open_record(where: str, file: Path, columns: Sequence[Column]) -> RecordFile
 
 
 class CsvFile:
-    """A heading with units, then a line per row; what is not finite is an empty cell."""
+    """A heading with units, then a line per row; values that are not finite are empty cells."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
         from arm_emulator.base.unbuffered_file import UnbufferedFile
 
         self._file, self._columns, self._stream = file, columns, UnbufferedFile(file)
         self._stream.write(",".join(_cell(one.heading) for one in columns).encode() + b"\n")
-        # Up to where lines are whole for sure.
+        # End of the last whole line.
         self._whole = self._stream.tell()
 
     def write(self, rows: Rows) -> None:
@@ -83,14 +83,14 @@ class CsvFile:
         self._whole = self._stream.tell()
 
     def close(self) -> None:
-        """Make it whole."""
+        """Complete the file."""
         from arm_emulator.base.mcap_end import flush_to_disk
 
         flush_to_disk(self._stream.fileno())
         self._stream.close()
 
     def give_up(self) -> None:
-        """Take back a line that is not whole."""
+        """Remove an incomplete last line."""
         with self._file.open("rb") as stream:
             stream.seek(self._whole)
             taken = stream.read().rfind(b"\n") + 1
@@ -147,7 +147,7 @@ class McapFile:
         self._stream.close()
 
     def give_up(self) -> None:
-        """End it behind the last chunk that is whole."""
+        """End the file after the last whole chunk."""
         from arm_emulator.base.mcap_end import give_end
 
         self._stream.close()
@@ -155,7 +155,7 @@ class McapFile:
 
 
 class _WholeAtTheEnd:
-    """A file that cannot be read before it is whole: till then it has another name."""
+    """A file that is readable only when complete: until then it has another name."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
         self._file, self._columns = file, columns
@@ -170,7 +170,7 @@ class _WholeAtTheEnd:
         self._part.rename(self._file)
 
     def give_up(self) -> None:
-        """Leave nothing."""
+        """Leave no file."""
         self._part.unlink(missing_ok=True)
 
 
@@ -210,25 +210,25 @@ class ParquetFile(_WholeAtTheEnd):
         self._publish()
 
     def give_up(self) -> None:
-        """Leave nothing."""
+        """Leave no file."""
         with contextlib.suppress(Exception):
             self._writer.close()
         super().give_up()
 
 
 class NpzFile(_WholeAtTheEnd):
-    """An array per column in an archive of NumPy's."""
+    """An array per column in a NumPy archive."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
         super().__init__(file, columns)
         self._waiting: list[Rows] = []
 
     def write(self, rows: Rows) -> None:
-        """Take rows, which are written at the end."""
+        """Collect rows, which are written at the end."""
         self._waiting.append(rows)
 
     def close(self) -> None:
-        """Write all."""
+        """Write all rows."""
         rows = np.concatenate(self._waiting)
         with self._part.open("wb") as stream:
             np.savez(stream, **{one.name: one.of(rows) for one in self._columns})  # type: ignore[arg-type]
@@ -241,7 +241,7 @@ KINDS: dict[str, Callable[[Path, Sequence[Column]], RecordFile]] = dict(
 
 
 def arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
-    """Return rows as a table of Arrow, the units in the metadata of its fields."""
+    """Return rows as an Arrow table, with units in the metadata of its fields."""
     import pyarrow as pa
 
     arrays = [pa.array(np.ascontiguousarray(one.of(rows))) for one in columns]
@@ -253,7 +253,7 @@ def arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
 
 
 def _texts(columns: Sequence[Column], rows: Rows, none: str) -> list[list[str]]:
-    """Return the numbers of columns as texts that give the same bits; `none` where none is."""
+    """Return columns as texts that give the same bits; `none` for values that are not finite."""
     texts = []
     for one in columns:
         values = one.of(rows)
@@ -283,7 +283,7 @@ def _tree(columns: Sequence[Column]) -> Tree:
 
 
 def _template(tree: Tree) -> str:
-    """Return an object of JSON with `%s` for each number."""
+    """Return a JSON object with `%s` for each number."""
     text = json.dumps(tree, separators=(",", ":"), default=lambda _: _NUMBER)
     return text.replace("%", "%%").replace(json.dumps(_NUMBER), "%s")
 

@@ -1,21 +1,21 @@
-"""Refusals: the one way in which every part of the emulator rejects an input."""
+"""Refusals: the one way in which all parts of the emulator reject an input."""
 
 import copyreg
 from typing import Any
 
 
 class Refusal(ValueError):
-    """An input that is not taken, with the reason in one line.
+    """A rejected input, with the reason in one line.
 
     The line reads ``where: quantity must rule, got value; valid: ...``, for example
     ``three_axis.yaml: joints.elbow.gear.stiffness must be a number > 0 N m/rad, got -3``.
 
     Args:
-        where: what was being read: a file, a topic, a function.
+        where: the source of the input: a file, a topic, a function.
         quantity: the quantity that breaks the rule.
         rule: the rule with its unit, as it follows "must".
         got: the value found.
-        valid: what would be valid, where that does not follow from the rule.
+        valid: valid values, if they do not follow from the rule.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class Refusal(ValueError):
         super().__init__(line if valid is None else f"{line}; valid: {_one_line(valid, 500)}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # As it stands: a worker process hands it over, and `args` are not those of `__init__`.
+        # Unpickled without `__init__`, whose arguments are not `args`: a worker process sends it.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
@@ -39,7 +39,7 @@ def _one_line(value: object, longest: int, *, of_end: bool = False) -> str:
     """Return `value` on one line of at most `longest` printable characters, the first or last."""
     try:
         text = str(value)
-    except Exception:  # whatever it is, the refusal must still be raised
+    except Exception:  # the refusal must be raised for any value
         text = f"a value of type {type(value).__name__} that cannot be shown"
     text = text[-8 * longest :] if of_end else text[: 8 * longest]
     text = " ".join(text.split()) or repr(text[:longest])

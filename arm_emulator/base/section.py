@@ -7,14 +7,14 @@ from typing import Any
 from arm_emulator.base.number import REQUIRED, Number, numbers_of
 from arm_emulator.base.refusal import Refusal
 
-LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: beyond is a slip
+LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: larger ones are mistakes
 
 
 class Section:
-    """One mapping of the file, read key by key; `finish` refuses the keys that nobody asked for.
+    """One mapping of the file, read key by key; `finish` refuses keys that were not read.
 
-    A key that is there must hold what is asked for; one that is not gives the default, if the
-    reading method takes one, or is refused.
+    A key that is present must have a value of the requested type; an absent one gives the
+    default, if the reading method has one, or is refused.
 
     Args:
         data: the mapping.
@@ -30,16 +30,16 @@ class Section:
         self._sections: dict[str, Section] = {}
 
     def keys(self) -> list[str]:
-        """Return the keys that are there."""
+        """Return the keys of the mapping."""
         return [str(key) for key in self._data]
 
     def has(self, key: str) -> bool:
-        """Return whether a key, known from now on, is there."""
+        """Return whether a key is present, and mark it as known."""
         self._known.add(key)
         return key in self._data
 
     def put(self, key: str, value: object) -> None:
-        """Take a value for a key as if the file had it there."""
+        """Set the value of a key as if the file contained it."""
         self._data = {**self._data, key: value}
 
     def refusal(self, key: str, rule: str, got: object, valid: str | None = None) -> Refusal:
@@ -47,7 +47,7 @@ class Section:
         return Refusal(self.where, self._name(key), rule, got, valid)
 
     def section(self, key: str) -> Section | None:
-        """Return the section below a key, None if the key is not there."""
+        """Return the section below a key, None if the key is absent."""
         if not self.has(key):
             return None
         if self._data[key] is None:
@@ -55,7 +55,7 @@ class Section:
         return self.required_section(key)
 
     def required_section(self, key: str) -> Section:
-        """Return the section below a key that must be there."""
+        """Return the section below a required key."""
         value = self._take(key)
         if not isinstance(value, dict):
             rule = "be a section of keys and values"
@@ -84,7 +84,7 @@ class Section:
         return str(value)
 
     def flag(self, key: str) -> bool:
-        """Return true or false; false if the key is not there."""
+        """Return true or false; false if the key is absent."""
         value = self._take(key)
         if key in self._data and not isinstance(value, bool):
             got = "nothing" if value is None else repr(value)
@@ -107,7 +107,7 @@ class Section:
         return {name: self.number(one) for name, one in numbers_of(kind).items()}
 
     def vector(self, one: Number, size: int = 3) -> tuple[float, ...] | None:
-        """Return a row of numbers by its name, None if it is not there."""
+        """Return a row of numbers by its name, None if it is absent."""
         value = self._take(one.name)
         if value is None and one.name not in self._data:
             return None
@@ -117,11 +117,11 @@ class Section:
         return tuple(float(entry) for entry in value)
 
     def value(self, key: str) -> object:
-        """Return whatever a key holds, None if it is not there, for the caller to check."""
+        """Return the value of a key unchecked, None if it is absent."""
         return self._take(key)
 
     def entries(self, key: str) -> list[object]:
-        """Return a list, empty if the key is not there."""
+        """Return a list, empty if the key is absent."""
         value = self._take(key)
         if key not in self._data:
             return []
@@ -130,10 +130,10 @@ class Section:
         return value
 
     def finish(self) -> None:
-        """Refuse what nobody asked for, here and in the sections below.
+        """Refuse keys that were not read, here and in the sections below.
 
         Raises:
-            Refusal: a key is not known.
+            Refusal: a key is unknown.
         """
         for below in self._sections.values():
             below.finish()

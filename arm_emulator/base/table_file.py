@@ -28,7 +28,7 @@ class Table:
     Attributes:
         where: name of the file.
         columns: their names (C,).
-        lines: where each row stands in the file, from 1 on (K,).
+        lines: line number of each row in the file, from 1 on (K,).
         values: NaN where a cell is empty (K, C).
     """
 
@@ -44,15 +44,15 @@ class Table:
 
 
 def read_table(file: Path, units: Mapping[str, str]) -> Table:
-    """Read a table; empty lines are passed over.
+    """Read a table; empty lines are skipped.
 
     Args:
-        file: which one.
+        file: the CSV file.
         units: of columns, by their names, for refusals.
 
     Raises:
-        Refusal: no such file, no CSV in UTF-8, a row that is shorter or longer than the
-            heading, or a cell that is no finite number.
+        Refusal: the file is missing or not a CSV in UTF-8, a row is shorter or longer than the
+            heading, or a cell is not a finite number.
     """
     where = file.name
     rows = _rows(file)

@@ -1,7 +1,7 @@
-"""Files from outside: regular ones of bounded size, and nothing that only looks like a file.
+"""Files from outside: regular files of bounded size only.
 
-Every file that a user names is opened here. What is in it is read by the module of its kind:
-`yaml_file`, `urdf_text`, `table_file`, `array_file`.
+Every file that a user names is opened here. The module of its kind reads it: `yaml_file`,
+`urdf_text`, `table_file`, `array_file`.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from typing import IO
 
 from arm_emulator.base.refusal import Refusal
 
-PIECE = 1 << 24  # bytes that are read at a time, so that a limit takes no memory by itself
+PIECE = 1 << 24  # bytes read at a time, so that memory follows the file, not the limit
 
 
 def why_no_file(file: Path) -> str | None:
-    """Return in words why a path leads to no regular file; None: it does."""
+    """Return why a path is not a regular file; None if it is."""
     try:
         return _why_not_regular(file.stat().st_mode)
     except FileNotFoundError:
@@ -27,15 +27,15 @@ def why_no_file(file: Path) -> str | None:
 
 
 def open_file(file: Path) -> IO[bytes]:
-    """Open a regular file to be read. Never waits for a pipe.
+    """Open a regular file for reading. Never waits for a pipe.
 
     Raises:
-        Refusal: something else than a regular file, or one that cannot be opened.
+        Refusal: not a regular file, or one that cannot be opened.
     """
     reason: object = why_no_file(file)
     if reason is None:
         try:
-            # Not blocking, should it have become a pipe since.
+            # Not blocking, in case it has become a pipe since.
             flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY
             stream = open(os.open(file, flags), "rb")
             reason = _why_not_regular(os.fstat(stream.fileno()).st_mode)
@@ -48,10 +48,10 @@ def open_file(file: Path) -> IO[bytes]:
 
 
 def read_bytes(file: Path, most: int) -> bytes:
-    """Return what is in a regular file of at most `most` bytes.
+    """Return the content of a regular file of at most `most` bytes.
 
     Raises:
-        Refusal: something else than a regular file, a larger one, or one that cannot be read.
+        Refusal: not a regular file, too large, or not readable.
     """
     pieces, size = list[bytes](), 0
     with open_file(file) as stream:
@@ -67,7 +67,7 @@ def read_bytes(file: Path, most: int) -> bytes:
 
 
 def read_text(file: Path, most: int) -> str:
-    """Return the text of a regular file of at most `most` bytes in UTF-8, line ends as they are.
+    """Return the text of a regular file of at most `most` bytes in UTF-8, line ends unchanged.
 
     Raises:
         Refusal: see `read_bytes`, or another encoding.

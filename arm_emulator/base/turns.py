@@ -1,8 +1,8 @@
-"""Who may use a machine when: threads one after the other, and a forked child for itself.
+"""Exclusive access to a machine: threads take turns, and a forked child gets a copy of its own.
 
-A call on a machine takes its turn, so that two threads find it between two calls and never within
-one. A fork waits until no call is under way: the child has a sound copy of every machine. Threads
-are not copied, so what rests on threads is renewed there.
+Each call on a machine holds a lock, so that no thread sees a machine in the middle of a call. A
+fork waits until no call is running: the child has a sound copy of every machine. Threads are not
+copied; objects that depend on threads start them anew in the child.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _held: list[Turns] = []  # while the process forks
 
 
 class Turns:
-    """What is called in turns.
+    """An object whose methods take turns.
 
     Attributes:
-        turn: held while a call lasts.
+        turn: lock, held during a call.
 
     Args:
-        shared: with which it takes turns, and which renews its threads; None: with nothing.
+        shared: object whose lock and renewal it shares; None: none.
     """
 
     def __init__(self, shared: Turns | None = None) -> None:
@@ -34,7 +34,7 @@ class Turns:
             _all.add(self)
 
     def renew_threads(self) -> None:
-        """Start anew what the parent's threads did; called in a forked child."""
+        """Restart the parent's threads; called in a forked child."""
 
 
 This = TypeVar("This", bound=Turns)
@@ -45,7 +45,7 @@ Result = TypeVar("Result")
 def in_turn(
     method: Callable[Concatenate[This, Given], Result],
 ) -> Callable[Concatenate[This, Given], Result]:
-    """Return a method that takes its turn."""
+    """Return a method that holds the lock."""
 
     @functools.wraps(method)
     def call(self: This, *args: Given.args, **kwargs: Given.kwargs) -> Result:

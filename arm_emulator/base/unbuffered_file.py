@@ -8,9 +8,9 @@ from arm_emulator.base.mcap_end import write_all
 
 
 class UnbufferedFile:
-    """Takes bytes.
+    """File opened without a buffer.
 
-    A buffer would keep what the system did not take, and hand it over later, behind a gap.
+    A buffer would keep bytes that the system refused, and write them later, after a gap.
     """
 
     def __init__(self, file: Path) -> None:
@@ -20,28 +20,28 @@ class UnbufferedFile:
 
     @property
     def closed(self) -> bool:
-        """Whether it takes no more."""
+        """Whether it accepts no more bytes."""
         return self._raw.closed
 
     def write(self, data: bytes) -> int:
-        """Write all of it.
+        """Write all bytes.
 
         Raises:
-            OSError: the system does not take all.
+            OSError: not all bytes were written.
         """
         write_all(self._raw, data)
         self._at += len(data)
         return len(data)
 
     def tell(self) -> int:
-        """Return how many bytes it has taken."""
+        """Return the number of bytes written."""
         return self._at
 
     def truncate(self, size: int) -> None:
-        """Take back what stands behind `size` bytes."""
+        """Remove the bytes after `size`."""
         self._raw.truncate(size)
         self._raw.seek(size)
         self._at = size
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: there is no buffer."""

@@ -13,9 +13,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.text_file import read_bytes
 
 MOST_BYTES = 16 << 20
-MOST_MARKS = 400_000  # of `<`: bounds what is built
+MOST_MARKS = 400_000  # of `<`: bounds the number of elements
 MOST_LEVELS = 64
-UNLIMITED = 1e9  # rad or m: as far as a joint may go that nothing stops
+UNLIMITED = 1e9  # rad or m: position limit of a joint without limits
 
 _DECLARED = re.compile(rb"""^\s*<\?xml[^>]*?(\sencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["'])""")
 _ONE_BYTE = ("ascii", "iso8859-1", "iso8859-15", "cp1252")  # encodings that URDFs come in, besides
@@ -24,10 +24,10 @@ _ONE_BYTE = ("ascii", "iso8859-1", "iso8859-15", "cp1252")  # encodings that URD
 def read_urdf(file: Path) -> str:
     """Return the text of a URDF file.
 
-    It is taken for UTF-8 if it can be, else for what it declares.
+    It is read as UTF-8 if possible, else in the declared encoding.
 
     Raises:
-        Refusal: no such file, too large a one, or no text.
+        Refusal: the file is missing, too large, or not text.
     """
     content = read_bytes(file, MOST_BYTES)
     for mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
@@ -39,7 +39,7 @@ def read_urdf(file: Path) -> str:
         declared = _DECLARED.match(content)
         if declared is None:
             return _decoded(content, "utf-8", file)
-        # As a text it is published in UTF-8, and must not declare another encoding.
+        # The text is published in UTF-8, and must not declare another encoding.
         rest = content[: declared.start(1)] + content[declared.end(1) :]
         return _decoded(rest, declared[2].decode("ascii"), file)
 
@@ -59,11 +59,11 @@ def _decoded(content: bytes, encoding: str, file: Path) -> str:
 def parse_urdf(text: str, where: str) -> ET.Element:
     """Return the element <robot> of a URDF text.
 
-    Names are taken as they are written, `xmlns` is an attribute as any other.
+    Names are used as written; `xmlns` is an ordinary attribute.
 
     Args:
         text: the URDF.
-        where: what to call it in refusals.
+        where: its name in refusals.
 
     Raises:
         Refusal: not well-formed, too large or too deep, with a document type, or another root.
@@ -114,8 +114,8 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
     """Make joints unlimited for which the URDF gives neither a lower nor an upper limit.
 
     Other readers of a URDF refuse such a joint, or take 0 for both. A revolute joint becomes a
-    continuous one, a prismatic one may go `UNLIMITED` either way. They also refuse a limit without
-    effort or velocity, which becomes 0: not known.
+    continuous one, a prismatic one gets limits of +-`UNLIMITED`. They also refuse a limit without
+    effort or velocity, which becomes 0: unknown.
 
     Returns:
         Whether anything was changed.

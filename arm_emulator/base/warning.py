@@ -1,4 +1,4 @@
-"""Warnings: a line each on stderr, and the same for programs that read JSON."""
+"""Warnings: one line each on stderr, and a list for programs that read JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Packages that only some commands need: where one is missing, one line names it."""
+"""Optional packages: if one is missing, one line names it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from arm_emulator.base.refusal import Refusal
 
 
 def need_wheel(where: str, module: str, package: str) -> None:
-    """Refuse to go on without a package, such as `rerun-sdk` for the module ``rerun``.
+    """Refuse to continue without a package, such as `rerun-sdk` for the module ``rerun``.
 
     Args:
-        where: what needs it.
-        module: that it brings.
-        package: as pip knows it.
+        where: the feature that needs it.
+        module: the module that it provides.
+        package: its name for pip.
 
     Raises:
         Refusal: it is not installed.

@@ -1,4 +1,4 @@
-"""Values in YAML texts replaced where they stand, comments and all else kept."""
+"""Replacement of values in YAML texts, with comments and all other text kept."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ def edited(text: str, edits: Iterable[tuple[int, int, str]]) -> str:
 
     Args:
         text: YAML.
-        edits: from which character on, to which, and what shall stand there. They do not overlap.
+        edits: first character, end, replacement. They do not overlap.
     """
     for start, end, value in sorted(edits, reverse=True):
         tail = text[end:]
-        # A comment behind the value stays in its column.
+        # A comment after the value keeps its column.
         comment = re.match(r"( {2,})#", tail)
         if comment:
             blanks = len(comment[1]) + (end - start) - len(value)

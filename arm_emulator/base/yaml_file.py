@@ -1,7 +1,7 @@
-"""YAML as people write it: 1e-4 is a number, every key is a text, and no key is given twice.
+"""YAML with three rules: 1e-4 is a number, every key is a text, and no key occurs twice.
 
-A document is checked as a stream of events before anything is built from it, so that what is built
-is of bounded size and depth, whoever wrote the file.
+A document is checked as a stream of events before it is built, so that the result is of bounded
+size and depth for any file.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _bad(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
-# What a plain word means, as YAML 1.2, ROS and people have it: 010 is ten, 1:30 and 2001-01-01 are
+# Meaning of a plain scalar, as in YAML 1.2 and ROS: 010 is ten, 1:30 and 2001-01-01 are
 # texts, 1e-4 is a number.
 _Loader.yaml_implicit_resolvers = {}
 for _kind, _pattern, _first in (
@@ -62,10 +62,10 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_integer)
 
 
 def read_yaml(file: Path) -> dict[str, Any]:
-    """Return the mapping that a YAML file holds.
+    """Return the mapping in a YAML file.
 
     Raises:
-        Refusal: no such file, not YAML, too large, too deep, or something else than a mapping.
+        Refusal: the file is missing, not YAML, too large, too deep, or not a mapping.
     """
     data = parse_yaml(read_bytes(file, MOST_BYTES), file.name)
     if not isinstance(data, dict):
@@ -75,11 +75,11 @@ def read_yaml(file: Path) -> dict[str, Any]:
 
 
 def parse_yaml(text: bytes | str, where: str) -> Any:
-    """Return what one YAML document holds: dict, list, text, number, bool or None.
+    """Return the content of one YAML document: dict, list, text, number, bool or None.
 
     Args:
         text: the document, of at most `MOST_BYTES`.
-        where: what to call it in refusals.
+        where: its name in refusals.
 
     Raises:
         Refusal: not YAML, too large or too deep.
@@ -103,7 +103,7 @@ def parse_yaml(text: bytes | str, where: str) -> Any:
 
 
 def _look_over(text: str, where: str) -> None:
-    """Refuse a document that would build more than the bounds, before anything is built."""
+    """Refuse a document that exceeds the bounds, before it is built."""
     documents = levels = values = 0
     starts: list[tuple[str | None, int]] = []  # of open collections: anchor, values before it
     sizes: dict[str, int] = {}  # of what an anchor names, in values

@@ -1,1 +1,1 @@
-"""From C and C++ to shared libraries that are cached by content."""
+"""Compilation of C and C++ into shared libraries, cached by content."""

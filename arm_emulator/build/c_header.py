@@ -1,7 +1,7 @@
-"""C headers read by cffi: the one statement of structs, constants and signatures.
+"""C headers read by cffi: the only statement of structs, constants and signatures.
 
-Reading a header takes some 30 ms. The result is kept in the cache of libraries, in the form
-that ``_cffi_backend`` takes, which is read back in less than one.
+Reading a header takes about 30 ms. The result is cached beside the libraries, in the format of
+``_cffi_backend``, which loads in less than 1 ms.
 """
 
 from __future__ import annotations
@@ -43,26 +43,26 @@ _NUMBER = re.compile(r"-?(?:0x[0-9a-fA-F]+|\d+)")
 
 
 def pointer(numbers: npt.NDArray[Any]) -> CData:
-    """Return where the numbers of an array lie. The array must be contiguous, and outlive it."""
+    """Return a pointer to the numbers of an array, which must be contiguous and outlive it."""
     return _ARRAYS.from_buffer(_NUMBERS[numbers.dtype], numbers)
 
 
 def text(characters: CData) -> str:
-    """Return what a string of C states, up to its end or the array's."""
+    """Return a C string as text, up to its end or the array's."""
     return str(_ARRAYS.string(characters).decode(errors="replace"))
 
 
 @dataclass(frozen=True)
 class Header:
-    """A header of ours; those that it includes are read as headers of their own.
+    """A header of this project; included headers are headers of their own.
 
     Attributes:
-        ffi: cffi's view of it. Types of a header are the same ones to all that include it.
-        functions: those that it declares itself.
+        ffi: cffi's view of it. All headers that include a header share its types.
+        functions: those declared in this header.
 
     Args:
         path: its file.
-        folders: where included headers lie that do not lie beside it.
+        folders: folders of included headers that are not beside it.
     """
 
     path: Path
@@ -79,15 +79,15 @@ class Header:
         object.__setattr__(self, "functions", functions)
 
     def constant(self, name: str) -> int:
-        """Return what a name of an enum, or a macro that is a whole number, stands for."""
+        """Return the value of an enumerator, or of a macro that is a whole number."""
         return int(self.ffi.integer_const(name))
 
     def sizeof(self, kind: str) -> int:
-        """Return the bytes of a struct."""
+        """Return the size of a struct [bytes]."""
         return int(self.ffi.sizeof(kind))
 
     def new(self, kind: str, **values: Any) -> CData:
-        """Return a pointer to a new struct of zeros, with a size if it begins with that.
+        """Return a pointer to a new struct of zeros, with its size set if it begins with one.
 
         Args:
             kind: name of the struct.
@@ -96,12 +96,12 @@ class Header:
         return self.fill(self.ffi.new(f"{kind} *"), **values)
 
     def fill(self, struct: CData, **values: Any) -> CData:
-        """Set fields of a struct, and its size if it begins with that; return it.
+        """Set fields of a struct, and its size if it begins with one; return it.
 
         Args:
             struct: a pointer to it.
-            values: by the names of fields. An array of numpy stands for where it lies: it must
-                outlive the struct, and its numbers must be those that the field points to.
+            values: by the names of fields. A NumPy array stands for a pointer to its numbers: it
+                must outlive the struct, and its type must be that of the field.
         """
         fields = self.ffi.typeof(struct).item.fields
         if fields[0][0] == "size":
@@ -118,11 +118,11 @@ class Header:
         return np.zeros(shape, self.dtype(kind))
 
     def dtype(self, kind: str) -> np.dtype[Any]:
-        """Return a struct as numpy has it."""
+        """Return a struct as a NumPy dtype."""
         return _dtype(self.ffi, self.ffi.typeof(kind))
 
     def pointer(self, kind: str, rows: npt.NDArray[Any]) -> CData:
-        """Return where an array of structs lies. It must be contiguous, and outlive the pointer."""
+        """Return a pointer to an array of structs; the array must be contiguous and outlive it."""
         return self._place(self.ffi.typeof(f"{kind} *"), rows)
 
     def _place(self, kind: Any, rows: npt.NDArray[Any]) -> CData:
@@ -131,7 +131,7 @@ class Header:
         return self.ffi.cast(kind, self.ffi.from_buffer(rows))
 
 
-_OPEN: dict[str, list[tuple[FFI, CData]]] = {}  # cffi closes what nobody holds
+_OPEN: dict[str, list[tuple[FFI, CData]]] = {}  # cffi closes libraries without a reference
 
 
 class Library:
@@ -142,7 +142,7 @@ class Library:
 
     Args:
         file: where it is.
-        headers: what it has.
+        headers: headers that declare its functions.
         unload: whether `close` unloads it.
 
     Raises:
@@ -159,7 +159,7 @@ class Library:
             vars(self).update((name, getattr(library, name)) for name in functions)
 
     def close(self) -> None:
-        """Unload it; none of its functions may be called then."""
+        """Unload it; its functions must not be called afterwards."""
         for ffi, library in _OPEN.pop(self.file, []):
             ffi.dlclose(library)
 
@@ -199,7 +199,7 @@ _READ: dict[Path, tuple[FFI, tuple[str, ...]]] = {}
 
 
 class _Text:
-    """What a header declares, as cffi's parser takes it."""
+    """Declarations of a header, preprocessed for cffi's parser."""
 
     def __init__(self, path: Path, folders: tuple[Path, ...]) -> None:
         self.path, self.included = path, list[Header]()
@@ -222,7 +222,7 @@ class _Text:
 
     @property
     def name(self) -> str:
-        """Under which it is kept."""
+        """Its key in the cache."""
         return f"{self.path.stem}-{self._digest.hexdigest()[:20]}{SUFFIX}"
 
 
@@ -230,7 +230,7 @@ _DIGESTS: dict[Path, bytes] = {}
 
 
 def _taken(lines: list[str]) -> Iterator[str]:
-    """Yield the lines that a C compiler takes, with no directives but includes and numbers."""
+    """Yield the lines that a C compiler sees, with no directives but includes and numbers."""
     defined, taken = set[str](), [True]
     for line in lines:
         words = line.lstrip().removeprefix("#").split() if line.lstrip().startswith("#") else []
@@ -270,7 +270,7 @@ def _kept(text: _Text) -> dict[str, Any] | None:
 
 
 def _keep(text: _Text, parts: dict[str, Any]) -> None:
-    # Without a place to write to, headers are read by every process.
+    # Without a writable cache, every process reads the headers.
     with contextlib.suppress(Refusal, OSError):
         folder = next(library_cache.writable_caches())
         file = folder / text.name
@@ -305,7 +305,7 @@ def _parsed(text: _Text) -> dict[str, Any]:
 
 
 def _parser(text: _Text) -> Any:
-    """Return cffi's parser of a header, which has read what it includes, too."""
+    """Return cffi's parser of a header, after it has read the included headers."""
     from cffi import FFI as Parser
 
     if text.path not in _PARSERS:

@@ -1,4 +1,4 @@
-"""The C++ compiler of this machine: which one it is."""
+"""The C++ compiler of this machine."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def is_named() -> bool:
 
 
 def identity(command: list[str]) -> str:
-    """Return a compiler's command with the name that its own name stands for, as c++ for g++-12."""
+    """Return a compiler's command with its actual program, as g++-12 for c++."""
     file = shutil.which(command[0]) or command[0]
     while os.path.islink(file):
         target = os.path.normpath(os.path.join(os.path.dirname(file), os.readlink(file)))

@@ -1,4 +1,4 @@
-"""A compiler is run, with bounds on time and output."""
+"""Runs of a compiler, with bounds on time and output."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 
-LONGEST_RUN = 900.0  # s; the largest scenes take a minute, on a busy machine some more
+LONGEST_RUN = 900.0  # s; the largest scenes take a minute, more on a busy machine
 MOST_WORDS = 65536  # bytes of a compiler's output that are kept
 
 
@@ -22,17 +22,17 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
 
     Args:
         command: its words.
-        folder: where its files are; left out of its words.
-        where: what a refusal names.
-        part: what is compiled.
+        folder: folder of its files; removed from its messages.
+        where: name in refusals.
+        part: name of the unit.
 
     Raises:
-        Refusal: it cannot be run, fails, is killed, or does not come to an end.
+        Refusal: it cannot be run, fails, is killed, or does not end.
     """
     process: subprocess.Popen[bytes] | None = None
     try:
-        with _signals_held_back():  # or one that comes now would leave it behind
-            # In a session of its own, so that it can be ended with all that it has started.
+        with _signals_held_back():  # a signal at this point would orphan it
+            # In a session of its own, so that it can be ended with all its children.
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -68,7 +68,7 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
 
 @contextlib.contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Have Ctrl-C and SIGTERM come at the end of this."""
+    """Deliver Ctrl-C and SIGTERM at the end of this block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     try:
         yield
@@ -77,7 +77,7 @@ def _signals_held_back() -> Iterator[None]:
 
 
 def _listen(process: subprocess.Popen[bytes]) -> bytes:
-    """Return the beginning of a process's output until it ends, whoever else holds its pipe."""
+    """Return the beginning of a process's output until it ends, even if others hold its pipe."""
     assert process.stdout is not None
     pipe = process.stdout.fileno()
     deadline = time.monotonic() + LONGEST_RUN

@@ -1,4 +1,4 @@
-"""Shared libraries in ELF: whether a file is one, found without loading it."""
+"""Detection of shared libraries in ELF without loading them."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ LONGEST = 200  # bytes of a name that we may ask for
 
 
 def why_no_library(content: bytes, functions: Iterable[str]) -> str:
-    """Return why some bytes are no shared library for this machine with these functions, or "".
+    """Return why bytes are not a shared library for this machine with these functions, or "".
 
-    A truncated file is detected, since the table of sections is at its end. Whatever the bytes are,
-    no more time goes into them than their number asks for.
+    A truncated file is detected, since the table of sections is at its end. The time is bounded by
+    the number of bytes, for any content.
     """
     if not content:
         return "it is empty"
@@ -52,7 +52,7 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
 
 
 def with_data(content: bytes, name: str, data: bytes) -> bytes:
-    """Return a library of ours with other bytes in the place of an exported object."""
+    """Return a library of ours with other bytes in an exported object."""
     _, _, _, _, _, sections_at, *_, sections, _ = HEADER.unpack_from(content, IDENTIFICATION_SIZE)
     table = _sections(content, sections_at, sections)
     section, address, size = _exported(content, table)[name]
@@ -67,7 +67,7 @@ def _sections(content: bytes, at: int, count: int) -> list[tuple[int, ...]]:
 
 
 def _exported(content: bytes, table: list[tuple[int, ...]]) -> dict[str, tuple[int, int, int]]:
-    """Return section, address and size of what the first table of dynamic symbols names.
+    """Return section, address and size of the symbols in the first dynamic symbol table.
 
     A library has one such table.
     """

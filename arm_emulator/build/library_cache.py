@@ -1,8 +1,8 @@
-"""Where the compiled cores of scenes are kept: found, stored, bounded.
+"""Cache of compiled scenes: lookup, storage, size limit.
 
-A library is the compiler's output and, behind it, a digest of it and of the file's name: a file
-that was truncated, changed or renamed is detected before anything of it runs. The digest is
-no signature; that nobody else wrote the file follows from its owner and its folder (`trusted`).
+A library file is the compiler's output followed by a digest of it and of the file's name: a file
+that was truncated, changed or renamed is detected before any of it runs. The digest is not a
+signature; owner and folder of the file ensure that no other user wrote it (`trusted`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LARGEST_LIBRARY = 2**28  # bytes; far more than any scene's
 SEAL = b"arm_emulator"
 SEAL_SIZE = len(SEAL) + hashlib.sha256().digest_size
 
-# Only what bears such a name is ever removed, so that a cache may lie in a folder with other files.
+# Only files with such a name are ever removed, so that a cache may share a folder with other files.
 LIBRARY = re.compile(r"(?P<scene>[\w-]+)-[0-9a-f]{20}\.(so|cdef)", re.ASCII)
 LEFT_OVER = re.compile(r"(?P<library>[\w-]+-[0-9a-f]{20})\.(lock|building-\w+)", re.ASCII)
 
@@ -49,9 +49,9 @@ class Damaged(Exception):
 
 
 def named_folders() -> list[Path]:
-    """Return where libraries may lie, the preferred place first; not all need be there or ours.
+    """Return possible cache folders, the preferred one first; they need not exist or be ours.
 
-    A folder that is named in the environment is the only one, unless it cannot be trusted.
+    A folder that is named in the environment is the only one, unless it is not trusted.
     """
     folders = []
     named = os.environ.get(CACHE_VARIABLE)
@@ -69,10 +69,10 @@ def named_folders() -> list[Path]:
 
 
 def cache_folders() -> list[Path]:
-    """Return where the folders are that are ours; others' are skipped with a line each."""
+    """Return the folders that are ours; others are skipped with a line each."""
     folders = []
     for folder in named_folders():
-        with contextlib.suppress(OSError):  # it is not there, or out of our reach
+        with contextlib.suppress(OSError):  # missing, or not accessible
             try:
                 folders.append(check_folder(folder))
             except Untrusted as error:
@@ -81,7 +81,7 @@ def cache_folders() -> list[Path]:
 
 
 def why_not_trusted(folder: Path) -> str:
-    """Return why what lies in a folder may be somebody else's, or ""; what is not there is not."""
+    """Return why another user may own content of a folder, or ""; also "" for a missing folder."""
     try:
         check_folder(folder)
     except Untrusted as error:
@@ -92,10 +92,10 @@ def why_not_trusted(folder: Path) -> str:
 
 
 def writable_caches() -> Iterator[Path]:
-    """Yield the folders that take new libraries, the preferred one first; makes what is missing.
+    """Yield the folders that accept new libraries, the preferred one first; create missing ones.
 
     Raises:
-        Refusal: there is no more.
+        Refusal: none is left.
     """
     reasons = []
     for folder in named_folders():
@@ -133,11 +133,11 @@ def report_once(line: str) -> None:
 
 
 def content(file: Path) -> bytes:
-    """Return what was stored in a file, after a look at every byte of it, and mark it as used.
+    """Return the stored bytes of a file after checking all of them, and mark it as used.
 
     Raises:
-        Damaged: it is not what was stored.
-        FileNotFoundError: it is not there.
+        Damaged: it differs from what was stored.
+        FileNotFoundError: it is missing.
     """
     try:
         sealed = read_file(file, LARGEST_LIBRARY)
@@ -157,7 +157,7 @@ def content(file: Path) -> bytes:
 
 @contextlib.contextmanager
 def scratch_of(library: Path) -> Iterator[Path]:
-    """Yield a new folder beside a library, whose lock is held, and remove it at the end."""
+    """Yield a new locked folder beside a library, and remove it at the end."""
     _clear_left_over(library)
     with tempfile.TemporaryDirectory(
         prefix=f"{library.stem}.building-", dir=library.parent, ignore_cleanup_errors=True
@@ -166,13 +166,13 @@ def scratch_of(library: Path) -> Iterator[Path]:
 
 
 def store(file: Path, body: bytes, scratch: Path) -> None:
-    """Put a file into its place: written beside, in `scratch`, then renamed.
+    """Store a file: written beside it, in `scratch`, then renamed.
 
     Raises:
         OSError: it could not be written.
     """
     beside = scratch / "sealed"
-    # No wider than this whatever the umask is: what its group can write is not loaded.
+    # Not wider than this for any umask: a file that its group can write is not loaded.
     opened = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
     with open(opened, "wb") as handle:
         handle.write(body + _seal(file.name, body))
@@ -188,7 +188,7 @@ def copy_into(library: Path, folder: Path, data: Mapping[str, bytes]) -> Path:
     Args:
         library: in a cache.
         folder: the other one.
-        data: what stands in the copy's objects, by their names.
+        data: bytes of the copy's objects, by their names.
 
     Raises:
         OSError: it could not be written.
@@ -212,10 +212,10 @@ def _seal(name: str, body: bytes) -> bytes:
 def locked(library: Path, wait: bool = True) -> Iterator[None]:
     """Hold the lock of a library; other processes wait for it.
 
-    The lock is a file beside the library, as long as somebody holds it.
+    The lock is a file beside the library that exists while a process holds it.
 
     Raises:
-        BlockingIOError: somebody else holds it, and `wait` is False.
+        BlockingIOError: another process holds it, and `wait` is False.
         OSError: no lock can be made there.
     """
     file = library.with_suffix(".lock")
@@ -233,10 +233,10 @@ def _lock(file: Path, wait: bool) -> int:
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         opened = os.open(file, flags, LOCK)
         try:
-            # Where the file system has no locks, at worst two processes compile the same.
+            # On a file system without locks, at worst two processes compile the same library.
             with contextlib.suppress(OSError) if wait else contextlib.nullcontext():
                 fcntl.flock(opened, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            # Whoever held it before has removed the file; then nobody else would see our lock.
+            # The previous holder has removed the file; other processes would not see our lock.
             if os.path.samestat(os.fstat(opened), os.lstat(file)):
                 return opened
         except FileNotFoundError:
@@ -248,7 +248,7 @@ def _lock(file: Path, wait: bool) -> int:
 
 
 def _clear_away_what_is_no_lock(file: Path) -> None:
-    """Leave at `file` nothing, or a lock that nobody else can hold for ever."""
+    """Leave at `file` nothing, or a lock that no other user can hold for ever."""
     with contextlib.suppress(FileNotFoundError):
         found = os.lstat(file)
         if stat.S_ISDIR(found.st_mode):
@@ -257,12 +257,12 @@ def _clear_away_what_is_no_lock(file: Path) -> None:
             os.unlink(file)
 
 
-# How many
+# Size
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A library in a folder, or what is left of one."""
+    """A library in a folder, or the remains of one."""
 
     file: Path
     scene: str
@@ -286,10 +286,10 @@ def entries(folder: Path) -> list[Entry]:
 
 
 def largest_size() -> float:
-    """Return how much a cache folder may hold [bytes].
+    """Return the largest size of a cache folder [bytes].
 
     Raises:
-        Refusal: $ARM_EMULATOR_CACHE_MB is no size.
+        Refusal: $ARM_EMULATOR_CACHE_MB is not a size.
     """
     text = os.environ.get(SIZE_VARIABLE) or str(DEFAULT_SIZE)
     try:
@@ -302,13 +302,13 @@ def largest_size() -> float:
 
 
 def make_room(library: Path, allowed: float) -> None:
-    """Remove the least recently used libraries until a folder holds no more than it may.
+    """Remove the least recently used libraries until a folder is within its size.
 
-    Files that interrupted compilations have left are removed, too.
+    Remains of interrupted compilations are removed, too.
 
     Args:
         library: the newest; it stays, whatever its size.
-        allowed: how much its folder may hold [bytes].
+        allowed: largest size of its folder [bytes].
     """
     folder = library.parent
     found = entries(folder)
@@ -324,10 +324,10 @@ def make_room(library: Path, allowed: float) -> None:
 
 
 def remove(library: Path) -> bool:
-    """Remove a library and what interrupted compilations of it have left.
+    """Remove a library and the remains of interrupted compilations of it.
 
-    A process that has loaded it keeps it. Returns False if it is being compiled just now, or
-    cannot be removed.
+    A process that has loaded it keeps it. Return False if it is being compiled, or cannot be
+    removed.
     """
     try:
         with locked(library, wait=False):
@@ -339,7 +339,7 @@ def remove(library: Path) -> bool:
 
 
 def left_over(folder: Path) -> set[Path]:
-    """Return the libraries of which compilations, running or interrupted, have left something."""
+    """Return the libraries of which compilations, running or interrupted, have left files."""
     names = (LEFT_OVER.fullmatch(name) for name in os.listdir(folder))
     return {folder / f"{name['library']}.so" for name in names if name}
 

@@ -1,4 +1,4 @@
-"""Whether a folder or a file can have been changed by nobody but us and root."""
+"""Checks that only this user and root can have changed a folder or file."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ GROUP_OR_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 class Untrusted(Exception):
-    """Somebody else may have changed it; the text gives the reason, and a simple remedy if any."""
+    """Another user may have changed it; the text gives the reason, and a simple remedy if any."""
 
 
 def check_folder(folder: Path, make: int | None = None) -> Path:
-    """Return where a folder is, unless somebody else than us and root can change what lies there.
+    """Return the path of a folder, unless another user can change its content.
 
-    Every folder from / down belongs to us or to root, and neither its group nor others can write
-    to it. Above the folder itself a sticky one as /tmp will do: there nobody can replace what is
-    not theirs. A link on the way is followed if it belongs to us or to root, for nobody else can
-    make it point elsewhere; the folder itself must not be a link. `..` leads to what is above then,
-    as for the kernel.
+    Every folder from / down must belong to this user or to root, and neither its group nor others
+    may write to it. Above the folder itself a sticky folder such as /tmp is accepted: users cannot
+    replace each other's files there. A link on the way is followed if it belongs to this user or to
+    root, since no other user can redirect it; the folder itself must not be a link. `..` means the
+    parent of the folder reached so far, as for the kernel.
 
-    The walk is from above: when a folder is looked at, nobody else can put another into its place
-    any more, then or later. So what is found holds for the path that is returned, which has neither
-    links nor `..`; the one that was given may lead elsewhere by then.
+    The walk goes from above: once a folder has been checked, no other user can replace it, then or
+    later. The result therefore holds for the returned path, which has neither links nor `..`; the
+    given path may lead elsewhere by then.
 
     Args:
-        folder: which one; a relative path starts at the working folder.
-        make: mode of the folders that are missing and shall be made; None: none shall.
+        folder: the folder; a relative path starts at the working folder.
+        make: mode of missing folders, which are created; None: they are not.
 
     Raises:
         Untrusted: see above.
-        OSError: it is not there, no folder, or cannot be made.
+        OSError: it is missing, not a folder, or cannot be created.
     """
     at, links = "/", 0
     left = _parts(os.path.join(os.getcwd(), folder))  # the next part is the last of these
@@ -67,7 +67,7 @@ def check_folder(folder: Path, make: int | None = None) -> Path:
         if not left:
             return Path(at)
         part = left.pop()
-        # `at` holds no links, so that what is above it is what its path names.
+        # `at` has no links: its parent is what its path names.
         at = os.path.dirname(at) if part == ".." else os.path.join(at, part)
 
 
@@ -76,21 +76,21 @@ def _parts(path: str) -> list[str]:
 
 
 def read_file(file: Path, largest: int, anybodys: bool = False) -> bytes:
-    """Return what a file holds that nobody but us and root can have written, and mark it as used.
+    """Return the bytes of a file that only this user and root can have written; mark it as used.
 
-    Its folder must have been found good by `check_folder`.
+    Its folder must have passed `check_folder`.
 
     Args:
-        file: which one.
-        largest: more than so many bytes are not read.
-        anybodys: do not ask who can write to it.
+        file: the file.
+        largest: largest number of bytes to read.
+        anybodys: skip the check of its owner and mode.
 
     Raises:
-        Untrusted: it is a link, no file at all, too large, or somebody else can write to it.
-        OSError: it is not there, or cannot be read.
+        Untrusted: it is a link, not a file, too large, or another user can write to it.
+        OSError: it is missing, or cannot be read.
     """
     try:
-        # Without blocking: a pipe that lies there would wait for a writer for ever.
+        # Without blocking: opening a pipe would wait for a writer for ever.
         opened = os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO):
@@ -105,7 +105,7 @@ def read_file(file: Path, largest: int, anybodys: bool = False) -> bytes:
             _check_mode(str(file), found)
         if found.st_size > largest:
             raise Untrusted(f"it holds {found.st_size} bytes")
-        with contextlib.suppress(OSError):  # of root, or on a read-only file system
+        with contextlib.suppress(OSError):  # owned by root, or on a read-only file system
             os.utime(opened)
         with open(opened, "rb", closefd=False) as handle:
             return handle.read(largest)

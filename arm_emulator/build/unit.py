@@ -1,4 +1,4 @@
-"""From C and C++ to shared libraries, cached by content."""
+"""Compilation of C and C++ into shared libraries, cached by content."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ OF_COMPILER = 6  # of the 20 digits in the name of a library, those of its compi
 
 @dataclass(frozen=True)
 class Unit:
-    """C or C++ that becomes one library.
+    """C or C++ source of one library.
 
     Attributes:
-        name: how its file is called.
+        name: name of its file.
         source: the text.
         flags: of the compiler.
-        folders: where it includes files from.
-        headers: whose functions it has.
-        where: what a refusal names.
-        about: what the user reads while it is compiled.
-        part: what a refusal names as to be compiled.
-        beside: a further source, compiled apart in the same command: what a compiler makes of
-            `source` does not depend on it, to the last bit of what that computes.
-        data: what stands in exported objects of copies for others, by their names; libraries in
-            the cache are shared by units that differ in it alone.
-        more: functions that it has for others, which no header declares for us.
+        folders: folders of included files.
+        headers: headers of its functions.
+        where: name in refusals.
+        about: message during compilation.
+        part: name of the compiled part in refusals.
+        beside: a further source, compiled separately in the same command, so that the code of
+            `source`, and the bits of its results, do not depend on it.
+        data: bytes of exported objects in copies outside the cache, by their names; units that
+            differ in it alone share a library in the cache.
+        more: further exported functions, declared in no header.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Unit:
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """What others find in the library by name."""
+        """Names of all exported functions."""
         return (*(name for header in self.headers for name in header.functions), *self.more)
 
 
@@ -100,15 +100,15 @@ def compile_units(units: Iterable[Unit], target: str, folder: Path | None) -> li
     """Compile units for `target`, for machines without a compiler.
 
     Args:
-        units: which ones.
+        units: the units.
         target: "native" or one of `PORTABLE_TARGETS`.
-        folder: gets copies of the libraries in the cache; None: the cache is enough.
+        folder: folder for copies of the libraries; None: only the cache.
 
     Returns:
-        Where the libraries are.
+        Paths of the libraries.
 
     Raises:
-        Refusal: an unknown target, no compiler, it fails, or no place to write to.
+        Refusal: the target is unknown, the compiler is missing or fails, or no folder is writable.
     """
     targets = ("native", *PORTABLE_TARGETS)
     if target not in targets:
@@ -118,10 +118,10 @@ def compile_units(units: Iterable[Unit], target: str, folder: Path | None) -> li
 
 
 def compiled_bytes(unit: Unit, target: str) -> bytes:
-    """Return the library that a compiler makes of a unit, as others than our cache load it.
+    """Return a unit's library as it is loaded outside of our cache.
 
     Args:
-        unit: which one.
+        unit: the unit.
         target: see `compile_units`.
 
     Raises:
@@ -132,7 +132,7 @@ def compiled_bytes(unit: Unit, target: str) -> bytes:
 
 
 def fingerprint(unit: Unit, target: str) -> str:
-    """Return what a unit knows of its sources and flags, as a number of C."""
+    """Return a digest of a unit's sources and flags, as a number of C."""
     return f"0x{_digest(unit, target)[:16]}u"
 
 
@@ -159,13 +159,13 @@ def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
 
 @contextlib.contextmanager
 def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
-    """Give the path of a unit's library in a folder of ours, compiled if it is not there.
+    """Yield the path of a unit's library in a folder of ours, compiled if missing.
 
-    Several processes may do this at once: one compiles, the others wait for it. As long as it is
-    held, nobody removes it.
+    Several processes may do this at once: one compiles, the others wait for it. While the lock is
+    held, the library is not removed.
 
     Raises:
-        Refusal: no compiler, or it fails; or the folder does not take what it makes.
+        Refusal: the compiler is missing or fails, or the folder cannot store its output.
     """
     library = folder / _library_name(unit, target)
     with contextlib.ExitStack() as held:
@@ -182,7 +182,7 @@ def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
 
 
 def _compile(unit: Unit, target: str, library: Path) -> None:
-    # Most processes find their library compiled, and need nothing that starts other processes.
+    # Most processes find their library compiled, and need no module that starts processes.
     from arm_emulator.build.cxx import run_compiler
 
     compiler = find_compiler()
@@ -215,10 +215,10 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
 
 
 def _built(file: Path, compiler: str, unit: Unit) -> bytes:
-    """Return the library that a compiler reports to have made."""
+    """Return the library that the compiler reports to have made."""
     body = b""
     try:
-        # It lies in a folder that is closed to others, whatever the umask has made of its mode.
+        # The folder is closed to others, for any umask.
         body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
         reason = why_no_library(body, (*unit.functions, *unit.data))
     except FileNotFoundError:
@@ -232,10 +232,10 @@ def _built(file: Path, compiler: str, unit: Unit) -> bytes:
 
 
 def _candidates(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
-    """Yield where a unit's library may lie in a folder, the preferred place first.
+    """Yield possible paths of a unit's library in a folder, the preferred one first.
 
-    That of the compiler in use; and, unless $CXX names it, what another compiler has made, here or
-    elsewhere.
+    First that of the compiler in use; then, unless $CXX names it, those of other compilers, made
+    here or elsewhere.
     """
     own = None
     with contextlib.suppress(Refusal):  # no compiler, or no command in $CXX
@@ -257,7 +257,7 @@ def _library_name(unit: Unit, target: str) -> str:
 
 
 def _stem(unit: Unit, target: str) -> str:
-    # A name that every file system takes, also with what stands beside a library.
+    # A name for every file system, even with a suffix for files beside the library.
     name = "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in unit.name)[:60]
     return f"{name}-{_digest(unit, target)[: 20 - OF_COMPILER]}"
 
@@ -288,7 +288,7 @@ def _digest_of(folder: Path) -> bytes:
 
 @cache
 def _processor() -> str:
-    """Return what decides whether code compiled for one machine runs on another."""
+    """Return the properties that decide whether code for one machine runs on another."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith(("flags", "Features")):

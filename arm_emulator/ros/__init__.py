@@ -1,1 +1,1 @@
-"""What the nodes and the commands share of ROS; it knows neither the machine nor its control."""
+"""ROS functions shared by nodes and commands, independent of machine and control."""

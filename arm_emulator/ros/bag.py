@@ -1,7 +1,7 @@
 """A rosbag2 bag with MCAP storage: written so that a crash loses little, read whole or cut off.
 
 The files are those of rosbag2 in Jazzy (metadata version 9, MCAP profile `ros2`), so `ros2 bag`
-reads them, and what `ros2 bag record` writes is read here.
+reads them, and bags of `ros2 bag record` are read here.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ except ImportError as error:  # a stock ROS 2 machine has none
 METADATA = "metadata.yaml"
 UNFINISHED = "metadata.yaml.tmp"
 METADATA_VERSION = 9  # of rosbag2 in Jazzy
-CHUNK_SIZE = 2**18  # bytes: what is not yet in a chunk is lost in a crash
-METADATA_ROOM = 2**16  # bytes: kept free for metadata.yaml, should the disk become full
-SHORT_METADATA = 2**12  # bytes: of a bag of which nothing could be kept
+CHUNK_SIZE = 2**18  # bytes: messages not yet in a chunk are lost in a crash
+METADATA_ROOM = 2**16  # bytes: reserved for metadata.yaml, in case the disk becomes full
+SHORT_METADATA = 2**12  # bytes: of a bag without messages
 NANOSECONDS = 1_000_000_000
 
 _POLICIES: dict[str, type[IntEnum]] = {
@@ -68,8 +68,8 @@ class Topic:
     Attributes:
         name: with its namespace, such as ``/motor_states``.
         type: such as ``arm_emulator_msgs/msg/MotorState``.
-        definition: text of the message's definition and, after lines of ``=``, of all it contains;
-            empty if not known.
+        definition: text of the message's definition and, after lines of ``=``, of all types it
+            contains; empty if unknown.
         offered: QoS of each publisher.
         type_hash: RIHS01 hash of the type, empty if not known.
         count: messages.
@@ -147,7 +147,7 @@ class BagWriter:
         return max(0, self._end - self._begin) / NANOSECONDS
 
     def add_topic(self, topic: Topic) -> int:
-        """Take up a topic and return its number in this bag.
+        """Register a topic and return its number in this bag.
 
         Raises:
             OSError: see `write`.
@@ -177,8 +177,8 @@ class BagWriter:
         """Write a message of the topic with this number.
 
         Raises:
-            OSError: the disk does not take it, or has failed before. After a failure
-                nothing more is written: a file never has a gap.
+            OSError: the disk is full or has failed. After a failure nothing more is written: a file
+                never has a gap.
         """
         topic = self._topics[number]
         with self._noting_failure():
@@ -187,7 +187,7 @@ class BagWriter:
         self._begin, self._end = min(self._begin, received), max(self._end, received)
 
     def flush(self) -> None:
-        """Hand all that was written to the system: a crash of this process loses none of it.
+        """Hand all written data to the system: a crash of this process loses none of it.
 
         Raises:
             OSError: see `write`.
@@ -199,8 +199,8 @@ class BagWriter:
         """Write indices and metadata; without them only readers that scan can read the bag.
 
         Raises:
-            OSError: the disk did not take all, now or before. The bag is mended then, and its
-                topics have the counts of what is there; it is `whole` but where even that found no
+            OSError: not all was written, now or before. The bag is mended then, and the counts of
+                its topics are those of the messages in it; `whole` is False if even that found no
                 room.
         """
         if self._stream.closed:
@@ -217,14 +217,14 @@ class BagWriter:
                 _write_metadata(self.folder, metadata)
             self.whole = True
         except (OSError, MemoryError):
-            with contextlib.suppress(OSError):  # what it cannot write; it is closed all the same
+            with contextlib.suppress(OSError):  # closed anyway
                 self._stream.close()
             self._mend()
             raise
 
     @contextlib.contextmanager
     def _noting_failure(self) -> Iterator[None]:
-        """Remember the first failure, for what was being written then is not in the file."""
+        """Keep the first failure: the data of that write are not in the file."""
         if self._failure is not None:
             raise self._failure
         try:
@@ -239,7 +239,7 @@ class BagWriter:
         return _metadata(self.topics, [span])
 
     def _keep_room(self) -> None:
-        """Keep free what metadata will need, should the disk become full."""
+        """Reserve room for metadata, in case the disk becomes full."""
         needed = len(_text_of(self._reported())) + 64 * (len(self._topics) + 4)  # as counts grow
         if needed > self._room:
             self._room = needed + METADATA_ROOM
@@ -253,7 +253,7 @@ class BagWriter:
             except OSError as error:
                 if error.errno not in NO_ROOM:
                     raise
-                # The room of metadata, which are short by now.
+                # The reserve of the metadata, which are short by now.
                 os.truncate(self.folder / UNFINISHED, SHORT_METADATA)
                 repair(self.folder)
             self.whole = True
@@ -267,7 +267,7 @@ class BagWriter:
 
 
 class Span(NamedTuple):
-    """What one file of a bag holds."""
+    """Content of one file of a bag."""
 
     file: str
     begin: int  # wall time [ns] of the first message
@@ -279,7 +279,7 @@ def repair(path: Path) -> bool:
     """Make a whole bag of one whose recorder was killed; return False if it is whole already.
 
     Raises:
-        Refusal: no bag, or a damaged one.
+        Refusal: not a bag, or a damaged one.
         OSError: it cannot be written.
     """
     given = [give_end(file) for file in _files(path)]
@@ -318,7 +318,7 @@ def _text_of(metadata: dict[str, Any]) -> bytes:
 
 def _write_metadata(folder: Path, metadata: dict[str, Any]) -> None:
     unfinished = folder / UNFINISHED
-    # Written over what is there: its room is needed where the disk is full.
+    # Written in place: on a full disk there is no other room.
     mode = "r+b" if unfinished.exists() else "xb"
     with unfinished.open(mode, buffering=0) as stream:
         text = _text_of(metadata)
@@ -371,14 +371,14 @@ class Bag:
 
     Attributes:
         topics: by name.
-        complete: False for a bag whose recorder was killed; what it had flushed is there.
+        complete: False for a bag whose recorder was killed; it contains the flushed messages.
         spans: of its files.
 
     Args:
         path: a bag's folder, or one MCAP file.
 
     Raises:
-        Refusal: no bag, or a damaged one.
+        Refusal: not a bag, or a damaged one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -399,7 +399,7 @@ class Bag:
     def messages(
         self, topics: Collection[str] | None = None, files: Collection[Path] | None = None
     ) -> Iterator[BagMessage]:
-        """Yield the messages of some topics, or all, in the order of the files: as received."""
+        """Yield the messages of some topics, or of all, in the order of reception."""
         for file in self._files if files is None else files:
             try:
                 with open_file(file) as stream:
@@ -412,11 +412,11 @@ class Bag:
                 raise Refusal(str(file), "the bag", "be readable", error.strerror) from None
 
     def as_published(self, topics: Collection[str], window: int = 10_000) -> Iterator[BagMessage]:
-        """Yield messages in the order in which they were published: an answer after its question.
+        """Yield messages in the order of publication: an answer after its question.
 
         Args:
             topics: their names.
-            window: by how many messages the order of reception may differ at most.
+            window: largest difference from the order of reception [messages].
         """
         heap: list[tuple[int, int, BagMessage]] = []
         for number, message in enumerate(self.messages(topics)):
@@ -472,7 +472,7 @@ def _topic(channel: Channel, schema: Schema | None) -> Topic:
         profiles = parse_yaml(text, "offered_qos_profiles") or []
         offered = tuple(_qos_from_yaml(profile) for profile in profiles)
         definition = schema.data.decode() if schema.encoding == "ros2msg" else ""
-    except Exception as error:  # what people write, and what rclpy makes of it
+    except Exception as error:  # arbitrary input, parsed by rclpy
         raise Damaged(f"topic {channel.topic}: QoS or definition: {error!r}") from None
     type_hash = channel.metadata.get("topic_type_hash", "")
     return Topic(channel.topic, schema.name, definition, offered, type_hash)

@@ -43,7 +43,7 @@ class Bringup:
         only: names of the nodes to start, for users with nodes of their own.
         namespace: of all nodes and topics, such as "/cell1".
         use_sim_time: whether the nodes' own clocks follow the emulator's.
-        params_file: a ROS parameter file for all nodes; it rules over all of the above.
+        params_file: a ROS parameter file for all nodes; it overrides all of the above.
 
     Raises:
         Refusal: a configuration file is missing, or a namespace that is not valid.
@@ -127,7 +127,7 @@ class Bringup:
         return None
 
     def stop(self) -> dict[str, int]:
-        """End every node as Ctrl-C does, harder if it does not listen; return the exit codes."""
+        """End every node as Ctrl-C does, by force if it does not react; return the exit codes."""
         for patience, how in (
             (STOP_PATIENCE, signal.SIGINT),
             (STOP_PATIENCE, signal.SIGTERM),
@@ -137,7 +137,7 @@ class Bringup:
             for one in alive:
                 one.process.send_signal(how)
             deadline = time.monotonic() + patience
-            # Another Ctrl-C means: faster.
+            # Another Ctrl-C ends the nodes faster.
             with contextlib.suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
                 for one in alive:
                     one.process.wait(max(0.0, deadline - time.monotonic()))
@@ -145,7 +145,7 @@ class Bringup:
 
 
 def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | None) -> list[str]:
-    """Return ROS arguments for every node; the last ones rule."""
+    """Return ROS arguments for every node; the last ones take precedence."""
     arguments = []
     if namespace:
         full = f"/{namespace.strip('/')}"
@@ -157,17 +157,17 @@ def _common_arguments(namespace: str, use_sim_time: bool, params_file: Path | No
         # Nodes on simulated time listen to /clock; the emulator publishes it in its namespace.
         arguments += ["-p", "use_sim_time:=true", "-r", "/clock:=clock"]
     if params_file is not None:
-        read_yaml(params_file)  # what is no YAML is refused here, not by each node
+        read_yaml(params_file)  # invalid YAML is refused here, not by each node
         arguments += ["--params-file", str(params_file.resolve())]
     return arguments
 
 
 def _python_path() -> dict[str, str]:
-    """Return where nodes find our modules: where we are, and nothing of the working folder."""
+    """Return the module path of the nodes: that of this process without its working folder."""
     folders = [one for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]
     return {"PYTHONPATH": os.pathsep.join([*folders, str(Path(__file__).resolve().parents[2])])}
 
 
 def _hold_signals_back() -> None:
-    """In the child: signals wait until the node takes care of them; Python alone would complain."""
+    """In the child: hold signals until the node handles them; Python would print a traceback."""
     signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)

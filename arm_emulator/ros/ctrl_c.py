@@ -2,7 +2,7 @@
 
 Ctrl-C is the usual end of a node and of the commands that run until they are stopped
 (`up`, `record`, `replay`): exit code 0. It breaks off every other command: 130, and 143 after
-SIGTERM, as shells have it.
+SIGTERM, as in shells.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def keep_back() -> None:
-    """Let signals wait until `end_at_once`: a moment in which too little is imported for both."""
+    """Hold signals until `end_at_once`: too little is imported so far to handle them."""
     signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
 
 
 def end_at_once(code: int | None) -> None:
-    """From now on, until a `CtrlC` is made, end this process at once on a signal.
+    """End this process at once on a signal, until a `CtrlC` is made.
 
-    Call it before anything that takes long is imported. There is nothing to put in order yet, and
-    an exception in the midst of an import is printed, taken for another one, or swallowed.
+    Call it before modules that take long are imported. There is nothing to clean up yet, and an
+    exception in the midst of an import is printed, mistaken for another one, or swallowed.
 
     Args:
         code: the exit code; None: 128 + the signal's number.
@@ -48,20 +48,20 @@ def exit_code(number: int, code: int | None) -> int:
 
 
 class CtrlC:
-    """Lets Ctrl-C and SIGTERM break off what comes before `leave_to_rclpy`, and nothing after it.
+    """Lets Ctrl-C and SIGTERM interrupt code before `leave_to_rclpy`, and none after it.
 
     rclpy shuts its context down on a signal and passes it on to Python, which raises
-    KeyboardInterrupt wherever it is by then: on a busy machine in the midst of the ending, too.
+    KeyboardInterrupt wherever it is by then: on a busy machine even during the shutdown.
     Create it before ``rclpy.init``, in the main thread.
 
-    In a `with` block, whatever a signal makes of the block ends there: KeyboardInterrupt, or what
-    a library turns it into.
+    A `with` block ends on a signal, with KeyboardInterrupt or the exception that a library makes
+    of it.
 
     Args:
-        code: the exit code where it comes in the midst of an import, see `end_at_once`.
+        code: the exit code of a signal in the midst of an import, see `end_at_once`.
 
     Attributes:
-        signal: number of the one that came first, 0 before any.
+        signal: number of the first signal, 0 before any.
     """
 
     signal: ClassVar[int] = 0
@@ -73,11 +73,11 @@ class CtrlC:
             signal.signal(number, self._on_signal)
 
     def leave_to_rclpy(self) -> None:
-        """From now on only the context is shut down."""
+        """From now on a signal only shuts down the context."""
         self._breaks_off = False
 
     def break_off_again(self) -> None:
-        """From now on as before `leave_to_rclpy`."""
+        """Return to the behaviour before `leave_to_rclpy`."""
         self._breaks_off = True
 
     def __enter__(self) -> CtrlC:
@@ -105,7 +105,7 @@ def _importing(frame: FrameType | None) -> bool:
 
 @contextlib.contextmanager
 def until_shut_down() -> Iterator[None]:
-    """Take what rclpy raises in the block when a signal shuts it down for the block's end."""
+    """Treat what rclpy raises in the block after a signal's shutdown as the end of the block."""
     import rclpy
     from rclpy.executors import ExternalShutdownException
 

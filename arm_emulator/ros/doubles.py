@@ -1,7 +1,7 @@
-"""A second node of one kind on the same topics: named on both sides, by node, host and process.
+"""A second node of one kind on the same topics: reported by both, with node, host and process.
 
-Every node publishes in its diagnostics its kind, its topic, where it runs and since
-when. The node that was started first serves, and all nodes know which one that is.
+Every node publishes in its diagnostics its kind, its topic, its host and its start time. The node
+that was started first serves, and all nodes know which one that is.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from arm_emulator.ros.node_shell import Diagnostics, StartAnew, wall_timer
 
 STARTED = time.time_ns()  # wall time [ns] at which this process was started, which identifies it
-LISTEN = 0.5  # s, wall: in which the middleware finds those who are there already
-IDENTIFY = 4.0  # s, wall: in which a node that was found identifies itself
+LISTEN = 0.5  # s, wall: for the middleware to find running nodes
+IDENTIFY = 4.0  # s, wall: for a discovered node to identify itself
 SILENCE = 5.0  # s, wall: a node that is silent for so long is gone
 LOOK_PERIOD = 0.25  # s, wall
 
@@ -38,10 +38,10 @@ class Doubles:
 
     Args:
         node: this node.
-        diagnostics: where others are named.
+        diagnostics: diagnostics that name the others.
         kind: such as "emulator".
         topic: the topic that only one of them should publish on.
-        consequence: what two of them mean, in words.
+        consequence: consequence of two of them, as text.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Doubles:
         self._node, self._diagnostics = node, diagnostics
         self._kind, self._topic = kind, node.resolve_topic_name(topic)
         self._consequence = consequence
-        self._known: dict[int, _Double] = {}  # by when they were started
+        self._known: dict[int, _Double] = {}  # by start time
         self._leads = False
         diagnostics.values.update(
             {
@@ -66,9 +66,9 @@ class Doubles:
         wall_timer(node, LOOK_PERIOD, self._forget_who_is_gone)
 
     def wait_until_first(self, sign: str) -> None:
-        """Serve the node, silent but for its diagnostics, until nobody who came before is there.
+        """Serve the node, silent but for its diagnostics, until no earlier one is present.
 
-        From then on `StartAnew` is raised when such a one is found after all, as on a machine so
+        Afterwards `StartAnew` is raised if an earlier one is found after all, as on a machine so
         busy that the middleware has not found it in time.
 
         Args:

@@ -1,7 +1,7 @@
-"""An ending that does not wait for the middleware for ever.
+"""A process end that does not wait for the middleware for ever.
 
-Fast DDS 2.14 can lock itself up when it removes its participant just as another one announces that
-it leaves, as when Ctrl-C ends several nodes at once: two of its threads wait for each other.
+Fast DDS 2.14 can deadlock when it removes its participant while another one announces its
+departure, as when Ctrl-C ends several nodes at once: two of its threads wait for each other.
 Python's lock is held meanwhile, so no Python code can step in; a timer of the C library can.
 """
 
@@ -36,9 +36,9 @@ class _Times(ctypes.Structure):
 
 
 def end_anyway(seconds: float, code: int) -> None:
-    """End this process with the exit code `code` in so many seconds, if it has not ended by then.
+    """End this process with the exit code `code` after this many seconds, unless it has ended.
 
-    Nothing is flushed or cleaned up then: call it when that is done.
+    Nothing is flushed or cleaned up then: call it when all is written.
     """
     sys.stdout.flush()
     sys.stderr.flush()

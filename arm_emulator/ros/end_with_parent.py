@@ -1,4 +1,4 @@
-"""A node ends when the program that started it is gone, however that came about.
+"""End of a node when the program that started it is gone, for any reason.
 
 `ros2 launch` that is ended by SIGTERM leaves its nodes alone, and a launcher that is killed
 cannot end its nodes. So it passes its process id to them, and they ask the system for a signal.
@@ -16,7 +16,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def parent_environment() -> dict[str, str]:
-    """Return what a launcher adds to the environment of its nodes."""
+    """Return the variable that a launcher adds to the environment of its nodes."""
     return {VARIABLE: str(os.getpid())}
 
 

@@ -1,8 +1,8 @@
-"""Messages of which only numbers change: their bytes as they are sent, the numbers in place.
+"""Messages of which only numbers change: serialised once, with the numbers updated in place.
 
-rclpy turns every field of a message into Python and back, names and lengths too: of the two
+rclpy converts every field of a message to Python and back, names and lengths too: for the two
 messages of a servo period this takes longer than the middleware does. Here the bytes are laid out
-once; then numbers are read from and written to their places.
+once; then numbers are read and written in place.
 
 Format of the bytes: plain CDR (OMG DDSI-RTPS 2.5, section 10), as all ROS 2 middlewares send.
 """
@@ -28,17 +28,17 @@ _HEADER = 4  # bytes: the kind of encoding
 
 
 class FixedLayout:
-    """The bytes of one message, whose strings and lengths stay as they are.
+    """The bytes of one message with constant strings and lengths.
 
     Attributes:
         message: its fields under their names. Numbers are to be set; arrays of numbers are NumPy
             arrays, to be written into, which the next `take` overwrites.
 
     Args:
-        message: with strings and lengths of arrays as they will be.
+        message: with its final strings and lengths of arrays.
 
     Raises:
-        TypeError: a field that is an array of messages, which has no use here.
+        TypeError: a field is an array of messages.
     """
 
     def __init__(self, message: Any) -> None:
@@ -49,7 +49,7 @@ class FixedLayout:
         self._numbers: list[tuple[Any, str, struct.Struct, int]] = []
         self._at = _HEADER
         self.message: Any = self._laid_out(message)
-        self._size = self._at  # bytes behind it mean nothing
+        self._size = self._at  # bytes after it are padding
 
     def data(self) -> bytes:
         """Return the message as it is sent."""
@@ -58,7 +58,7 @@ class FixedLayout:
         return bytes(self._bytes[: self._size])
 
     def take(self, data: bytes) -> bool:
-        """Let `message` be what has come; False if strings, lengths or encoding are others."""
+        """Load a received message; False if strings, lengths or encoding differ."""
         size = self._size
         if len(data) < size:
             return False
@@ -99,7 +99,7 @@ class FixedLayout:
         raise TypeError(f"no fixed layout for {name}: {kind}")
 
     def _skip(self, kind: str, count: int = 1) -> int:
-        """Go behind numbers of a kind, which lie at whole multiples of their size."""
+        """Skip numbers of a kind, aligned to their size."""
         size = struct.calcsize("=" + kind)
         at = self._at + (_HEADER - self._at) % size
         self._at = at + count * size
@@ -133,9 +133,9 @@ def taking(
     callback: Callable[[Any, bytes], None],
     refuse: Callable[[str, Refusal], None],
 ) -> Callable[[bytes], None]:
-    """Return a callback for a subscription with `raw=True`, which hands messages on.
+    """Return a callback for a subscription with `raw=True`, which passes messages on.
 
-    The layout of a message is kept for those that follow.
+    The layout of a message is kept for the following ones.
 
     Args:
         topic: for refusals.

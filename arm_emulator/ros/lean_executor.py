@@ -15,11 +15,11 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
-# s, wall: how often new entities are looked for, and those served that are left to rclpy's own
-# executor (QoS events, clients, guard conditions).
+# s, wall: interval at which new entities are looked for, and those served that are left to
+# rclpy's own executor (QoS events, clients, guard conditions).
 HOUSEKEEPING = 0.2
-# s, wall: how often timers and services are looked at while messages keep coming. To wait for some
-# twenty of them takes longer than the message of a tick does.
+# s, wall: interval at which timers and services are checked while messages keep coming. Waiting
+# for some twenty of them takes longer than the message of a tick.
 REST = 2e-3
 
 
@@ -30,8 +30,8 @@ class LeanExecutor:
 
     Args:
         node: the node to serve.
-        housekeeping: see `HOUSEKEEPING`; a node with actions, which are among what is left to
-            rclpy's executor, wants it shorter [s, wall].
+        housekeeping: see `HOUSEKEEPING`; shorter for a node with actions, which rclpy's executor
+            serves [s, wall].
     """
 
     def __init__(self, node: Node, housekeeping: float = HOUSEKEEPING) -> None:
@@ -45,7 +45,7 @@ class LeanExecutor:
         """Serve until the context is shut down.
 
         Raises:
-            ExternalShutdownException: it was, as by a signal.
+            ExternalShutdownException: it was shut down, as by a signal.
         """
         while True:
             with ExitStack() as held:
@@ -53,7 +53,7 @@ class LeanExecutor:
             self._rest.spin_once(timeout_sec=0.0)
 
     def _serve(self, held: ExitStack, until: float) -> None:
-        """Wait for messages alone while they keep coming, and look at the rest now and then."""
+        """Wait for messages alone while they keep coming, and check the rest now and then."""
         node = self._node
         subscriptions, timers, services = (
             [(one.handle.pointer, one) for one in many]
@@ -69,7 +69,7 @@ class LeanExecutor:
         )
         messages: Any = wait_set(len(subscriptions), 0, 0, 0, 0, 0, context)
         quiet = True
-        look = time.monotonic()  # at the rest
+        look = time.monotonic()  # for the other entities
         while (now := time.monotonic()) < until:
             if quiet or now >= look:
                 all_of_them.clear_entities()
@@ -91,7 +91,7 @@ class LeanExecutor:
                 quiet = not self._wait(messages, subscriptions, look - now)
 
     def _wait(self, waiting: Any, subscriptions: list[tuple[int, Any]], seconds: float) -> bool:
-        """Wait, and serve the messages that have come; whether there were any."""
+        """Wait, and serve the messages that have come; return whether there were any."""
         for _, subscription in subscriptions:
             waiting.add_subscription(subscription.handle)
         waiting.wait(int(seconds * 1e9))

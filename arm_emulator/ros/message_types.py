@@ -1,4 +1,4 @@
-"""Message types by name: their classes, and their definitions as bags keep them."""
+"""Message types by name: their classes, and their definitions in the form of bags."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def message_class(kind: str) -> Any:
 
 
 def definition_of(kind: str) -> str:
-    """Return the text of a message's definition, followed by all that it contains.
+    """Return the text of a message's definition, followed by those of all types in it.
 
-    Empty where only IDL is installed. Format: https://mcap.dev/spec/registry#ros2msg
+    Empty if only IDL is installed. Format: https://mcap.dev/spec/registry#ros2msg
     """
     waiting, texts = [kind.replace("/msg/", "/")], {}
     while waiting:
@@ -57,7 +57,7 @@ def fields(definition: str) -> list[str]:
 
 
 def _contained(text: str, package: str) -> list[str]:
-    """Return the message types that a definition's fields have."""
+    """Return the message types of a definition's fields."""
     found = []
     for line in fields(text):
         base = re.split(r"[\[<]", line.split()[0])[0]

@@ -1,4 +1,4 @@
-"""What the three nodes share as ROS nodes: QoS, parameters, diagnostics, and `main`."""
+"""Common parts of the three nodes: QoS, parameters, diagnostics, and `main`."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from arm_emulator.ros.end_with_parent import end_with_parent
 from arm_emulator.ros.lean_executor import HOUSEKEEPING, LeanExecutor
 from arm_emulator.ros.shared_memory import clear_left_over
 
-# Commands: nothing is lost, and the newest wins. Who receives them reads them all: in a depth of 1
-# a bad command would take the place of a good one that is not read yet. States: a reliable
-# publisher serves reliable and best-effort subscribers alike. Descriptions: late-comers get the
-# last one. Publishers keep what a reliable listener, such as a recorder, has not taken yet: what is
-# more than `KEPT` behind is lost to it without notice.
+# Commands: nothing is lost, and the newest counts. Receivers read all of them: with a depth of 1
+# a bad command would displace a good one that is not read yet. States: a reliable publisher
+# serves reliable and best-effort subscribers alike. Descriptions: late subscribers get the last
+# one. Publishers keep messages that a reliable subscriber, such as a recorder, has not taken yet:
+# a subscriber more than `KEPT` behind loses messages without notice.
 KEPT = 1000  # messages: seconds of a busy machine, and ten times what an emulator runs ahead
 COMMAND_QOS = QoSProfile(depth=KEPT, reliability=ReliabilityPolicy.RELIABLE)
 COMMAND_SUB_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -52,13 +52,13 @@ DESCRIPTION_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-# Changes by hand: who comes late gets those before, since what follows depends on them.
+# Changes by hand: late subscribers get the earlier ones, on which the later ones depend.
 EVENT_QOS = QoSProfile(depth=KEPT, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A late subscriber learns at once which nodes run.
 DIAGNOSTICS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 NANOSECONDS = 1_000_000_000
-ENDING = 5.0  # s, wall: what the middleware is given to end
+ENDING = 5.0  # s, wall: time for the middleware to end
 
 
 def stamp(nanoseconds: int) -> Time:
@@ -80,7 +80,7 @@ def time_of(where: str, stamp: Time) -> int:
     """Return the logical time [ns] of a stamp that came from outside.
 
     Raises:
-        Refusal: a time before 0, or one that is not well-formed.
+        Refusal: the time is negative or malformed.
     """
     if stamp.sec < 0 or stamp.nanosec >= NANOSECONDS:
         got = f"{stamp.sec} s and {stamp.nanosec} ns"
@@ -108,14 +108,14 @@ def guard_clock(node: Node, refuse: Callable[[str, Refusal], None]) -> None:
 
 
 class Closable(Protocol):
-    """A node that lets go of what it holds when its process ends."""
+    """A node that releases its resources when its process ends."""
 
     def close(self) -> None:
-        """Release everything; a `Refusal` is printed, and makes the exit code 1."""
+        """Release all resources; a `Refusal` is printed, and makes the exit code 1."""
 
 
 def declare_parameters(node: Node, kind: type[Parameters]) -> Parameters:
-    """Declare every field of the frozen dataclass `kind` on the node and return what was set.
+    """Declare every field of the frozen dataclass `kind` on the node and return the values.
 
     Raises:
         Refusal: a value of the wrong type or out of its range.
@@ -145,10 +145,10 @@ def refuse_other_parameters(node: Node, config: object, beside: tuple[str, ...] 
     """Refuse parameters that were given to the node and are neither in `config` nor ROS's own.
 
     The node must have been created with ``automatically_declare_parameters_from_overrides``.
-    `beside` are the names of sections that it reads by itself.
+    `beside` are the names of sections that the node reads itself.
 
     Raises:
-        Refusal: a parameter that nobody knows, such as a misspelt one.
+        Refusal: a parameter is unknown, for example misspelt.
     """
     known = [*parameters_of(type(config)), *beside]
     for name in node.get_parameters_by_prefix(""):
@@ -161,12 +161,12 @@ def refuse_other_parameters(node: Node, config: object, beside: tuple[str, ...] 
 def accept_changes(
     node: Node, prepare: Callable[[Mapping[str, Any]], Any], take: Callable[[Any], None]
 ) -> None:
-    """Let parameters be set while the node runs: all of a request that fit together, or none.
+    """Let parameters be set at run time: all of a request together, or none.
 
     Args:
         node: whose parameters are declared; read-only ones are refused before.
-        prepare: returns what the node will work with, given what changes; a Refusal is the answer.
-        take: is given that when nobody refuses.
+        prepare: returns the new working objects, given the changes; a Refusal is the answer.
+        take: gets those objects if nothing is refused.
     """
 
     def changes(parameters: list[RosParameter]) -> dict[str, Any]:
@@ -200,7 +200,7 @@ def replaced(node: Node, config: Parameters, changes: Mapping[str, Any]) -> Para
 
 
 def set_range(descriptor: ParameterDescriptor, one: Number | None) -> None:
-    """Set a descriptor's range for ROS tools; None: it is no number."""
+    """Set a descriptor's range for ROS tools; None: the parameter is not a number."""
     if one is None:
         return
     first, last = one.ends
@@ -213,22 +213,22 @@ def set_range(descriptor: ParameterDescriptor, one: Number | None) -> None:
 
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
-    """Call back every `period` [s] of wall time, whatever the node's own clock is."""
+    """Call back every `period` [s] of wall time, for any clock of the node."""
     return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class Diagnostics:
-    """The node's health in words, on `diagnostics`: every second, and at once when it changes.
+    """The node's health as text, on `diagnostics`: every second, and at once when it changes.
 
-    A message whose figures alone have changed waits for its second.
+    A message of which only figures have changed waits for its second.
 
     Refused input is counted by kind, and the newest refusal is published in full. Stamps are of the
     node's clock: wall time, or logical time with `use_sim_time`.
 
     Attributes:
         values: more to publish, by name.
-        doubles: what to publish, and to warn of, while another node does the same.
-        send: publishes; a node that records itself puts its own in place.
+        doubles: values and warnings while another node does the same.
+        send: publishes; a node with its own record replaces it.
     """
 
     def __init__(self, node: Node, hardware_id: str) -> None:
@@ -245,16 +245,16 @@ class Diagnostics:
         self.values: dict[str, object] = {}
         self.doubles: dict[str, str] = {}
         guard_clock(node, self.refuse)
-        # With `use_sim_time` too: health is asked for when logical time stands still.
+        # With `use_sim_time` too: health is needed when logical time stands still.
         wall_timer(node, 1.0, self.publish)
 
     @property
     def refused(self) -> int:
-        """How many inputs were refused so far."""
+        """Number of inputs refused so far."""
         return self._refused.total()
 
     def refuse(self, topic: str, reason: Refusal) -> None:
-        """Count an input that was not taken."""
+        """Count a refused input."""
         first = self._refused[topic] == 0
         self._refused[topic] += 1
         self._newest_refusal = str(reason)
@@ -262,7 +262,7 @@ class Diagnostics:
             self.publish()
 
     def count(self, what: str) -> None:
-        """Count under `what` an input that was not needed; that is no reason to worry."""
+        """Count under `what` an input that was not needed, without a warning."""
         before = self.values.get(what, 0)
         assert isinstance(before, int)
         self.values[what] = before + 1
@@ -270,15 +270,15 @@ class Diagnostics:
             self.publish()
 
     def ok(self, message: str) -> None:
-        """Report that all is well, and what is going on."""
+        """Report normal operation, and the present activity."""
         self._report(DiagnosticStatus.OK, message)
 
     def warn(self, message: str) -> None:
-        """Report what hinders the node, though it goes on."""
+        """Report an impediment; the node continues."""
         self._report(DiagnosticStatus.WARN, message)
 
     def error(self, message: str) -> None:
-        """Report what stopped the node's work."""
+        """Report the reason why the node's work stopped."""
         self._report(DiagnosticStatus.ERROR, message)
 
     def publish(self) -> None:
@@ -316,7 +316,7 @@ def _words(message: str) -> str:
 
 
 class StartAnew(Exception):
-    """A node is to let go of all that it holds, and to begin again."""
+    """A node must release its resources and begin again."""
 
 
 def _init() -> None:
@@ -361,7 +361,7 @@ def run_node(create: Callable[[], Closable]) -> None:
         if node is not None:
             try:
                 node.close()
-            except Refusal as refusal:  # what it leaves behind is not as it was asked for
+            except Refusal as refusal:  # its outputs are incomplete
                 print(refusal, file=sys.stderr)
                 code = 1
         end_anyway(ENDING, code=code)

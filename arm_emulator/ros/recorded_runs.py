@@ -1,4 +1,4 @@
-"""How complete a recording is, by the numbers of messages and the ticks of motor states."""
+"""Completeness of a recording, by the numbers of messages and the ticks of motor states."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from arm_emulator_msgs.msg import MotorState, RecorderReport
 
 REPORT_EVERY = 20  # motor states; an emulator in lock-step is at most a few times that many ahead
 GOOD_BYE = Duration(seconds=0.5)  # wall: for it to arrive
-SETTLED = 2.0  # s, wall: after which all publishers of what has come are known
+SETTLED = 2.0  # s, wall: after which all publishers of received messages are known
 MOST_CHAINS = 100  # of numbers that do not follow each other: publishers and fresh gaps
-ASK_AGAIN = 5.0  # s, wall: after which a reset that has not come is asked for once more
+ASK_AGAIN = 5.0  # s, wall: after which a missing reset is requested again
 
 
 @dataclass
 class _Chain:
-    """Numbers in a row, as one publisher gives them; `began`, `ended`: in the order of coming."""
+    """Consecutive numbers of one publisher; `began`, `ended`: in the order of reception."""
 
     first: int
     last: int
     began: int
     ended: int
-    at: float  # s, wall, when it began
+    at: float  # s, wall, of its beginning
 
 
 class Numbered:
     """Counts what is lost on one topic, by the numbers that publishers give to their messages.
 
-    A number does not name the publisher it comes from, so each message continues a chain of
-    numbers. There are as many chains as publishers, and one more for each gap. How many publishers
-    there are may be known a moment after their first messages.
+    A number does not name its publisher, so each message continues a chain of numbers. There are as
+    many chains as publishers, and one more for each gap. The number of publishers may become known
+    a moment after their first messages.
 
     Args:
-        publishers: returns how many there are.
+        publishers: returns their number.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:
@@ -50,7 +50,7 @@ class Numbered:
         self._most_publishers = 1
         self._chains: list[_Chain] = []  # in the order in which they began
         self._count = 0
-        self._gaps = 0  # between chains that are one by now
+        self._gaps = 0  # between chains that have been joined
         self._reported_lost = 0
 
     @property
@@ -60,7 +60,7 @@ class Numbered:
 
     @property
     def lost(self) -> int:
-        """Messages between others that did not come."""
+        """Missing messages between received ones."""
         self._most_publishers = max(self._most_publishers, self._publishers())
         return max(self._gaps + self._join(self._chains), self._reported_lost)
 
@@ -69,7 +69,7 @@ class Numbered:
         self._reported_lost = int(event.total_count)
 
     def take(self, number: int | None) -> None:
-        """Count a message; None where the middleware gives no numbers."""
+        """Count a message; None if the middleware gives no numbers."""
         if number is None:
             return
         self._count += 1
@@ -83,7 +83,7 @@ class Numbered:
             self._settle(now)
 
     def _settle(self, now: float) -> None:
-        """Join for good what began when all publishers were known already."""
+        """Join for good the chains that began when all publishers were known."""
         self._most_publishers = max(self._most_publishers, self._publishers())
         many = len(self._chains) > MOST_CHAINS
         settled = [chain for chain in self._chains if many or now - chain.at > SETTLED]
@@ -92,7 +92,7 @@ class Numbered:
         self._chains = settled + young
 
     def _join(self, chains: list[_Chain], for_good: bool = False) -> int:
-        """Return the gaps between chains if there are no more of them than publishers."""
+        """Return the gaps between chains if there are no more chains than publishers."""
         gaps, joined = 0, list[_Chain]()
         for one in chains:
             before = None
@@ -110,18 +110,18 @@ class Numbered:
 
 
 class RecordedRuns:
-    """Follows one emulator's ticks, and reports to it how far they are written.
+    """Follows one emulator's ticks, and reports to it the progress of writing.
 
     Args:
         node: of the recorder.
         topic: the emulator's motor states.
         numbered: of the same topic.
-        recorder: a name that no other recorder has.
-        from_start: reset the machine if it runs already.
+        recorder: unique name.
+        from_start: reset a machine that is already running.
 
     Attributes:
         topic: as given.
-        missing: ticks between others that did not come, and first ticks of later runs.
+        missing: ticks missing between others, and first ticks of later runs.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class RecordedRuns:
         self._greeted = False
 
     def take(self, data: bytes) -> None:
-        """Follow a motor state that is written."""
+        """Follow a written motor state."""
         tick, before = int(deserialize_message(data, MotorState).tick), self._tick
         self._tick = tick
         if before < 0:
@@ -158,7 +158,7 @@ class RecordedRuns:
             self.report()
 
     def report(self) -> None:
-        """Report to the emulator what is written, and thereby that this recorder is there."""
+        """Report to the emulator the written ticks, and thereby the recorder's presence."""
         written = self._numbered.newest
         if self._reset is not None and self._tick > 0:
             self._ask_for_reset(self._reset)
@@ -170,7 +170,7 @@ class RecordedRuns:
         self._reports.publish(self._message)
 
     def leave(self) -> None:
-        """Report to the emulator that it need not wait any more."""
+        """Report to the emulator that it need not wait any longer."""
         self._message.leaving = True
         self._reports.publish(self._message)
         self._reports.wait_for_all_acked(GOOD_BYE)

@@ -1,8 +1,8 @@
-"""Recorders of this machine, known to an emulator before the network discovers them.
+"""Recorders on this computer, known to an emulator before the network discovers them.
 
-Discovery takes its time, on a busy machine seconds: until then an emulator that starts cannot know
-whether a recorder waits for its first tick. So a recorder holds a name without a file, which
-ends with its process however that ends, and which reaches as far as the loopback interface does.
+Discovery takes time, on a busy machine seconds: until then a starting emulator cannot know whether
+a recorder waits for its first tick. A recorder therefore holds a name without a file, which
+disappears with its process in any case, and is visible within the loopback interface.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ import socket
 from collections.abc import Collection
 from pathlib import Path
 
-RECORDER = re.compile(r"\d+\.[0-9a-f]{8}")  # how recorders are named
+RECORDER = re.compile(r"\d+\.[0-9a-f]{8}")  # names of recorders
 STATES = "motor_states"  # last part of the topic on which an emulator publishes its states
 LONGEST = 107  # bytes of an abstract socket's name
 ALL = "/*"
 
 
 class RecorderPresence:
-    """Announces a recorder to the emulators on this machine, until `close`.
+    """Announces a recorder to the emulators on this computer, until `close`.
 
     Args:
         topics: names of the topics that are recorded, with or without the leading ``/``; None: all.
 
     Attributes:
-        recorder: a name that no other recorder has.
+        recorder: unique name.
     """
 
     def __init__(self, topics: Collection[str] | None) -> None:
@@ -50,16 +50,16 @@ class RecorderPresence:
         self.close()
 
     def close(self) -> None:
-        """Be here no longer."""
+        """End the announcement."""
         for one in self._held:
             one.close()
 
 
 def recorders_of(states: str) -> set[str]:
-    """Return the names of the recorders on this machine that record a topic of motor states."""
+    """Return the names of the recorders on this computer that record a topic of motor states."""
     try:
         table = Path("/proc/net/unix").read_text(encoding="utf-8", errors="replace")
-    except OSError:  # not Linux: they are known when the network discovers them
+    except OSError:  # not Linux: only the network discovers them
         return set()
     prefix, found = _prefix().replace("\0", "@"), set()
     for line in table.splitlines():

@@ -1,9 +1,9 @@
-"""The recorders of this machine and their progress: in lock-step time waits for them.
+"""Progress of the recorders: in lock-step, time waits for them.
 
-Nothing is lost on the way to a recorder as long as it is never further behind than the publishers
-keep messages. So the emulator leaves tick 0 when every recorder has written it, and later stays
-within `AHEAD` messages of the slowest. A recorder that makes no progress is no longer waited for,
-which is reported.
+No message to a recorder is lost as long as it is not further behind than the publishers' queues.
+The emulator therefore leaves tick 0 when every recorder has written it, and later stays within
+`AHEAD` messages of the slowest. It no longer waits for a recorder that makes no progress, and
+reports it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ class _Recorder:
 
 
 class Recorders:
-    """Counts the messages on `motor_states` against what recorders have written of them.
+    """Compares the messages on `motor_states` with the progress of recorders.
 
     Args:
         present: names the recorders on this machine, see `recorder_presence`.
 
     Attributes:
         published: messages on `motor_states` so far; the first one is number 1.
-        news: events of recorders, in sentences; cleared by whoever publishes them.
+        news: events of recorders, as sentences; cleared when published.
     """
 
     def __init__(self, present: Callable[[], set[str]]) -> None:
@@ -50,11 +50,11 @@ class Recorders:
 
     @property
     def names(self) -> list[str]:
-        """Those that are waited for when they are behind."""
+        """Recorders for which the machine waits when they are behind."""
         return [name for name, one in self._known.items() if not one.let_go]
 
     def report(self, name: str, written: int, leaving: bool) -> None:
-        """Take a recorder's report; a recorder whose report is impossible is not waited for.
+        """Take a recorder's report; a recorder with an impossible report is not waited for.
 
         Raises:
             Refusal: it does not come from a recorder.
@@ -74,7 +74,7 @@ class Recorders:
             one.written, one.behind_since = written, None
 
     def behind(self, at_start: bool, now: float) -> str:
-        """Return the name of a recorder that has to catch up first; empty: all have.
+        """Return the name of a recorder that has to catch up first; empty: none.
 
         Args:
             at_start: the machine is about to leave tick 0.
@@ -86,7 +86,8 @@ class Recorders:
         needed = self._begin if at_start else self.published - AHEAD
         waited_for = ""
         for name, one in list(self._known.items()):
-            # One that comes later has no start to lose: it is waited for from its first message on.
+            # A recorder that comes later cannot lose the start: it counts from its first message
+            # on.
             late = one.written == 0 and not at_start
             if one.let_go or late or one.written >= needed:
                 continue
@@ -106,7 +107,7 @@ class Recorders:
         return waited_for
 
     def without_room(self, depth: int) -> str:
-        """Return a recorder that one more message would outrun at this `depth`, or "" if none."""
+        """Return a recorder that would lose one more message at this `depth`, or ""."""
         for name, one in self._known.items():
             if one.written and not one.let_go and self.published - one.written >= depth:
                 return name

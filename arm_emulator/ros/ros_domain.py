@@ -1,4 +1,4 @@
-"""A ROS domain of one's own on this machine."""
+"""An unused ROS domain on this computer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
 
-# Domains whose ports are not among Linux's ephemeral ports. The upper ones come first: people and
+# Domains whose ports are not among Linux's ephemeral ports. The upper ones come first: users and
 # their scripts take small numbers, and may join a domain at any time.
 DOMAINS = (range(215, 232), range(1, 102))
 LARGEST = 232
@@ -20,15 +20,15 @@ PORTS = 250  # of a domain, from 7400 on (DDSI-RTPS 9.6.2)
 
 @contextmanager
 def own_domain(unless_named: bool = False) -> Iterator[int]:
-    """Put this process, and those that it starts, into a ROS domain that nobody else is in.
+    """Put this process and its children into a ROS domain that is not in use.
 
-    The domain is held until the end of the block: no other process is given it, of whichever user.
+    The domain is held until the end of the block: no other process gets it, of any user.
 
     Args:
         unless_named: stay in the domain that the environment names, if it names one.
 
     Raises:
-        Refusal: every domain is taken, or what is named is no domain.
+        Refusal: every domain is taken, or the named one is invalid.
     """
     named = os.environ.get("ROS_DOMAIN_ID")
     if unless_named and named:
@@ -61,9 +61,9 @@ def _free_domain() -> tuple[int, socket.socket]:
 
 
 def claimed(domain: int) -> socket.socket | None:
-    """Return what holds a domain until it is closed, None if somebody has claimed it or is in it.
+    """Return an object that holds a domain until closed, None if it is claimed or in use.
 
-    The claim comes first: to look whether a domain is free, and to take it later, lets two
+    The claim comes first: checking whether a domain is free and taking it later would let two
     processes take the same one.
     """
     # A name without a file: it ends with the process, and serves every user.

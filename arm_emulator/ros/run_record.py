@@ -1,7 +1,7 @@
-"""The emulator's own record: a bag of what it publishes and takes, whatever the network does.
+"""The emulator's own record: a bag of its outputs and inputs, independent of the network.
 
-In lock-step the machine waits when the disk is slow; in real time it waits for nobody, and what
-finds no room is counted.
+In lock-step the machine waits for a slow disk; in real time it does not wait, and messages that do
+not fit into the queue are counted.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from arm_emulator.ros.bag import BagWriter, Topic
 CAPACITY = 10_000  # messages between the machine and the disk: some seconds
 SMALL = 10  # messages written at a time, some 0.1 ms of Python's lock
 BREATH = 1e-4  # s, after each small step: lets the machine have Python's lock
-IDLE = 0.02  # s, wall: how often an empty queue is looked at
-FLUSH_PERIOD = 0.5  # s, wall: what a crash loses at most
+IDLE = 0.02  # s, wall: interval of checks of an empty queue
+FLUSH_PERIOD = 0.5  # s, wall: largest loss in a crash
 
 
 class RunRecord:
@@ -27,11 +27,11 @@ class RunRecord:
 
     Args:
         folder: the new bag.
-        topics: what will be written.
+        topics: the topics written.
         waits: whether `put` waits for room, as in lock-step, or drops and counts.
 
     Attributes:
-        dropped: messages that found no room.
+        dropped: messages that did not fit into the queue.
         missing: ticks of a run that were never put.
 
     Raises:
@@ -54,11 +54,11 @@ class RunRecord:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._write, name="run record", daemon=True)
         self._thread.start()
-        atexit.register(self._finish)  # should nobody call `close`
+        atexit.register(self._finish)  # in case `close` is not called
 
     @property
     def trouble(self) -> str:
-        """What is not in the bag, and why, in words; empty if all is."""
+        """Missing messages and the reason, as text; empty if the bag is complete."""
         words = []
         if self._failure is not None:
             words.append(_reason(self._failure))
@@ -71,28 +71,28 @@ class RunRecord:
         return "; ".join(words)
 
     def put(self, topic: str, data: bytes) -> None:
-        """Take a message; nothing else than the disk can keep it out of the bag."""
+        """Queue a message; from here only the disk can keep it out of the bag."""
         while self._waits and len(self._waiting) >= CAPACITY and self._failure is None:
             time.sleep(BREATH)
         if len(self._waiting) >= CAPACITY or self._failure is not None:
             self.dropped += self._failure is None
             return
-        # Answers come after their questions, though wall time may be set back.
+        # Answers come after their questions, even if wall time is set back.
         self._newest = max(self._newest + 1, time.time_ns())
         self._waiting.append((self._numbers[topic], self._newest, data))
 
     def count(self, tick: int) -> None:
-        """Count the state of a tick that is put, or put once more."""
+        """Count the state of a tick that is queued, or queued again."""
         if tick > self._tick + 1:
             self.missing += tick - self._tick - 1
         self._states += tick != self._tick
         self._tick = tick
 
     def close(self) -> None:
-        """Write what waits, end the bag and print a summary line.
+        """Write the queue, end the bag and print a summary line.
 
         Raises:
-            Refusal: not all that was put is there.
+            Refusal: the bag is incomplete.
         """
         atexit.unregister(self._finish)
         self._finish()

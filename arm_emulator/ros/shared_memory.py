@@ -1,9 +1,9 @@
-"""Shared memory that killed processes have left behind.
+"""Removal of shared memory that killed processes have left behind.
 
-Fast DDS keeps half a MiB in /dev/shm for each participant, beside a file on which its owner holds
-a lock as long as it lives. A process that ends removes both; one that is killed cannot, and
-nobody else does. Segments without an owner are removed here, as by `fastdds shm clean`. Its ports
-stay: they are taken up again by the next process, and others may write to them.
+Fast DDS keeps half a MiB in /dev/shm for each participant, beside a file that its owner locks as
+long as it lives. A process that ends removes both; a killed one cannot, and no other process does.
+Segments without an owner are removed here, as by `fastdds shm clean`. Ports stay: the next process
+reuses them, and others may write to them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 SHARED = Path("/dev/shm")
-YOUNG = 2.0  # s: a segment's owner makes the file first, and locks it then
+YOUNG = 2.0  # s: an owner first makes the file, then locks it
 _LOCK = re.compile(r"(?P<segment>fastrtps_[0-9a-f]{16})_el")
 
 

@@ -1,4 +1,4 @@
-"""Samples of the arm turned into columns of Rerun."""
+"""Conversion of samples of the arm into Rerun columns."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class RerunBatches:
         joint_names: the N moving joints, in the order of the samples.
         tool: the link whose path is drawn; None draws none.
         arm_rate: poses of the arm per second on the time line [Hz].
-        signal_every: of so many samples one goes into the signals.
-        further: names of quantities behind `QUANTITIES`, with their units.
+        signal_every: one of this many samples goes into the signals.
+        further: names of quantities after `QUANTITIES`, with their units.
 
     Attributes:
         waiting: samples whose signals are still to be sent.
@@ -90,7 +90,7 @@ class RerunBatches:
         self.waiting = 0
 
     def warm_up(self) -> None:
-        """Send a batch into nowhere: Rerun's first calls take up to 30 ms, later ones 0.1 ms."""
+        """Send a batch to a null sink: Rerun's first calls take up to 30 ms, later ones 0.1 ms."""
         import rerun as rr
 
         nowhere = rr.RecordingStream("arm_emulator_warm_up")
@@ -106,7 +106,7 @@ class RerunBatches:
         self._start_over()
 
     def blueprint(self, q_start: ArrayLike | None) -> rrb.Blueprint:
-        """Return the layout of the viewer, its eyes set for the pose q_start (N,)."""
+        """Return the layout of the viewer, with its eyes set for the pose q_start (N,)."""
         q = np.zeros((1, len(self._names)))
         q[0] = 0.0 if q_start is None else q_start
         names = [self._tree.root_link().name, *(j.child_link for j in self._tree.joints())]
@@ -115,12 +115,12 @@ class RerunBatches:
         return blueprint(self._tree.name, names[0], np.array(links), tool, self._further)
 
     def send_static(self, recording: rr.RecordingStream) -> None:
-        """Send what does not change: geometry, names and colours of the curves."""
+        """Send the static data: geometry, names and colours of the curves."""
         import rerun as rr
 
         self._tree.log_urdf_to_recording(recording)
         root = rr.CoordinateFrame(self._tree.root_link().name)
-        # Radii below zero are in points of the screen.
+        # Negative radii are in points of the screen.
         line = rr.LineStrips3D.from_fields(radii=-1.5, colors=(250, 200, 60))
         point = rr.Points3D.from_fields(radii=-6.0, colors=(230, 60, 60))
         axes = rr.Arrows3D(
@@ -204,7 +204,7 @@ class RerunBatches:
         yield from self._send_deviation(recording, times, p_WT)
 
     def send_signals(self, recording: rr.RecordingStream) -> Iterator[None]:
-        """Send the signals of the samples that wait."""
+        """Send the signals of the waiting samples."""
         import rerun as rr
 
         waiting, self._waiting, self.waiting = self._waiting, [], 0
@@ -225,7 +225,7 @@ class RerunBatches:
                 yield
 
     def _pieces_of_path(self, times: Times, p_WT: Array) -> tuple[Times, Array]:
-        """Return the pieces (P, 2, 3) [m] of the tool's path and when each is done (P,) [ns]."""
+        """Return the pieces (P, 2, 3) [m] of the tool's path and their times (P,) [ns]."""
         times = np.append(self._path_time, times)
         points = np.vstack((self._path_end, p_WT))
         self._path_time, self._path_end = times[-1:], points[-1:]
@@ -258,7 +258,7 @@ class RerunBatches:
             yield
 
     def _on_the_line(self, times: Times) -> Times:
-        """Return the times on the time line, which goes on where logical time steps back."""
+        """Return times on the time line, which continues where logical time steps back."""
         times = times + self._shift
         before = np.concatenate(([self._last_time], times[:-1]))
         for index in np.flatnonzero(times < before):

@@ -34,7 +34,7 @@ COLOURS = (
 )
 
 
-# From where the eye looks: 3/4 view, a little from above.
+# Direction of view: 3/4 view, slightly from above.
 EYE = np.array([0.72, -0.58, 0.38])
 
 
@@ -51,8 +51,8 @@ def blueprint(
         robot: the URDF's name, under which its geometry stands.
         root: the URDF's root link, the frame of the 3D views.
         links: origins of all links at the start (L, 3) [m]; the eye is set so that they are seen.
-        tool: origin of the tool at the start (3,) [m]; then its path, its target and the deviation
-            between them are shown too.
+        tool: origin of the tool at the start (3,) [m]; if given, its path, its target and the
+            deviation between them are shown too.
         further: quantities beside the usual ones, with their units.
     """
     import rerun as rr
@@ -66,8 +66,8 @@ def blueprint(
     here = rrb.SpatialInformation(target_frame=root, axes=rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     low, high = links.min(axis=0), links.max(axis=0)
     middle = (low + high) / 2.0
-    # The eye's opening is about 55 degrees; the factor leaves room for the links' thickness and for
-    # the arm to move.
+    # The eye's opening is about 55 degrees; the factor leaves room for the thickness of the links
+    # and for motion.
     distance = 1.35 * max(float(np.linalg.norm(high - low)), 0.1)
     solid = [
         shape.from_fields(fill_mode=rr.components.FillMode.Solid)

@@ -19,13 +19,13 @@ LONGEST_END = 60.0  # s
 
 
 class RerunRows:
-    """Shows all rows, and takes no more than Rerun does.
+    """Shows all rows, at the pace of Rerun.
 
     Args:
         where: the port at which a viewer may connect, or an .rrd file.
         columns: of the rows.
         angle_per_count: of the encoders (N,) [rad or m].
-        view: what `RerunStream` gets beside.
+        view: further arguments of `RerunStream`.
 
     Raises:
         Refusal: see `RerunStream`.
@@ -66,7 +66,7 @@ class RerunRows:
             self._stream.offer(time_ns, q, v, torque, current, applied, measured, further)
 
     def close(self) -> str:
-        """Write what waits; return what went wrong, in words."""
+        """Write the waiting rows; return the error, if any."""
         self._stream.close(LONGEST_END)
         lost = f"{self._stream.dropped} samples are not shown" if self._stream.dropped else ""
         return self._stream.trouble or lost

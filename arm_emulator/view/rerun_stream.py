@@ -1,7 +1,7 @@
 """The arm and its signals, shown live and recorded by Rerun, without disturbing the control path.
 
-The control path puts samples into a bounded queue and goes on. One background thread takes them
-out in batches and hands them to Rerun as columns. It does so in small steps and sleeps between
+The control path puts samples into a bounded queue and continues. One background thread takes them
+out in batches and hands them to Rerun as columns. It works in small steps and sleeps between
 them, so that it never holds Python's lock for long.
 """
 
@@ -57,22 +57,22 @@ class RerunStream:
 
     Attributes:
         url: where a viewer may connect, None without `port`.
-        trouble: what went wrong last between here and Rerun, in words; None if nothing did.
+        trouble: newest error between here and Rerun; None: no error.
 
     Args:
         urdf_xml: the URDF; joints that are not in `joint_names` rest at 0. Meshes are named by
             absolute path or `package://`.
         joint_names: the N moving joints, in the order of all arrays offered.
-        q_start: joint angles (N,) [rad or m] for which the eye is set; None is 0.
+        q_start: joint angles (N,) [rad or m] for the eye's position; None is 0.
         tool: the link whose path is drawn; None draws none.
         package_dirs: folders in which `package://NAME` is looked for as NAME, before those of
             ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
         file: the .rrd file to write.
         port: the TCP port at which a viewer on this machine may connect.
-        capacity: samples that may wait.
+        capacity: capacity of the queue [samples].
         arm_rate: poses of the arm per second of logical time [Hz].
-        signal_every: of so many samples one goes into the signals.
-        server_memory: how much the server keeps for viewers that come late.
+        signal_every: one of this many samples goes into the signals.
+        server_memory: memory of the server for viewers that connect late.
         further: quantities that are offered beside the usual ones, with their units.
 
     Raises:
@@ -142,17 +142,17 @@ class RerunStream:
             target=self._run, args=(recording,), name="rerun", daemon=True
         )
         self._thread.start()
-        # Before Rerun's own handler, which does not know what waits here.
+        # Before Rerun's own handler, which does not know this queue.
         atexit.register(self.close)
 
     @property
     def open(self) -> bool:
-        """Whether samples that are offered go anywhere."""
+        """Whether offered samples are sent anywhere."""
         return self._open
 
     @property
     def waiting(self) -> int:
-        """Samples that wait to be shown."""
+        """Samples in the queue."""
         return len(self._queue)
 
     @property
@@ -181,7 +181,7 @@ class RerunStream:
             v: true joint speeds (N,) [rad/s or m/s].
             gear_torque: (N,) [N m or N].
             current: motor currents (N,) [A].
-            applied: what the motors got (N,) [V, N m, A].
+            applied: applied motor commands (N,) [V, N m, A].
             q_measured: joint angles measured through encoders (N,) [rad or m]; None: not measured.
             further: the further quantities, (N,) each.
         """
@@ -190,9 +190,9 @@ class RerunStream:
             self._queue.put(time_ns, (q, v, gear_torque, current, applied, measured, *further))
 
     def offer_target(self, time_ns: int, p_WT: Sequence[float]) -> None:
-        """Show where the tool shall be, p_WT (3,) [m] in the root frame, from a logical time on.
+        """Show the tool's target p_WT (3,) [m] in the root frame, from a logical time on.
 
-        A time already past means at once. Never blocks and never raises.
+        A past time means at once. Never blocks and never raises.
         """
         if self._open:
             try:
@@ -203,9 +203,10 @@ class RerunStream:
                 self._lost += 1
 
     def close(self, timeout: float = 5.0) -> bool:
-        """Write what is waiting and end the recording; return whether that was done in time [s].
+        """Write the waiting samples and end the recording; return whether both succeeded in time
+        [s].
 
-        After a time-out the file holds what was written so far and can still be read.
+        After a time-out the file contains the samples written so far and remains readable.
         """
         if not self._open:
             return True
@@ -244,7 +245,7 @@ class RerunStream:
         self._done.set()
 
     def _send(self, recording: rr.RecordingStream, *, signals: bool) -> None:
-        # Only what waits now: while this is sent more comes in.
+        # Only the samples that wait now: more arrive meanwhile.
         waiting = len(self._queue)
         targets = [self._targets.popleft() for _ in range(len(self._targets))]
         self._spread(self._batches.send_targets(recording, targets), 0)

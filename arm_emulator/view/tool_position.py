@@ -1,4 +1,4 @@
-"""Where the tool is, for many joint angles at once."""
+"""Tool positions for many joint angles at once."""
 
 from __future__ import annotations
 
