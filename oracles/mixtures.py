@@ -31,7 +31,7 @@ from arm_emulator.machine.diverged import Diverged
 from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.parts.gear import Gear
-from arm_emulator.machine.parts.known import EXTRAS, GEARS, MOTORS
+from arm_emulator.machine.parts.known import EXTRAS, GEARS, LOOPS, MOTORS
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant import Plant
@@ -101,6 +101,7 @@ def _pmsm(rng: Rng) -> Numbers:
     return {
         "resistance": scaled(rng, 0.3, 1.0), "inductance_d": scaled(rng, 1e-3, 3e-3),
         "inductance_q": scaled(rng, 1e-3, 3e-3), "flux": scaled(rng, 0.005, 0.02), "pole_pairs": 4,
+        **({"current_loop": _current_loop(rng)} if rng.random() < 0.5 else {}),
     }  # fmt: skip
 
 
@@ -234,6 +235,7 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "RotorLuGre": _rotor_lugre,
     "TorqueTable": _torque_table,
     "CurrentLoop": _current_loop,
+    "FieldOrientedLoop": _current_loop,
     "Winding": _winding,
     "TorqueRipple": _ripple,
     "Brake": _brake,
@@ -304,6 +306,9 @@ def write_alone(folder: Path, part: type[Part], seed: int) -> Path:
         "resistance": 1.0, "inductance": 2e-3, "torque_constant": 0.05, "back_emf_constant": 0.05,
         "rotor_inertia": 1e-4,
     }  # fmt: skip
+    for kind in MOTORS:
+        if part in LOOPS and kind.kind == part.around_kind:
+            motor = {"kind": kind.kind, "rotor_inertia": 1e-4, **DRAWS[kind.__name__](rng)}
     joint: Numbers = {"motor": motor, "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 2.0}}
     drawn = DRAWS[part.__name__](rng)
     if issubclass(part, Motor):

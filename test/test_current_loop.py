@@ -248,11 +248,11 @@ def test_a_current_that_is_set_flows_on(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("motor", "line"),
     [
-        ({"inductance": 0.0}, "x.motor.current_loop must belong to a dc motor that has an induct"),
+        ({"inductance": 0.0}, "x.motor.current_loop must belong to a motor that has an inductance"),
         ({"current_loop": {}}, "x.motor.current_loop.bandwidth must be given where proportional"),
         ({"current_loop": {"bandwidth": 1.0, "integral_gain": 1.0}}, "integral_gain must be absen"),
         ({"current_loop": {"proportional_gain": 1.0}}, "bandwidth must be given where integral_g"),
-        ({"kind": "current"}, "current_loop must belong to a dc motor that has an inductance, got"),
+        ({"kind": "current"}, "loop must belong to a motor that has an inductance .dc, pmsm., got"),
     ],
 )
 def test_what_makes_no_loop_is_refused(motor: dict[str, Any], line: str, tmp_path: Path) -> None:

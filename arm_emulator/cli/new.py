@@ -29,6 +29,9 @@ from arm_emulator.design.sizing import Demand, Sized, size
 from arm_emulator.design.survey import survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
 from arm_emulator.machine.chain import LARGEST_MASS, Array, moved_bodies
+from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.known import MOTORS
+from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
@@ -73,6 +76,7 @@ def new(
     *,
     payload: float | None = None,
     density: float = DENSITY,
+    motor: str = DcMotor.kind,
     force: bool,
 ) -> int:
     """Write a scene for a robot, and report what was taken from it and what was guessed.
@@ -82,8 +86,9 @@ def new(
     """
     console = Console(highlight=False, markup=False, soft_wrap=True)
     written = write_new(
-        robot, out, tool, joints, arguments, payload=payload, density=density, force=force
-    )
+        robot, out, tool, joints, arguments, payload=payload, density=density, motor=motor,
+        force=force,
+    )  # fmt: skip
     choice = written.choice
     console.print(f"moves    {', '.join(choice.joints)}")
     for guess in choice.guesses:
@@ -141,6 +146,7 @@ def write_new(
     *,
     payload: float | None = None,
     density: float = DENSITY,
+    motor: str = DcMotor.kind,
     force: bool = False,
 ) -> NewScene:
     """Write a scene for a robot.
@@ -153,6 +159,7 @@ def write_new(
         arguments: of the xacro source.
         payload: mass that the tool carries [kg].
         density: of bodies that the description leaves out [kg/m3].
+        motor: kind of all motors.
         force: whether to write over files that are there.
 
     Raises:
@@ -160,6 +167,9 @@ def write_new(
     """
     if payload is not None and not 0.0 <= payload <= LARGEST_MASS:
         raise Refusal("new", "--payload", f"be from 0 to {LARGEST_MASS:g} kg", payload)
+    kinds = {kind.kind: kind for kind in MOTORS}
+    if motor not in kinds:
+        raise Refusal("new", "--motor", "be a kind of motor", motor, ", ".join(kinds))
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints)
@@ -175,7 +185,7 @@ def write_new(
         if there.exists() and not force:
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
-    drives, texts = _texts(robot, text, description, choice, payload or 0.0, assumed)
+    drives, texts = _texts(robot, text, description, choice, payload or 0.0, assumed, kinds[motor])
     with tempfile.TemporaryDirectory() as trial:
         made = Path(trial) / f"{name}.yaml"
         _write(Path(trial), {place.format(name): one for place, one in texts.items()})
@@ -249,6 +259,7 @@ def _texts(
     choice: Choice,
     payload: float,
     assumed: list[Assumed],
+    kind: type[Motor],
 ) -> tuple[list[Sized], dict[str, str]]:
     """Return the drives, and the files to write by their places; `description` gets limits.
 
@@ -283,7 +294,7 @@ def _texts(
         )
         for j, joint in enumerate(links.chain.joints)
     ]
-    supply, drives = size(demands)
+    supply, drives = size(demands, kind)
     motion = {
         "tool": choice.tool,
         "period": MOTION_PERIOD,

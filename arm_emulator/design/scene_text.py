@@ -11,8 +11,9 @@ from dataclasses import dataclass, fields
 from arm_emulator.design.assumed_bodies import Assumed
 from arm_emulator.design.choose_joints import Choice
 from arm_emulator.design.sizing import Demand, Sized, rounded
-from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.part import Part
 from arm_emulator.motion.drive_numbers import SECTION, DriveNumbers
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
@@ -31,9 +32,8 @@ _RULES = """\
 # and `encoder` are guesses of the right size, by these rules (docs/tutorials/your_robot.md), from
 # the peak torque and the speed beside each joint (motor and ratio of a published servo: its own):
 #   ratio        the joint's full speed at 3000 rpm of the motor
-#   motor        back EMF 60 % of the supply at full speed, 25 % for the winding at peak torque,
-#                L/R 1 ms, rotor accelerates with 14 000 rad/s2; current of the peak torque
-#   current_loop 1 kHz, of drives that sample at 16 kHz
+#   motor        rotor accelerates with 14 000 rad/s2;
+{motor}
 #   gear         170 times the peak torque per rad, as strain wave gears; lowest resonance at least
 #                12 Hz (30 Hz of a slide), damped to 5 % of critical
 #   friction     10 % of the peak torque at full speed
@@ -64,8 +64,10 @@ def scene_text(
 ) -> str:
     """Return the scene file, with where each number comes from."""
     choice = given.choice
+    kinds = {type(drive.joint.motor) for drive in drives if drive.joint.motor}
+    rules = "\n".join(f"#                {rule}" for kind in kinds for rule in kind.rules)
     lines = [
-        _RULES.format(robot=given.robot, file=f"{name}.yaml"),
+        _RULES.format(robot=given.robot, file=f"{name}.yaml", motor=rules),
         f"name: {_text(name)}",
         f"urdf: {_text(f'urdf/{name}.urdf')}",
         f"tool: {_text(choice.tool)}",
@@ -98,10 +100,8 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
     torque, speed, inertia, angle = ("N", "m/s", "kg", "m") if slide else UNITS_OF_TURN
     ratio = "m of the slide per rad of the motor" if slide else "link turns per turn of the motor"
     joint = drive.joint
-    assert isinstance(joint.motor, DcMotor) and joint.encoder is not None
-    loop = joint.find(CurrentLoop)
-    assert loop is not None
-    motor, gear = joint.motor, joint.gear
+    assert joint.motor is not None and joint.encoder is not None
+    gear = joint.gear
     least, most = demand.inertia
     return [
         f"  # {drive.peak_torque:.3g} {torque} ({drive.notes['torque']}),",
@@ -110,14 +110,7 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
         f"{demand.gravity_torque:.3g} {torque}",
         f"  {_text(joint.name)}:",
         f"    start: {joint.start!r}  # {angle}",
-        "    motor:",
-        f"      torque_constant: {motor.torque_constant!r}  # N m/A",
-        f"      back_emf_constant: {motor.back_emf_constant!r}  # V s/rad",
-        f"      resistance: {motor.resistance!r}  # ohm",
-        f"      inductance: {motor.inductance!r}  # H",
-        f"      rotor_inertia: {motor.rotor_inertia!r}  # kg m2",
-        f"      current_limit: {motor.current_limit!r}  # A",
-        f"      current_loop: {{bandwidth: {loop.bandwidth!r}}}  # Hz",
+        *_motor(joint.motor, joint.decorators),
         "    gear:",
         f"      ratio: {gear.ratio!r}  # {ratio}",
         f"      stiffness: {gear.stiffness!r}  # {torque}/{angle}",
@@ -125,6 +118,25 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
         f"    friction: {{viscous: {joint.friction.viscous!r}}}  # {torque} s/{angle}",
         f"    encoder: {{counts_per_turn: {joint.encoder.counts_per_turn}}}",
         *(_end_stops(most, drive.speed, slide) if demand.limited else ()),
+    ]
+
+
+def _motor(motor: Motor, decorators: tuple[Part, ...]) -> list[str]:
+    """Return the section of a motor and of what is around it."""
+    kind = [] if isinstance(motor, DcMotor) else [f"      kind: {motor.kind}"]
+    lines = ["    motor:", *kind, *_numbers(motor, "      ")]
+    for one in decorators:
+        lines += [f"      {one.section.rpartition('.')[2]}:", *_numbers(one, "        ")]
+    return lines
+
+
+def _numbers(part: Part, indent: str) -> list[str]:
+    """Return the numbers of a part that are not what an absent key gives, a line each."""
+    values = {key: (getattr(part, key), one) for key, one in part.numbers().items()}
+    return [
+        f"{indent}{key}: {value!r}  # {one.unit}"
+        for key, (value, one) in values.items()
+        if value is not None and value != one.default
     ]
 
 

@@ -6,17 +6,21 @@ Each rule has its reason; replace what you know.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from arm_emulator.design.data_sheets import JointSheet
-from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.encoder import Encoder
 from arm_emulator.machine.parts.friction import LinkFriction
+from arm_emulator.machine.parts.known import DECORATORS
+from arm_emulator.machine.parts.motor import Motor, Rating
+from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import JointSensors
 from arm_emulator.machine.scene import Joint
 
@@ -80,8 +84,8 @@ class Sized:
     """Where `torque` and `speed` come from, in words."""
 
 
-def size(demands: list[Demand]) -> tuple[float, list[Sized]]:
-    """Return the supply voltage [V] and a drive for every joint.
+def size(demands: list[Demand], kind: type[Motor] = DcMotor) -> tuple[float, list[Sized]]:
+    """Return the supply voltage [V] and a drive for every joint, with motors of a kind.
 
     In short: peak torque and speed as published, else those of the description, else what holds and
     moves the links. Torques of makers stay what they are: accelerations follow from them.
@@ -112,7 +116,7 @@ def size(demands: list[Demand]) -> tuple[float, list[Sized]]:
     seconds = max(SPEED_UP, float((ramp / left).max()))
     supply = _supply(demands, float((peak * speeds).max()))
     return supply, [
-        _drive(demand, torque, float(speed), float(speed) / seconds, note, supply)
+        _drive(demand, torque, float(speed), float(speed) / seconds, note, supply, kind)
         for demand, torque, speed, note in zip(demands, torques, speeds, notes, strict=True)
     ]
 
@@ -159,6 +163,7 @@ def _drive(
     acceleration: float,
     notes: dict[str, str],
     supply: float,
+    kind: type[Motor],
 ) -> Sized:
     servo = None if demand.sheet is None else demand.sheet.servo
     if servo is None:
@@ -173,17 +178,21 @@ def _drive(
     least, most = demand.inertia
     stiffness = max(STIFFNESS_PER_TORQUE * torque, LOWEST_RESONANCE[demand.kind] ** 2 * most)
     middle = math.sqrt(least * most)
+    rating = Rating(
+        torque=torque * ratio,
+        rotor_inertia=torque * ratio / ROTOR_ACCELERATION,
+        torque_constant=torque_constant,
+        back_emf_constant=back_emf_constant,
+        resistance=resistance,
+        inductance=ELECTRICAL_TIME * resistance,
+        bandwidth=CURRENT_BANDWIDTH,
+    )
+    motor = kind.sized(rating)
+    around = (one.of(motor).sized(motor, rating) for one in DECORATORS)
     joint = Joint(
         name=demand.name,
         start=demand.start,
-        motor=DcMotor(
-            resistance=rounded(resistance),
-            inductance=rounded(ELECTRICAL_TIME * resistance),
-            torque_constant=rounded(torque_constant),
-            back_emf_constant=rounded(back_emf_constant),
-            rotor_inertia=rounded(torque * ratio / ROTOR_ACCELERATION),
-            current_limit=rounded(current),
-        ),
+        motor=_rounded(motor),
         gear=ElasticGear(
             ratio=rounded(ratio, 6),
             stiffness=rounded(stiffness),
@@ -191,9 +200,20 @@ def _drive(
         ),
         sensors=JointSensors(encoder=Encoder(counts_per_turn=COUNTS_PER_TURN)),
         friction=LinkFriction(viscous=rounded(FRICTION_PART * torque / speed)),
-        decorators=(CurrentLoop(bandwidth=CURRENT_BANDWIDTH),),
+        decorators=tuple(_rounded(one) for one in around if one is not None),
     )
     return Sized(joint, torque, speed, acceleration, notes)
+
+
+_Kind = TypeVar("_Kind", bound=Part)
+
+
+def _rounded(part: _Kind) -> _Kind:
+    """Return a part with numbers as a data sheet would give them."""
+    values = {key: getattr(part, key) for key, one in part.numbers().items() if not one.whole}
+    return dataclasses.replace(
+        part, **{key: rounded(value) for key, value in values.items() if value is not None}
+    )
 
 
 def rounded(value: float, digits: int = 3) -> float:

@@ -504,15 +504,16 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
             raise one.refusal(key, "belong to a joint with a motor", "no motor section")
     if stops is not None:
         put_limits(stops, limits)
+    driven = None if motor is None else read_motor(motor)
     joint = Joint(
         name=name,
         **one.numbers(Joint),
-        motor=None if motor is None else read_motor(motor),
+        motor=driven,
         gear=RigidGear(ratio=1.0) if gear is None else read_gear(gear),
         sensors=JointSensors.read(one, kind),
         friction=LinkFriction() if friction is None else read_friction(friction, LINK_FRICTIONS),
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
-        decorators=() if motor is None else read_decorators(motor),
+        decorators=read_decorators(driven, motor) if driven and motor else (),
         brake=None if brake is None else Brake.read(brake),
         extras=read_extras(one),
     )

@@ -20,6 +20,7 @@ def new(
     joints: Annotated[list[str] | None, Parameter(metavar="JOINT ...")] = None,
     payload: Annotated[float | None, Parameter(metavar="KG")] = None,
     density: Annotated[float, Parameter(metavar="KG/M3")] = 1200.0,
+    motor: Annotated[str, Parameter(metavar="KIND")] = "dc",
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     force: bool = False,
 ) -> int:
@@ -32,6 +33,7 @@ def new(
         joints: that move, the rest is held (default: chosen).
         payload: mass that the tool carries (default: none).
         density: of bodies that the description leaves out.
+        motor: kind of all motors, as `motor.kind` in scenes.
         out: of the scene's files (default: the robot's name, here).
         force: write over files that are there.
     """
@@ -43,4 +45,6 @@ def new(
         if not sign or not name:
             raise Refusal("new", "argument", "be NAME:=VALUE", one)
         given[name] = value
-    return make(robot, out, tool, joints, given, payload=payload, density=density, force=force)
+    return make(
+        robot, out, tool, joints, given, payload=payload, density=density, motor=motor, force=force
+    )

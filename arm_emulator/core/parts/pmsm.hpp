@@ -17,12 +17,13 @@ namespace arm {
 // `whole` false: without the products of speed and currents, which is linear.
 template <bool whole>
 struct PmsmOf {
-  double R;    // ohm
-  double Ld;   // H
-  double Lq;   // H
-  double psi;  // V s, flux of the magnets
-  double p;    // pole pairs
-  double Mm;   // kg m2, with the gear's primary side
+  double R;                    // ohm
+  double Ld;                   // H
+  double Lq;                   // H
+  double psi;                  // V s, flux of the magnets
+  double p;                    // pole pairs
+  double Mm;                   // kg m2, with the gear's primary side
+  double current_limit = 0.0;  // A, of its drive's current loops; 0: none
 
   static constexpr bool present = true;
   static constexpr int states = 3;  // id [A], iq [A], ud [V], which rests
@@ -30,7 +31,7 @@ struct PmsmOf {
   static constexpr Command takes = Command::voltage_dq;  // uq
   static constexpr int further = 1;                      // ud
 
-  constexpr PmsmOf<false> linear() const { return {R, Ld, Lq, psi, p, Mm}; }
+  constexpr PmsmOf<false> linear() const { return {R, Ld, Lq, psi, p, Mm, current_limit}; }
 
   constexpr double inertia(int k, bool) const { return k == 0 ? Ld : k == 1 ? Lq : 1.0; }
   template <class X>

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from arm_emulator.base.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.decorator import CxxMotor, Decorator
-from arm_emulator.machine.parts.input import CURRENT
-from arm_emulator.machine.parts.motor import Circuit, Motor
+from arm_emulator.machine.parts.input import CURRENT, Input
+from arm_emulator.machine.parts.motor import Circuit, Motor, Rating
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.resting import AtRest, Share
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -27,9 +28,11 @@ class CurrentLoop(Decorator):
 
     section = "motor.current_loop"
     layer = 1
-    inputs = (CURRENT,)
+    inputs: ClassVar[tuple[Input, ...]] = (CURRENT,)
     header = "current_loop.hpp"
     cxx = "CurrentControl"
+    loop: ClassVar[str] = "CurrentLoop"  # in C++, around a motor
+    around_kind: ClassVar[str] = ""  # of motors that this one is for; none: for all others
 
     bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
     proportional_gain: float | None = number("P", "V/A", above=0.0, default=None)
@@ -53,9 +56,17 @@ class CurrentLoop(Decorator):
                 rule = f"be given where {key} is not"
                 raise section.refusal("bandwidth", rule, "nothing")
 
+    @classmethod
+    def of(cls, motor: Motor) -> type[Decorator]:  # noqa: D102
+        return next((one for one in cls.__subclasses__() if one.around_kind == motor.kind), cls)
+
+    @classmethod
+    def sized(cls, motor: Motor, rating: Rating) -> Self | None:  # noqa: D102
+        return None if motor.circuit is None else cls(bandwidth=rating.bandwidth)
+
     def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
         if motor.circuit is None:
-            rule = "belong to a dc motor that has an inductance"
+            rule = "belong to a motor that has an inductance (dc, pmsm)"
             at_once = " without one" if motor.follows_speed_at_once else ""
             raise joint.refusal(self.section, rule, motor.kind + at_once)
 
@@ -70,15 +81,8 @@ class CurrentLoop(Decorator):
 
     def around(self, motor: Motor, inner: CxxMotor, own: str, supply_voltage: float) -> CxxMotor:
         """Return a motor with it in C++, set up for the motor's winding."""
-        circuit = _circuit(motor)
-        numbers = (
-            circuit.resistance,
-            circuit.inductance,
-            circuit.back_emf_constant,
-            supply_voltage,
-        )
-        known = ", ".join(map(cxx_literals.number, numbers))
-        kind = f"arm::CurrentLoop<{inner.type}>"
+        known = ", ".join(map(cxx_literals.number, motor.data_sheet(supply_voltage)))
+        kind = f"arm::{self.loop}<{inner.type}>"
         return CxxMotor(kind, f"{kind}{{{inner.value}, {own}, {{{known}}}}}")
 
 

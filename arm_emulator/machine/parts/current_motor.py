@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 from arm_emulator.machine.parts.input import CURRENT
-from arm_emulator.machine.parts.motor import AT_ONCE, Motor, ServoData
+from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData
 from arm_emulator.machine.parts.part import number
 
 
@@ -18,12 +19,23 @@ class CurrentMotor(Motor):
     cxx = "CurrentMotor"
     inputs = (CURRENT,)
     limit = "current_limit"
+    rules = ("current of the peak torque, bandwidth of drives that sample at 16 kHz",)
 
     torque_constant: float = number("Kt", "N m/A", above=0.0)
     resistance: float = number("R", "ohm", at_least=0.0, default=0.0)
     rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
     bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
     current_limit: float | None = number("current_limit", "A", above=0.0, default=None)
+
+    @classmethod
+    def sized(cls, rating: Rating) -> Self:  # noqa: D102
+        return cls(
+            torque_constant=rating.torque_constant,
+            resistance=rating.resistance,
+            rotor_inertia=rating.rotor_inertia,
+            bandwidth=rating.bandwidth,
+            current_limit=rating.current,
+        )
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
-from arm_emulator.machine.parts.motor import Circuit, Motor, ServoData
+from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData
 from arm_emulator.machine.parts.part import number
 
 
@@ -17,6 +18,10 @@ class DcMotor(Motor):
     header = "dc_motor.hpp"
     cxx = "DcMotor"
     limit = "current_limit"  # with a current loop
+    rules = (
+        "back EMF 60 % of the supply at full speed, 25 % for the winding at peak torque,",
+        "L/R 1 ms; current of the peak torque; current loop of drives that sample at 16 kHz",
+    )
 
     resistance: float = number("R", "ohm", above=0.0)
     inductance: float = number("L", "H", at_least=0.0, default=0.0)
@@ -25,6 +30,17 @@ class DcMotor(Motor):
     # With the gear's primary side.
     rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
     current_limit: float | None = number("current_limit", "A", above=0.0, default=None)
+
+    @classmethod
+    def sized(cls, rating: Rating) -> Self:  # noqa: D102
+        return cls(
+            resistance=rating.resistance,
+            inductance=rating.inductance,
+            torque_constant=rating.torque_constant,
+            back_emf_constant=rating.back_emf_constant,
+            rotor_inertia=rating.rotor_inertia,
+            current_limit=rating.current,
+        )
 
     @property
     def cxx_type(self) -> str:  # noqa: D102
@@ -39,6 +55,9 @@ class DcMotor(Motor):
         if self.inductance == 0.0:
             return None
         return Circuit(self.resistance, self.inductance, self.back_emf_constant)
+
+    def data_sheet(self, supply_voltage: float) -> tuple[float, ...]:  # noqa: D102
+        return self.resistance, self.inductance, self.back_emf_constant, supply_voltage
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motor import Motor, Rating
 from arm_emulator.machine.parts.part import Part
 
 
@@ -30,6 +30,16 @@ class Decorator(Part):
     layer: ClassVar[int]
     inputs: ClassVar[tuple[Input, ...]] = ()  # of the motor with it, if they are others
     electrical: ClassVar[bool] = True  # whether it stands between the command and the torque
+
+    @classmethod
+    def of(cls, motor: Motor) -> type[Decorator]:
+        """Return the kind of it that goes around a motor."""
+        return cls
+
+    @classmethod
+    def sized(cls, motor: Motor, rating: Rating) -> Self | None:
+        """Return what of it belongs to a drive that is sized with a motor; None: nothing."""
+        return None
 
     def check_motor(self, motor: Motor, joint: Section) -> None:
         """Refuse a motor that it does not go with."""

@@ -1,6 +1,6 @@
 """The parts that a scene may have.
 
-A new one is entered here and nowhere else; decorators and sensors are found by their files.
+A new one is entered here and nowhere else; motors, decorators and sensors are found by their files.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from arm_emulator.machine.parts.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.brake import Brake
 from arm_emulator.machine.parts.cogging import Cogging
 from arm_emulator.machine.parts.counterbalance import Counterbalance
-from arm_emulator.machine.parts.current_motor import CurrentMotor
+from arm_emulator.machine.parts.current_loop import CurrentLoop
 from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.decorator import Decorator
 from arm_emulator.machine.parts.elastic_gear import ElasticGear
@@ -23,18 +23,14 @@ from arm_emulator.machine.parts.load_friction import LinkLoadFriction, RotorLoad
 from arm_emulator.machine.parts.lugre import LinkLuGre, RotorLuGre
 from arm_emulator.machine.parts.motor import Motor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.pmsm import Pmsm
 from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
 from arm_emulator.machine.parts.stribeck import LinkStribeck, RotorStribeck
-from arm_emulator.machine.parts.torque_motor import TorqueMotor
 from arm_emulator.machine.parts.torque_table import TorqueTable
 
 # The first is meant where a scene gives no `motor.kind`.
 MOTORS: tuple[type[Motor], ...] = (
     DcMotor,
-    TorqueMotor,
-    CurrentMotor,
-    Pmsm,
+    *(one for one in kinds_of(Motor) if one is not DcMotor),
 )
 
 # A gear is the first of these whose keys it has all.
@@ -63,9 +59,13 @@ EXTRAS: tuple[type[Part], ...] = (
 # What is around a motor, innermost first.
 DECORATORS = tuple(sorted(kinds_of(Decorator), key=lambda one: one.layer))
 
+# Of motors that have one of their own.
+LOOPS: tuple[type[CurrentLoop], ...] = tuple(CurrentLoop.__subclasses__())
+
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
     *DECORATORS,
+    *LOOPS,
     *GEARS,
     *LINK_FRICTIONS,
     *ROTOR_FRICTIONS,
@@ -77,13 +77,13 @@ PARTS: tuple[type[Part], ...] = (
 def read_motor(section: Section) -> Motor:
     """Return the motor that a section describes."""
     kinds = {motor.kind: motor for motor in MOTORS}
-    return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
+    return kinds[section.choice("kind", tuple(kinds), default=DcMotor.kind)].read(section)
 
 
-def read_decorators(motor: Section) -> tuple[Decorator, ...]:
-    """Return what is around the motor that a section describes, innermost first."""
-    given = ((kind, motor.section(kind.section.partition(".")[2])) for kind in DECORATORS)
-    return tuple(kind.read(section) for kind, section in given if section is not None)
+def read_decorators(motor: Motor, section: Section) -> tuple[Decorator, ...]:
+    """Return what is around a motor, as its section describes it, innermost first."""
+    given = ((kind, section.section(kind.section.partition(".")[2])) for kind in DECORATORS)
+    return tuple(kind.of(motor).read(one) for kind, one in given if one is not None)
 
 
 def read_gear(section: Section) -> Gear:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.input import VOLTAGE, Input
@@ -41,6 +41,27 @@ class ServoData:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Rating:
+    """What a drive must give, by which a motor of any kind is sized, and the winding that does it.
+
+    The winding is that of a direct-current motor; other kinds take their numbers from it.
+    """
+
+    torque: float  # N m at the rotor, the largest
+    rotor_inertia: float  # kg m2
+    torque_constant: float  # N m/A
+    back_emf_constant: float  # V s/rad
+    resistance: float  # ohm
+    inductance: float  # H
+    bandwidth: float  # Hz, of current and torque
+
+    @property
+    def current(self) -> float:
+        """Of the largest torque [A]."""
+        return self.torque / self.torque_constant
+
+
+@dataclass(frozen=True, kw_only=True)
 class Motor(Part):
     """A motor, with the gear's primary side on its rotor."""
 
@@ -50,6 +71,12 @@ class Motor(Part):
     has_winding: ClassVar[bool] = False  # whose resistance and magnets are known, see winding.py
     inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
+    rules: ClassVar[tuple[str, ...]] = ()  # of `sized`, for people who read a scene
+
+    @classmethod
+    def sized(cls, rating: Rating) -> Self:
+        """Return a motor of this kind that gives what is asked for."""
+        raise NotImplementedError
 
     def effort(self, motion: ShaftMotion) -> Array:
         """The rotor's inertia; what is measured is the torque that the windings give."""
@@ -71,6 +98,14 @@ class Motor(Part):
     def circuit(self) -> Circuit | None:
         """Return the winding that a drive can close a current loop around, if it has one."""
         return None
+
+    def data_sheet(self, supply_voltage: float) -> tuple[float, ...]:
+        """Return the numbers by which its drive's current loop is set up, in the order of C++.
+
+        Args:
+            supply_voltage: of the scene [V].
+        """
+        raise NotImplementedError
 
     @property
     def inertia(self) -> float:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
+from arm_emulator.base.section import Section
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.motor import Motor, ServoData
+from arm_emulator.machine.parts.motor import Circuit, Motor, Rating, ServoData
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
+
+AMPLITUDE = math.sqrt(3.0)  # of the supply to the largest that an inverter makes of it
+POLE_PAIRS = 4  # of servo motors, where none are given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +22,11 @@ class Pmsm(Motor):
 
     kind = "pmsm"
     has_winding = True
+    limit = "current_limit"
+    rules = (
+        "three phases at supply / sqrt(3): back EMF 60 % of it at full speed, 25 % for the winding",
+        "at peak torque, L/R 1 ms; current of the peak torque; drives that sample at 16 kHz",
+    )
     header = "pmsm.hpp"
     cxx = "Pmsm"
     inputs = (
@@ -34,6 +44,38 @@ class Pmsm(Motor):
     flux: float = number("psi", "V s", at_least=0.0)
     pole_pairs: int = number("p", "pairs", at_least=1.0, at_most=1000.0, whole=True)
     rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
+    current_limit: float | None = number("current_limit", "A", above=0.0, default=None)
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        if self.current_limit is not None and not section.has("current_loop"):
+            rule = "come with a current_loop, whose commands it bounds"
+            raise section.refusal("current_limit", rule, self.current_limit)
+
+    @classmethod
+    def sized(cls, rating: Rating) -> Self:
+        """As the motor of direct current at what an inverter makes of the same supply."""
+        flux = rating.back_emf_constant / AMPLITUDE / POLE_PAIRS
+        resistance = 1.5 * rating.resistance / AMPLITUDE**2
+        inductance = resistance * rating.inductance / rating.resistance
+        return cls(
+            resistance=resistance,
+            inductance_d=inductance,
+            inductance_q=inductance,
+            flux=flux,
+            pole_pairs=POLE_PAIRS,
+            rotor_inertia=rating.rotor_inertia,
+            current_limit=rating.torque / (1.5 * POLE_PAIRS * flux),
+        )
+
+    @property
+    def circuit(self) -> Circuit:
+        """Return the winding across the flux."""
+        return Circuit(self.resistance, self.inductance_q, self.pole_pairs * self.flux)
+
+    def data_sheet(self, supply_voltage: float) -> tuple[float, ...]:  # noqa: D102
+        inductances = self.inductance_d, self.inductance_q
+        amplitude = supply_voltage / AMPLITUDE
+        return (self.resistance, *inductances, self.flux, self.pole_pairs, amplitude)
 
     @property
     def servo_data(self) -> ServoData:
@@ -50,7 +92,7 @@ class Pmsm(Motor):
         return 1.5 * self.pole_pairs * self.flux / self.resistance
 
     def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
-        return supply_voltage / math.sqrt(3.0)  # the amplitude that an inverter reaches
+        return supply_voltage / AMPLITUDE
 
     def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {

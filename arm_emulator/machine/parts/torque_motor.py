@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 from arm_emulator.machine.parts.input import TORQUE
-from arm_emulator.machine.parts.motor import AT_ONCE, Motor, ServoData
+from arm_emulator.machine.parts.motor import AT_ONCE, Motor, Rating, ServoData
 from arm_emulator.machine.parts.part import number
 
 
@@ -18,10 +19,19 @@ class TorqueMotor(Motor):
     cxx = "TorqueMotor"
     inputs = (TORQUE,)
     limit = "torque_limit"
+    rules = ("limit at the peak torque, bandwidth of drives that sample at 16 kHz",)
 
     rotor_inertia: float = number("Mm", "kg m2", above=0.0, sought="known")
     bandwidth: float | None = number("bandwidth", "Hz", above=0.0, default=None)
     torque_limit: float | None = number("torque_limit", "N m", above=0.0, default=None)
+
+    @classmethod
+    def sized(cls, rating: Rating) -> Self:  # noqa: D102
+        return cls(
+            rotor_inertia=rating.rotor_inertia,
+            bandwidth=rating.bandwidth,
+            torque_limit=rating.torque,
+        )
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102

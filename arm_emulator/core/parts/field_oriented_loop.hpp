@@ -1,0 +1,107 @@
+// A synchronous motor whose drive closes current loops in the frame of the rotor: its command u is
+// the current across the flux [A], and a further one, ud, that along it. Each axis has a PI in
+// continuous time that knows what speed induces there,
+//
+//   V*q = Pq (u - iq) + xq + F p wm (Ld id + psi)     dxq/dt = I (u - iq)      Pq = Lq / Ld Pd
+//   V*d = Pd (ud - id) + xd - F p wm Lq iq            dxd/dt = I (ud - id)
+//
+// The inverter reaches the amplitude U. Of that circle V*d has what it asks for, and V*q what is
+// left; beyond, each x is drawn to where V* = V, as in current_loop.hpp. Rates do not jump at the
+// circle, so that stages evaluate it (a part without modes), and order 2 stays.
+//
+// With a bandwidth f, P = 2 pi f L and I = 2 pi f R: within the circle both axes are of first order
+// at any speed, 1 / (2 pi f) di/dt = u - i.
+#pragma once
+
+#include "numerics/number.hpp"
+#include "parts/command.hpp"
+#include "parts/current_loop.hpp"
+#include "parts/pmsm.hpp"
+
+namespace arm {
+
+// Numbers of the motor may be varied and heated; the drive was set up for these.
+struct SynchronousDataSheet {
+  double R, Ld, Lq, psi, p;
+  double amplitude;  // V
+};
+
+// `whole` false: without limits and products, which is linear.
+template <class Motor, bool whole = true>
+struct FieldOrientedLoop : Motor {
+  CurrentControl control;
+  SynchronousDataSheet nominal;
+
+  static constexpr int states = 5;  // id, iq [A], ud [A], which rests, xd, xq [V]
+  static constexpr Command takes = Command::current;
+
+  constexpr auto linear() const {
+    auto motor = Motor::linear();
+    return FieldOrientedLoop<decltype(motor), false>{motor, control, nominal};
+  }
+
+  constexpr double inertia(int k, bool held) const { return k < 2 ? Motor::inertia(k, held) : 1.0; }
+  template <class X>
+  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool held, X* f) const {
+    const Voltages<X> asked = this->asked(z, u, wm), V = within(asked);
+    const X across[] = {z[0], z[1], V.d};
+    Motor::rates(across, V.q, tm, wm, offset, held, f);
+    f[3] = I() * (z[2] - z[0]) + I() / P(nominal.Ld) * (V.d - asked.d);
+    f[4] = I() * (u - z[1]) + I() / P(nominal.Lq) * (V.q - asked.q);
+  }
+  // A current that is put there flows on.
+  constexpr void put_current(double* z, double current) const {
+    z[1] = current, z[4] = this->R * current;
+  }
+
+  // Of the circle of the current limit, too, ud has what it asks for.
+  constexpr double largest_current() const { return this->current_limit; }
+  constexpr void put_further(int, double* z, double ud, double) const {
+    z[2] = clamp(ud, limit_or_none(this->current_limit));
+  }
+  template <class X>
+  ARM_INLINE constexpr X largest_command(const X* z, double) const {
+    const X most = X{} + limit_or_none(this->current_limit);
+    const X left = (most - z[2]) * (most + z[2]);
+    return square_root(select(left > 0.0, left, X{}));
+  }
+
+  template <class X>
+  ARM_INLINE constexpr X given(const X* z, X u, X wm, bool) const {
+    const Voltages<X> V = within(asked(z, u, wm));
+    return 1.5 * (V.d * z[0] + V.q * z[1]);
+  }
+  template <class X>
+  ARM_INLINE constexpr X given_at_most(const X*, X, X) const {
+    return X{} + 0.375 / this->R * nominal.amplitude * nominal.amplitude;
+  }
+
+ private:
+  template <class X>
+  struct Voltages {
+    X d, q;
+  };
+  constexpr double rate() const { return 1.0 / time_constant(control.bandwidth); }
+  constexpr double P(double L) const {
+    return control.bandwidth > 0.0 ? rate() * L : control.P * L / nominal.Lq;
+  }
+  constexpr double I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
+  template <class X>
+  ARM_INLINE constexpr Voltages<X> asked(const X* z, X u, X wm) const {
+    const X known = control.feedforward * nominal.p * wm;
+    Voltages<X> V = {P(nominal.Ld) * (z[2] - z[0]) + z[3],
+                     P(nominal.Lq) * (u - z[1]) + z[4] + known * nominal.psi};
+    if constexpr (whole) V.d -= known * nominal.Lq * z[1], V.q += known * nominal.Ld * z[0];
+    return V;
+  }
+  template <class X>
+  ARM_INLINE constexpr Voltages<X> within(const Voltages<X>& asked) const {
+    if constexpr (!whole) return asked;
+    const double U = nominal.amplitude;
+    const X d = clamp(asked.d, U), left = (U - d) * (U + d);
+    const X most = square_root(select(left > 0.0, left, X{}));
+    return {d, clamp(asked.q, most)};
+  }
+};
+
+}  // namespace arm
