@@ -1,8 +1,4 @@
-"""Joints that do not go each with a drive: telescopes, palletizers, bevel wrists, any constant C.
-
-The independent solution knows no shafts' mass matrix: it has all joints of the chain (Pinocchio, by
-the description alone), the shafts, and one Lagrange multiplier for each row of q = C p + q_0.
-"""
+"""Joints that do not go each with a drive: telescopes, palletizers, bevel wrists, any matrix C."""
 
 from __future__ import annotations
 
@@ -31,42 +27,18 @@ from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.runs.gains import load_gains
 from oracles.any_arm import move, reachable
+from oracles.coupled_arms import (
+    ARMS,
+    BOOM,
+    GRAVITY,
+    WRIST,
+    Lagrange,
+    Shares,
+    matrix,
+    mimicking,
+    shafts_of,
+)
 from oracles.own_robots import Part, serial
-
-GRAVITY = (0.4, -1.1, -9.7)
-Shares = dict[str, dict[str, float]]
-
-TURN = Part("0 0 1", (0.1, 0.0, 0.4), 6.0)
-BOOM = [
-    TURN,
-    Part("0 1 0", (0.8, 0.1, 0.0), 5.0, limits=(-1.2, 0.8)),
-    Part("1 0 0", (0.3, 0.0, 0.1), 3.0, "prismatic", (0.0, 0.6)),
-    Part("1 0 0", (0.2, 0.1, 0.0), 2.0, "prismatic", (0.0, 0.4)),
-    Part("1 0 0", (0.1, 0.0, 0.1), 1.0, "prismatic", (0.0, 0.3)),
-]
-PALLETIZER = [
-    TURN,
-    Part("0 1 0", (0.0, 0.05, 0.8), 5.0, limits=(-0.7, 1.2)),
-    Part("0 1 0", (0.7, 0.0, 0.1), 4.0, limits=(-1.5, 1.0)),
-    Part("0 1 0", (0.1, 0.1, 0.0), 1.0, limits=(-1.5, 1.5)),
-    Part("0 0 -1", (0.1, 0.0, -0.1), 0.5),
-]
-WRIST = [
-    TURN,
-    Part("0 1 0", (0.5, 0.0, 0.0), 4.0),
-    Part("1 0 0", (0.1, 0.05, 0.0), 1.5),
-    Part("0 1 0", (0.1, 0.0, 0.05), 1.0, limits=(-2.0, 2.0)),
-    Part("1 0 0", (0.1, 0.05, 0.0), 0.7),
-]
-ARMS: dict[str, tuple[list[Part], Shares]] = {
-    # One drive, three slides.
-    "telescope": (BOOM, {"j4": {"j3": 0.7}, "j5": {"j3": -0.4}}),
-    # The forearm's motor stands on the base, and rods keep the flange level.
-    "palletizer": (PALLETIZER, {"j3": {"j3": 1.0, "j2": -1.0}, "j4": {"j3": -1.0}}),
-    # Two motors turn both of the last axes through bevel gears.
-    "bevel wrist": (WRIST, {"j4": {"j4": 1.0}, "j5": {"j5": 1.0, "j4": -0.8}}),
-    "differential": (WRIST, {"j4": {"j4": 0.5, "j5": 0.5}, "j5": {"j4": 0.5, "j5": -0.5}}),
-}
 
 
 def drive(ratio: float) -> dict[str, Any]:
@@ -77,12 +49,6 @@ def drive(ratio: float) -> dict[str, Any]:
         "gear": {"ratio": ratio, "stiffness": 4e3, "damping": 6.0},
         "friction": {"viscous": 0.8},
     }  # fmt: skip
-
-
-def shafts_of(parts: list[Part], shares: Shares) -> list[str]:
-    names = [f"j{k + 1}" for k in range(len(parts))]
-    used = {shaft for row in shares.values() for shaft in row}
-    return [name for name in names if name in used or name not in shares]
 
 
 def machine(folder: Path, parts: list[Part], shares: Shares, **more: Any) -> Scene:
@@ -105,43 +71,6 @@ def machine(folder: Path, parts: list[Part], shares: Shares, **more: Any) -> Sce
     file = folder / "arm.yaml"
     file.write_text(yaml.safe_dump(scene | more))
     return load_scene(file)
-
-
-class Lagrange:
-    """All joints of the chain and all shafts, with a multiplier for each joint's coupling."""
-
-    def __init__(self, urdf: str, C: np.ndarray, q_0: np.ndarray) -> None:
-        robot = ET.fromstring(urdf)
-        for joint in robot.findall("joint"):
-            for tag in ("mimic", "coupling"):
-                for element in joint.findall(tag):
-                    joint.remove(element)
-            limit = joint.find("limit")
-            if limit is not None:  # which Pinocchio wants to be complete
-                limit.attrib |= {"effort": "1", "velocity": "1"}
-        self.model = pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
-        self.model.gravity.linear = np.array(GRAVITY)
-        self.data = self.model.createData()
-        self.C, self.q_0 = C, q_0
-
-    def accelerations(self, p: np.ndarray, v: np.ndarray, T: np.ndarray) -> np.ndarray:
-        C, (L, N) = self.C, self.C.shape
-        q = C @ p + self.q_0
-        M = pin.crba(self.model, self.data, q)
-        M = np.triu(M) + np.triu(M, 1).T
-        nle = pin.nonLinearEffects(self.model, self.data, q, C @ v)
-        system = np.block([
-            [M, np.zeros((L, N)), np.eye(L)],  # M q'' + nle + lambda = 0
-            [np.zeros((N, L + N)), C.T],  # C^T lambda + T = 0
-            [np.eye(L), -C, np.zeros((L, L))],  # q'' = C p''
-        ])  # fmt: skip
-        return np.linalg.solve(system, np.concatenate([-nle, -T, np.zeros(L)]))[L : L + N]
-
-
-def matrix(parts: list[Part], shares: Shares) -> np.ndarray:
-    shafts = shafts_of(parts, shares)
-    rows = [shares.get(name, {name: 1.0}) for name in (f"j{k + 1}" for k in range(len(parts)))]
-    return np.array([[row.get(shaft, 0.0) for shaft in shafts] for row in rows])
 
 
 def any_arm(seed: int) -> tuple[list[Part], Shares]:
@@ -240,16 +169,6 @@ def test_a_machine_without_losses_keeps_its_energy(tmp_path: Path) -> None:
     assert speed > 0.3 and np.abs(moved).max() < 1e-6 * kinetic
 
 
-def mimicking(text: str, joint: str, of: str, multiplier: float, offset: float) -> str:
-    robot = ET.fromstring(text)
-    for element in robot.findall("joint"):
-        if element.get("name") == joint:
-            ET.SubElement(
-                element, "mimic", joint=of, multiplier=repr(multiplier), offset=repr(offset)
-            )
-    return ET.tostring(robot, encoding="unicode")
-
-
 def test_mimic_joints_on_the_way_to_the_tool_move_along(tmp_path: Path) -> None:
     """Kinematics, limits, torques and dynamics of a telescope, by its description alone."""
     text = mimicking(serial("arm", BOOM), "j4", "j3", 0.5, 0.02)
@@ -292,7 +211,7 @@ def test_mimic_joints_on_the_way_to_the_tool_move_along(tmp_path: Path) -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_limits_of_shafts_keep_all_joints_within_theirs(seed: int) -> None:
     """Positions, and speeds; at the corners of the box some joint is at its limit."""
-    from arm_emulator.motion.shafts import Shafts
+    from arm_emulator.base.shafts import Shafts
 
     draw = np.random.default_rng(seed)
     parts, shares = any_arm(seed)

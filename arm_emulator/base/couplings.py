@@ -104,16 +104,10 @@ class Coupling:
     offset: Array  # (joints,) [rad or m]
 
     @property
-    def alone(self) -> set[str]:
-        """The shafts that turn as the joint of the same name does."""
-        unit = np.eye(len(self.shafts))
-        rows = zip(self.joints, self.C, self.offset, strict=True)
-        own = {name: (row, offset) for name, row, offset in rows if name in self.shafts}
-        return {
-            name
-            for name, one in zip(self.shafts, unit, strict=True)
-            if own[name][1] == 0.0 and bool((own[name][0] == one).all())
-        }
+    def apart(self) -> set[str]:
+        """The shafts that move no joint which another shaft moves, too."""
+        shared = (np.count_nonzero(self.C, axis=1) > 1) @ (self.C != 0.0)
+        return {name for name, others in zip(self.shafts, shared, strict=True) if not others}
 
     @property
     def plain(self) -> bool:

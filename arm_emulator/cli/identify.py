@@ -207,7 +207,7 @@ def _table(numbers: Sequence[Found]) -> Table:
 def _doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
     """Return what speaks against the numbers found, in words."""
     names, doubts = scene.joint_names, list[str]()
-    for of, body in zip(scene.chain.joints, scene.bare, strict=True):
+    for of, body in zip(scene.chain.links, scene.bare, strict=True):
         if not inertia.is_body(body):
             doubts.append(f"links.{of.link}: no body has its inertia; the scene's number is kept")
     for effect in fit.effects:

@@ -290,7 +290,8 @@ def _texts(
             velocity=limits[joint.name]["velocity"],
             sheet=sheets[j],
             limited=bool(kinematics.lower[j] < bare.start[j] < kinematics.upper[j])
-            and bool(np.isfinite(kinematics.lower[j]) and np.isfinite(kinematics.upper[j])),
+            and bool(np.isfinite(kinematics.lower[j]) and np.isfinite(kinematics.upper[j]))
+            and joint.name in links.chain.coupling.apart,
         )
         for j, joint in enumerate(links.chain.joints)
     ]

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from arm_emulator.base.couplings import followers, own_shafts
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import FREE_KINDS, MOVING_KINDS
 
@@ -49,12 +50,12 @@ class _Joint:
     kind: str
     parent: str
     child: str
-    mimics: str  # the joint whose motion it copies, or nothing
+    follows: tuple[str, ...]  # the joints with which it moves, where none alone is its own
     limits: tuple[float, float]
 
     @property
     def moves(self) -> bool:
-        return self.kind in MOVING and not self.mimics
+        return self.kind in MOVING and not self.follows
 
 
 class _Tree:
@@ -63,7 +64,11 @@ class _Tree:
     def __init__(self, robot: ET.Element, where: str) -> None:
         self.where = where
         self.links = [link.get("name", "") for link in robot.findall("link")]
-        self.joints = [_read(element, where) for element in robot.findall("joint")]
+        follows = _follows(robot, where)
+        self.joints = [
+            _read(element, follows.get(element.get("name", ""), ()), where)
+            for element in robot.findall("joint")
+        ]
         self.above = {joint.child: joint for joint in self.joints}
         self.below: dict[str, list[_Joint]] = {}
         for joint in self.joints:
@@ -104,8 +109,8 @@ def choose_joints(
     """Choose the arm in a robot description.
 
     Given nothing, the arm is the longest row of joints from the base; a gripper at its end, named
-    by a fork or by its name, is held. A joint on the way to the tool that copies one of the arm
-    (mimic) moves along with it; another one that copies is held.
+    by a fork or by its name, is held. A joint on the way to the tool that follows joints of the arm
+    (mimic, coupling) moves along with them; another one that follows is held.
 
     Args:
         robot: the URDF's root element.
@@ -129,7 +134,7 @@ def choose_joints(
     if not chosen:
         raise Refusal(where, "the robot", "have a joint that moves", "none on the way to the tool")
     along = _along(way, chosen)
-    guesses += [f"{joint.name} moves along with {joint.mimics} (mimic)" for joint in along]
+    guesses += [f"{one.name} moves along with {', '.join(one.follows)}" for one in along]
     if tool is None:
         last = [joint for joint in way if joint in chosen or joint in along][-1]
         tool = _tool_behind(tree, last.child)
@@ -143,7 +148,20 @@ def choose_joints(
     return Choice(tool, names, held, tuple(guesses))
 
 
-def _read(element: ET.Element, where: str) -> _Joint:
+def _follows(robot: ET.Element, where: str) -> dict[str, tuple[str, ...]]:
+    """Return with which joints those move that have no shaft of their own, by name."""
+    rows = {
+        joint.get("name", ""): [*joint.findall("mimic"), *joint.findall("coupling")]
+        for joint in robot.findall("joint")
+    }
+    named = {name: tuple(row.get("joint", "") for row in of) for name, of in rows.items()}
+    lost = {name: others for name, others in named.items() if not {*others} <= {*rows}}
+    found = followers(robot, where, list(lost))
+    alone = own_shafts(list(rows), found)
+    return {name: tuple(one.shares) for name, one in found.items() if name not in alone} | lost
+
+
+def _read(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
     kind = element.get("type", "")
     if kind not in KINDS:
         rule = "be one the emulator knows"
@@ -152,7 +170,7 @@ def _read(element: ET.Element, where: str) -> _Joint:
     for tag in ("parent", "child"):
         found = element.find(tag)
         ends[tag] = "" if found is None else found.get("link", "")
-    mimic, limit = element.find("mimic"), element.find("limit")
+    limit = element.find("limit")
     bounds = {"lower": -math.inf, "upper": math.inf}
     if limit is not None and kind != "continuous":
         for key in bounds:
@@ -163,7 +181,7 @@ def _read(element: ET.Element, where: str) -> _Joint:
         kind=kind,
         parent=ends["parent"],
         child=ends["child"],
-        mimics="" if mimic is None else mimic.get("joint", "another"),
+        follows=follows,
         limits=(bounds["lower"], bounds["upper"]),
     )
 
@@ -191,14 +209,13 @@ def _tip(tree: _Tree, tool: str | None) -> str:
 
 
 def _along(way: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
-    """Return the joints on the way to the tool that copy one of those chosen, or each other."""
-    names, along = {joint.name for joint in chosen}, list[_Joint]()
-    for _ in way:
-        for joint in way:
-            if joint.mimics in names and joint.name not in names and joint.kind in MOVING:
-                names.add(joint.name)
-                along.append(joint)
-    return along
+    """Return the joints on the way to the tool that move with those chosen alone."""
+    names = {joint.name for joint in chosen}
+    return [
+        joint
+        for joint in way
+        if joint.kind in MOVING and joint.follows and names.issuperset(joint.follows)
+    ]
 
 
 def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]:
@@ -209,7 +226,8 @@ def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]
             rule = "be joints of the robot that can move"
             raise Refusal("new", "--joints", rule, name, ", ".join(known))
         if not known[name].moves:
-            kind = f"a mimic of {known[name].mimics}" if known[name].mimics else known[name].kind
+            others = ", ".join(known[name].follows)
+            kind = f"one that follows {others}" if others else known[name].kind
             raise Refusal("new", f"--joints: {name}", "move on its own", kind, ", ".join(MOVING))
     rows = [tree.path(known[name].child) for name in joints]
     longest = tree.path(_tip(tree, tool)) if tool is not None else max(rows, key=len, default=[])
@@ -247,9 +265,8 @@ def _tool_behind(tree: _Tree, link: str) -> str:
 def _held(joint: _Joint, chosen: Sequence[_Joint]) -> Held:
     low, high = joint.limits
     position = 0.0 if joint.kind not in MOVING else min(max(0.0, low), high)
-    if joint.mimics:
-        coupled = any(one.name == joint.mimics for one in chosen)
-        off = ", which moves, but not on the way to the tool" if coupled else ""
-        reason = f"copies {joint.mimics}{off}"
-        return Held(position, reason)
+    if joint.follows:
+        moved = {one.name for one in chosen}.issuperset(joint.follows)
+        off = ", which moves, but not on the way to the tool" if moved else ""
+        return Held(position, f"follows {', '.join(joint.follows)}{off}")
     return Held(position, "not part of the arm" if joint.kind in MOVING else joint.kind)

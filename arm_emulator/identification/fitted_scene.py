@@ -111,7 +111,7 @@ def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
     """Return the URDF with the bodies of its moving links; what is fixed to them has none then."""
     robot = ET.fromstring(scene.urdf)
     links = {element.get("name"): element for element in robot.findall("link")}
-    for joint in scene.chain.joints:
+    for joint in scene.chain.links:
         body = bodies.get(joint.link)
         if body is None:
             continue
@@ -142,5 +142,5 @@ def in_urdf(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
         scene: the machine.
         bodies: of its chain, in the core's frames.
     """
-    pairs = zip(scene.chain.joints, bodies, strict=True)
+    pairs = zip(scene.chain.links, bodies, strict=True)
     return {joint.link: body.seen_from(Frame(joint.axes.T)) for joint, body in pairs}

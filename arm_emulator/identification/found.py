@@ -53,7 +53,7 @@ class Found:
 def bodies_of(scene: Scene, fit: TorqueFit) -> list[Body]:
     """Return the links' bodies, in the core's frames, without the payload."""
     n = inertia.NUMBERS
-    rows = [slice(n * k, n * (k + 1)) for k in range(len(scene.joints))]
+    rows = [slice(n * k, n * (k + 1)) for k in range(len(scene.chain.links))]
     return [
         inertia.body_of(inertia.exponential(fit.values[row])) if fit.fitted[row].any() else bare
         for row, bare in zip(rows, scene.bare, strict=True)
@@ -63,10 +63,10 @@ def bodies_of(scene: Scene, fit: TorqueFit) -> list[Body]:
 def numbers_found(scene: Scene, fit: TorqueFit) -> list[Found]:
     """Return what was looked for: links as mass, first moment and inertia of the URDF's links."""
     n, found = inertia.NUMBERS, list[Found]()
-    for k, joint in enumerate(scene.chain.joints):
+    for k, joint in enumerate(scene.chain.links):
         if fit.fitted[n * k : n * k + n].any():
             found += _link(joint, fit, n * k)
-    units = fit.unknowns[n * len(scene.chain.joints) :]
+    units = fit.unknowns[n * len(scene.chain.links) :]
     for u, one in enumerate(units, len(fit.unknowns) - len(units)):
         if fit.fitted[u]:
             value, deviation = float(fit.values[u]), float(fit.deviations[u])

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.identification import inertia
 from arm_emulator.identification.free_run import Starts, free_runs, starts
 from arm_emulator.identification.measured_run import MeasuredRun
@@ -60,7 +61,13 @@ def fit_free_runs(
         scene: the machine as it was known.
         run: the record.
         report: gets how far runs end, turn by turn.
+
+    Raises:
+        Refusal: a scene with couplings, whose links' numbers cannot be varied.
     """
+    if not scene.chain.coupling.plain:
+        rule = "be left out for a scene with couplings or mimic joints"
+        raise Refusal("identify", "--simulate", rule, scene.where)
     sought = numbers_of(fit, scene, fit.values)
     scene = torque_driven(scene, run.period, sought)
     speeds = np.abs(np.gradient(run.q_motor, run.period, axis=0))
@@ -140,13 +147,13 @@ def numbers_of(fit: TorqueFit, scene: Scene, values: Array) -> dict[str, float]:
     Those of links are with the payload.
     """
     numbers, n = dict[str, float](), inertia.NUMBERS
-    for k, (joint, bare) in enumerate(zip(scene.chain.joints, scene.bare, strict=True)):
+    for k, (joint, bare) in enumerate(zip(scene.chain.links, scene.bare, strict=True)):
         here = slice(n * k, n * (k + 1))
         if not fit.fitted[here].any():
             continue
         body = inertia.body_of(inertia.exponential(values[here]))
         of = of_child(joint, body + joint.body + bare.scaled(-1.0)).items()
         numbers |= {f"links.{joint.link}.{name}": value for name, value in of}
-    first = n * len(scene.chain.joints)
+    first = n * len(scene.chain.links)
     pairs = zip(fit.unknowns[first:], values[first:], strict=True)
     return numbers | {one.name: float(value) for one, value in pairs}

@@ -16,7 +16,7 @@ ROUNDS = 3  # in which friction that grows with the gear's torque is found, whic
 
 
 class LinkRegressor:
-    """Torques at the joints of a scene's links for any motion: tau = Y(q, v, a) phi.
+    """Torques at the shafts of a scene's links for any motion: tau = Y(q, v, a) phi.
 
     phi has the ten numbers of `inertia.dynamic` for each moving link, with what is fixed to it and
     the payload, in the frames of `arm_emulator.machine.chain.ChainJoint`.
@@ -25,7 +25,7 @@ class LinkRegressor:
     def __init__(self, scene: Scene) -> None:
         self.model = pin.Model()
         chain, parent = scene.chain, 0
-        for joint in chain.joints:
+        for joint in chain.links:
             c, s = joint.cos_alpha, joint.sin_alpha
             tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
             c, s = math.cos(joint.theta_0), math.sin(joint.theta_0)
@@ -36,14 +36,17 @@ class LinkRegressor:
         gravity = np.zeros(3) if scene.gravity is None else chain.R_BW @ scene.gravity
         self.model.gravity.linear = gravity
         self._data = self.model.createData()
+        self._coupling = chain.coupling
 
     def __call__(self, q: Array, v: Array, a: Array) -> Array:
-        """Return Y of every row: (K, N, 10 N)."""
+        """Return Y of every row: (K, N, 10 L), of N shafts and L links."""
         find, model, data = pin.computeJointTorqueRegressor, self.model, self._data
-        N = self.model.nv
-        rows = np.empty((len(q), N, 10 * N))
-        for k, row in enumerate(zip(q, v, a, strict=True)):
-            rows[k] = find(model, data, *row)
+        C = self._coupling.C
+        rows = np.empty((len(q), C.shape[1], 10 * len(C)))
+        of_joints = q @ C.T + self._coupling.offset, v @ C.T, a @ C.T
+        for k, row in enumerate(zip(*of_joints, strict=True)):
+            # Of a single joint it comes as a vector.
+            rows[k] = C.T @ np.reshape(find(model, data, *row), (len(C), -1))
         return rows
 
 
@@ -52,7 +55,7 @@ def torques_of_links(scene: Scene, t: Array, q: Array, v: Array, a: Array) -> Ar
 
     That is inertia and weight of the links, and what the parts at them take.
     """
-    phi = np.concatenate([dynamic(joint.body) for joint in scene.chain.joints])
+    phi = np.concatenate([dynamic(joint.body) for joint in scene.chain.links])
     alone: Array = LinkRegressor(scene)(q, v, a) @ phi
     tau = alone.copy()
     none = np.zeros_like(t)

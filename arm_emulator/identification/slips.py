@@ -87,11 +87,11 @@ class Slips:
         self.names = scene.joint_names
         self.N = len(self.names)
         self._regressor = LinkRegressor(scene)
-        self._phi = np.concatenate([inertia.dynamic(joint.body) for joint in scene.chain.joints])
+        self._phi = np.concatenate([inertia.dynamic(joint.body) for joint in scene.chain.links])
         Jm = [getattr(joint.motor, "rotor_inertia", 0.0) for joint in scene.joints]
         self._carried = np.array(Jm) / scene.gear_ratios**2
         widths = []
-        for joint in scene.chain.joints:
+        for joint in scene.chain.links:
             body = joint.body
             length = np.sqrt(max(np.trace(body.inertia), 1e-12) / max(body.mass, 1e-12))
             second = max(float(np.trace(body.inertia)), 1e-12)

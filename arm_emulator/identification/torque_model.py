@@ -81,7 +81,7 @@ class TorqueModel:
             then offsets.
         start: their values in the scene.
         links: how many are of links, the first ones.
-        rest: what the links are beside these: payload, and links that are no bodies (10 N,).
+        rest: what the links are beside these: payload, and links that are no bodies (10 L,).
         pieces: the parts.
 
     Args:
@@ -98,8 +98,8 @@ class TorqueModel:
         _check_stated(scene)
         self.regressor = LinkRegressor(scene)
         self.unknowns = list[Unknown]()
-        self.rest = np.zeros(inertia.NUMBERS * len(scene.joints))
-        for k, (geometry, body) in enumerate(zip(scene.chain.joints, scene.bare, strict=True)):
+        self.rest = np.zeros(inertia.NUMBERS * len(scene.chain.links))
+        for k, (geometry, body) in enumerate(zip(scene.chain.links, scene.bare, strict=True)):
             sound = inertia.is_body(body)
             numbers = inertia.log_cholesky(body if sound else inertia.ball(body))
             widths = inertia.widths(body, trust) if sound else np.zeros(inertia.NUMBERS)
@@ -175,7 +175,7 @@ class TorqueModel:
         return empty.under(self.start).under(self.start)
 
     def bodies(self, unknowns: Array) -> Array:
-        """Return the ten numbers of each link (N, 10), without the payload."""
+        """Return the ten numbers of each link (L, 10), without the payload."""
         links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)
         return np.array([inertia.exponential(one) for one in links])
 
@@ -227,7 +227,7 @@ class MotionTorques:
 
     model: TorqueModel
     data: Filtered
-    Y: Array  # (K, N, 10 N), see `LinkRegressor`
+    Y: Array  # (K, N, 10 L), see `LinkRegressor`
     load: Array  # N m or N, of the gears on the links, at the samples of `data.fine`
     efforts: list[_Effort]
 

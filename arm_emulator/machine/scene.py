@@ -21,6 +21,7 @@ from arm_emulator.base.config_files import BESIDE, find_config
 from arm_emulator.base.number import LARGEST, Number, number, numbers_of
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.section import LARGEST_COUNT, Section
+from arm_emulator.base.shafts import shaft_limits
 from arm_emulator.base.text_file import why_no_file
 from arm_emulator.base.urdf_text import limits_of, parse_urdf, read_urdf
 from arm_emulator.base.yaml_file import read_yaml
@@ -200,7 +201,7 @@ class Scene:
     supply_voltage: float = number("V", above=0.0, at_most=1e5)
     joints: tuple[Joint, ...]  # base to tool
     chain: Chain  # the same joints' geometry and inertia
-    bare: tuple[Body, ...]  # what they move, without the payload
+    bare: tuple[Body, ...]  # what the links of the chain are, without the payload
     integrator: Integrator
     servo_period: float = number("s", at_least=1e-6, at_most=1.0)
     external_wrench: bool  # whether there may be one, see core/mechanics/external_wrench.hpp
@@ -337,17 +338,19 @@ def _build(root: Section, file: Path) -> Scene:
         return read_chain(robot, urdf_file.name, where, locked=locked, tool=tool, payload=load)
 
     chain = read(payload_body)
-    bare = tuple(joint.body for joint in chain.joints)
+    bare = tuple(link.body for link in chain.links)
     if payload_body is not None:
         # What a second one adds is the first.
-        twice = (joint.body for joint in read(payload_body.scaled(2.0)).joints)
+        twice = (link.body for link in read(payload_body.scaled(2.0)).links)
         bare = tuple(
             one.scaled(2.0) + two.scaled(-1.0) for one, two in zip(bare, twice, strict=True)
         )
     if lock_joints(robot, locked, urdf_file.name) or root.has("couplings"):
         urdf = ET.tostring(robot, encoding="unicode")
-    alone = chain.coupling.alone
-    limits = {name: ends for name, ends in limits_of(robot).items() if name in alone}
+    limits = limits_of(robot)
+    if not chain.coupling.plain:  # a stop of a shaft is where the first of its joints has one
+        of_shafts = shaft_limits(urdf, chain.coupling.shafts)
+        limits = {name: of_shafts[name] for name in chain.coupling.apart & of_shafts.keys()}
     joints = _joints(root, chain, urdf_file.name, limits)
     integrator_section = root.required_section("integrator")
     integrator = Integrator(

@@ -10,10 +10,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.shafts import Shafts
 from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.motion.kinematics import POSE_ROWS, Kinematics, arm_model, tool_frame
 from arm_emulator.motion.kinematics_model import JOINT, WHERE
-from arm_emulator.motion.shafts import Shafts
 from arm_emulator.motion.way_library import WAY, way_library
 
 FloatArray = npt.NDArray[np.float64]

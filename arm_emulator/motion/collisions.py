@@ -17,6 +17,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.shafts import Shafts
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics_model import WHERE
 from arm_emulator.motion.obstacles import Obstacle
@@ -63,7 +64,9 @@ class Collisions:
             raise Refusal(WHERE, "the robot", rule, str(error).splitlines()[0]) from error
         for shape in self._shapes.geometryObjects:
             shape.geometry = _hull(shape.geometry)
-        joints = [self._model.joints[self._model.getJointId(name)] for name in joint_names]
+        self._shafts = Shafts(urdf_xml, joint_names)
+        names = self._shafts.joints
+        joints = [self._model.joints[self._model.getJointId(name)] for name in names]
         self._columns = [joint.idx_v for joint in joints]
         self._neutral = pin.neutral(self._model)
         self._data = self._model.createData()
@@ -101,7 +104,7 @@ class Collisions:
 
     def _whole(self, q: FloatArray) -> FloatArray:
         step = np.zeros(self._model.nv)
-        step[self._columns] = q
+        step[self._columns] = self._shafts.of_joints(q)
         configuration: FloatArray = pin.integrate(self._model, self._neutral, step)
         return configuration
 
@@ -127,6 +130,7 @@ class Collisions:
         """Leave out pairs of the arm's own parts that touch where nothing is wrong."""
         low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
         high = np.array([min(self._upper(joint), np.pi) for joint in joints])
+        low, high = self._shafts.positions(low, high)
         rest = np.where((low > 0.0) | (high < 0.0), 0.5 * (low + high), 0.0)
         self._made(margin)
         count = np.zeros(self.pairs)

@@ -13,6 +13,7 @@ import pinocchio as pin
 from arm_emulator.base.bound import POSITION, TOOL_POSITION
 from arm_emulator.base.number import Number
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.shafts import Shafts, shafts_of
 from arm_emulator.base.urdf_text import UNLIMITED
 from arm_emulator.motion.kinematics_model import (
     JOINT,
@@ -22,7 +23,6 @@ from arm_emulator.motion.kinematics_model import (
     whole_model,
 )
 from arm_emulator.motion.pose import Pose
-from arm_emulator.motion.shafts import Shafts, shafts_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -99,8 +99,8 @@ class Kinematics:
         moved = [rates[name] for name in self.shafts.joints]
         self.velocity_limit = self.shafts.most(np.array([one.velocity for one in moved]))
         self.acceleration_limit = self.shafts.most(np.array([one.acceleration for one in moved]))
-        own = np.array([rates[name].effort for name in self.joint_names])
-        self.effort_limit = np.where(alone, own, np.inf)
+        # What a drive can give: a torque of its shaft, whatever joints that moves.
+        self.effort_limit = np.array([rates[name].effort for name in self.joint_names])
         self.reach = self._reach()
         _REACH.check("robot_description", [self.reach])
         pin.framesForwardKinematics(self.model, self._data, self._neutral)

@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.shafts import Shafts
 from arm_emulator.motion.kinematics_model import JOINT, whole_model
-from arm_emulator.motion.shafts import Shafts
 
 FloatArray = npt.NDArray[np.float64]
 

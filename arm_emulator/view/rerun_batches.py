@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.shafts import Shafts
 from arm_emulator.view.rerun_blueprint import (
     COLOURS,
     DEVIATION,
@@ -41,7 +42,7 @@ class RerunBatches:
 
     Args:
         tree: the URDF.
-        joint_names: the N moving joints, in the order of the samples.
+        shafts: the N that are sampled, in the order of the samples, and the joints that they move.
         tool: the link whose path is drawn; None draws none.
         arm_rate: poses of the arm per second on the time line [Hz].
         signal_every: one of this many samples goes into the signals.
@@ -57,21 +58,22 @@ class RerunBatches:
     def __init__(
         self,
         tree: UrdfTree,
-        joint_names: tuple[str, ...],
+        shafts: Shafts,
         tool: str | None,
         arm_rate: int,
         signal_every: int,
         further: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         known = [joint.name for joint in tree.joints() if joint.joint_type != "fixed"]
-        for name in joint_names:
+        for name in shafts.joints:
             if name not in known:
                 raise Refusal("URDF", "joint", "be a moving joint of it", name, ", ".join(known))
         self._tree = tree
-        self._names = joint_names
+        self._names = shafts.names
+        self._shafts = shafts
         self._further = further
         self._quantities = (*QUANTITIES, *further)
-        self._tool = None if tool is None else ToolPosition(tree, joint_names, tool)
+        self._tool = None if tool is None else ToolPosition(tree, shafts.joints, tool)
         self._arm_rate = arm_rate
         self._signal_every = signal_every
         self._transform_columns = _transform_columns()
@@ -110,7 +112,8 @@ class RerunBatches:
         q = np.zeros((1, len(self._names)))
         q[0] = 0.0 if q_start is None else q_start
         names = [self._tree.root_link().name, *(j.child_link for j in self._tree.joints())]
-        links = [ToolPosition(self._tree, self._names, name)(q)[0] for name in names]
+        q = self._shafts.of_joints(q)
+        links = [ToolPosition(self._tree, self._shafts.joints, name)(q)[0] for name in names]
         tool = None if self._tool is None else self._tool(q)[0]
         return blueprint(self._tree.name, names[0], np.array(links), tool, self._further)
 
@@ -188,7 +191,7 @@ class RerunBatches:
         self._last_pose = int(numbers[-1])
         if not new.any():
             return
-        times, q = times[new], q[new]
+        times, q = times[new], self._shafts.of_joints(q[new])
         yield
         yield from self._send_transforms(recording, times, q)
         if self._tool is None:
@@ -280,7 +283,7 @@ class RerunBatches:
 
         count, joints = q.shape
         starts = np.arange(0, count * joints + 1, joints, dtype=np.int32)
-        names = pa.ListArray.from_arrays(starts, pa.array(list(self._names) * count))
+        names = pa.ListArray.from_arrays(starts, pa.array(list(self._shafts.joints) * count))
         values = pa.ListArray.from_arrays(starts, pa.array(q.ravel()))
         yield
         transforms = self._tree.compute_joint_transform_batches(names, values).flatten()

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 
 from arm_emulator.base.bound import TOOL_POSITION
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.shafts import Shafts
 from arm_emulator.base.wheel import need_wheel
 from arm_emulator.view.rerun_batches import QUANTITIES, RerunBatches
 from arm_emulator.view.sample_queue import Array, SampleQueue
@@ -62,7 +63,7 @@ class RerunStream:
     Args:
         urdf_xml: the URDF; joints that are not in `joint_names` rest at 0. Meshes are named by
             absolute path or `package://`.
-        joint_names: the N moving joints, in the order of all arrays offered.
+        joint_names: the N shafts, called after joints, in the order of all arrays offered.
         q_start: joint angles (N,) [rad or m] for the eye's position; None is 0.
         tool: the link whose path is drawn; None draws none.
         package_dirs: folders in which `package://NAME` is looked for as NAME, before those of
@@ -118,7 +119,7 @@ class RerunStream:
 
         tree = _read_urdf(urdf_xml, package_dirs)
         self._batches = RerunBatches(
-            tree, tuple(joint_names), tool, arm_rate, signal_every, further
+            tree, Shafts(urdf_xml, joint_names), tool, arm_rate, signal_every, further
         )
         self._batches.warm_up()
         recording = rr.RecordingStream("arm_emulator")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +11,7 @@ from pathlib import Path
 from arm_emulator.analysis.linear_servo import Loop
 from arm_emulator.analysis.mode_loops import Mode, withheld_modes
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf_text import limits_of
+from arm_emulator.base.shafts import shaft_limits
 from arm_emulator.build.c_header import CData, Header, Library, text
 from arm_emulator.build.flags import SHARED
 from arm_emulator.build.unit import Unit, library
@@ -367,7 +366,7 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
     reported = tuple(known[name] for name in scene.joint_names)
     rows = DRIVES.rows("drives_joint", len(reported))
     rows["servo"] = servo_numbers(reported, servo.period, servo.supply_voltage)
-    limits = limits_of(ET.fromstring(scene.urdf))
+    limits = shaft_limits(scene.urdf, scene.joint_names)
     for row, joint, takes in zip(rows, scene.joints, modes_of(scene), strict=True):
         if joint.motor is not None and joint.servo_data is None:
             where = f"joints.{joint.name}.motor.kind"

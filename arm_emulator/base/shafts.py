@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.couplings import Follows, followers, own_shafts
-from arm_emulator.base.urdf_text import parse_urdf
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf_text import limits_of, parse_urdf
 
 WHERE = "robot_description"
+_ROUNDING = 1e-9  # rad or m
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -49,6 +51,7 @@ class Shafts:
         joints: all that move, those of the shafts first.
         C: (joints, shafts).
         offset: (joints,) [rad or m].
+        names: of the shafts.
         coupled: whether any joint does not go with a shaft of its own alone.
     """
 
@@ -64,6 +67,7 @@ class Shafts:
             for name, one in found.items()
             if name not in names and set(one.shares) <= {*names} and name in way
         ]
+        self.names = tuple(names)
         self.joints = (*names, *along)
         known = {*names}
         self.C, self.offset = np.zeros((len(self.joints), len(names))), np.zeros(len(self.joints))
@@ -76,8 +80,8 @@ class Shafts:
         self.coupled = len(along) > 0 or bool((self.C != np.eye(len(names))).any())
 
     def of_joints(self, p: FloatArray) -> FloatArray:
-        """Return the joints' angles."""
-        return self.C @ p + self.offset if self.coupled else p
+        """Return the joints' angles, of shafts' angles (..., N)."""
+        return p @ self.C.T + self.offset if self.coupled else p
 
     def rates(self, p: FloatArray) -> FloatArray:
         """Return the joints' speeds or accelerations."""
@@ -92,6 +96,9 @@ class Shafts:
 
         Where a joint goes with several shafts, these are a box around the middle of the joints'
         limits: it leaves some corners out, and none of it is beyond a limit.
+
+        Raises:
+            Refusal: no angle of a shaft keeps all joints that it moves within theirs.
         """
         if not self.coupled:
             return lower, upper
@@ -112,7 +119,23 @@ class Shafts:
             spare = np.maximum(half - np.abs(C @ centre + self.offset[limited] - middle), 0.0)
             reach = self._least(spare, C)
             low[boxed], high[boxed] = (centre - reach)[boxed], (centre + reach)[boxed]
+        least, most = self._ends(low, high)
+        beyond = (least < lower - _ROUNDING) | (most > upper + _ROUNDING) | (most < least)
+        for k in np.flatnonzero(beyond).tolist():
+            rule = "have limits that its couplings can keep"
+            got = f"{lower[k]:g} to {upper[k]:g}, its shafts' {least[k]:g} to {most[k]:g}"
+            raise Refusal(WHERE, f"joint {self.joints[k]}", rule, got)
         return low, high
+
+    def _ends(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return between which angles joints are where shafts are within a box."""
+        up, down = np.maximum(self.C, 0.0), np.minimum(self.C, 0.0)
+        with np.errstate(invalid="ignore"):  # 0 times infinite: a shaft that is not the joint's
+            ends = [
+                np.nansum(up * one + down * other, axis=1) + self.offset
+                for one, other in ((low, high), (high, low))
+            ]
+        return ends[0], ends[1]
 
     def most(self, of_joints: FloatArray) -> FloatArray:
         """Return limits of the shafts' rates with which no joint passes its own."""
@@ -124,3 +147,17 @@ class Shafts:
         shares = limits / np.where(sums > 0.0, sums, 1.0)
         least: FloatArray = np.where(C != 0.0, shares[:, None], np.inf).min(axis=0)
         return least
+
+
+def shaft_limits(urdf_xml: str, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the position limits of the shafts that have both, by name [rad or m].
+
+    Within them no joint of the description passes its own.
+    """
+    shafts = Shafts(urdf_xml, names)
+    of_joints = limits_of(parse_urdf(urdf_xml, WHERE))
+    ends = [of_joints.get(name, (-np.inf, np.inf)) for name in shafts.joints]
+    low, high = shafts.positions(*np.array(ends, dtype=np.float64).T)
+    limited = np.isfinite(high - low)
+    pairs = zip(names, low.tolist(), high.tolist(), limited, strict=True)
+    return {name: (least, most) for name, least, most, known in pairs if known}
