@@ -1,8 +1,8 @@
 """An emulated industrial arm: a machine, its servo and its motion control.
 
-The names of `__all__` are what programs may rely on. They are found at their first use, so that
-``import arm_emulator`` takes no time. All other modules are the emulator's own, and may change with
-any version.
+Programs may rely on the names of `__all__`. They are imported at their first use, so that
+``import arm_emulator`` takes no time. All other modules are internal, and may change with any
+version.
 """
 
 from __future__ import annotations

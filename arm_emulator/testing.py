@@ -1,4 +1,4 @@
-"""What test suites of users need: a machine of its own for each test, and what it must keep."""
+"""Tools for test suites of users: a machine for each test, and assertions about its motion."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ def plant_of(scene: Scene | str | Path, overrides: Mapping[str, Any] | None = No
 
 
 def drive(plant: Plant, law: Law, ticks: int) -> Array:
-    """Drive a plant by a control law for so many servo periods.
+    """Run a plant under a control law for a number of servo periods.
 
     Args:
         plant: the machine.
-        law: the commands (N,) that answer a tick, from the tick and what is measured at it.
-        ticks: how many.
+        law: returns the commands (N,) for a tick, from the tick and its measurement.
+        ticks: number of servo periods.
 
     Returns:
         True link positions after each period, (ticks, N) [rad or m].
 
     Raises:
-        Refusal: commands that are not taken.
+        Refusal: commands are refused.
         Diverged: see `Plant.exchange`.
     """
     q = np.zeros((ticks, len(plant.scene.joints)))
@@ -59,19 +59,19 @@ def network(
     log: Path | None = None,
     **emulator: object,
 ) -> Iterator[None]:
-    """Run the nodes of a scene in lock-step, in a ROS domain that nobody else is in, for a block.
+    """Run the nodes of a scene in lock-step in an unused ROS domain for a block.
 
-    Whatever the block starts is in that domain, too. ROS and the messages must be there.
+    Processes started in the block are in that domain, too. Requires ROS and the messages.
 
     Args:
         scene: a scene by name or file, with its gains beside it.
         without: nodes that the test starts itself: "emulator", "servo", "motion_controller".
-        log: folder for the output of the nodes; None: where that of the test goes.
+        log: folder for the output of the nodes; None: that of the test.
         emulator: parameters of the emulator, such as ``record=folder``.
 
     Raises:
         Refusal: no such node, or a configuration file is missing.
-        AssertionError: a node ended within the block, or not as it should at its end.
+        AssertionError: a node ended within the block, or abnormally at its end.
     """
     from arm_emulator.ros.bringup import NODES, Bringup
     from arm_emulator.ros.ros_domain import own_domain
@@ -91,13 +91,13 @@ def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) ->
 
     Args:
         q: positions, a row each [rad or m].
-        target: where they shall be (N,).
-        within: how far off they may be [rad or m].
-        last: rows at the end that must be there.
+        target: target positions (N,).
+        within: tolerance [rad or m].
+        last: number of final rows that must be at the target.
 
     Raises:
-        Refusal: other shapes, or fewer rows than that.
-        AssertionError: which joint is how far off, and when.
+        Refusal: shapes differ, or there are fewer rows.
+        AssertionError: names the joint, its error and the time.
     """
     where, rows, wanted = "testing.assert_settles", np.asarray(q), np.asarray(target)
     if rows.ndim != 2 or wanted.shape != rows.shape[1:]:

@@ -14,7 +14,7 @@ class Changes:
     """Changes the machine of a session.
 
     Attributes:
-        pacer: publishes what was reached before a change.
+        pacer: publishes the ticks before a change.
         reports: publishes the change.
     """
 
@@ -23,17 +23,17 @@ class Changes:
 
     @contextmanager
     def between_ticks(self) -> Iterator[None]:
-        """Within, no time passes, and all ticks up to now are published."""
+        """In this block no time passes, and all ticks up to now are published."""
         with self._session.between_ticks():
             self.pacer.catch_up()
             yield
 
     def make(self, kind: int, change: Callable[[], None]) -> None:
-        """Change the machine, and publish what is needed to repeat that.
+        """Change the machine, and publish the data for repeating the change.
 
         Args:
             kind: of MachineEvent.
-            change: does it; what it raises is passed on, and nothing is published then.
+            change: makes the change; if it raises, nothing is published.
         """
         with self.between_ticks():
             change()

@@ -1,4 +1,4 @@
-"""What the objects of the emulator's node have in common."""
+"""Context shared by the objects of the emulator's node."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from emulator_node.view import View
 
 @dataclass(frozen=True)
 class Context:
-    """The node, its machine, and how messages leave.
+    """The node, its machine, and its outgoing messages.
 
     Attributes:
         node: whose topics, services and log are used.
         session: the machine.
         diagnostics: of the node.
         gate: recorders that have to keep up.
-        outbox: how messages leave.
-        view: where ticks are shown.
+        outbox: outgoing messages.
+        view: display of ticks.
         lock: guards all of it: between the executor, which serves topics and services, and a thread
             of the pacer.
     """

@@ -1,4 +1,4 @@
-"""How the emulator is: diagnostics in words, and emulator/status."""
+"""Health of the emulator: diagnostics as text, and emulator/status."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from emulator_node.reports import Reports
 
 
 class Health:
-    """Reports a fault once, and the phase in words.
+    """Reports a fault once, and the phase as text.
 
     Args:
-        own: whose log it is, and the machine.
+        own: context with log and machine.
         timeout: gives the wall time without an answer that is reported [s].
     """
 
@@ -38,7 +38,7 @@ class Health:
             self._logger.error(str(fault))
 
     def report(self, waited: float) -> None:
-        """Publish how the machine is; `waited`: since this tick was published [s]."""
+        """Publish the machine's health; `waited`: since this tick was published [s]."""
         session, diagnostics, record = self._session, self._diagnostics, self._outbox.record
         late = waited > self._timeout()
         if session.phase is Phase.STOPPED:
@@ -90,7 +90,7 @@ class Status:
         new_ticks = max(0, session.tick - ticks)
         steps = new_ticks * session.scene.steps_per_period
         self._mark = (now, session.tick, session.step_wall_ns)
-        # In lock-step every tick waits a moment for its answer; a machine that goes on is running.
+        # In lock-step every tick waits briefly for its answer; a machine that advances is running.
         phase = Phase.RUNNING if session.phase is Phase.WAITING and new_ticks else session.phase
         waited = time.monotonic() - self._reports.published_at
         figures = session.figures

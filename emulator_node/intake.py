@@ -19,12 +19,12 @@ from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.pacer import Pacer
 
-# Topics of what acts on links, and whose axes force and moment have.
+# Topics of wrenches on links, and the axes of force and moment.
 EXTERNAL_WRENCHES = {"external_wrench": "link", "external_wrench_in_world": "world"}
 
 
 class Intake:
-    """Subscribes, and hands over.
+    """Subscribes to topics, and passes their messages on.
 
     Attributes:
         commands: name of the topic of motor commands.
@@ -74,7 +74,7 @@ class Intake:
                 self._pacer.go_on()
 
     def _on_wrench(self, topic: str, axes: str, message: WrenchStamped) -> None:
-        """Let a wrench act from this tick on, at the origin of the link that it names."""
+        """Apply a wrench from this tick on, at the origin of the link that it names."""
         f, n = message.wrench.force, message.wrench.torque
         wrench = ExternalWrench((f.x, f.y, f.z), (n.x, n.y, n.z), axes=axes)
         with self._lock:

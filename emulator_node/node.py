@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before what takes long to import
+if __name__ == "__main__":  # before slow imports
     import os
     import sys
 
-    # Nothing of the user's folder is imported, whatever its files are called.
+    # Nothing is imported from the working folder.
     if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
@@ -83,7 +83,7 @@ class EmulatorParameters:
 
 
 class EmulatorNode(Node):
-    """The machine as a ROS node: makes its parts, and ends them."""
+    """The machine as a ROS node: creates its objects, and ends them."""
 
     def __init__(self) -> None:
         super().__init__("emulator", automatically_declare_parameters_from_overrides=True)

@@ -1,4 +1,4 @@
-"""How the messages of the emulator leave: published, and written into its own record."""
+"""Outgoing messages of the emulator: published, and written into its own record."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from arm_emulator.ros.node_shell import Diagnostics
 if TYPE_CHECKING:
     from arm_emulator.ros.run_record import RunRecord
 
-UNPUBLISHED = 1000  # messages in real time that may wait: a controller needs the newest ones
+UNPUBLISHED = 1000  # messages that may wait in real time: a controller needs the newest ones
 
 
 class Outbox:
-    """Where messages leave.
+    """Queue of outgoing messages.
 
-    A thread that takes the ticks of a loop writes them at once and leaves them here, because to
-    publish takes longer; `send` publishes them.
+    The thread that takes the ticks of a loop writes messages to the record at once and queues them
+    here, because publishing takes longer; `send` publishes them.
 
     Attributes:
-        record: of what is published and taken; None: there is no record.
+        record: record of published and accepted messages; None: no record.
         taker: that thread.
     """
 
@@ -35,7 +35,7 @@ class Outbox:
         self.taker: threading.Thread | None = None
         self._diagnostics = diagnostics
         self._waiting: deque[tuple[Publisher, bytes]] = deque()
-        self._too_late = 0  # messages that were dropped for newer ones
+        self._too_late = 0  # messages dropped for newer ones
 
     def put(self, publisher: Publisher, message: Any) -> None:
         """Publish a message, or the bytes of one, and write it into the record."""
@@ -55,7 +55,7 @@ class Outbox:
         self._waiting.append((publisher, data))
 
     def send(self, most: int = UNPUBLISHED) -> bool:
-        """Publish what waits, the oldest first, at most so many; return whether more waits."""
+        """Publish waiting messages, oldest first, up to a number; return whether more wait."""
         for _ in range(min(most, len(self._waiting))):
             publisher, data = self._waiting.popleft()
             publisher.publish(data)
@@ -70,12 +70,12 @@ class Outbox:
 def own_record(
     node: Node, folder: Path, publishers: list[Publisher], commands: str, lockstep: bool
 ) -> RunRecord:
-    """Return a new record of what a node publishes, and of the topic of its commands.
+    """Return a new record of a node's messages, and of the topic of its commands.
 
     Raises:
         Refusal: the folder cannot be written.
     """
-    # Imported only when needed: a stock ROS 2 machine may have no package for bags.
+    # Imported only if needed: a stock ROS 2 machine may have no package for bags.
     from arm_emulator.ros.bag import Topic
     from arm_emulator.ros.message_types import definition_of
     from arm_emulator.ros.run_record import RunRecord

@@ -13,30 +13,30 @@ from emulator_node.context import Context
 from emulator_node.health import Health
 from emulator_node.reports import Reports
 
-AT_ONCE = 10  # ticks in real time that are taken, and messages that are published, at a time
+AT_ONCE = 10  # ticks in real time taken, and messages published, at a time
 
 
 class Pacer(Protocol):
-    """Lets the session pass from tick to tick, and publishes each."""
+    """Advances the session from tick to tick, and publishes each."""
 
     def start(self) -> None:
-        """Begin, once all else is there."""
+        """Begin, once all other objects exist."""
 
     def go_on(self) -> None:
-        """Leave this tick, if it waits for nothing more."""
+        """Leave this tick, unless it waits for something."""
 
     def look(self) -> None:
-        """Look, some times a second, whether time has to pass."""
+        """Check, several times a second, whether time has to advance."""
 
     def catch_up(self) -> None:
-        """Publish all ticks that were reached, before a change. Time must stand still."""
+        """Publish all ticks reached so far, before a change. Time must stand still."""
 
     def close(self) -> None:
         """End."""
 
 
 class LockstepPacer:
-    """Ticks follow answers, and before the first one the servo period: the node paces that."""
+    """Ticks follow answers; before the first answer the node paces them by the servo period."""
 
     def __init__(self, own: Context, reports: Reports, health: Health) -> None:
         self._node, self._session, self._gate = own.node, own.session, own.gate
@@ -47,7 +47,7 @@ class LockstepPacer:
         self._pace = wall_timer(self._node, self._session.scene.servo_period, self._on_pace)
 
     def go_on(self) -> None:
-        """Leave this tick if that is allowed, and every recorder has kept up."""
+        """Leave this tick if permitted, and if every recorder has kept up."""
         if not self._session.may_advance or self._gate.behind():
             return
         self._session.advance()
@@ -56,22 +56,22 @@ class LockstepPacer:
         self._health.report_fault()
 
     def look(self) -> None:
-        """Pace the free run again, if the machine has come back to it."""
+        """Pace the free run again, if the machine has returned to it."""
         if self._pace.is_canceled() and self._session.phase is Phase.FREE_RUNNING:
             self._pace.reset()
 
     def catch_up(self) -> None:
-        """Nothing passes without being published."""
+        """Do nothing: every tick is published when reached."""
         self._health.report_fault()
 
     def close(self) -> None:
-        """Nothing runs by itself."""
+        """Do nothing: no thread is running."""
 
     def _on_pace(self) -> None:
         with self._lock:
             if self._session.phase is Phase.FREE_RUNNING:
                 self.go_on()
-            else:  # who waits needs no pace
+            else:  # waiting needs no pace
                 self._pace.cancel()
 
 
@@ -90,13 +90,13 @@ class LoopPacer:
         self._thread.start()
 
     def go_on(self) -> None:
-        """The loop goes on by itself."""
+        """Do nothing: the loop advances by itself."""
 
     def look(self) -> None:
-        """The loop needs no help."""
+        """Do nothing: the loop checks by itself."""
 
     def catch_up(self) -> None:
-        """Publish all ticks that the loop has reached, in order, so that a change comes behind."""
+        """Publish all ticks that the loop has reached, in order, so that a change follows them."""
         self._outbox.send()
         while self._take():
             pass
@@ -114,14 +114,14 @@ class LoopPacer:
                 try:
                     while self._take_some() and not self._closing:
                         pass
-                except RuntimeError:  # of rclpy, when a signal has ended it in between
+                except RuntimeError:  # of rclpy, if a signal has ended it meanwhile
                     if rclpy.ok():
                         raise
 
     def _take_some(self) -> bool:
-        """Take some ticks, publish some of what waits; return whether there is more of either.
+        """Take some ticks, publish some waiting messages; return whether more of either remain.
 
-        On a machine that is too slow there is always more: topics and services come in between.
+        On a machine that is too slow this never ends: topics and services are served in between.
         """
         with self._lock:
             taken = 0
@@ -134,6 +134,6 @@ class LoopPacer:
         """Take a tick and publish its state; False after the last."""
         if not self._session.take():
             return False
-        if self._session.fault is None:  # else it has not come to another tick
+        if self._session.fault is None:  # otherwise it has not reached another tick
             self._reports.tick()
         return True

@@ -1,4 +1,4 @@
-"""Recorders that have to keep up: what the machine waits for in lock-step beside its commands."""
+"""Recorders that have to keep up: in lock-step the machine waits for them beside its commands."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class RecorderGate:
     """Open while every recorder has kept up. In real time it is always open.
 
     Attributes:
-        waited_for: the recorder that has to catch up before the machine goes on, or empty.
+        waited_for: the recorder that has to catch up before the machine advances, or empty.
 
     Args:
-        node: whose log and topics they are.
+        node: node of log and topics.
         session: the machine.
         diagnostics: of the node.
         topic: of motor states, which recorders write.
@@ -37,7 +37,7 @@ class RecorderGate:
         self._recorders.begin()
 
     def count(self) -> None:
-        """Count a motor state that is published."""
+        """Count a published motor state."""
         self._recorders.published += 1
 
     def behind(self) -> bool:
@@ -53,7 +53,7 @@ class RecorderGate:
         return bool(self.waited_for)
 
     def without_room(self) -> str:
-        """Return the recorder that would lose one more motor state, empty if none would."""
+        """Return the recorder that would lose one more motor state, or ""."""
         return self._recorders.without_room(KEPT) if self._session.lockstep else ""
 
     def on_report(self, report: RecorderReport) -> None:

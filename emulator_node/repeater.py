@@ -1,4 +1,4 @@
-"""States that nobody has answered, once more; and how long the machine waits already."""
+"""Repetition of unanswered states, and the time for which the machine has waited."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REPEAT_AFTER = (
 
 
 class Repeater:
-    """Looks every `REPEAT_AFTER` whether the machine waits, and for whom."""
+    """Checks every `REPEAT_AFTER` whether the machine waits, and for which partner."""
 
     def __init__(self, own: Context, pacer: Pacer, reports: Reports, health: Health) -> None:
         self._session, self._gate = own.session, own.gate
@@ -27,9 +27,9 @@ class Repeater:
         session, gate, now = self._session, self._gate, time.monotonic()
         unanswered = session.phase in (Phase.WAITING, Phase.PAUSED) and not session.answered
         if session.lockstep and (gate.waited_for or session.tick == 0):
-            # A recorder may have ended meanwhile, or have come to a machine that is paused.
+            # A recorder may have ended meanwhile, or have joined a paused machine.
             if gate.behind():
-                unanswered = unanswered or session.tick == 0  # it may not have this state yet
+                unanswered = unanswered or session.tick == 0  # the recorder may lack this state
             elif session.answered:
                 self._pacer.go_on()
         late = now - self._reports.repeated_at >= REPEAT_AFTER

@@ -1,4 +1,4 @@
-"""Messages that the emulator publishes of its machine: states, truth, time, events."""
+"""Messages that the emulator publishes: states, truth, time, events."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Reports:
     Attributes:
         publishers: all of them.
         published_at: when this tick's state was first published [s, monotonic].
-        repeated_at: when it was published last.
-        changes: events so far, each a change by hand.
+        repeated_at: time of its newest publication.
+        changes: number of changes by hand so far.
 
     Args:
-        own: whose topics they are, and the machine.
+        own: context with topics and machine.
         period: logical time between messages of truth and time [s], 0 for every tick.
     """
 
@@ -75,28 +75,28 @@ class Reports:
         self._view.tick()
 
     def change(self) -> None:
-        """Publish this tick's state once more, as it is after a change by hand."""
+        """Publish this tick's state again, as changed by hand."""
         self.repeated_at = time.monotonic()
         self._put_motor_state()
         self._put_truth()
         self._view.tick()
 
     def repeat(self) -> None:
-        """Publish an unanswered state once more, for a partner that came late or lost it."""
+        """Publish an unanswered state again, for a partner that came late or lost it."""
         self.repeated_at = time.monotonic()
         self._put_motor_state()
         if self._session.tick == 0:
             self._put_truth()
 
     def time_again(self) -> None:
-        """Publish the newest time once more.
+        """Publish the newest time again.
 
-        It is read with best effort: who lost it, or came after it, has it now.
+        It is read with best effort: subscribers that lost it, or came later, get it now.
         """
         self._clocks.publish(self._newest_time)
 
     def event(self, kind: int, saved: bytes) -> None:
-        """Publish a change by hand, with the machine as it is after it."""
+        """Publish a change by hand, with the resulting machine."""
         session = self._session
         self.changes += 1
         event = MachineEvent(

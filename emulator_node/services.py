@@ -83,7 +83,7 @@ class TimeServices:
 
 
 class MachineServices:
-    """The machine saved, restored, and set by hand."""
+    """Saving, restoring and setting the machine by hand."""
 
     def __init__(self, own: Context, changes: Changes) -> None:
         self._session, self._gate, self._lock = own.session, own.gate, own.lock
@@ -152,7 +152,7 @@ class MachineServices:
         change: Callable[[], None],
         response: RestoreState.Response | SetState.Response | SetVaried.Response,
     ) -> None:
-        """Change the machine, publish its state as it is now, and go on from there."""
+        """Change the machine, publish its new state, and continue from there."""
         with self._lock:
             behind = self._gate.without_room()
             if behind:

@@ -1,4 +1,4 @@
-"""The arm in Rerun: ticks and targets as they come."""
+"""The arm in Rerun: ticks and targets as they arrive."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from arm_emulator.view.rerun_stream import RerunStream
 
 
 class View:
-    """What a session shows.
+    """Display of a session.
 
     Args:
         session: the machine.
         file: Rerun recording to write, none if empty.
-        port: where a viewer may connect, 0 for none.
+        port: port for a viewer, 0 for none.
 
     Raises:
         Refusal: see `RerunStream`.
@@ -40,7 +40,7 @@ class View:
 
     @property
     def dropped(self) -> int:
-        """Samples that there was no time for."""
+        """Samples dropped for lack of time."""
         return self._stream.dropped
 
     def tick(self) -> None:
@@ -60,7 +60,7 @@ class View:
         )
 
     def target(self, target: PoseStamped) -> None:
-        """Show a target beside the arm; the machine itself knows nothing of it."""
+        """Show a target beside the arm; the machine does not use it."""
         p = target.pose.position
         self._stream.offer_target(nanoseconds_of(target.header.stamp), (p.x, p.y, p.z))
 

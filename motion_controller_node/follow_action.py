@@ -1,7 +1,7 @@
-"""The action `follow_joint_trajectory`, where control_msgs is installed.
+"""The action `follow_joint_trajectory`, available where control_msgs is installed.
 
-Nothing waits in it: a goal is a joint trajectory like those that come on the topic, and ends when
-the motion controller reports it. So one thread serves it beside everything else.
+Its callbacks never wait: a goal is a joint trajectory like those on the topic, and ends when the
+motion controller reports its end. One thread therefore serves it beside everything else.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ class FollowAction:
     """Serves the action.
 
     Args:
-        node: whose action it is.
+        node: node of the action.
         take: hands a goal over and returns the trajectory's number; a Refusal rejects the goal.
-        cancel: gives a trajectory up by its number.
+        cancel: aborts a trajectory by its number.
     """
 
     def __init__(
         self, node: Node, take: Callable[[Any], int], cancel: Callable[[int], None]
     ) -> None:
         self._take, self._cancel = take, cancel
-        self._number = 0  # of the goal taken last
+        self._number = 0  # of the newest goal
         self._goals: dict[int, tuple[Any, Future]] = {}
         self._server = ActionServer(
             node,
@@ -52,7 +52,7 @@ class FollowAction:
         )
 
     def hear(self, report: MotionReport) -> None:
-        """End the goal that a report's last word is about."""
+        """End the goal whose final state is reported."""
         if report.kind is Kind.JOINT_TRAJECTORY and report.state.final:
             _, ended = self._goals.get(report.number, (None, None))
             if ended is not None and not ended.done():
@@ -61,7 +61,7 @@ class FollowAction:
     def feed_back(
         self, stamp: Any, names: list[str], instruction: Instruction, q: FloatArray, v: FloatArray
     ) -> None:
-        """Publish how the arm follows the goals that are not over."""
+        """Publish how the arm follows the active goals."""
         for goal, ended in self._goals.values():
             if ended.done():
                 continue
@@ -77,7 +77,7 @@ class FollowAction:
             goal.publish_feedback(feedback)
 
     def close(self) -> None:
-        """Let go of the server."""
+        """Destroy the server."""
         self._server.destroy()
 
     def _on_goal(self, goal: Any) -> GoalResponse:
@@ -121,5 +121,5 @@ class FollowAction:
 
 
 def installed() -> bool:
-    """Return whether control_msgs is there."""
+    """Return whether control_msgs is installed."""
     return FollowJointTrajectory is not None

@@ -1,7 +1,7 @@
 """Jogging by topics, with the names and types of MoveIt Servo.
 
 `~/delta_twist_cmds` moves the tool, `~/delta_joint_cmds` joints (where control_msgs is installed);
-`~/status` has the code of what limits the motion, as long as one of them does.
+`~/status` has the code of the active limit of the motion.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class JogTopics:
     """Takes jog commands.
 
     Args:
-        node: whose topics they are.
+        node: node of the topics.
         instructor: follows them.
-        take: calls a function for a message, and publishes what became of it.
+        take: calls a function for a message, and publishes its result.
         now: returns controller, parameters and logical time [ns].
     """
 
@@ -58,7 +58,7 @@ class JogTopics:
             )
 
     def publish(self) -> None:
-        """Publish the code of what limits the jog, when it has changed."""
+        """Publish the code of the jog's limit, if it has changed."""
         jog = self._instructor.jogging
         code = 0 if jog is None else int(jog.status)
         if code != self._published:

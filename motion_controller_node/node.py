@@ -1,12 +1,12 @@
-"""ROS node `motion_controller`: what the arm shall do and joint states in, joint targets out."""
+"""ROS node `motion_controller`: targets and joint states in, joint targets out."""
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before what takes long to import
+if __name__ == "__main__":  # before slow imports
     import os
     import sys
 
-    # Nothing of the user's folder is imported, whatever its files are called.
+    # Nothing is imported from the working folder.
     if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
@@ -69,8 +69,8 @@ class MotionControllerNode(Node):
     """The motion controller as a ROS node.
 
     It answers the joint states at every multiple of its period with joint targets of the same time
-    stamp: where the arm stood at first, until a tool target, a joint trajectory or a tool path
-    holds. What becomes of each of them is published on `motion/status`.
+    stamp: the arm's initial position, until a tool target, a joint trajectory or a tool path
+    takes effect. The state of each of them is published on `motion/status`.
     """
 
     def __init__(self) -> None:
@@ -121,7 +121,7 @@ class MotionControllerNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._action: FollowAction | None = None
         if installed():
-            self.housekeeping = 0.02  # s, wall: goals are answered as soon
+            self.housekeeping = 0.02  # s, wall: bounds the delay of goals
 
     def _changed(self, changes: Mapping[str, Any]) -> MotionConfig:
         return replaced(self, self._config, changes)
@@ -155,7 +155,7 @@ class MotionControllerNode(Node):
             self._start_over("the robot is another one")
         self._urdf, self._controller = message.data, controller
         self._order = JointOrder("joint_states", controller.kinematics.joint_names)
-        if self._action is None and installed():  # whose clients may begin when it is there
+        if self._action is None and installed():  # clients may begin when the server exists
             self._action = FollowAction(self, self._on_goal, self._on_cancel)
         self._diagnostics.ok("waiting for joint_states")
 
@@ -175,10 +175,10 @@ class MotionControllerNode(Node):
         )
 
     def _on_goal(self, goal: Any) -> int:
-        """Take a goal of the action; return its number among the trajectories.
+        """Accept a goal of the action; return its number among the trajectories.
 
         Raises:
-            Refusal: it is not taken, which is published.
+            Refusal: the goal is refused, which is published.
         """
         trajectory = goal.trajectory
         kinematics = None if self._controller is None else self._controller.kinematics
@@ -212,7 +212,7 @@ class MotionControllerNode(Node):
                 self._check_frame("tool_path", header)
             stamp_ns = time_of("tool_path", message.header.stamp)
             times = [time_of("tool_path", one.header.stamp) for one in message.poses]
-            # Planners put one stamp on all poses, or none: that means nothing.
+            # Planners put one stamp on all poses, or none: such stamps carry no times.
             given = times if len(set(times)) > 1 else None
             poses = [_pose(one.pose, "tool_path") for one in message.poses]
             self._instructor.add_path(self._controller, poses, stamp_ns, given)
@@ -220,14 +220,14 @@ class MotionControllerNode(Node):
         self._take(Kind.TOOL_PATH, message.header, take)
 
     def _take(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
-        """Hand over what came, and publish what becomes of it; return why it was not taken."""
+        """Hand over an order, and publish its result; return the reason of a refusal."""
         refusal = None
         reports = self._instructor.reports
         before = reports.numbers[kind]
         try:
             take()
         except Refusal as reason:
-            if reports.numbers[kind] == before:  # the instructor has not seen it
+            if reports.numbers[kind] == before:  # the instructor has not received it
                 reports.refuse(kind, _stamp_or_0(header), reason)
             self._diagnostics.refuse(kind.topic, reason)
             refusal = reason
@@ -260,7 +260,7 @@ class MotionControllerNode(Node):
             return
         if self._answer is not None and now <= nanoseconds_of(self._answer.header.stamp):
             if message.header.stamp == self._answer.header.stamp:
-                self._targets.publish(self._answer)  # somebody came late or lost it
+                self._targets.publish(self._answer)  # a partner came late or lost it
                 return
             self._start_over("time began anew")
         self._now_ns = now
@@ -268,7 +268,7 @@ class MotionControllerNode(Node):
         self._report()
         self._report_status()
         self._jogs.publish()
-        # What is published is within the bounds: the instructor sees to that.
+        # The instructor keeps published values within the bounds.
         answer = JointState(name=controller.kinematics.joint_names)
         answer.header.stamp = message.header.stamp
         answer.position = array("d", instruction.q.tobytes())
@@ -283,7 +283,7 @@ class MotionControllerNode(Node):
             self._action.feed_back(message.header.stamp, names, instruction, q, v)
 
     def _speeds(self, message: JointState) -> FloatArray | None:
-        """Return measured speeds; None where they are missing or not sound: they are not needed."""
+        """Return measured speeds; None if they are missing or not sound: they are optional."""
         try:
             if message.velocity:
                 return self._order.arrange(message.name, message.velocity, VELOCITY)
@@ -344,7 +344,7 @@ class MotionControllerNode(Node):
 
 
 def trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoint:
-    """Return a point of a trajectory as its message has it.
+    """Return a point of a trajectory from its message.
 
     Raises:
         Refusal: a time that is not well-formed.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before what takes long to import
+if __name__ == "__main__":  # before slow imports
     import os
     import sys
 
-    # Nothing of the user's folder is imported, whatever its files are called.
+    # Nothing is imported from the working folder.
     if sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
@@ -135,7 +135,7 @@ class ServoNode(Node):
             "the emulator takes the first answer to each tick",
         )
         self._heard_at = time.monotonic()
-        self._machine = 0  # which emulator is served, 0 for any
+        self._machine = 0  # the emulator served, 0 for any
         self._start_over()
 
         command = MotorCommand(joint_names=names, command=array("d", bytes(8 * len(names))))
@@ -150,7 +150,7 @@ class ServoNode(Node):
         wall_timer(self, SILENCE_CHECK, self._on_silence_check)
 
     def _servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the parameters that are the servo's, with some changed."""
+        """Return the servo's parameters, with some changed."""
         others = (*ROS_PARAMETERS, *self._own)
         declared = {name: one.value for name, one in self._parameters.items()}
         return {
@@ -161,7 +161,7 @@ class ServoNode(Node):
 
     def _changed(self, changes: Mapping[str, Any]) -> ServoConfig:
         config = ServoConfig.from_mapping(self._servo_parameters(changes), PARAMETERS)
-        Servo(config)  # which refuses what it cannot compute with
+        Servo(config)  # refuses invalid parameters
         return config
 
     def _take_parameters(self, config: ServoConfig) -> None:
@@ -174,7 +174,7 @@ class ServoNode(Node):
         self._drives.reset()
         self._newest: _Measurement | None = None
         self._waiting = False  # for the joint targets of this motion period
-        self._cycle_ns = 0  # when this motion period began
+        self._cycle_ns = 0  # start of this motion period
         self._silent = False  # no motor states, and the power is cut
 
     # Topics
@@ -202,7 +202,7 @@ class ServoNode(Node):
             if now.tick == self._newest.tick:
                 self._report_again()
                 return
-            # In lock-step no tick is left out, unless it runs free: then nothing is lost.
+            # In lock-step no tick is skipped, unless it runs free: then nothing is lost.
             if now.tick < self._newest.tick or (
                 self._lockstep and now.tick > self._newest.tick + 1
             ):
@@ -223,7 +223,7 @@ class ServoNode(Node):
             self._answer(now)
 
     def _check_machine(self, machine: int) -> None:
-        """Stay with the emulator that was started first, while it publishes."""
+        """Serve the emulator that was started first, as long as it publishes."""
         if machine in (0, self._machine):
             return
         silence = time.monotonic() - self._heard_at
@@ -312,11 +312,11 @@ class ServoNode(Node):
         self._joint_states.publish(message)
 
     def _report_again(self) -> None:
-        """The emulator asks again: a partner came late, or lost a message."""
+        """Repeat the answer: a partner came late, or lost a message."""
         if self._newest is None:
             return
         if self._waiting:
-            # As of the motion period's start, even if another servo has answered ticks since.
+            # As at the motion period's start, even if another servo has answered ticks since.
             self._report_joint_states(self._cycle_ns)
             self._diagnostics.warn(
                 f"waiting for the joint targets that answer t = {self._cycle_ns / NANOSECONDS:g} s"

@@ -1,4 +1,4 @@
-"""`arm_emulator advise`: the cheapest scheme, events and step for a wanted error."""
+"""`arm_emulator advise`: the cheapest scheme, events and step for a requested error."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ def advise_scene(
 
     Args:
         scene_name: scene file or name.
-        error: largest error of a link that is wanted [rad or m].
-        commands: a bag or a table with the motion to judge by; None: the scene's demo and others.
+        error: largest permitted error of a link [rad or m].
+        commands: a bag or a table with the test motion; None: the scene's demo and others.
         write: whether to put the setting into the scene file.
-        json: whether a program reads what is printed.
+        json: whether to print JSON.
 
     Returns:
         Exit code: 1 if no setting keeps the error.
 
     Raises:
-        Refusal: a file that is not taken, or an error that cannot be asked for.
+        Refusal: a file is refused, or the error is out of range.
     """
     output = Output(json)
     console = output.console()
@@ -93,7 +93,7 @@ def advise_scene(
 
 
 def _motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Motion], str]:
-    """Return the motions to judge by, and what they are."""
+    """Return the test motions, and their description."""
     if commands is not None:
         rows = read_commands(commands, scene)
         return [Motion(commands.name, rows)], f"{_seconds(scene, rows):g} s of {commands.name}"
@@ -116,9 +116,9 @@ def _seconds(scene: Scene, rows: Array) -> float:
 def demo_commands(scene: Scene, file: Path) -> Array | None:
     """Return the commands (K, N) of the scene's own demo, a row per servo period.
 
-    Recorded in closed loop, once, on the finely integrated machine. Played back open loop, errors
-    are those of the integration, and not what the control made of them. None: there is no demo, or
-    it diverges.
+    Recorded in closed loop, once, on the finely integrated machine. Played back in open loop,
+    errors are those of the integration alone, without the controller. None: there is no demo, or it
+    diverges.
     """
     fine = dataclasses.replace(
         scene,
@@ -145,7 +145,7 @@ def demo_commands(scene: Scene, file: Path) -> Array | None:
 
 
 def _statement(best: Setting, motions: int) -> str:
-    """Return what the errors of the table are worth."""
+    """Return the accuracy of the errors in the table, as text."""
     if math.isinf(best.others):
         return "errors: a bound for the motions that were judged, not for others"
     return (
@@ -155,10 +155,10 @@ def _statement(best: Setting, motions: int) -> str:
 
 
 def _checked(judge: Judge, file: Path, error: float) -> str:
-    """Return how far the truth of the last motion is from an independent solution, if any."""
+    """Return the difference between the truth of the last motion and an independent solution."""
     scene, motion, truth = judge.scene, judge.motions[-1], judge.truth(len(judge.motions) - 1)
     payload: Any = read_yaml(file).get("payload")
-    # Per step of the reference, of which there are some thousand: far below the error it judges.
+    # Per step of the reference, of which there are some thousand: far below the judged error.
     rtol = max(1e-4 * error, 1e-11)
     try:
         q = reference(scene, motion.commands, scene.servo_period, rtol, payload=payload)

@@ -1,4 +1,4 @@
-"""The words behind a command's name: read, explained and completed by cyclopts."""
+"""Parsing, help and completion of a command's arguments by cyclopts."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ DEFAULTS = Parameter(negative=(), consume_multiple=(1, None), json_list=False, j
 
 
 class BadArguments(Exception):
-    """Arguments that a command does not take; the text is one line."""
+    """Arguments that a command refuses; the text is one line."""
 
 
 def run_with(one: Command, words: Sequence[str]) -> int:
     """Run a command with its arguments, and return its exit code.
 
     Raises:
-        BadArguments: it does not take them.
+        BadArguments: the arguments are invalid.
     """
     try:
         function, given, _ = _app(one).parse_args(words, print_error=False, exit_on_error=False)

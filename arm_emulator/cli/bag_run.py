@@ -16,7 +16,7 @@ from arm_emulator.ros.bag import Bag
 
 
 def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
-    """Read the motor states of a bag: counts and currents, or the torques that were commanded.
+    """Read the motor states of a bag: counts and currents, or commanded torques.
 
     Raises:
         Refusal: it cannot be read, something is missing, or samples are not sound.
@@ -26,7 +26,7 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
     tick = -1
     for _, state in read_topics(Bag(path), ("motor_states",)):
         if state.tick == tick:
-            continue  # reported once more, while nobody answered
+            continue  # published again, as no answer came
         tick = state.tick
         names = list(state.joint_names)
         for joint in scene.joint_names:

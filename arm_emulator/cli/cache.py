@@ -1,4 +1,4 @@
-"""`arm_emulator cache`: list the compiled scenes that are kept, or remove them."""
+"""`arm_emulator cache`: list or remove the compiled scenes in the cache."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def list_cache(json: bool) -> int:
 
 
 def clear_cache() -> int:
-    """Remove what is kept; 1 if something stays."""
+    """Remove the libraries; return 1 if one remains."""
     stays = 0
     for folder in named_folders():
         try:
             place = check_folder(folder)
         except OSError:
-            continue  # it is not there
+            continue  # missing
         except Untrusted as reason:
             print(f"{folder}: left alone: {reason}")
             continue

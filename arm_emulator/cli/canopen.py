@@ -27,8 +27,8 @@ def load_segment(scene_name: str, first: int = 1, *, lockstep: bool = True) -> S
     """Return the nodes of a scene, its drives with the gains that belong to it.
 
     Raises:
-        Refusal: a file that is missing or not taken, gains that do not fit, or node-IDs that are
-            not there.
+        Refusal: a file is missing or refused, the gains do not fit, or node-IDs are out of
+            range.
     """
     file = find_scene(scene_name)
     scene, servo = load_scene(file), load_gains(file).servo
@@ -41,10 +41,10 @@ def load_segment(scene_name: str, first: int = 1, *, lockstep: bool = True) -> S
 def opened(
     listen: str, bus: str | None, channel: str | None, bitrate: int | None
 ) -> Iterator[tuple[Bus, str]]:
-    """Open the bus that was asked for, for a block; give it with what to call it.
+    """Open the requested bus for a block; yield it with its description.
 
     Raises:
-        Refusal: no such bus, or it does not open.
+        Refusal: the bus is unknown, or does not open.
     """
     if bus is not None:
         with can_bus(bus, channel or "", bitrate) as one:

@@ -1,11 +1,10 @@
 """`arm_emulator check-bag`: drive the machine again under a bag's commands and compare all bits.
 
-A run depends on nothing but the commands of each servo period, and every motor state reports those
-of the period before it. So the machine, driven by these, must come to the recorded states; and
-in lock-step they must be those of the recorded commands. Changes by hand are repeated: a reset or a
-switch of the power is computed, and a machine that was set or restored
-is put where its event has it. A run is what lies between two resets; it is checked if the bag has
-it from tick 0 on.
+A run depends only on the commands of each servo period, and every motor state reports those of the
+previous period. The machine, driven by these, must therefore reach the recorded states; and in
+lock-step they must equal the recorded commands. Changes by hand are repeated: a reset or a switch
+of the power is computed, and a machine that was set or restored takes the state of its event.
+A run lies between two resets; it is checked if the bag contains it from tick 0 on.
 """
 
 from __future__ import annotations
@@ -63,23 +62,23 @@ KINDS = {
 
 
 class Difference(Exception):
-    """The first bit that is not as recorded."""
+    """The first bit that differs from the record."""
 
 
 def check(path: Path, scene_name: str | None, strict: bool = False, *, json: bool = False) -> int:
-    """Compare, and print what was compared, what was not, and the outcome.
+    """Compare, and print the compared and omitted messages and the outcome.
 
-    The exit code is 0 if all is equal; 1 at a difference, and where states behind the beginning of
-    a run could not be compared; with `strict` also where anything else could not.
+    The exit code is 0 if all is equal; 1 at a difference, or if states after the start of a run
+    could not be compared; with `strict` also if any other message could not.
 
     Args:
         path: the bag.
         scene_name: scene file or name; None: the one that the bag names.
-        strict: let nothing be left out.
-        json: print one JSON object in the place of lines.
+        strict: permit no omission.
+        json: print one JSON object instead of lines.
 
     Raises:
-        Refusal: a bad bag, one of which nothing can be checked, or no scene.
+        Refusal: the bag is damaged or contains nothing to check, or there is no scene.
     """
     bag = Bag(path)
     topics = _topics(bag)
@@ -135,28 +134,28 @@ def check(path: Path, scene_name: str | None, strict: bool = False, *, json: boo
 
 
 class _Checker:
-    """Takes the messages of a bag in the order of publication, and does what the machine did."""
+    """Takes the messages of a bag in the order of publication, and repeats the actions."""
 
     def __init__(self, session: Session, bag: Bag, lockstep: bool) -> None:
         self.tally = Tally()
         self._session = session
         self._where = str(bag.path)
         self._lockstep = lockstep
-        # A recorder that takes up all topics knows of all changes by hand.
+        # A recorder of all topics has recorded all changes by hand.
         self._reports_changes = any(name.endswith("/emulator/events") for name in bag.topics)
         self._reports_commands = any(name.endswith("/motor_commands") for name in bag.topics)
-        self._machine = 0  # whose states the run has
-        self._inside = False  # a run that began at tick 0
-        self._further = rows_of(session.scene)[FURTHER]  # what motors got of further inputs
+        self._machine = 0  # the emulator whose states form the run
+        self._inside = False  # within a run that began at tick 0
+        self._further = rows_of(session.scene)[FURTHER]  # applied further inputs of motors
         self._measured = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
         self._reported = Plant(session.scene)  # machines as events report them
         self._event = (0, 0)  # emulator and number of the newest one
-        self._waiting: list[MachineEvent] = []  # at tick 0 of a run whose first state is to come
+        self._waiting: list[MachineEvent] = []  # at tick 0, before the run's first state
         self._begin()
 
     @property
     def fields(self) -> dict[str, str]:
-        """What of each message is compared."""
+        """Compared fields of each message."""
         fields = self._measured
         own = (one.name for one in fields.own)
         names = "stamp", "tick", *fields.in_all, *own, *fields.listed
@@ -176,7 +175,7 @@ class _Checker:
         }[name](message)
 
     def _begin(self) -> None:
-        """Forget the run before."""
+        """Clear the previous run."""
         self._session.reset()
         self._led = False  # by commands: some command was not 0
         self._commands: dict[int, list[NDArray[np.float64]]] = {}  # by the tick that they answer
@@ -199,7 +198,7 @@ class _Checker:
         self._commands.setdefault(tick, []).append(rows)
 
     def _lead_past_a_lost_state(self, tick: int) -> None:
-        """Go on to a tick whose state the bag misses, if the command before it is there."""
+        """Advance to a tick whose state is missing in the bag, if the command before it exists."""
         session = self._session
         known = self._commands.get(session.tick)
         if tick == session.tick + 1 and known and self._lockstep:
@@ -230,7 +229,7 @@ class _Checker:
         self._change(event)
 
     def _change(self, event: MachineEvent) -> None:
-        """Change the machine as it was changed by hand."""
+        """Repeat a change by hand."""
         session = self._session
         what = KINDS.get(event.kind, f"kind {event.kind}")
         place = (
@@ -321,7 +320,7 @@ class _Checker:
             self._compare_imus(state)
 
     def _end_run(self, state: MotorState) -> None:
-        """Take a tick that goes back: without a reset only another machine's may."""
+        """Take a tick that goes back: without a reset it must be of another machine."""
         self._inside = False
         if self._reports_changes and state.machine == self._machine:
             raise Difference(
@@ -357,7 +356,7 @@ class _Checker:
             self._same_bits(name, recorded, computed, owners)
 
     def _applied(self, state: MotorState, order: list[int]) -> NDArray[np.float64]:
-        """Return the commands of the period before this state; they must be as commanded."""
+        """Return the commands of the period before this state, compared with the recorded ones."""
         session = self._session
         session.powered = bool(state.powered)  # of the period before: switched between ticks
         self._has_values("applied", order, len(state.applied))
@@ -383,7 +382,7 @@ class _Checker:
         return applied
 
     def _got(self, state: MotorState, order: list[int]) -> NDArray[np.float64]:
-        """Return what the motors got of commands and further inputs (1 + I, N)."""
+        """Return the values applied to the motors for commands and further inputs (1 + I, N)."""
         rows, listed = [np.array(state.applied)[order]], list(state.reading_names)
         N = len(order)
         for name in self._further:
@@ -394,9 +393,9 @@ class _Checker:
         return np.array(rows)
 
     def _could_be(self, applied: NDArray[np.float64], commanded: NDArray[np.float64]) -> bool:
-        """Return whether motors could get that of inputs (1 + I, N).
+        """Return whether the values can be the applied ones of inputs (1 + I, N).
 
-        One that has several inputs has a limit for all of them together: it may get less of each.
+        A motor with several inputs limits all of them together: each may be reduced.
         """
         scene = self._session.scene
         U = scene.largest_commands
@@ -438,7 +437,7 @@ class _Checker:
             )
 
     def _order(self, names: list[str]) -> list[int]:
-        """Return where the message has each joint of the scene."""
+        """Return the position in the message of each joint of the scene."""
         return [list(names).index(name) for name in self._session.scene.joint_names]
 
     def _has_values(self, quantity: str, order: list[int], given: int) -> None:
@@ -553,7 +552,7 @@ def _scene_of(bag: Bag, topics: dict[str, str]) -> str:
 
 
 def _not_known(bag: Bag) -> Iterator[str]:
-    """Yield what the bag does not has."""
+    """Yield the messages that the bag lacks."""
     if not bag.complete:
         yield "messages after the bag's end: its recorder did not close it"
     for name, what in (

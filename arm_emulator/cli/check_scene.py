@@ -1,4 +1,4 @@
-"""`arm_emulator check-scene`: whether a scene is valid, and what lies beside it."""
+"""`arm_emulator check-scene`: check a scene and the files beside it."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from arm_emulator.servo.servo_config import ServoConfig
 
 
 def check_scenes(names: Sequence[str], *, modes: bool, json: bool) -> int:
-    """Print what is there of each scene, and, if asked, its loops.
+    """Print each scene with its files, and, if requested, its loops.
 
     Raises:
-        Refusal: a scene or what lies beside it is not valid, or a joint has no loops.
+        Refusal: a scene or a file beside it is invalid, or a joint has no loops.
     """
     output, facts = Output(json), []
     for name in names:
@@ -46,7 +46,7 @@ def check_scenes(names: Sequence[str], *, modes: bool, json: bool) -> int:
 
 @dataclass(frozen=True)
 class Checked:
-    """A scene that is valid, and what lies beside it.
+    """A valid scene, and the files beside it.
 
     Attributes:
         scene: its file's name.
@@ -54,7 +54,7 @@ class Checked:
         assumed: links whose bodies are assumed.
         servo: the file of the servo's parameters, if there is one.
         motion: that of the motion controller's.
-        missing: what is not there, in words.
+        missing: missing files, as text.
     """
 
     scene: str
@@ -66,7 +66,7 @@ class Checked:
 
     @property
     def line(self) -> str:
-        """The same for people."""
+        """The same as text."""
         line = f"{self.scene}: valid, {len(self.joints)} joints: {', '.join(self.joints)}"
         if self.assumed:
             line += f"; bodies assumed: {', '.join(self.assumed)}"
@@ -77,10 +77,10 @@ class Checked:
 
 
 def check_scene(name: str) -> Checked:
-    """Return what is there; gains that are there are held against the scene.
+    """Return the files of a scene; compare its gains with it.
 
     Raises:
-        Refusal: the scene or what lies beside it is not valid, or they do not fit together.
+        Refusal: the scene or a file beside it is invalid, or they do not fit together.
     """
     file = find_scene(name)
     scene = load_scene(file)
@@ -111,7 +111,7 @@ def check_scene(name: str) -> Checked:
 
 
 def _with_loops(name: str) -> tuple[Scene, ServoConfig]:
-    """Return a scene and its servo, all joints of which have loops.
+    """Return a scene and its servo if all joints have loops.
 
     Raises:
         Refusal: the scene or its servo's gains are not valid, do not fit together, or a joint has

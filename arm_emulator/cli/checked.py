@@ -1,4 +1,4 @@
-"""What `arm_emulator check-bag` has compared, and what it has not."""
+"""Results of `arm_emulator check-bag`: compared and omitted messages."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from dataclasses import dataclass
 
 @dataclass
 class Tally:
-    """What was compared, and what could not be.
+    """Counts of compared and omitted messages.
 
     Attributes:
         runs: from tick 0 on.
-        periods: servo periods that were computed.
+        periods: servo periods computed.
         states: motor states.
         truths: messages on `emulator/joint_states`.
         commands: ticks whose commands are those of a recorded command.
         changes: by hand, within runs.
-        refused: commands that no machine would have taken.
+        refused: commands that every machine refuses.
         lost: motor states missing in the bag; the run was continued with commands.
         free: ticks at 0 V before the first command of a run.
         before: motor states before the first run's tick 0.
-        after: motor states behind it that belong to no run: their tick goes back, or the first ones
-            are not in the bag.
-        first_after: where the first of these is.
+        after: motor states after it that belong to no run: their tick goes back, or the first ones
+            are missing in the bag.
+        first_after: position of the first of these.
         stray_truths: true joint states of no tick that the bag has.
-        uncommanded: ticks in lock-step whose commands no recorded one gives.
-        held: commands in real time, where any may be held.
+        uncommanded: ticks in lock-step without a recorded command.
+        held: commands in real time, where the command held is not known.
     """
 
     runs: int = 0
@@ -54,7 +54,7 @@ class Tally:
 
     @property
     def compared(self) -> str:
-        """What was compared, in words."""
+        """Compared messages, as text."""
         parts = [
             f"{self.runs} run{'s' if self.runs > 1 else ''}",
             f"{self.states} motor states",
@@ -72,7 +72,7 @@ class Tally:
 
     @property
     def left_out(self) -> list[str]:
-        """What was not compared, a sentence each."""
+        """Omitted messages, a sentence each."""
         what = {
             f"motor states that belong to no run, from {self.first_after} on": self.after,
             "motor states of a run that began before the recording": self.before,

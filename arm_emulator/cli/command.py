@@ -17,7 +17,7 @@ class Command(NamedTuple):
 
     Attributes:
         name: on the command line.
-        function: does it; its parameters are the arguments, what it returns is the exit code.
+        function: implementation; its parameters are the arguments, its result the exit code.
         until_stopped: Ctrl-C is its usual end, with exit code 0.
         of_ros: it needs ROS 2.
     """
@@ -32,7 +32,7 @@ _registered: dict[str, Command] = {}
 
 
 def command(*, until_stopped: bool = False, of_ros: bool = False) -> Callable[[Function], Function]:
-    """Register a function as the command that its module is named after."""
+    """Register a function as the command named after its module."""
 
     def register(function: Function) -> Function:
         name = function.__module__.rpartition(".")[2].replace("_", "-")
@@ -55,7 +55,7 @@ def summary_of(name: str) -> str:
 
 
 def load_command(name: str) -> Command | None:
-    """Import a command, and nothing else; None: there is no such command."""
+    """Import a command, and nothing else; None: the command does not exist."""
     if name not in command_names():
         return None
     importlib.import_module(f"arm_emulator.cli.commands.{name.replace('-', '_')}")
@@ -63,6 +63,6 @@ def load_command(name: str) -> Command | None:
 
 
 def near_names(name: str, known: list[str]) -> str:
-    """Return `; did you mean ...?`, or nothing where no known name is near."""
+    """Return `; did you mean ...?`, or "" if no known name is near."""
     near = difflib.get_close_matches(name, known, n=3)
     return f"; did you mean {' or '.join(near)}?" if near else ""

@@ -1,4 +1,4 @@
-"""The command line: which command is meant, how it ends, what is printed where it cannot run."""
+"""The command line: choice of the command, its end, messages if it cannot run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROS_REMEDY = (
 
 
 def main() -> None:
-    """Run one command; exit code 2 and one line for input that is not taken."""
+    """Run one command; exit code 2 and one line for refused input."""
     words = sys.argv[1:]
     try:
         one = load_command(words[0]) if words else None
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def _printed(work: Callable[[], int]) -> int:
-    """Do work and return its exit code; end as by SIGPIPE where the reader of our output has."""
+    """Do work and return its exit code; end as by SIGPIPE if the reader of our output has."""
     try:
         code = work()
         sys.stdout.flush()
@@ -55,7 +55,7 @@ def _printed(work: Callable[[], int]) -> int:
     except BrokenPipeError:
         if not _reader_is_gone():
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what is still to be flushed
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for output not flushed yet
         return exit_code(signal.SIGPIPE, None)
 
 
@@ -85,14 +85,14 @@ def _run(one: Command, words: Sequence[str]) -> int:
 
 
 def _reader_is_gone() -> bool:
-    """Return whether who read our output, such as `head`, has ended."""
+    """Return whether the reader of our output, such as `head`, has ended."""
     poll = select.poll()
     poll.register(1, 0)
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def _refused(where: str, missing: ModuleNotFoundError) -> int:
-    """Print which package is missing, and what to do."""
+    """Print which package is missing, and the remedy."""
     top = (missing.name or "").partition(".")[0]
     if not top or top == "arm_emulator":
         raise missing

@@ -48,8 +48,8 @@ from arm_emulator_msgs.msg import EmulatorStatus
 
 Array = NDArray[np.float64]
 
-LATELY = 20  # the last of so many parts of the instructions, and of a prediction's radius
-PATIENCE = 120.0  # s, wall: for what the nodes do within a second or two on an idle machine
+LATELY = 20  # 1 / the final share of the instructions, and of a prediction's radius
+PATIENCE = 120.0  # s, wall: on an idle machine the nodes need a second or two
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def demo(scene_name: str, clock: str, out: Path) -> int:
 def _predict(
     scene: Scene, gains: Gains, plan: DemoPlan, console: Console
 ) -> PredictedRest | Refusal:
-    """Return, and print, where the tool will rest, or why nobody knows."""
+    """Return, and print, the predicted rest of the tool, or the reason for its absence."""
     try:
         predicted = predicted_rest(scene, gains, plan)
     except Refusal as reason:
@@ -209,7 +209,7 @@ class _Observer(Node):
                 raise Refusal("demo", what, f"take less than {patience:g} s", "more", see)
 
     def send_target(self, from_ns: int) -> None:
-        """Send the target, again until it is taken: a node not yet discovered does not get it."""
+        """Send the target, repeatedly until accepted: an undiscovered node does not receive it."""
         message = PoseStamped()
         message.header.stamp = stamp(from_ns)
         pose = message.pose
@@ -228,7 +228,7 @@ class _Observer(Node):
         return self._pause.service_is_ready()
 
     def go(self) -> None:
-        """Let time go on, and ask again until it does."""
+        """Let time continue, and request it again until it does."""
 
         def ask() -> None:
             if not self.q:
@@ -244,7 +244,7 @@ class _Observer(Node):
     def rotation(self, k: int) -> float:
         """Angle between the tool and its target before instruction k [rad]."""
         R = self._kinematics.forward(self.q[k])[0].T @ self._target.R_WT
-        # Of the skew part, since the arc cosine of the trace is coarse near 0.
+        # From the skew part, since the arc cosine of the trace is inaccurate near 0.
         skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
         return float(np.arctan2(np.linalg.norm(skew), np.trace(R) - 1.0))
 
@@ -267,7 +267,7 @@ class _Observer(Node):
 
 
 def verdict(predicted: PredictedRest, deviations: Array) -> str:
-    """Return in words how the tool came to rest, by its deviations before each instruction."""
+    """Return as text how the tool came to rest, from its deviations before each instruction."""
     residual = deviations[-1]
     if predicted.contains(residual):
         if predicted.arrival is Arrival.UNREACHABLE:

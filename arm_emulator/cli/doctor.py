@@ -1,4 +1,4 @@
-"""`arm_emulator doctor`: what this machine has of what the emulator needs."""
+"""`arm_emulator doctor`: check this machine for the emulator's needs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from arm_emulator.version import VERSION
 
 LEAST_DISK = 1.0  # GB: libraries, a recording
 NODES = ("emulator_node.node", "servo_node.node", "motion_controller_node.node")
-# Module, its package, and which commands need it.
+# Module, its package, and the commands that need it.
 EXTRAS = (
     ("rerun", "rerun-sdk", "`--rerun`, `demo`"),
     ("can", "python-can", "`canopen`"),
@@ -34,10 +34,10 @@ class Finding(NamedTuple):
     """A line of the report.
 
     Attributes:
-        name: what was looked at.
+        name: item checked.
         level: ok, note (only some commands need it) or problem.
-        text: what was found.
-        remedy: what to do, empty where nothing is to be done.
+        text: finding.
+        remedy: remedy, empty if none is needed.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Finding(NamedTuple):
 
 
 def doctor(*, json: bool) -> int:
-    """Print a line for each finding; 1 where one is a problem."""
+    """Print a line for each finding; 1 if one is a problem."""
     output = Output(json)
     found = list(findings())
     for one in found:
@@ -58,7 +58,7 @@ def doctor(*, json: bool) -> int:
 
 
 def findings() -> Iterator[Finding]:
-    """Yield what is found, from the ground up."""
+    """Yield the findings, from compiler to packages."""
     of_python = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     yield Finding("version", "ok", f"arm_emulator {VERSION}, {of_python}")
     for look in (_compiler, _cache, _disk, _ros, _domain, _processes, _shared_memory, _priority):

@@ -29,14 +29,14 @@ def serve(scene_name: str, interface: str, lockstep: bool, kept: Kept = NOTHING)
         scene_name: scene file or name.
         interface: network interface.
         lockstep: a servo period per frame of process data; else by the clock.
-        kept: what is recorded and shown.
+        kept: record and viewer.
 
     Raises:
         Refusal: the scene, its gains or the interface are not taken.
     """
     scene, segment = _segment(scene_name, lockstep)
     descriptor = segment.open(interface)
-    # Masters give a frame some milliseconds, which a busy host may take before it wakes us.
+    # Masters wait some milliseconds for a frame, which a busy host may exceed before it wakes us.
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
     clock = "lockstep" if lockstep else "realtime"

@@ -46,7 +46,7 @@ def run(
     """Run for some logical time, and print the outcome; 1 if the firmware or the machine fails.
 
     Raises:
-        Refusal: a file that is missing or not taken, or what this command needs is not installed.
+        Refusal: a file is missing or refused, or a package is not installed.
     """
     scene = load_scene(find_scene(scene_name))
     warn_of_scene(scene)
@@ -101,7 +101,7 @@ def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:
 
 @contextlib.contextmanager
 def _lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tuple[int, int]]]:
-    """Give file descriptors to write to and read from for serial lines, by their names."""
+    """Yield file descriptors to write to and read from for serial lines, by their names."""
     names = [uart.name for uart in board.uarts]
     wanted = {name: "stdout" if place == 0 else "none" for place, name in enumerate(names)}
     for text in reported:

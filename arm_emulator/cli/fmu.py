@@ -18,18 +18,18 @@ def write_fmu(
     version: str,
     windows: bool = False,
 ) -> int:
-    """Write the unit, and state what it is.
+    """Write the unit, and print its properties.
 
     Args:
         scene_name: scene file or name.
         out: the file.
-        varied: names of numbers that become parameters, in place of those of the scene.
-        target: which processors its binary is for; None: most.
+        varied: names of numbers that become parameters, instead of those of the scene.
+        target: processors of its binary; None: most.
         version: of FMI.
-        windows: with a binary for Windows, too.
+        windows: add a binary for Windows.
 
     Raises:
-        Refusal: a scene, a name, a target or a file that is not taken.
+        Refusal: a scene, name, target or file is refused.
     """
     overrides: dict[str, Any] = {} if varied is None else {"varied": varied}
     scene = load_scene(scene_name, overrides)

@@ -30,7 +30,7 @@ from arm_emulator.machine.scene import Scene, load_scene
 
 DELAYED = ("tau", "q_link")
 LONGEST_DELAY = 0.1  # s
-FAR = 3.0  # deviations known before, beyond which a number is doubted
+FAR = 3.0  # prior deviations, beyond which a number is doubted
 
 
 def identify(
@@ -52,22 +52,22 @@ def identify(
     """Find numbers of a scene, print them with their confidence, and write the fitted scene.
 
     Args:
-        scene_name: the machine as it is known; its numbers count as good to the share `trust`.
+        scene_name: the nominal machine; its numbers have the relative accuracy `trust`.
         data: the record, see `read_run`.
-        fit: patterns of what to find.
-        hold: patterns of what to keep as it is.
+        fit: patterns of numbers to identify.
+        hold: patterns of numbers to keep.
         out: the scene to write.
         angles: unit of the record's angles.
         side: of the gear on which motor angles are reported.
-        delays: ``tau=0.002``: by how much signals come late [s].
-        low_pass: what is faster is not looked at [Hz].
+        delays: ``tau=0.002``: delays of signals [s].
+        low_pass: cut-off frequency [Hz].
         trust: see above.
-        as_is: take the record as it is, whatever it looks like.
-        simulate: go on with free runs of the emulator, see `fit_free_runs`.
-        json: whether a program reads what is printed.
+        as_is: skip the check for slips.
+        simulate: second stage with free runs of the emulator, see `fit_free_runs`.
+        json: whether to print JSON.
 
     Raises:
-        Refusal: the record cannot be of this machine, or too little is in it.
+        Refusal: the record cannot be of this machine, or contains too little.
     """
     if not 0.0 < trust <= 10.0:
         raise Refusal("identify", "--trust", "be > 0 and <= 10", trust)
@@ -80,7 +80,7 @@ def identify(
     output = Output(json)
     console = output.console(110)
     columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
-    progress = Console(stderr=True)  # shown to people only, and gone when it ends
+    progress = Console(stderr=True)  # not for JSON, and erased at the end
     with Progress(
         *columns, console=progress, transient=True, disable=not progress.is_terminal
     ) as bar:
@@ -112,7 +112,7 @@ def identify(
         numbers = numbers_found(scene, found)
         doubts += _doubts(scene, found, numbers)
         _write(out, file, scene, found, numbers, doubts, data.name)
-        # Gears give way to the load that the fitted links are.
+        # Gears wind up under the load of the fitted links.
         wanted = [one for one in gears if matches(one, fit)]
         numbers += _stiffness(load_scene(out), run, wanted, hold)
         console.print(_heading(run, late, low_pass, motion.t, found))
@@ -205,7 +205,7 @@ def _table(numbers: Sequence[Found]) -> Table:
 
 
 def _doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
-    """Return what speaks against the numbers found, in words."""
+    """Return objections to the numbers found, as text."""
     names, doubts = scene.joint_names, list[str]()
     for of, body in zip(scene.chain.links, scene.bare, strict=True):
         if not inertia.is_body(body):

@@ -33,7 +33,7 @@ def modbus(
     """Serve masters until Ctrl-C.
 
     Raises:
-        Refusal: what is asked for does not exist, or the scene is not taken.
+        Refusal: an option or the scene is refused.
     """
     if clock not in CLOCKS:
         raise Refusal("modbus", "clock", "be known", clock, ", ".join(CLOCKS))
@@ -68,7 +68,7 @@ def print_registers(scene_name: str) -> int:
     """Print the table of registers of a scene.
 
     Raises:
-        Refusal: the scene is not taken.
+        Refusal: the scene is refused.
     """
     for one in blocks(load_scene(scene_name)):
         last = one.address + one.count - 1

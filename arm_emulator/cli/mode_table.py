@@ -1,4 +1,4 @@
-"""Every loop of a scene's drives by its eigenvalues, as a table for people and pages."""
+"""Table of the eigenvalues of every loop of a scene's drives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEADS = (
     "growth, 1/s",
     "",
 )
-_NONE = 1e-3  # 1/s: of rounding, where something stands
+_NONE = 1e-3  # 1/s: rounding of an eigenvalue 0
 
 
 def mode_rows(scene: Scene, servo: ServoConfig) -> list[tuple[str, ...]]:

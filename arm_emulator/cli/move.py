@@ -1,4 +1,4 @@
-"""`arm_emulator move`: a target over ROS, and what becomes of it."""
+"""`arm_emulator move`: send a target over ROS, and print its states."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from arm_emulator.ros.node_shell import (
 )
 from arm_emulator_msgs.msg import MotionStatus
 
-PATIENCE = 5.0  # s, wall, with a network that is there
-AHEAD = NANOSECONDS // 4  # of logical time: the target is there before its stamp
+PATIENCE = 5.0  # s, wall, to discover a running network
+AHEAD = NANOSECONDS // 4  # of logical time: the target arrives before its stamp
 STATES = {
     MotionStatus.STATE_ACCEPTED: "accepted",
     MotionStatus.STATE_MOVING: "moving",
@@ -59,7 +59,7 @@ def move(
     """Send a target and print its states; 0 if it is reached, 1 if it ends otherwise.
 
     Raises:
-        Refusal: what is asked for is no target, or no network takes it.
+        Refusal: the target is invalid, or no network accepts it.
     """
     given = [name for name, one in (("--to", to), ("--by", by), ("--joints", joints)) if one]
     if len(given) != 1:
@@ -103,7 +103,7 @@ def _watch(
     ):
         raise _no_network(f"a motion controller take {publisher.topic_name}")
     now = nanoseconds_of(node.newest["joint_states"].header.stamp)
-    # By its stamp it is recognised among those of others.
+    # The stamp distinguishes it from the targets of others.
     ours = now + AHEAD + random.randrange(1, 1000)
     message.header.stamp = stamp(ours)
     publisher.publish(message)
@@ -159,7 +159,7 @@ def _angles(given: Sequence[str]) -> dict[str, float]:
 
 
 def _trajectory(now: JointState, angles: dict[str, float], seconds: float) -> JointTrajectory:
-    """Return a trajectory of one point: the joints given, and the others where they are."""
+    """Return a trajectory of one point: the given joints, and the others at their positions."""
     known = dict(zip(now.name, now.position, strict=True))
     for name in angles:
         if name not in known:
@@ -178,7 +178,7 @@ def _tool_target(
     by: Sequence[float] | None,
     quaternion: Sequence[float] | None,
 ) -> PoseStamped:
-    """Return the pose; what is not given is that of the tool as it is measured."""
+    """Return the pose; missing values are those of the measured tool."""
     message = PoseStamped()
     if to is None or quaternion is None:
         R_WT, p_WT = _tool_now(node)
@@ -194,7 +194,7 @@ def _tool_target(
 
 
 def _tool_now(node: NetworkGuest) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotation and position of the motion controller's tool, by the measured angles."""
+    """Return rotation and position of the motion controller's tool, from the measured angles."""
     asked = node.create_client(GetParameters, "motion_controller/get_parameters")
     answers: list[GetParameters.Response] = []
 

@@ -16,7 +16,7 @@ from arm_emulator.ros.ctrl_c import CtrlC
 
 
 class NetworkGuest(Node):
-    """Keeps the newest message of each topic that it listens to."""
+    """Keeps the newest message of each subscribed topic."""
 
     def __init__(self, name: str, namespace: str) -> None:
         super().__init__(
@@ -31,7 +31,7 @@ class NetworkGuest(Node):
         )
 
     def spin_until(self, condition: Callable[[], bool], patience: float) -> bool:
-        """Take messages until a condition holds; False: it does not within so many seconds."""
+        """Take messages until a condition holds; False: it did not within this time [s]."""
         deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() > deadline:
@@ -45,13 +45,13 @@ def guest(name: str, namespace: str) -> Iterator[NetworkGuest]:
     """Join the network for a block; Ctrl-C breaks it off.
 
     Raises:
-        Refusal: a namespace that is not valid.
+        Refusal: the namespace is invalid.
     """
     ctrl_c = CtrlC(None)
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     try:
         node = NetworkGuest(name, namespace)
-    except Exception as error:  # rclpy has an exception of its own for each rule of names
+    except Exception as error:  # rclpy has an exception for each rule of names
         rclpy.try_shutdown()
         reason = str(error).splitlines()[0]
         raise Refusal(name, "--namespace", "be a name of ROS", reason) from None

@@ -38,8 +38,8 @@ from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 SERVO_PERIOD = 1e-3  # s
 WEIGHT = 9.81  # N/kg
-MOST_DENSITY = 3e4  # kg/m3: beyond, no body is
-# A tool of which nothing is known: a part of the mass that moves, so far off an axis by the reach.
+MOST_DENSITY = 3e4  # kg/m3: denser than any material
+# A tool of unknown shape: a share of the moving mass, and its distance from an axis by the reach.
 TOOL_PART, TOOL_AT = 0.25, 0.1
 PLACES = ("{}.yaml", "servo/{}.yaml", "motion/{}.yaml", "demo/{}.yaml", "urdf/{}.urdf")
 HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
@@ -79,7 +79,7 @@ def new(
     motor: str = DcMotor.kind,
     force: bool,
 ) -> int:
-    """Write a scene for a robot, and report what was taken from it and what was guessed.
+    """Write a scene for a robot, and report the sources of its numbers.
 
     Raises:
         Refusal: see `write_new`.
@@ -118,10 +118,10 @@ def new(
 
 
 def scene_of_robot(robot: Path, out: Path) -> Path:
-    """Return the scene of a robot below `out`: one made of this very description, else a new one.
+    """Return the scene of a robot below `out`: one made from this description, or a new one.
 
-    Its folder is named after the robot, and the place and content of its description, so that
-    neither another robot's file of the same name nor an older state of this one is taken for it.
+    Its folder is named after the robot, and the path and content of its description, so that
+    another robot's file of the same name, or an older version, is not mistaken for it.
 
     Raises:
         Refusal: see `write_new`.
@@ -154,13 +154,13 @@ def write_new(
     Args:
         robot: URDF or xacro source.
         out: folder to write to; None: one with the robot's name, here.
-        tool: link that is the tool; None: chosen.
-        joints: that move; None: chosen.
+        tool: link of the tool; None: chosen.
+        joints: moving joints; None: chosen.
         arguments: of the xacro source.
-        payload: mass that the tool carries [kg].
-        density: of bodies that the description leaves out [kg/m3].
+        payload: mass at the tool [kg].
+        density: density of bodies without inertia in the description [kg/m3].
         motor: kind of all motors.
-        force: whether to write over files that are there.
+        force: whether to overwrite existing files.
 
     Raises:
         Refusal: a robot that cannot be emulated, or files that exist already or are shipped.
@@ -197,7 +197,7 @@ def write_new(
 
 
 def _assume(description: ET.Element, robot: Path, choice: Choice, density: float) -> list[Assumed]:
-    """Give what moves and has no body one, in the description; return which links."""
+    """Add a body in the description to each moving link without one; return these links."""
     if not 0.0 < density <= MOST_DENSITY:
         raise Refusal("new", "--density", f"be > 0 and at most {MOST_DENSITY:g} kg/m3", density)
     locked = {name: held.position for name, held in choice.held.items()}
@@ -232,7 +232,7 @@ def _name(robot: Path) -> str:
 
 
 def _links_alone(text: str, where: str, choice: Choice, payload: float = 0.0) -> Scene:
-    """Return the robot as a machine without motors; `where`: what to call it in refusals."""
+    """Return the robot as a machine without motors; `where`: its name in refusals."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / where).write_text(text, encoding="utf-8")
         scene = {
@@ -303,7 +303,7 @@ def _texts(
         "velocity_limit": max(drive.speed for drive in drives),
         "acceleration_limit": max(drive.acceleration for drive in drives),
     }
-    # The robot description is where the motion controller has the joints' limits from.
+    # The motion controller reads the joints' limits from the robot description.
     write_limits(description, {drive.joint.name: drive for drive in drives})
     move_meshes(description, robot.parent)
     given = Given(robot.name, choice, payload, assumed)
@@ -320,7 +320,7 @@ def _texts(
 
 
 def _servo_of(scene: Scene, drives: list[Sized]) -> ServoConfig:
-    """Return the servo of a scene with its data sheets; gains are still to be computed."""
+    """Return the servo of a scene with its data sheets, without gains."""
     return ServoConfig(
         period=SERVO_PERIOD,
         motion_period=MOTION_PERIOD,

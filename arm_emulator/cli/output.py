@@ -1,4 +1,4 @@
-"""What a command prints: lines for people, or one JSON object for programs."""
+"""Output of a command: lines as text, or one JSON object."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 class Output:
-    """Prints lines, or collects facts and prints them as JSON at the end.
+    """Prints lines, or collects values and prints them as JSON at the end.
 
-    For programs, whatever else this process prints, C code included, goes to stderr.
+    With JSON, all other output of this process, C code included, goes to stderr.
 
     Args:
-        as_json: one JSON object in the place of lines.
+        as_json: one JSON object instead of lines.
     """
 
     def __init__(self, as_json: bool) -> None:
@@ -36,12 +36,12 @@ class Output:
             os.dup2(2, 1)
 
     def line(self, text: str) -> None:
-        """Print a line for people."""
+        """Print a line, unless as JSON."""
         if not self.as_json:
             print(text, flush=True)
 
     def console(self, least_width: int | None = None) -> Console:
-        """Return where tables for people go."""
+        """Return the console for tables."""
         from rich.console import Console
 
         width = None if least_width is None else max(least_width, Console().width)
@@ -50,7 +50,7 @@ class Output:
         )
 
     def facts(self, facts: Mapping[str, object]) -> None:
-        """Print the same for programs, once."""
+        """Print the values as JSON, once."""
         if not self.as_json:
             return
         if self._stdout >= 0:
@@ -62,7 +62,7 @@ class Output:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: no NumPy, and null for what is no finite number."""
+    """Return a value as JSON: without NumPy, and null for numbers that are not finite."""
     if isinstance(value, Mapping):
         return {str(key): plain(one) for key, one in value.items()}
     if dataclasses.is_dataclass(value):

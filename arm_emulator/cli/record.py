@@ -1,4 +1,4 @@
-"""`arm_emulator record`: write all topics of the network, or some, into a bag."""
+"""`arm_emulator record`: write all topics of the network, or selected ones, into a bag."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from arm_emulator.ros.recorder_presence import STATES, RecorderPresence
 from arm_emulator.ros.shared_memory import clear_left_over
 from arm_emulator_msgs.msg import MotorState
 
-LOOK_PERIOD = 0.1  # s, wall: how often new topics are looked for
-FLUSH_PERIOD = 0.5  # s, wall: what a crash loses at most
-ENDING = 5.0  # s, wall: time that the middleware has to end
-REPORT_PERIOD = 0.05  # s, wall: how often progress is reported to the emulators
+LOOK_PERIOD = 0.1  # s, wall: interval of the search for new topics
+FLUSH_PERIOD = 0.5  # s, wall: largest loss in a crash
+ENDING = 5.0  # s, wall: time for the middleware to end
+REPORT_PERIOD = 0.05  # s, wall: interval of reports to the emulators
 DEPTH = 10_000  # messages: some seconds of every topic, should the disk be busy
 
 
@@ -46,7 +46,7 @@ def record(
     Args:
         out: folder of the new bag.
         topics: names, with or without the leading ``/``; None: all.
-        from_start: reset a machine that runs already, so that the bag has the run from tick 0 on.
+        from_start: reset a running machine, so that the bag has the run from tick 0 on.
         presence: announces this recorder to emulators on this machine.
 
     Raises:
@@ -54,7 +54,7 @@ def record(
     """
     reported = threading.Event()  # to end
     # Not rclpy's handlers: they end publishing, and emulators wait for a recorder until it reports
-    # that it ends. A signal interrupts nothing here: it is noticed between two messages.
+    # its end. A signal interrupts nothing here: it is noticed between two messages.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: reported.set())
     node: _Recorder | None = None
@@ -90,7 +90,7 @@ def record(
 
 
 class _Recorder(Node):
-    """Subscribes to topics as they appear and writes what comes, unread."""
+    """Subscribes to topics as they appear and writes their messages as raw bytes."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class _Recorder(Node):
 
     @property
     def lost(self) -> str:
-        """What is missing, in words; empty if nothing is."""
+        """Missing messages, as text; empty if complete."""
         missing = {run.topic: f"{run.missing} ticks" for run in self._runs if run.missing}
         for name, numbered in self._numbered.items():
             if numbered.lost and name not in missing:
@@ -200,7 +200,7 @@ def _both(first: Callable[..., None], then: Callable[..., None]) -> Callable[...
 
 
 def request(offered: Collection[QoSProfile]) -> QoSProfile:
-    """Return the most that every publisher offers."""
+    """Return the strongest QoS that every publisher offers."""
     reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offered)
     latched = all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offered)
     return QoSProfile(

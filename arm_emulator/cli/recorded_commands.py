@@ -1,4 +1,4 @@
-"""Commands of a motion that was recorded, or that a table gives."""
+"""Commands of a recorded motion, or of a table."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def read_commands(path: Path, scene: Scene) -> Array:
     Args:
         path: a bag's folder, whose `motor_states` are read, or a table with `t` and the joints'
             names, whose rows hold until the next one, in the units of the joints' commands.
-        scene: the machine that they are meant for.
+        scene: the machine.
 
     Raises:
-        Refusal: no such file, other joints, another servo period, or ticks that are missing.
+        Refusal: the file is missing, joints or servo period differ, or ticks are missing.
     """
     return _from_bag(path, scene) if path.is_dir() else _from_table(path, scene)
 
@@ -41,8 +41,8 @@ def _from_table(path: Path, scene: Scene) -> Array:
 
 
 def _from_bag(path: Path, scene: Scene) -> Array:
-    """Return what motor states report as applied in the servo period before each of them."""
-    # They need ROS, which not everybody here has.
+    """Return the applied commands in motor states: those of the servo period before each."""
+    # They need ROS, which is optional here.
     from arm_emulator.cli.check_bag import read_topics
     from arm_emulator.ros.bag import Bag
 
@@ -50,7 +50,7 @@ def _from_bag(path: Path, scene: Scene) -> Array:
     rows, tick, gap = list[list[float]](), -1, ""  # of the newest run
     for _, state in read_topics(Bag(path), ("motor_states",)):
         if state.tick == tick:
-            continue  # published once more, while nobody answered
+            continue  # published again, as no answer came
         if state.tick == 0:
             rows, gap = [], ""
         elif state.tick != tick + 1:

@@ -1,4 +1,4 @@
-"""`arm_emulator replay`: publish what a bag holds again, at the recorded times."""
+"""`arm_emulator replay`: publish the messages of a bag again, at the recorded times."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def replay(path: Path, topics: Collection[str] | None, rate: float, wait: bool) 
         path: the bag.
         topics: names, with or without the leading ``/``; None: all.
         rate: recorded seconds per second.
-        wait: begin when every topic has a listener, not at once.
+        wait: wait for a subscriber of every topic.
 
     Raises:
         Refusal: a bad bag, topics that are not in it, message types that are not installed.
@@ -112,7 +112,7 @@ def _wait_for_listeners(publishers: dict[str, Publisher]) -> None:
 
 
 def _publish(bag: Bag, publishers: dict[str, Publisher], rate: float) -> int:
-    """Publish everything and return how many messages that was."""
+    """Publish everything and return the number of messages."""
     count, origin = 0, None
     begin = time.monotonic_ns()
     for message in bag.messages(publishers):

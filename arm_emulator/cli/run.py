@@ -47,9 +47,9 @@ def run(
     Args:
         scene_name: scene file or name.
         seconds: of logical time.
-        displacement: of the tool in the world (3,) [m]; None: the arm holds where it starts.
-        kept: what is recorded and shown.
-        json: whether a program reads what is printed.
+        displacement: of the tool in the world (3,) [m]; None: the arm holds its start.
+        kept: record and viewer.
+        json: whether to print JSON.
     """
     output = Output(json)
     one = load_offline_run(scene_name)
@@ -58,7 +58,7 @@ def run(
     warn_of_loops(scene, one.drives.servo.config)
     ticks = ticks_of(seconds, scene)
     R_WT, p_WT = kinematics.forward(scene.start)
-    # By way of the quaternion, as in a message: the rotation has the same rounding then.
+    # Through the quaternion, as in a message, for the same rounding.
     orientation = Pose(p_WT, R_WT).quaternion()
     target = Pose.from_quaternion(
         p_WT + np.array(displacement or (0.0, 0.0, 0.0)), orientation, "run: displacement"
@@ -139,7 +139,7 @@ def _report(
 
 @contextlib.contextmanager
 def ctrl_c_ends_at_once() -> Iterator[None]:
-    """Within, Ctrl-C needs no Python: control code that never returns ends, and gdb gets it."""
+    """In this block Ctrl-C needs no Python: hanging control code ends, and gdb gets it."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         yield
@@ -148,10 +148,10 @@ def ctrl_c_ends_at_once() -> Iterator[None]:
 
 
 def ticks_of(seconds: float, scene: Scene) -> int:
-    """Return how many servo periods a time is.
+    """Return a time as a number of servo periods.
 
     Raises:
-        Refusal: less than one, or more than logical time has.
+        Refusal: less than one, or beyond the range of logical time.
     """
     period, latest = scene.servo_period, END_OF_TIME / 1e9
     if not (math.isfinite(seconds) and round(seconds / period) >= 1):
@@ -180,11 +180,11 @@ def report(
     """Print the outcome of a run.
 
     Args:
-        output: where to.
+        output: destination.
         session: the machine.
-        ticks: servo periods that it has gone through.
-        wall: time that they took [s].
-        off: what the tool lacks to its target, in the world (3,) [m]; None: no target is known.
+        ticks: servo periods of the run.
+        wall: their wall time [s].
+        off: target minus tool, in the world (3,) [m]; None: no target.
     """
     scene, logical, energy = session.scene, session.logical_ns / 1e9, session.plant.energy
     output.line(f"scene {scene.name}: {logical:g} s of logical time in {wall:.2f} s")

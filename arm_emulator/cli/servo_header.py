@@ -1,4 +1,4 @@
-"""`arm_emulator servo-header`: what our servo in C knows of a scene's joints, as a C header."""
+"""`arm_emulator servo-header`: data of a scene's joints as a C header for our servo."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from arm_emulator.servo.watchdog import nanoseconds
 
 
 def write_header(scene_name: str, out: Path | None) -> int:
-    """Write the header of a scene, its joints base to tool; a file that is so already is left.
+    """Write the header of a scene, its joints base to tool; an identical file is left untouched.
 
     Raises:
         Refusal: a file that is missing, not taken or cannot be written, or gains that do not fit.
@@ -42,7 +42,7 @@ def servo_header(scene_name: str, joint_names: tuple[str, ...], config: ServoCon
     """Return the header: numbers for `servo_joint`, times, names, in an order of joints.
 
     Raises:
-        Refusal: numbers of a data sheet that cannot be computed with.
+        Refusal: numbers of a data sheet are out of range.
     """
     known = {joint.name: joint for joint in config.joints}
     joints = tuple(known[name] for name in joint_names)

@@ -1,4 +1,4 @@
-"""`arm_emulator status`: how a running network does."""
+"""`arm_emulator status`: the state of a running network."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from arm_emulator.ros.node_shell import DIAGNOSTICS_QOS, EVENT_QOS, STATE_SUB_QO
 from arm_emulator_msgs.msg import EmulatorStatus, MotionStatus
 
 NODES = ("emulator", "servo", "motion_controller")
-OTHERS_WITHIN = 0.3  # s, in which the statuses that were kept have all arrived
-TARGET_WITHIN = 1.0  # s, in which the newest status of a target arrives if there is one
+OTHERS_WITHIN = 0.3  # s, for the arrival of all kept statuses
+TARGET_WITHIN = 1.0  # s, for the arrival of the newest status of a target
 PHASES = {
     EmulatorStatus.PHASE_FREE_RUNNING: "free running",
     EmulatorStatus.PHASE_WAITING: "waiting",
@@ -26,10 +26,10 @@ PHASES = {
 
 
 def status(timeout: float, namespace: str, *, json: bool) -> int:
-    """Print clock, joints, health and newest target; 1 where a node is missing or not healthy.
+    """Print clock, joints, health and newest target; 1 if a node is missing or not healthy.
 
     Raises:
-        Refusal: a namespace that is not valid.
+        Refusal: the namespace is invalid.
     """
     output = Output(json)
     health: dict[str, DiagnosticStatus] = {}
@@ -45,8 +45,8 @@ def status(timeout: float, namespace: str, *, json: bool) -> int:
         node.listen("motion/status", MotionStatus, EVENT_QOS)
         wanted = {"emulator/status", "joint_states"}
         node.spin_until(lambda: wanted <= set(node.newest) and set(NODES) <= set(health), timeout)
-        # A network that has no target yet publishes none.
-        # Of one that has, those that it has kept arrive one after the other.
+        # A network without a target publishes no status.
+        # Of a network with targets, the kept statuses arrive one after the other.
         if node.spin_until(lambda: "motion/status" in node.newest, min(timeout, TARGET_WITHIN)):
             node.spin_until(lambda: False, OTHERS_WITHIN)
         newest = node.newest

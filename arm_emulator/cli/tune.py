@@ -1,4 +1,4 @@
-"""`arm_emulator tune`: gains computed for a scene, beside those that it has, and what they do."""
+"""`arm_emulator tune`: computed gains of a scene, compared with the present ones."""
 
 from __future__ import annotations
 
@@ -30,18 +30,17 @@ from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 def tune(
     scene_name: str, out: Path | None, payload: float | None, *, write: bool, json: bool = False
 ) -> int:
-    """Compute gains, show and draw what they and the present ones do, and write them if asked.
+    """Compute gains, compare them with the present ones, and write them if requested.
 
     Args:
         scene_name: scene file or name; its servo's parameters lie beside it.
         out: folder for a picture; None: none.
-        payload: mass at the tool in place of the scene's [kg].
+        payload: mass at the tool instead of the scene's [kg].
         write: whether to put the computed gains into the servo's file.
-        json: whether a program reads what is printed.
+        json: whether to print JSON.
 
     Raises:
-        Refusal: a file that is missing or not taken, a joint without a motor, or one that no gains
-            hold.
+        Refusal: a file is missing or refused, a joint has no motor, or no gains stabilise it.
     """
     output = Output(json)
     console = output.console()
@@ -62,7 +61,7 @@ def tune(
     _print(console, scene, inertias, pair)
     picture = None
     if out is not None:
-        from arm_emulator.design.tune_picture import draw  # matplotlib takes its time
+        from arm_emulator.design.tune_picture import draw  # slow import
 
         out.mkdir(parents=True, exist_ok=True)
         picture = out / f"tune_{scene.name}.png"
@@ -80,7 +79,7 @@ def tune(
 def _facts(
     scene: Scene, inertias: list[Range], pair: Mapping[str, Tuned]
 ) -> dict[str, dict[str, object]]:
-    """Return by joint what the tables show, in SI units."""
+    """Return the values of the tables by joint, in SI units."""
     facts: dict[str, dict[str, object]] = {
         name: {"inertia": inertia}
         for name, inertia in zip(scene.joint_names, inertias, strict=True)

@@ -26,10 +26,8 @@ def up(
 ) -> int:
     """Run the network and return the exit code; see `Bringup` for the arguments.
 
-    `record` is the folder of a new bag, written by the emulator.
-
-    It is that of the node that ended first (128 + the signal's number if a signal ended it), and 0
-    on Ctrl-C or SIGTERM.
+    `record` is the folder of a new bag, written by the emulator. The exit code is that of the node
+    that ended first (128 + the signal's number if a signal ended it), and 0 on Ctrl-C or SIGTERM.
     """
     streams: dict[str, object] = {"rerun_port": rerun_port}
     if rerun_file:
@@ -65,7 +63,7 @@ def up(
 
 
 def _check_loops(file: Path) -> None:
-    """Refuse or warn of servos that do not hold the machine."""
+    """Refuse servos that are unstable on the machine, or warn of them."""
     from arm_emulator.analysis.servo_loop import warn_of_loops
     from arm_emulator.machine.scene import load_scene
     from arm_emulator.runs.gains import check_fit, load_gains, warn_of_gravity
@@ -73,7 +71,7 @@ def _check_loops(file: Path) -> None:
     try:
         scene, gains = load_scene(file), load_gains(file)
     except Refusal:
-        return  # the node whose file it is reports
+        return  # the node that reads the file reports
     check_fit(scene, gains.servo, gains.motion)
     warn_of_loops(scene, gains.servo)
     warn_of_gravity(scene, gains.motion)

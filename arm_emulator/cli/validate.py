@@ -1,4 +1,4 @@
-"""`validate`: a machine that stands somewhere, computed again and compared."""
+"""`validate`: the emulation of a real machine compared with measurements."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ MACHINES = ("manutec_r3", "kuka_kr300")
 
 
 def validate(machine: str, runs: Sequence[Path], folder: Path, *, json: bool) -> int:
-    """Compare a machine with what others found; exit code 1 if it is not as close as it should be.
+    """Compare a machine with its reference; exit code 1 if a limit is exceeded.
 
     Args:
         machine: one of `MACHINES`.
-        runs: records to compare with, beside or in place of the shipped ones.
+        runs: further records for the comparison, or instead of the shipped ones.
         folder: of the pictures.
-        json: whether a program reads what is printed.
+        json: whether to print JSON.
 
     Raises:
-        Refusal: no such machine, or a record that cannot be of it.
+        Refusal: the machine is unknown, or a record cannot be of it.
     """
     if machine not in MACHINES:
         raise Refusal("validate", "machine", "be known", machine, ", ".join(MACHINES))

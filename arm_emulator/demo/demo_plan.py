@@ -22,7 +22,7 @@ _INSTRUCTIONS = Number("instructions", at_least=1, at_most=1_000_000, whole=True
 
 @dataclass(frozen=True)
 class DemoPlan:
-    """A displacement of the tool, when it begins, and for how long it is watched."""
+    """A displacement of the tool, its start, and the time of observation."""
 
     displacement: NDArray[np.float64]  # m (3,), of the tool in the world
     settle_ns: int  # logical time before the target holds, a multiple of the motion period
@@ -33,7 +33,7 @@ class DemoPlan:
         """Read the plan that belongs to a scene file, for a motion period.
 
         Raises:
-            Refusal: no plan, or a value that is not taken.
+            Refusal: the plan is missing, or a value is refused.
         """
         file = find_beside(scene, "demo")
         section = Section(read_yaml(file), file.name)

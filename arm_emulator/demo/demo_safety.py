@@ -12,12 +12,12 @@ from arm_emulator.machine.parts.end_stops import EndStops
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene
 
-HOLD = 1.0  # s, for which the arm is left alone without power
-RUN_UP = 5.0  # s, within which a joint reaches its stop at full command
+HOLD = 1.0  # s, without power
+RUN_UP = 5.0  # s, for a joint to reach its stop at full command
 
 
 def report_safety(scene: Scene, q: Array) -> Iterator[str]:
-    """Yield a line on the power cut at positions q (N,), and one on a stop, where there are any."""
+    """Yield a line on the power cut at positions q (N,), and one on a stop, if there are any."""
     if any(joint.brake for joint in scene.joints):
         yield _power_cut(scene, q)
     for j, joint in enumerate(scene.joints):
@@ -33,7 +33,7 @@ def _power_cut(scene: Scene, q: Array) -> str:
     plant.reset(q)
     plant.powered = False
     plant.advance(zero, steps)
-    # Now it is known how far the gears wind up here: as of an arm that has stood still for a while.
+    # Restart with the gears wound up as they are after some time at rest here.
     wind_up = scene.wind_up(plant.state.gear_torque)
     ratio = scene.gear_ratios
     plant.powered = True

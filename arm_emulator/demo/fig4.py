@@ -31,7 +31,7 @@ def draw_fig4(
 
     Args:
         deviations: target minus tool before each instruction, (K, 3) [m]; row 0 is the start.
-        bound: predicted residual, (3,) [m]: +- what encoders and gears leave.
+        bound: predicted residual, (3,) [m]: +- the errors of encoders and gears.
         path: file to write; its suffix chooses the format.
         title: shown above.
 
@@ -87,7 +87,7 @@ def _draw_magnitude(axes: Axes, d: NDArray[np.float64], limit: NDArray[np.float6
     from matplotlib.ticker import MaxNLocator
 
     axes.set_yscale("log")
-    # Values far below the prediction, or below a nanometre, must not stretch the scale.
+    # Values far below the prediction, or below 1 nm, must not stretch the scale.
     nothing = max(1e-3 * limit.max(), 1e-6)
     magnitude = np.where(np.abs(d) < nothing, np.nan, np.abs(d))
     for colour, marker, values, most in zip(COLOURS, MARKERS, magnitude.T, limit, strict=True):

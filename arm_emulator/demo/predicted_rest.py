@@ -1,8 +1,8 @@
-"""Where the tool will rest beside its target, computed before anything moves.
+"""Predicted rest of the tool beside its target, computed before the arm moves.
 
-The motion controller moves an arm whose joints are always where it wants them; where that ends is
-where the joints shall be. The deviation is the sum of what the parts of the scene declare
-(`rest_shares`), through the Jacobian.
+The motion controller moves an arm whose joints follow it exactly; their final positions are the
+targets of the joints. The deviation is the sum of the contributions of the scene's parts
+(`rest_shares`), mapped by the Jacobian.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from arm_emulator.runs.gains import Gains
 
 FloatArray = npt.NDArray[np.float64]
 
-# One in so many machines rests farther off than it was predicted; of so many that are drawn.
+# One in this many machines rests farther off than predicted; number of machines drawn.
 ONE_OF, DRAWN = 200, 30_000
-LITTLE = 0.1  # of the width of a prediction: what does not count beside it
+LITTLE = 0.1  # of the width of a prediction: negligible beside it
 
 
 class Arrival(enum.Enum):
-    """How the motion controller ends when every joint follows it."""
+    """Final state of the motion controller if every joint follows it."""
 
     REACHED = "reached"
     UNREACHABLE = "unreachable"
@@ -45,11 +45,11 @@ class PredictedRest:
 
     centre: FloatArray
     within: FloatArray
-    """How far each row may be off its centre."""
+    """Bound of each row's distance from its centre."""
     radius: float
-    """How far the tool may be from where the centre has it [m]."""
+    """Bound of the tool's distance from the centre [m]."""
     reference: FloatArray
-    """What of it the motion controller leaves by itself."""
+    """Share of the motion controller itself in the centre."""
     arrival: Arrival
 
     @property
@@ -63,15 +63,15 @@ class PredictedRest:
 
 
 def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
-    """Return where the tool rests at the end of a plan.
+    """Return the predicted rest of the tool at the end of a plan.
 
     Raises:
-        Refusal: a part of the scene does not state what it leaves.
+        Refusal: a part of the scene does not state its share.
     """
     controller = controller_for(scene.urdf, scene.joint_names, gains.motion)
     kinematics = controller.kinematics
     R_WT, p_WT = kinematics.forward(scene.start)
-    # By way of the quaternion, as in a message: the rotation has the same rounding then.
+    # Through the quaternion, as in a message, for the same rounding.
     goal = p_WT + plan.displacement
     target = Pose.from_quaternion(goal, Pose(p_WT, R_WT).quaternion(), "displacement")
     way, wound = _reference(controller, gains, plan, scene.start, target)
@@ -95,9 +95,9 @@ def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
 def _reference(
     controller: Controller, gains: Gains, plan: DemoPlan, start: FloatArray, target: Pose
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the joint targets at each instruction, as if the joints were there at once.
+    """Return the joint targets at each instruction, for joints that follow at once.
 
-    Beside them by how much the gears are taken to be wound up in the last (N,).
+    Also return the assumed wind-up of the gears at the last one (N,).
     """
     instructor, period_ns = Instructor(gains.motion), round(gains.motion.period * 1e9)
     instructor.add(period_ns, target)
@@ -112,9 +112,9 @@ def _reference(
 def _spread(
     scene: Scene, gains: Gains, controller: Controller, q: FloatArray, shares: RestShares
 ) -> tuple[FloatArray, float]:
-    """Return `within` and `radius`: what all but one of 200 machines stay within that are drawn.
+    """Return `within` and `radius`: the bounds that 1 of 200 drawn machines exceeds.
 
-    Each machine has its own values of all that is not known, as the parts state their distribution.
+    Each machine has its own values of all unknown contributions, by the distributions of the parts.
     """
     kinematics, rng = controller.kinematics, np.random.default_rng(0)
     off = shares.draw(rng, DRAWN)
@@ -123,7 +123,7 @@ def _spread(
         off = off + rng.multivariate_normal(np.zeros(len(q)), noise, DRAWN)
     rows = off @ kinematics.jacobian(q).T
     share = 1.0 - 1.0 / ONE_OF
-    # Of the second order in all that is off, times the reach: see `predicted_residual`.
+    # Of second order in all deviations, times the reach: see `predicted_residual`.
     bounds = shares.within.sum()
     second = np.full(rows.shape[1], bounds * (0.5 * bounds + np.abs(shares.centre).sum()))
     second[:POSITION_ROWS] *= kinematics.reach
@@ -142,11 +142,11 @@ def _unrest(
     noise = shares.angle_noise, shares.current_noise
     if not isinstance(controller, JacobianController):
         return loop.unrest(*noise)
-    # Its targets come from what is measured: w of the error is taken from 1 - w of the angle.
+    # Its targets follow measured angles: w of the error is removed, from 1 - w of the angle.
     periods = round(gains.motion.period / gains.servo.period)
     return loop.unrest_of_followers(*noise, scene.gear_ratios, 1.0 - controller.weight, periods)
 
 
 def _times_held(controller: Controller) -> float:
-    """Return by how much the controller multiplies what the servo leaves of a target."""
+    """Return the factor by which the controller amplifies the servo's error of a target."""
     return 1.0 / controller.weight if isinstance(controller, JacobianController) else 1.0

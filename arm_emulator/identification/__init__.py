@@ -1,1 +1,1 @@
-"""What a machine's numbers are, found from records of its motion."""
+"""Identification of a machine's numbers from records of its motion."""

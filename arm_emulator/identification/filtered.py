@@ -1,7 +1,7 @@
-"""A record without what is faster than rigid links.
+"""Low-pass filter of a record, to the bandwidth of rigid links.
 
-It is low-passed both ways, so that nothing lags; or causally, in which all signals lag alike and no
-sample knows of later ones.
+It filters forward and backward, without a lag; or causally, with the same lag in all signals and
+no influence of later samples.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from arm_emulator.machine.chain import Array
 Mask = NDArray[np.bool_]
 
 ORDER = 4
-FOR_SIGN = 4.0  # times the low-pass: of the speed whose sign is the direction of friction
+FOR_SIGN = 4.0  # times the low-pass: bandwidth of the speed whose sign directs friction
 EDGE = 2.0  # periods of the low-pass, at either end, in which the filter is not yet settled
 REACH = 0.1  # periods of the low-pass
-MOST_ROWS = 5000  # of which a fit is made, however long a record is
+MOST_ROWS = 5000  # of a fit, for any length of the record
 ROWS_PER_PERIOD = 2.5  # of the low-pass: more add nothing
 
 
 @dataclass(frozen=True)
 class FineMotion:
-    """Every sample of a record, so fast that reversals are sharp. Arrays are (K, N).
+    """Every sample of a record, with a bandwidth that keeps reversals sharp. Arrays are (K, N).
 
     Nonlinear functions of speed or angle are computed here, then low-passed as the torque is.
     """
@@ -59,14 +59,14 @@ class Filtered:
     fine: FineMotion
 
     def settle(self, rows: Array) -> Array:
-        """Return what samples of `fine` (K, ...) are below the low-pass, at the rows of this."""
+        """Return samples of `fine` (K, ...), low-passed, at the rows of this."""
         fine = self.fine
         smooth: Array = low_pass(rows, fine.period, fine.frequency, fine.causal)[fine.kept]
         return smooth
 
 
 def low_pass(rows: Array, period: float, frequency: float, causal: bool = False) -> Array:
-    """Return rows (K, ...) without what is faster than `frequency` [Hz]; no lag unless causal."""
+    """Return rows (K, ...) low-passed at `frequency` [Hz]; without a lag unless causal."""
     b, a = butter(ORDER, 2.0 * frequency * period)
     smooth: Array
     if causal:
@@ -80,7 +80,7 @@ def low_pass(rows: Array, period: float, frequency: float, causal: bool = False)
 def smooth_motion(
     q: Array, period: float, frequency: float, causal: bool = False
 ) -> tuple[Array, Array, Array]:
-    """Return angles (K, N) without what is faster than `frequency` [Hz], and their two rates."""
+    """Return angles (K, N) low-passed at `frequency` [Hz], and their two rates."""
     smooth = low_pass(q, period, frequency, causal)
     v = _rate(smooth, period, causal)
     return smooth, v, _rate(v, period, causal)
@@ -102,10 +102,10 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
         run: the record.
         ratio: link turns per motor turn (N,).
         frequency: of the low-pass [Hz].
-        slowest: speed from which a joint moves [rad/s or m/s]; None: a share of its top speed, and
-            not right at reversals.
-        every: of so many samples one is kept; None: as few as keep what the low-pass leaves.
-        causal: low-passed one way only; which samples move is asked of the record both ways.
+        slowest: speed from which a joint moves [rad/s or m/s]; None: a share of its top speed,
+            without the samples near reversals.
+        every: one of this many samples is kept; None: chosen by the low-pass.
+        causal: filter forward only; the samples in motion are found in the two-way record.
 
     Raises:
         Refusal: the record is too coarse or too short for this frequency.
@@ -125,7 +125,7 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
     from_speed = SLOWEST * top if slowest is None else np.full_like(top, slowest)
     moving = np.abs(speed) > np.maximum(from_speed, 1e-12)
     if slowest is None:
-        # Nobody sees the very instant of a reversal.
+        # The exact instant of a reversal cannot be observed.
         reach = int(REACH / (frequency * period))
         moving = minimum_filter1d(moving, 2 * reach + 1, axis=0)
     edge = int(EDGE / (frequency * period))

@@ -1,4 +1,4 @@
-"""A scene and its URDF with numbers that were found, the rest of the texts as they were."""
+"""A scene and its URDF with identified numbers, the rest of the texts unchanged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from arm_emulator.machine.scene import Scene, load_scene, override
 
 
 def with_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:
-    """Return numbers with those that follow them and are not equal to what they follow."""
+    """Return numbers together with those that follow them and differ from them."""
     found = dict(numbers)
     for joint in scene.joints:
         for part in joint.parts:
@@ -40,14 +40,14 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
 
     Args:
         file: the scene to write; its URDF goes to ``urdf/NAME.urdf`` beside it.
-        scene_file: the scene that it is made of.
+        scene_file: the original scene.
         scene: the same, loaded.
         numbers: values by their dotted names below the scene.
-        bodies: what its joints move, without the payload, in the core's frames.
+        bodies: bodies moved by its joints, without the payload, in the core's frames.
         heading: lines to stand at its top, as comments.
 
     Raises:
-        Refusal: it cannot be written, or is shipped, or does not read back as what was found.
+        Refusal: it cannot be written, is shipped, or does not read back equal.
     """
     urdf = file.parent / "urdf" / f"{file.stem}.urdf"
     for one in (file, urdf):
@@ -65,7 +65,7 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
 
 
 def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:
-    """Refuse a scene that has not the numbers that were to be written."""
+    """Refuse a scene without the numbers that were to be written."""
     for joint in scene.joints:
         for part in joint.parts:
             for key in part.numbers():
@@ -108,7 +108,7 @@ def _collect(node: yaml.Node | None, place: str, nodes: dict[str, yaml.Node]) ->
 
 
 def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
-    """Return the URDF with the bodies of its moving links; what is fixed to them has none then."""
+    """Return the URDF with the bodies of its moving links; links fixed to them get none."""
     robot = ET.fromstring(scene.urdf)
     links = {element.get("name"): element for element in robot.findall("link")}
     for joint in scene.chain.links:
@@ -136,7 +136,7 @@ def _inertial(body: Body) -> ET.Element:
 
 
 def in_urdf(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
-    """Return what the joints' child links are, in their frames, by name.
+    """Return the bodies of the joints' child links, in their frames, by name.
 
     Args:
         scene: the machine.

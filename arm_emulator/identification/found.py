@@ -1,4 +1,4 @@
-"""What was found, number by number, as people read it."""
+"""Identified numbers, as text for the user."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Found:
     before: float
     value: float
     deviation: float  # standard deviation; NaN: unknown
-    identified: bool  # by the record itself; else it is much as it was taken to be
-    width: float = np.inf  # standard deviation of what was known of it before
-    left: str = ""  # why it was left as it was
+    identified: bool  # by the record; otherwise it is close to its prior
+    width: float = np.inf  # standard deviation of its prior
+    left: str = ""  # reason for keeping its value
 
     @property
     def remark(self) -> str:
@@ -40,12 +40,12 @@ class Found:
 
     @property
     def far(self) -> float:
-        """By how many of the deviations known before it has moved."""
+        """Its shift in standard deviations of the prior."""
         return abs(self.value - self.before) / self.width if self.width > 0.0 else 0.0
 
     @property
     def line(self) -> str:
-        """The number, its confidence, and what it was."""
+        """The number, its confidence, and its former value."""
         remark = self.remark or f"+- {self.deviation:.2g}"
         return f"{self.name}: {self.value:.6g} {self.unit}, {remark}, before {self.before:.6g}"
 
@@ -61,7 +61,7 @@ def bodies_of(scene: Scene, fit: TorqueFit) -> list[Body]:
 
 
 def numbers_found(scene: Scene, fit: TorqueFit) -> list[Found]:
-    """Return what was looked for: links as mass, first moment and inertia of the URDF's links."""
+    """Return the sought numbers: links as mass, first moment and inertia of the URDF's links."""
     n, found = inertia.NUMBERS, list[Found]()
     for k, joint in enumerate(scene.chain.links):
         if fit.fitted[n * k : n * k + n].any():
@@ -99,6 +99,6 @@ def _link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
 
 
 def _in_child(joint: ChainJoint, numbers: Array) -> list[float]:
-    """Return what ten numbers of `inertia.dynamic` are in the frame of the joint's child link."""
+    """Return the ten numbers of `inertia.dynamic` in the frame of the joint's child link."""
     body = inertia.body_of(numbers)
     return list(of_child(joint, body).values())

@@ -1,6 +1,6 @@
-"""Runs of the emulated machine under measured torques, begun at measured states.
+"""Runs of the emulated machine under measured torques, from measured states.
 
-Nothing corrects them: whatever the machine has otherwise than the real one adds up.
+Nothing corrects them: every difference between the machine and the real one accumulates.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.scene import Scene
 
-SPEED_BELOW = 40.0  # Hz: of the speeds that runs begin with
-LOAD_BELOW = 10.0  # Hz: of the torques that the gears carry at the beginning
+SPEED_BELOW = 40.0  # Hz: bandwidth of the initial speeds
+LOAD_BELOW = 10.0  # Hz: bandwidth of the initial gear torques
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Starts:
 
 def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
            faster: float = 0.0) -> Starts:  # fmt: skip
-    """Return states in motion from which runs of some seconds can begin, evenly over the record.
+    """Return states in motion from which runs of some seconds can start, evenly over the record.
 
-    Speeds are those of the motors. The gears are wound up by what the links weigh and resist.
+    Speeds are those of the motors. The gears are wound up by weight and friction of the links.
 
     Args:
         run: the record.
         scene: the machine.
-        seconds: that a run lasts.
+        seconds: of a run.
         every: seconds from start to start.
         faster: at a start some joint is faster than this [rad/s or m/s].
 
@@ -82,10 +82,10 @@ def free_runs(
     """Return the motors' angles, at the link, after some samples (copies, looks, S, N) [rad or m].
 
     Args:
-        scene: a machine whose motors are commanded torques.
+        scene: a machine with torque-commanded motors.
         run: the record.
-        begin: where they begin, S of them.
-        looks: after how many samples to look, increasing.
+        begin: the S starts.
+        looks: numbers of samples, increasing.
         varied: values (copies,) of varied numbers, by name.
         copies: of the machine, each with numbers of its own.
     """
@@ -103,7 +103,7 @@ def free_runs(
     steps = round(run.period / scene.integrator.dt)
     angles, done = np.empty((len(looks), arms, N)), 0
     for row, look in enumerate(looks):
-        # Between two samples the mean of both acts.
+        # Between two samples the mean of both applies.
         at = begin.at + np.arange(done, look)[:, None]
         torques = 0.5 * (run.tau[at] + run.tau[at + 1])
         fleet.run(np.tile(torques, (1, copies, 1)), steps)
@@ -113,14 +113,14 @@ def free_runs(
 
 @dataclass(frozen=True)
 class Drift:
-    """By how much free runs leave the measured motion: of each joint (N,)."""
+    """Deviations of free runs from the measured motion, by joint (N,)."""
 
     share: Array  # root of mean square error at the end over the joint's standard deviation
     errors: Array  # at the end, (S, N) rad or m
 
 
 def drift(run: MeasuredRun, begin: Starts, samples: int, ends: Array) -> Drift:
-    """Compare where free runs are after some samples (S, N) [rad or m] with the record."""
+    """Compare free runs after some samples (S, N) [rad or m] with the record."""
     errors = ends - run.q_motor[begin.at + samples]
     root = np.sqrt(np.mean(errors**2, axis=0))
     return Drift(root / run.q_motor.std(axis=0), errors)

@@ -1,8 +1,8 @@
-"""The second stage: unknowns that let the emulator itself follow the measured motion.
+"""The second stage: unknowns for which the emulator itself follows the measured motion.
 
-Gauss-Newton (with Levenberg's damping) on how far free runs, driven by the measured torques, leave
-the record. Differences are those of a `Fleet`, an arm for each unknown and start, so that what is
-fitted is what is run. The scene's own numbers count as in the first stage.
+Gauss-Newton (with Levenberg's damping) on the distance between the record and free runs driven by
+the measured torques. Differences come from a `Fleet`, an arm for each unknown and start, so that
+the fitted machine is the one that runs. The scene's own numbers count as in the first stage.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from arm_emulator.machine.varied_body import of_child
 
 Indices = NDArray[np.signedinteger[Any]]
 
-SECONDS = 0.6  # that runs last
+SECONDS = 0.6  # of a run
 EVERY = 0.2  # s, from start to start
-FASTER = 0.2  # of the largest speed: where some joint is as fast, the arm moves
-LOOKS = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # of the time, when the runs are looked at
-TURNS = 6  # of the search
-NUDGE = 0.05  # of each deviation, by which it is changed for the differences
-ENOUGH = 1e-2  # share by which a turn must still be better
+FASTER = 0.2  # of the largest speed: from which the arm counts as moving
+LOOKS = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # of the run: instants of the comparison
+TURNS = 6  # iterations
+NUDGE = 0.05  # of each deviation: perturbation for the differences
+ENOUGH = 1e-2  # relative improvement required of an iteration
 
 
 def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene:
-    """Return a scene with motors that are commanded torques, all else as it is.
+    """Return a scene with torque-commanded motors, otherwise unchanged.
 
     Args:
         scene: the machine.
         period: of the commands [s].
-        sought: names of numbers that shall be varied.
+        sought: names of numbers to vary.
     """
     joints = tuple(joint.torque_driven() for joint in scene.joints)
     steps = max(1, round(period / scene.integrator.dt))
@@ -54,13 +54,13 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
 def fit_free_runs(
     fit: TorqueFit, scene: Scene, run: MeasuredRun, report: Callable[[str], None] = print
 ) -> TorqueFit:
-    """Return a fit whose free runs end nearer to the record.
+    """Return a fit whose free runs end closer to the record.
 
     Args:
         fit: of the first stage, where the search begins.
-        scene: the machine as it was known.
+        scene: the nominal machine.
         run: the record.
-        report: gets how far runs end, turn by turn.
+        report: gets the final distance of each iteration.
 
     Raises:
         Refusal: a scene with couplings, whose links' numbers cannot be varied.
@@ -80,13 +80,13 @@ def fit_free_runs(
     spread = run.q_motor.std(axis=0)
     values, damping = fit.values.copy(), 0.1
     errors, J = _errors(fit, scene, run, begin, values, which)
-    # Runs that overlap err together: an error counts as of so many samples.
+    # Errors of overlapping runs are correlated: an error counts for this many samples.
     lasting = max(1.0, SECONDS / EVERY) * len(LOOKS)
     noise = np.sqrt(np.mean(errors**2, axis=0) * lasting)
     report(f"free runs of {SECONDS:g} s end {_shown(errors, spread)} off")
 
     def cost(errors: Array, values: Array) -> float:
-        """With the noise of the turn."""
+        """With the noise of the iteration."""
         known = (values - before)[which] / widths[which]
         return float(np.sum((errors / noise) ** 2) + known @ known)
 
@@ -118,7 +118,7 @@ def fit_free_runs(
 
 
 def _shown(errors: Array, spread: Array) -> str:
-    """Return the root of mean square at the end of the runs over each joint's spread."""
+    """Return the root mean square at the end of the runs over each joint's spread."""
     end = errors.reshape(len(LOOKS), -1, errors.shape[1])[-1]
     share = 100.0 * np.sqrt(np.mean(end**2, axis=0)) / spread
     return ", ".join(f"{one:.1f}" for one in share) + " %"

@@ -1,4 +1,4 @@
-"""Inertias that are those of bodies: mass, centre and tensor by ten numbers without bounds.
+"""Inertias of physical bodies: mass, centre and tensor by ten unconstrained numbers.
 
 The pseudo-inertia matrix of a body is positive definite, and so U U' with an upper triangle U; its
 logarithms and lengths may be any numbers (C. Rucker and P. M. Wensing, IEEE Robotics and Automation
@@ -13,7 +13,7 @@ import pinocchio as pin
 from arm_emulator.machine.chain import Array, Body
 
 NUMBERS = 10
-THIN = 1e-6  # of a body's second moments: what a thin or massless one is taken to have
+THIN = 1e-6  # of a body's second moments: assumed for a thin or massless one
 
 
 def dynamic(body: Body) -> Array:
@@ -31,14 +31,14 @@ def body_of(numbers: Array) -> Body:
 
 
 def is_body(body: Body) -> bool:
-    """Whether there can be such a body, if only a thin one. Models reduced by hand have others."""
+    """Whether such a body is possible, even a thin one. Models reduced by hand contain others."""
     P = _pseudo_inertia(body)
     size = 1.0 / np.sqrt(np.maximum(np.diag(P), 1e-300))
     return bool(np.linalg.eigvalsh(P * size[:, None] * size[None, :]).min() > -0.5 * THIN)
 
 
 def ball(body: Body) -> Body:
-    """Return a ball in the place of what is no body."""
+    """Return a ball in place of an impossible body."""
     return Body(max(body.mass, 1e-6), np.zeros(3), max(np.trace(body.inertia), 1e-9) * np.eye(3))
 
 
@@ -48,12 +48,12 @@ def _pseudo_inertia(body: Body) -> Array:
 
 
 def log_cholesky(body: Body) -> Array:
-    """Return the ten numbers of a body whose exponential map is that body, or one less thin."""
+    """Return the ten numbers whose exponential map is that body, or one less thin."""
     P = _pseudo_inertia(body)
     second = P[:3, :3]
     size = max(float(np.trace(second)), 1e-12)
     P += np.diag([THIN * size] * 3 + [THIN * max(body.mass, 1e-12)])
-    # Upper triangle: the lower one of the matrix turned round.
+    # Upper triangle: the lower one of the reversed matrix.
     U = np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1]
     alpha, U = np.log(U[3, 3]), U / U[3, 3]
     d = np.log(np.diag(U)[:3])
@@ -61,7 +61,7 @@ def log_cholesky(body: Body) -> Array:
 
 
 def widths(body: Body, trust: float) -> Array:
-    """Return how far each of the ten numbers may be off, for figures good to a share `trust`."""
+    """Return the deviations of the ten numbers, for figures with the relative accuracy `trust`."""
     length = np.sqrt(max(0.5 * np.trace(body.inertia), 1e-12) / max(body.mass, 1e-12))
     return trust * np.array([0.5, 1.0, 1.0, 1.0, *(6 * [length])])
 

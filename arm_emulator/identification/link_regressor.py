@@ -12,7 +12,7 @@ from arm_emulator.machine.chain import Array
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene import Scene
 
-ROUNDS = 3  # in which friction that grows with the gear's torque is found, which it is part of
+ROUNDS = 3  # iterations for friction that depends on the gear torque
 
 
 class LinkRegressor:
@@ -51,9 +51,9 @@ class LinkRegressor:
 
 
 def torques_of_links(scene: Scene, t: Array, q: Array, v: Array, a: Array) -> Array:
-    """Return what a scene's gears put on the links in a motion (K, N) [N m or N].
+    """Return the torques of a scene's gears on the links in a motion (K, N) [N m or N].
 
-    That is inertia and weight of the links, and what the parts at them take.
+    These are inertia and weight of the links, and the torques of the parts at them.
     """
     phi = np.concatenate([dynamic(joint.body) for joint in scene.chain.links])
     alone: Array = LinkRegressor(scene)(q, v, a) @ phi

@@ -1,4 +1,4 @@
-"""A record of a machine's motion, as its drives have measured it."""
+"""A record of a machine's motion, as measured by its drives."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import Array
 
 SHORTEST = 200  # samples
-UNEVEN = 0.01  # of a sample: what clocks do
+UNEVEN = 0.01  # of a sample: jitter of clocks
 FROZEN = 8  # equal samples in a row while a joint moves are no measurement
 BOUNDS = {
     "q_motor": POSITION, "q_link": POSITION, "q_ref": POSITION, "v_motor": VELOCITY, "tau": EFFORT,
 }  # fmt: skip
 LATEST = 1e9  # s
-SLOWEST = 0.04  # of a joint's top speed: below it counts as standing
+SLOWEST = 0.04  # of a joint's top speed: slower joints count as standing
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class MeasuredRun:
         return float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
 
     def shifted(self, delays: Mapping[str, float]) -> MeasuredRun:
-        """Return the record with signals taken from so much later as they come late [s]."""
+        """Return the record with delayed signals [s] shifted back."""
         changed = {}
         for name, delay in delays.items():
             rows = getattr(self, name)
@@ -97,7 +97,7 @@ def check_samples(run: MeasuredRun) -> None:
 
 
 def _check_frozen(run: MeasuredRun, name: str, joint: str, column: Array) -> None:
-    """Refuse stretches in which a joint that moves before and after shows the same number."""
+    """Refuse intervals in which a moving joint reports a constant number."""
     steps = np.abs(np.diff(column))
     moving = SLOWEST * np.quantile(steps, 0.99)
     edges = np.flatnonzero(steps > 0.0)

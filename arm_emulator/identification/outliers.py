@@ -1,4 +1,4 @@
-"""Samples that stand out from their neighbours: found, counted, and replaced by these."""
+"""Outliers: detected, counted, and replaced by their neighbours."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from arm_emulator.machine.chain import Array
 
 SIGNALS = {"tau": "torque", "q_motor": "angle"}
 NEIGHBOURS = 7  # samples, of which the middle one is judged
-AROUND = 101  # samples, whose usual distance from their neighbours is the measure
+AROUND = 101  # samples, whose usual distance from their neighbours is the reference
 TIMES = 12.0  # the usual distance
-# Of the signal's spread: what is smaller does no harm, and torque may jump where a joint reverses.
+# Of the signal's spread: smaller outliers are harmless, and torque may jump at reversals.
 LEAST = {"tau": 0.6, "q_motor": 2e-5}
 ROUNDS = 3  # since neighbours hide each other
 MOST = 0.05  # of the samples: with more it is no measurement
 
 
 def without_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
-    """Return a record without samples that stand out, and what was left out, in words.
+    """Return a record without outliers, and a description of those, as text.
 
     Raises:
         Refusal: too many of them.
@@ -55,8 +55,8 @@ def without_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
 
 
 def _outliers(signal: Array, least: float) -> Array:
-    """Return which samples are farther from their neighbours than is usual around them."""
-    # Of a smooth motion, what a parabola through the neighbours misses is next to nothing.
+    """Return the samples that are farther from their neighbours than usual around them."""
+    # For a smooth motion, the error of a parabola through the neighbours is negligible.
     away = np.zeros_like(signal)
     near, far = signal[1:-3] + signal[3:-1], signal[:-4] + signal[4:]
     away[2:-2] = signal[2:-2] - (4.0 * near - far) / 6.0

@@ -16,7 +16,7 @@ from matplotlib import pyplot as plt
 
 def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: Path,
                  title: str) -> None:  # fmt: skip
-    """Draw measured torques, those of the fit, and what is left between them."""
+    """Draw measured torques, those of the fit, and their difference."""
     N = len(names)
     figure, axes = plt.subplots(
         N, 1, figsize=(10, 1.7 * N + 0.6), sharex=True, squeeze=False, layout="constrained"

@@ -1,7 +1,7 @@
-"""Whether a record can be of this machine: that it moves, at the speeds given, without slips.
+"""Check that a record can be of this machine: motion, consistent speeds, no slips.
 
-Each slip that people make is tried (slips.py). If the record fits the machine much better once one
-is undone, it was made; what fits nearly as well as that is named beside it.
+Each known slip is tried (slips.py). If the record fits the machine much better with one undone,
+that slip is reported; those that fit nearly as well are named beside it.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from arm_emulator.identification.slips import Slip, Slips
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
-# What a slip undone saves, in squares of deviations and as a share of what the record costs as it
-# is. Of measured records that are right, slips save up to 30 and 7 %.
+# Saving of an undone slip, in squares of deviations and relative to the record's cost. In correct
+# measured records, slips save up to 30 and 7 %.
 A_DOUBT = 12.0, 0.08
 A_SLIP = 25.0, 0.15
-CLOSE = 0.15  # of what it saves: slips that save as much but for this share are named, too
-DOUBTFUL = 1.5  # times: torques of which the scale is off by less are a doubt, not a slip
-NEAREST = 12  # slips that are weighed once more, by what stays unexplained at best
-LEAST_WAY = 1.0e-3  # rad or m: what moves less does not move
-LEAST_TORQUE = 1e-9  # N m or N, at the motor's shaft: what changes less does not change
+CLOSE = 0.15  # of its saving: slips within this share are named, too
+DOUBTFUL = 1.5  # times: a smaller error of a torque's scale is a doubt, not a slip
+NEAREST = 12  # slips compared again, by the least unexplained torque
+LEAST_WAY = 1.0e-3  # rad or m: smaller motions do not count
+LEAST_TORQUE = 1e-9  # N m or N, at the motor's shaft: smaller changes do not count
 SPEEDS_AGREE = 0.7  # correlation, and within a factor of 1.5
-POOR = 50.0  # %: of a fit that nobody should use
+POOR = 50.0  # %: of an unusable fit
 SLOWEST_SAMPLES, FASTEST_SAMPLES = 0.1, 1e-6  # s
 
 
 def looked_over(scene: Scene, run: MeasuredRun, low_pass: float, *,
                 as_is: bool = False) -> tuple[MeasuredRun, Filtered, list[str]]:  # fmt: skip
-    """Return a record without outliers, low-passed, and doubts about it, in words.
+    """Return a record without outliers, low-passed, and doubts about it, as text.
 
     Args:
         scene: the machine.
@@ -54,10 +54,10 @@ def looked_over(scene: Scene, run: MeasuredRun, low_pass: float, *,
 
 
 def check_clock(run: MeasuredRun) -> None:
-    """Refuse a time that cannot be in seconds.
+    """Refuse times that cannot be in seconds.
 
     Raises:
-        Refusal: names what it could be.
+        Refusal: names the likely unit.
     """
     if not FASTEST_SAMPLES < run.period <= SLOWEST_SAMPLES:
         slow = (
@@ -95,10 +95,10 @@ def check_movement(run: MeasuredRun, data: Filtered) -> None:
 
 
 def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
-    """Refuse speeds that are not those of the angles, where a record has both.
+    """Refuse speeds that are inconsistent with the angles, if a record has both.
 
     Raises:
-        Refusal: names the joint, and what they look like.
+        Refusal: names the joint, and the likely cause.
     """
     if run.v_motor is None:
         return
@@ -135,14 +135,14 @@ def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
 
 
 def check_slips(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
-    """Refuse a record that is of this machine once a slip is undone; return doubts, in words.
+    """Refuse a record that fits this machine once a slip is undone; return doubts, as text.
 
     Raises:
         Refusal: names the slip, or those that cannot be distinguished.
     """
     slips = Slips(scene, data)
     tried = sorted(slips.tried(), key=lambda slip: slip.cost)[:NEAREST]
-    # With the slip that is likeliest undone, less may stay unexplained.
+    # With the likeliest slip undone, less may stay unexplained.
     slips.noise = np.minimum(slips.noise, slips.left(tried[0].view))
     as_is = slips.cost(slips.as_is)
     tried = sorted((slips.again(slip) for slip in tried), key=lambda slip: slip.cost)
@@ -161,7 +161,7 @@ def check_slips(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
 
 
 def _doubtful(slip: Slip) -> bool:
-    """Whether a slip is no more than what scenes may be off by."""
+    """Whether a slip is within the uncertainty of scenes."""
     by_scale = slip.scale and abs(np.log(slip.scale)) < np.log(DOUBTFUL)
     return bool(by_scale) or slip.quantity == "load"
 

@@ -13,7 +13,7 @@ from arm_emulator.identification.measured_run import MeasuredRun, check_samples
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
-# What a record may have, by its names in files. Arrays and groups of columns are called alike.
+# Contents of a record, by their names in files. Arrays and groups of columns have equal names.
 NAMES = {
     "q_mot": "q_motor", "tau": "tau", "tau_abs": "tau", "current": "current", "q_link": "q_link",
     "q_ref": "q_ref", "v_mot": "v_motor",
@@ -52,12 +52,12 @@ def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") 
 
 
 def run_of(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
-    """Return the record that signals make.
+    """Return the record made of signals.
 
     Args:
-        signals: by the names of `MeasuredRun`, and ``current`` [A] in the place of ``tau``.
+        signals: by the names of `MeasuredRun`, and ``current`` [A] instead of ``tau``.
         scene: the machine.
-        where: what refusals name.
+        where: name in refusals.
 
     Raises:
         Refusal: something is missing, or samples are not sound.
@@ -95,7 +95,7 @@ def _to_radians(signals: dict[str, Array], scene: Scene, angles: str, side: str)
 
 
 def _torques(current: Array, scene: Scene, where: str) -> Array:
-    """Return the torques of currents (K, N) [A] by the motors' constants."""
+    """Return torques from currents (K, N) [A] by the motors' constants."""
     constants = [getattr(joint.motor, "torque_constant", None) for joint in scene.joints]
     if None in constants or current.shape[-1:] != (len(constants),):
         joint = scene.joint_names[constants.index(None)] if None in constants else "joints"

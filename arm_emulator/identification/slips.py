@@ -1,8 +1,8 @@
-"""Slips that people make with records, each tried against the others.
+"""Usual slips in records, each compared with the others.
 
-What a record costs is the torque that stays unexplained, how far bodies and rotors are from the
-scene's, and friction that would drive. Each slip is undone in the filtered record, sizes that a
-slip may have are searched, and what the record costs then is compared.
+The cost of a record consists of the unexplained torque, the distance of bodies and rotors from the
+scene's, and friction that would drive. Each slip is undone in the filtered record, over a search of
+its size, and the costs are compared.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from arm_emulator.machine.scene import Scene
 Order = NDArray[np.signedinteger[Any]]
 
 ROWS = 120  # of the record: enough to detect a slip
-SHARE = 0.3  # of a body's numbers, to which they are taken to be good
-LOADED = 20.0  # times as far those of the last link may be off, if its load is another one
-NOISE = 0.02, 0.1  # of a joint's torque: what may stay unexplained, at least and at most
-ROUNDS = 2  # in which widths follow the numbers
-LARGE = 4.0  # times a number: its width, beyond which its own size shows nothing
-FREE = 10.0  # times the widths: of a fit that shows how much stays unexplained
-DRIVES = 0.02  # of a joint's torque: friction below minus this drives
-# What a slip costs by itself: one that is or is not, one of any size, one that hardly happens.
+SHARE = 0.3  # relative accuracy of a body's numbers
+LOADED = 20.0  # times that for the last link, if its load differs
+NOISE = 0.02, 0.1  # of a joint's torque: smallest and largest unexplained part
+ROUNDS = 2  # updates of the widths
+LARGE = 4.0  # times a number: from this width on its size carries no information
+FREE = 10.0  # times the widths, in the fit for the unexplained part
+DRIVES = 0.02  # of a joint's torque: negative friction beyond this drives
+# Prior cost of a slip: one without a size, one of any size, a rare one.
 PLAIN, SEARCHED, RARE = 3.0, 6.0, 20.0
-SIZES = np.exp(np.linspace(-3.0, 3.0, 13))  # of scales that are tried
+SIZES = np.exp(np.linspace(-3.0, 3.0, 13))  # scales tried
 TIMES = np.array([0.1, 0.2, 0.33, 0.5, 0.67, 1.5, 2.0, 3.0, 5.0, 10.0])
 LATEST = 0.12  # s
-TURN = np.pi / 12.0  # rad, between zeros of angles that are tried
+TURN = np.pi / 12.0  # rad, between zeros of angles tried
 DEG = np.pi / 180.0
-# Torques in other units, as many times too large.
+# Torques in other units, with their factors.
 UNITS = {
     1e3: "in N mm", 1e-3: "in kN m", 1.0 / 9.80665: "in kgf m", 0.737562: "in lbf ft",
     8.85075: "in lbf in",
@@ -52,7 +52,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class View:
-    """Rows of a record as they would be. Arrays are (K, N)."""
+    """Rows of a record with a slip undone. Arrays are (K, N)."""
 
     t: Array  # (K,)
     q: Array
@@ -61,26 +61,26 @@ class View:
     direction: Array
     tau: Array  # at the links
     rows: Mask
-    scale: Array  # of torques (N,): so many times too large
-    time: float  # of the clock: so many times longer is a second
+    scale: Array  # of torques (N,): factor by which they are too large
+    time: float  # of the clock: length of its second [s]
     offset: int = -1  # joint whose torque may have any offset
     loaded: bool = False  # whether the last link may have any load
 
 
 @dataclass(frozen=True)
 class Slip:
-    """One that was tried."""
+    """A slip that was tried."""
 
     quantity: str
     got: str
     cost: float  # of the record once it is undone, and of the slip
     view: View  # with the slip undone
-    alone: float  # what the slip itself costs
+    alone: float  # prior cost of the slip
     scale: float = 0.0  # of torques, if it is that; 0: another slip
 
 
 class Slips:
-    """What a record costs as it is, and with slips undone."""
+    """Costs of a record, unchanged and with slips undone."""
 
     def __init__(self, scene: Scene, data: Filtered) -> None:
         self.scene = scene
@@ -97,7 +97,7 @@ class Slips:
             second = max(float(np.trace(body.inertia)), 1e-12)
             widths += [body.mass, *(3 * [body.mass * length]), *(6 * [second])]
         self._widths = SHARE * np.array(widths)
-        # How much of each number one width is, over SHARE, where the number is no small one.
+        # Width of each number relative to itself, over SHARE, unless the number is small.
         size = np.array(widths) / np.where(self._phi != 0.0, self._phi, np.inf)
         size = np.where(np.abs(size) < LARGE, size, 0.0)
         self._relative = np.concatenate([size, np.ones(self.N)])
@@ -111,14 +111,14 @@ class Slips:
         self.noise = self.left(self.as_is)
 
     def cost(self, view: View) -> float:
-        """Return how badly a record fits the machine."""
+        """Return the misfit of a record."""
         wider = np.ones(len(self._phi) + self.N)
         for _ in range(ROUNDS):
             found = self._fit(view, wider, self.noise)
             if found is None:
                 return np.inf
             error, moved, coulomb = found
-            # Half as large is as far off as twice as large.
+            # Half the size deviates as much as twice the size.
             share = 1.0 + SHARE * wider * moved[: len(wider)] * self._relative
             wider = np.where(self._relative != 0.0, np.sqrt(np.clip(share, 0.1, 1.0)), 1.0)
         spread = view.tau.std(axis=0)
@@ -127,9 +127,9 @@ class Slips:
         return total if np.isfinite(total) else np.inf
 
     def left(self, view: View) -> Array:
-        """Return what share of each joint's torque no such machine explains (N,), within NOISE.
+        """Return the share of each joint's torque that no such machine explains (N,), within NOISE.
 
-        Errors that last count as if there were as many more of them.
+        Correlated errors count with their correlation length.
         """
         found = self._fit(view, np.full(len(self._phi) + self.N, FREE), np.full(self.N, NOISE[0]))
         if found is None:
@@ -172,11 +172,11 @@ class Slips:
         return torque - every @ found, found, (widths * found)[-2 * N - 1 : -N - 1]
 
     def at_clock(self, times: float) -> View:
-        """Return the record with seconds so many times as long."""
+        """Return the record with its seconds scaled."""
         return replace(self.as_is, time=times)
 
     def _links(self, view: View) -> tuple[Array, Array, Array]:
-        """Return the links' regressor for weight and for motion, and what springs hold (K, N)."""
+        """Return the links' regressor for weight and for motion, and spring torques (K, N)."""
         key = view.q.tobytes() + view.a.tobytes()
         if key not in self._known:
             if len(self._known) > 4:
@@ -188,7 +188,7 @@ class Slips:
         return self._known[key]
 
     def _held(self, view: View) -> Array:
-        """Return what parts at the links take without friction (K, N)."""
+        """Return the torques of parts at the links without friction (K, N)."""
         held, none = np.zeros_like(view.q), np.zeros_like(view.t)
         for j, joint in enumerate(self.scene.joints):
             at = ShaftMotion(view.t, view.q[:, j], none, none, none, none, joint.gear.ratio)
@@ -198,7 +198,7 @@ class Slips:
         return held
 
     def tried(self) -> Iterator[Slip]:
-        """Return every slip at the size at which the record costs least."""
+        """Return every slip at the size of least cost."""
         yield from self._units()
         yield from self._scales()
         yield from self._signs_and_orders()
@@ -208,7 +208,7 @@ class Slips:
         yield self._searched("load", "another load at the tool than the scene's payload", loaded)
 
     def again(self, slip: Slip) -> Slip:
-        """Return a slip with what it costs by the noise now."""
+        """Return a slip with its cost at the present noise."""
         return replace(slip, cost=self.cost(slip.view) + slip.alone)
 
     def _plain(self, quantity: str, got: str, view: View, scale: float = 0.0) -> Slip:
@@ -237,7 +237,7 @@ class Slips:
             yield self._plain("torques", got, replace(view, scale=amps), 1e3)
 
     def _scales(self) -> Iterator[Slip]:
-        """Torques and angles of all joints or of one, so many times too large."""
+        """Torques and angles of all joints or of one, scaled."""
         view, every = self.as_is, np.arange(self.N)
         for j in (-1, *(range(self.N) if self.N > 1 else ())):
             of = "" if j < 0 else f" of {self.names[j]}"
@@ -283,7 +283,7 @@ class Slips:
                        ("all joints", np.roll(every, -1))]  # fmt: skip
         ratio = self.scene.gear_ratios
         for names, order in orders:
-            # Torques came to the links by the ratios of the joints for which they were taken.
+            # Torques were referred to the links by the ratios of the assumed joints.
             tau = (view.tau * ratio)[:, order] / ratio
             moved = self._ordered(order)
             got = "swapped ones"
@@ -308,7 +308,7 @@ class Slips:
             seconds = self._search(lambda d, j=j: late(d, j), delays, False)  # type: ignore[misc]
             way = "late" if seconds > 0.0 else "early"
             got = f"torques that come {1e3 * abs(seconds):.3g} ms {way}"
-            # The torques of all joints come the same way.
+            # The torques of all joints have the same delay.
             alone = SEARCHED if j < 0 and seconds > 0.0 else RARE
             yield self._searched(f"time of the torques{of}", got, late(seconds, j), alone=alone)
 
@@ -331,7 +331,7 @@ class Slips:
 
     def _search(self, of: Callable[[float], View], sizes: Array,
                 by_ratio: bool) -> float:  # fmt: skip
-        """Return the size of a slip at which the record costs least."""
+        """Return the size of a slip with the least cost."""
         places = np.log(sizes) if by_ratio else sizes
 
         def cost(place: float) -> float:
@@ -349,7 +349,7 @@ class Slips:
         return float(np.exp(place)) if by_ratio else float(place)
 
     def _turned(self, by: float | Array) -> View:
-        """Return the record with angles times a number, or one of each joint."""
+        """Return the record with angles scaled, by a number or one per joint."""
         slides = np.array([joint.kind == "prismatic" for joint in self.scene.chain.joints])
         by = np.where(slides & (np.abs(by) != 1.0), 1.0, by)
         view = self.as_is

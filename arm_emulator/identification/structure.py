@@ -1,9 +1,9 @@
-"""Effects that a fit leaves in the torque: what the model lacks, named, and what it may hide.
+"""Effects in the residual torque that the model lacks: their names, and their uncertainty.
 
 An effect is one or more columns beside the model's, at one joint or the same at all: friction that
-falls with speed, a wave over the angle, a delay. That which explains most of what is left, by
-likelihood with as many samples as are independent, is taken; then the next. The numbers fitted with
-these columns, less those without, are their uncertainty.
+falls with speed, a wave over the angle, a delay. The effect that explains most of the residual, by
+likelihood with the number of independent samples, is added; then the next. The difference between
+the numbers fitted with and without these columns is their uncertainty.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ import numpy as np
 from arm_emulator.identification.filtered import Filtered, Mask
 from arm_emulator.machine.chain import Array
 
-MOST_EFFECTS = 12  # that are looked for one after the other
+MOST_EFFECTS = 12  # added one after the other
 ENOUGH = 14.0  # of twice the logarithm of a likelihood, beyond a share for each column
-SHARE = 0.04  # of a joint's residual, that an effect must explain
-MATERIAL = 0.005  # of a joint's torque: what is smaller widens the deviations, but is not named
-LIKELY = 0.75  # of the best one's likelihood: what is as likely is named, too
-CLOSELY = 8  # candidates looked at closely in each turn
+SHARE = 0.04  # of a joint's residual: required of an effect
+MATERIAL = 0.005  # of a joint's torque: smaller effects widen the deviations, but are not named
+LIKELY = 0.75  # of the best one's likelihood: effects as likely are named, too
+CLOSELY = 8  # candidates examined closely in each round
 SLOW = (0.01, 0.03, 0.08, 0.2)  # of the top speed: where Stribeck's friction has fallen
 SHORT = (0.003, 0.01, 0.03, 0.1)  # of the way: after which hysteresis is over
-WAVES = 3  # of the largest ones that are tried
-WHOLE = 1.2  # waves that the way must have
+WAVES = 3  # largest ones tried
+WHOLE = 1.2  # waves required over the path
 
 FALLS = "friction is higher near reversals and falls with speed (Stribeck?)"
 RISES = "friction is lower near reversals and rises with speed (not Coulomb's alone)"
@@ -43,52 +43,53 @@ RIPPLE = "torque has waves over the angle (cogging, ripple, gear?)"
 
 @dataclass(frozen=True)
 class Columns:
-    """What an effect adds to the torques: of some joints, with the same coefficients at each."""
+    """Contribution of an effect to the torques, with the same coefficients at some joints."""
 
     name: str
     of: dict[int, Array]  # (K, m) by joint
-    opposite: str = ""  # its name where the first coefficient is negative
-    scale: float = 1.0  # of the first coefficient, to what is shown
+    opposite: str = ""  # its name if the first coefficient is negative
+    scale: float = 1.0  # from the first coefficient to the displayed value
     unit: str = ""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was found."""
+    """An effect found in the residual."""
 
     name: str
     joints: tuple[int, ...]
-    share: float  # of what was left of these joints that it explains
+    share: float  # of the residual of these joints that it explains
     size: float
     unit: str
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What a fit has left, beside what it has found."""
+    """Analysis of the residual of a fit."""
 
     effects: tuple[Effect, ...]
-    shift: Array  # (U,) how far the unknowns looked for move beside these effects
-    covariance: Array  # (U, U) of them then
+    shift: Array  # (U,) shift of the sought unknowns beside these effects
+    covariance: Array  # (U, U) of the shifted unknowns
 
 
 @dataclass
 class _Normal:
-    """Normal equations that grow, rows of each joint weighted by what it leaves unexplained.
+    """Normal equations with a growing number of columns, each joint's rows weighted by its
+    residual.
 
     Unknowns are in units of their widths.
     """
 
     rows: list[Array]  # per joint: (n, U + effects)
-    left: list[Array]  # per joint: what is left (n,)
-    prior: Array  # (U + effects,) of what is known before, in units of its width
+    left: list[Array]  # per joint: residual (n,)
+    prior: Array  # (U + effects,) prior, in units of its width
 
     def inverse(self) -> Array:
         return _inverse(sum(A.T @ A for A in self.rows) + np.diag(self.prior))
 
 
 def _inverse(H: Array) -> Array:
-    """Return the inverse of a positive definite matrix, scaled before."""
+    """Return the inverse of a positive definite matrix, after scaling."""
     size = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     within = H * size[:, None] * size[None, :] + 1e-12 * np.eye(len(H))
     found: Array = np.linalg.inv(within) * size[:, None] * size[None, :]
@@ -97,14 +98,14 @@ def _inverse(H: Array) -> Array:
 
 def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, widths: Array,
                    load: Array) -> Structure:  # fmt: skip
-    """Return what a fit has left.
+    """Return the analysis of a fit's residual.
 
     Args:
         data: the motion.
-        slopes: of the torques in the unknowns looked for (K, N, U).
+        slopes: of the torques in the sought unknowns (K, N, U).
         error: computed less measured torques (K, N).
         weights: of the rows (K, N), from 0 to 1.
-        widths: of what was known before (U,).
+        widths: of the priors (U,).
         load: of the gears on the links (K, N).
     """
     masks = [data.moving[:, j] & (weights[:, j] > 0.0) for j in range(error.shape[1])]
@@ -149,12 +150,12 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
 
 
 def lasting(error: Array, rows: Mask) -> float:
-    """Return of how many samples an error (K,) lasts in some rows."""
+    """Return the correlation length of an error (K,) in some rows [samples]."""
     return _lasting(error[rows], rows)
 
 
 def _lasting(left: Array, rows: Mask) -> float:
-    """Return 1 + 2 sum of the correlations of what is left in some rows, while positive."""
+    """Return 1 + 2 sum of the residual's correlations in some rows, while positive."""
     some = np.zeros(len(rows))
     some[rows] = left
     power, total = float(some @ some), 1.0
@@ -215,16 +216,16 @@ def _parts(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array, Ar
 
 
 def _gain(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> float:
-    """Return the share of what is left of its joints that an effect would explain, linearly."""
+    """Return the share of its joints' residual that an effect would explain, linearly."""
     g, S, c = _parts(normal, columns)
     own = S - g.T @ inverse @ g
-    own += np.diag(1e-3 * np.diag(S) + 1e-300)  # what the model can do as well is no effect
+    own += np.diag(1e-3 * np.diag(S) + 1e-300)  # effects within the model
     left = sum(float(normal.left[j] @ normal.left[j]) for j in columns)
     return float(c @ np.linalg.solve(own, c)) / max(left, 1e-300)
 
 
 def _solve(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> tuple[Array, Array]:
-    """Return how the unknowns move beside an effect, and its coefficients."""
+    """Return the shift of the unknowns beside an effect, and its coefficients."""
     g, S, c = _parts(normal, columns)
     own = S - g.T @ inverse @ g + np.diag(1e-3 * np.diag(S) + 1e-300)
     b = np.array(np.linalg.solve(own, c), np.float64)
@@ -232,7 +233,7 @@ def _solve(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> tuple[
 
 
 def _take(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array]:
-    """Put an effect beside the model; return how the unknowns move, and its coefficients."""
+    """Add an effect to the model; return the shift of the unknowns, and its coefficients."""
     dx, b = _solve(normal, normal.inverse(), columns)
     m = len(b)
     size = sum(np.sum(C**2, axis=0) for C in columns.values())
@@ -247,8 +248,8 @@ def _take(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array]:
 def _sandwich(normal: _Normal, masks: list[Mask], independent: Array) -> Array:
     """Return the covariance of the unknowns and effects.
 
-    Rows count as so many as are independent, by what is left now; where blocks of rows show that
-    errors go along with a column for longer than that, by those blocks.
+    Rows count by their number of independent samples in the present residual; if blocks of rows
+    show longer correlations of the errors with a column, by those blocks.
     """
     rows, left = list[Array](), list[Array]()
     for A, r, last in zip(normal.rows, normal.left, independent, strict=True):
@@ -271,7 +272,7 @@ def _sandwich(normal: _Normal, masks: list[Mask], independent: Array) -> Array:
 
 
 def _used(A: Array) -> float:
-    """Return how many directions of the unknowns some rows determine."""
+    """Return the number of directions of the unknowns that some rows determine."""
     return float((np.linalg.eigvalsh(A.T @ A) > 1.0).sum()) if A.size else 0.0
 
 
@@ -320,7 +321,7 @@ def _catalogue(data: Filtered, load: Array, error: Array,
 
 
 def _way_since_reversal(q: Array, sign: Array) -> Array:
-    """Return how far a joint has gone since it turned last (K,)."""
+    """Return the distance of a joint from its last reversal (K,)."""
     gone = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))])
     turns = np.concatenate([[0], np.flatnonzero(np.diff(sign) != 0.0) + 1])
     last = turns[np.searchsorted(turns, np.arange(len(q)), side="right") - 1]
@@ -339,7 +340,7 @@ def _orders(data: Filtered, error: Array, rows: Mask, j: int) -> list[float]:
     orders = np.arange(WHOLE * 2.0 * np.pi / way, most, np.pi / way)
     if not len(orders):
         return []
-    # Waves faster than the low-pass are not there.
+    # Waves faster than the low-pass are removed.
     seen = orders[:, None] * v[None, :] < 2.0 * np.pi * data.fine.frequency
     waves = np.exp(1j * orders[:, None] * q[None, :]) * seen
     size = np.abs(waves @ e) ** 2 / np.maximum(seen.sum(axis=1), 8.0)

@@ -1,4 +1,4 @@
-"""Records that the emulator makes of a scene: the truth about them is known."""
+"""Synthetic records of a scene by the emulator, with known truth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from arm_emulator.machine.scene import Scene
 
 WAVES = 4  # of the motion of each joint
 SLOWEST, FASTEST = 0.1, 0.7  # Hz
-AROUND = 0.6  # rad or m: how far joints go about
+AROUND = 0.6  # rad or m: amplitude of the joints
 
 
 def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.0,
@@ -22,11 +22,11 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
                 ) -> MeasuredRun:  # fmt: skip
     """Drive a scene's torque motors along a smooth motion and record what drives would measure.
 
-    The torques of each motor are those of a stiff controller of the motor's angle, which needs to
-    know nothing of the machine.
+    A stiff controller of each motor's angle computes its torques, without knowledge of the
+    machine.
 
     Args:
-        scene: the truth; its motors are commanded torques.
+        scene: the truth; with torque-commanded motors.
         seed: of the motion and of the noise.
         seconds: of the record.
         angle_noise: standard deviation of motors' angles at the link [rad or m].
@@ -78,7 +78,7 @@ def _motion(rng: np.random.Generator, t: Array, start: Array) -> Array:
 
 
 def _gains(scene: Scene) -> tuple[Array, Array]:
-    """Return gains of position and speed (N,), for 6 Hz at the inertia that each joint moves."""
+    """Return gains of position and speed (N,), for 6 Hz at the inertia of each joint."""
     plant = Plant(scene)
     N, q = len(scene.joints), scene.start
     at_rest = np.zeros(N)

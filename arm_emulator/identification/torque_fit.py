@@ -1,8 +1,8 @@
-"""The unknowns that explain measured torques best, beside what is known of them before.
+"""The unknowns that explain measured torques best, given their priors.
 
-Least squares, each joint weighted by its own unexplained torque; what the scene states counts as a
-measurement with a standard deviation of its own. So a number on which the motion does not depend
-keeps the scene's value, and its confidence shows it. Rows that stand out count little. The residual
+Least squares, each joint weighted by its own unexplained torque; the scene's values count as
+measurements with standard deviations of their own. A number that the motion does not determine
+keeps the scene's value, and its confidence shows it. Outlying rows count little. The residual
 is searched for effects that the model lacks, and the confidence includes them.
 """
 
@@ -19,28 +19,28 @@ from arm_emulator.identification.structure import Effect, find_structure, lastin
 from arm_emulator.identification.torque_model import MotionTorques, TorqueModel, Unknown
 from arm_emulator.machine.chain import Array
 
-TURNS = 5  # in which fit, weights and loads are found in turn
-BEGIN = 0.3  # of each torque, at first taken to be noise
-INSIDE = 0.03  # of their widths, by which the search begins away from bounds
-IDENTIFIED = 0.7  # of the width before: what stays as uncertain is not identifiable
-STANDS_OUT = 3.0  # times what is left usually: from here on rows count less
+TURNS = 5  # of fit, weights and loads in alternation
+BEGIN = 0.3  # of each torque: initial assumption of noise
+INSIDE = 0.03  # of their widths: initial distance from bounds
+IDENTIFIED = 0.7  # of the prior width: a number that stays as uncertain is not identifiable
+STANDS_OUT = 3.0  # times the usual residual: from here on rows count less
 FAR_OUT = 6.0  # times: rows that are counted
-AT_BOUND = 0.02  # of its width, within which a number has reached its bound
+AT_BOUND = 0.02  # of its width: distance at which a number is at its bound
 
 
 @dataclass(frozen=True)
 class TorqueFit:
-    """Found values and how sure they are."""
+    """Identified values and their confidence."""
 
     unknowns: list[Unknown]
-    fitted: Mask  # which of them were looked for (U,)
+    fitted: Mask  # which of them were sought (U,)
     values: Array  # (U,)
-    covariance: Array  # (U, U); 0 where not looked for
-    directions: int  # of the unknowns' space that the motion depends on, by SVD
+    covariance: Array  # (U, U); 0 where not sought
+    directions: int  # of the unknowns' space that the motion determines, by SVD
     explained: Array  # (N,) %, see `explained`
     effects: tuple[Effect, ...] = ()  # that the model lacks
     far_out: Array = field(default_factory=lambda: np.zeros(0))  # rows that stand out (N,)
-    left: dict[int, str] = field(default_factory=dict)  # why numbers were left as they were
+    left: dict[int, str] = field(default_factory=dict)  # reasons for keeping numbers
 
     @property
     def deviations(self) -> Array:
@@ -62,13 +62,13 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
                 motion: MotionTorques | None = None) -> TorqueFit:  # fmt: skip
     """Return the unknowns that explain the torques of a motion.
 
-    A number above 0 that the record drives to its bound is left as it was.
+    A number above 0 that the record drives to its bound keeps its value.
 
     Args:
         model: the machine.
         data: the motion, low-passed.
-        fitted: which unknowns to look for (U,).
-        motion: of `model.of(data)`, if it is there already.
+        fitted: which unknowns to seek (U,).
+        motion: of `model.of(data)`, if already computed.
     """
     motion = motion or model.of(data)
     fitted = fitted.copy()
@@ -86,7 +86,7 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
     widths = model.widths[fitted]
     structure = find_structure(data, slopes, error, weights, widths, motion.load[data.fine.kept])
     covariance = np.zeros((len(values), len(values)))
-    # Effects that the model lacks bend the numbers: by how much is part of the confidence.
+    # Effects that the model lacks shift the numbers: the confidence includes the shift.
     shift = structure.shift
     covariance[np.ix_(fitted, fitted)] = structure.covariance + np.outer(shift, shift)
     spread = [_spread(error[r, j]) for j, r in enumerate(data.moving.T)]
@@ -149,14 +149,14 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
             noise[j] = _spread(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
             samples += r.sum() / last
         used = _directions(slopes(values[fitted])[: rows.sum()] * widths)
-        # The residual lacks what the fit has absorbed.
+        # The residual lacks the part absorbed by the fit.
         noise *= np.sqrt(samples / max(samples - used, 0.2 * samples))
         noise = np.clip(noise, 1e-9 * spread, spread)
     return values, weights, motion
 
 
 def _driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]:
-    """Return the bounds that numbers above 0 were driven to, by unknown."""
+    """Return the bounds reached by numbers above 0, by unknown."""
     found = {}
     for u in np.flatnonzero(fitted):
         one = model.unknowns[u]
@@ -168,7 +168,7 @@ def _driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]
 
 
 def _directions(per_width: Array) -> int:
-    """Return in how many directions of the unknowns the record adds to what was known."""
+    """Return the number of directions of the unknowns in which the record adds information."""
     return int((np.linalg.eigvalsh(per_width.T @ per_width) > 1.0).sum())
 
 
@@ -179,11 +179,11 @@ def _spread(values: Array) -> float:
 
 
 def with_discrepancy(fit: TorqueFit, values: Array, covariance: Array) -> TorqueFit:
-    """Return a fit with values of another kind, whose confidence has in it by how much they differ.
+    """Return a fit with values of another kind; its confidence includes their difference.
 
     Args:
         fit: of torques.
-        values: found otherwise (U,).
+        values: found by another method (U,).
         covariance: of these (U, U).
     """
     apart = values - fit.values

@@ -1,12 +1,12 @@
-"""What the motors' torques are for a motion, as a function of the numbers that are looked for.
+"""Motor torques of a motion, as a function of the sought numbers.
 
 At the link, per joint, with motors that turn along with their links:
 
-    tau / Ng = Y phi + sum of what the parts at the link take + of those at the rotor / Ng + e
+        tau / Ng = Y phi + sum of the torques of parts at the link + of those at the rotor / Ng + e
 
 phi follows from log-Cholesky parameters. Each part declares its torque as a function of its numbers
-(`Part.effort`); of which of them it is linear is found out by trying. e is the offset of
-the measured torque, and no number of the machine.
+(`Part.effort`); trials show in which of them it is linear. e is the offset of the measured torque,
+and not a number of the machine.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ from arm_emulator.machine.scene import Joint, Scene
 
 LINK = ("log_mass", "log_x", "log_y", "log_z", "xy", "yz", "xz", "x", "y", "z")  # log-Cholesky
 EVERYTHING = "*"
-UNKNOWN = 3.0  # times what the torque could at most hide: how far friction may be off
-FARTHEST = 20.0  # times smaller or larger than the scene's a number above 0 is not
-TRIED = 0.1  # of its width, by which a number is changed to see what a part takes then
-LINEAR = 1e-9  # share of its effort to which a part is linear in its numbers
-SMALL = 1e-4  # of its width, by which a number is changed for a difference
+UNKNOWN = 3.0  # times the most that the torque could hide: width of friction
+FARTHEST = 20.0  # factor by which a number above 0 may differ from the scene's
+TRIED = 0.1  # of its width: perturbation of a number in the test of linearity
+LINEAR = 1e-9  # relative tolerance of a part's linearity
+SMALL = 1e-4  # of its width: perturbation for differences
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A number to be found."""
+    """A sought number."""
 
     name: str  # dotted, as in the scene
     unit: str
-    value: float  # that the scene has
-    width: float  # standard deviation of what is known of it before
+    value: float  # in the scene
+    width: float  # standard deviation of its prior
     least: float = -np.inf
     most: float = np.inf
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a joint, and what is looked for in it."""
+    """A part of a joint, and its sought numbers."""
 
     joint: int
     part: Part
@@ -64,7 +64,7 @@ class Piece:
 
 
 def matches(name: str, patterns: Sequence[str]) -> bool:
-    """Return whether one of the patterns means a number: its name, or some parts of it in a row."""
+    """Return whether a pattern matches a number: its name, or consecutive parts of it."""
     return any(
         fnmatch.fnmatchcase(name, before + pattern + after)
         for pattern in patterns
@@ -77,20 +77,20 @@ class TorqueModel:
     """Torques of a scene's motors for any motion, and their slopes in the unknowns.
 
     Attributes:
-        unknowns: all that could be found: of the links, without the payload, then of the parts,
+        unknowns: all that could be sought: of the links, without the payload, then of the parts,
             then offsets.
         start: their values in the scene.
-        links: how many are of links, the first ones.
-        rest: what the links are beside these: payload, and links that are no bodies (10 L,).
+        links: number of unknowns of links, the first ones.
+        rest: remainder of the links: payload, and links that are not physical bodies (10 L,).
         pieces: the parts.
 
     Args:
-        scene: the machine as it is known.
-        typical: how large torques (N,) at the links and speeds (N,) are that friction belongs to.
-        trust: share to which inertias and forces of the scene are good.
+        scene: the nominal machine.
+        typical: torques (N,) at the links and speeds (N,) for the scale of friction.
+        trust: relative accuracy of inertias and forces of the scene.
 
     Raises:
-        Refusal: a part of the scene does not state what torque a motion takes.
+        Refusal: a part of the scene does not state its torque for a motion.
     """
 
     def __init__(self, scene: Scene, typical: tuple[Array, Array], trust: float) -> None:
@@ -138,19 +138,19 @@ class TorqueModel:
                 least, most = one.least, one.most
                 if one.above is not None:
                     least, most = max(least, value / FARTHEST), min(most, value * FARTHEST)
-                if least < 0.0 and value:  # what pulls does not push
+                if least < 0.0 and value:  # a pulling spring does not push
                     least, most = (0.0, most) if value > 0.0 else (least, 0.0)
                 name = f"{place}.{part.section}.{key}"
                 self.unknowns.append(Unknown(name, one.unit, value, width, least, most))
             self.pieces.append(piece)
 
     def choose(self, patterns: Sequence[str], where: str) -> Mask:
-        """Return which unknowns (U,) the patterns name.
+        """Return the unknowns (U,) that match the patterns.
 
-        Offsets of torques hide what weight and friction are, and must be named themselves.
+        Offsets of torques hide errors of weight and friction, and must be named themselves.
 
         Raises:
-            Refusal: a pattern that names none.
+            Refusal: a pattern matches none.
         """
         names = [one.name for one in self.unknowns]
         for pattern in patterns:
@@ -168,7 +168,7 @@ class TorqueModel:
     def of(self, data: Filtered) -> MotionTorques:
         """Return the torques of a motion as a function of the unknowns.
 
-        Gears carry what the scene's links are, see `MotionTorques.under`.
+        Gears transmit the torques of the scene's links, see `MotionTorques.under`.
         """
         Y = self.regressor(data.q, data.v, data.a)
         empty = MotionTorques(self, data, Y, np.zeros_like(data.fine.q), [])
@@ -181,7 +181,7 @@ class TorqueModel:
 
 
 def _check_stated(scene: Scene) -> None:
-    """Refuse a scene with a part that does not state what torque a motion takes."""
+    """Refuse a scene with a part that does not state its torque for a motion."""
     t, none = np.linspace(0.0, 1.0, 3), np.zeros(3)
     for joint in scene.joints:
         at_rest = ShaftMotion(t, none, none, none, none, none, joint.gear.ratio)
@@ -194,10 +194,10 @@ def _check_stated(scene: Scene) -> None:
 
 
 def _sought(joint: Joint) -> dict[str, list[str]]:
-    """Return the keys to look for in each part of a joint, by its section.
+    """Return the sought keys of each part of a joint, by its section.
 
-    Of several parts with the same number, such as friction of link and of rotor, one has it: one
-    where the scene gives it, and rather the rotor's.
+    If several parts have the same number, such as friction of link and of rotor, only one is
+    sought: one given in the scene, and preferably the rotor's.
     """
     ranked = sorted(joint.parts, key=lambda part: part.shaft != "rotor")
     found = dict[str, list[str]]()
@@ -214,7 +214,7 @@ def _sought(joint: Joint) -> dict[str, list[str]]:
 
 @dataclass(frozen=True)
 class _Effort:
-    """What a part takes at the link: linear in its unknowns, or to be asked anew each time."""
+    """Torque of a part at the link: linear in its unknowns, or evaluated each time."""
 
     piece: Piece
     constant: Array  # (K,), with all its unknowns 0
@@ -232,14 +232,14 @@ class MotionTorques:
     efforts: list[_Effort]
 
     def under(self, unknowns: Array) -> MotionTorques:
-        """Return the torques with gears that carry what the links are by these unknowns."""
+        """Return the torques with gears that transmit the links' torques for these unknowns."""
         carried = self._links(unknowns)
         for one in self.efforts:
             if one.piece.part.shaft == "link":
                 carried[:, one.piece.joint] += self._effort(one, unknowns)
         rigid = [joint.gear.stiffness is None for joint in self.model.scene.joints]
-        carried[:, rigid] = self.data.tau[:, rigid]  # there, all that the motor gives
-        # Below the low-pass, a curve through the rows is what the samples were.
+        carried[:, rigid] = self.data.tau[:, rigid]  # there, the full motor torque
+        # Below the low-pass, a curve through the rows reproduces the samples.
         t = np.clip(self.data.fine.t, self.data.t[0], self.data.t[-1])
         load = CubicSpline(self.data.t, carried)(t)
         return dataclasses.replace(
@@ -302,7 +302,7 @@ class MotionTorques:
         return np.column_stack(columns)
 
     def _look(self, piece: Piece, load: Array) -> _Effort:
-        """Find out whether a part is linear in its unknowns."""
+        """Determine whether a part is linear in its unknowns."""
         known = {key: float(getattr(piece.part, key)) for key in piece.keys}
         by = {
             key: TRIED * self.model.unknowns[piece.first + k].width
@@ -323,7 +323,7 @@ class MotionTorques:
         return _Effort(piece, base - X @ np.array(list(known.values())), X)
 
     def _asked(self, piece: Piece, load: Array, numbers: Mapping[str, float]) -> Array:
-        """Return what a part with some numbers takes at the link (K,), low-passed."""
+        """Return the torque of a part with given numbers at the link (K,), low-passed."""
         fine, j = self.data.fine, piece.joint
         ratio = self.model.scene.joints[j].gear.ratio
         per = ratio if piece.part.shaft == "rotor" else 1.0

@@ -1,9 +1,9 @@
-"""Stiffness of gears from encoders at the links: how far a gear gives way under its load.
+"""Stiffness of gears from encoders at the links: compliance under load.
 
 q_motor - q_link = T / Kg + zero + ripple     with the torque T on the link
 
-Zero and ripple are those of the encoder at the link, in this record. The ripple is a wave that goes
-with the angle, of some hundred per turn.
+Zero and ripple are those of the encoder at the link, in this record. The ripple is a wave over the
+angle, with some hundred periods per turn.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from arm_emulator.identification.measured_run import MeasuredRun
 from arm_emulator.machine.chain import Array
 from arm_emulator.machine.scene import Scene
 
-BELOW = 10.0  # Hz: what rigid links show of the load
-ORDERS = np.arange(20.0, 2000.0, 0.5)  # waves per turn among which the ripple is looked for
+BELOW = 10.0  # Hz: bandwidth of the load of rigid links
+ORDERS = np.arange(20.0, 2000.0, 0.5)  # waves per turn searched for the ripple
 SLOW = 1.0  # Hz: errors slower than this are no ripple
-SURE = 5.0  # times its deviation: a compliance that is less sure is not identifiable
+SURE = 5.0  # times its deviation: less certain compliance is not identifiable
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
 
 
 def _largest_wave(error: Array, q: Array, period: float) -> tuple[float, float, float]:
-    """Return amplitude and order of the largest wave in an error, and what is left without it."""
+    """Return amplitude and order of the largest wave in an error, and the remainder."""
     quick = error - low_pass(error[:, None], period, SLOW)[:, 0]
     found = [abs(np.mean(quick * np.exp(1j * n * q))) for n in ORDERS]
     n = float(ORDERS[int(np.argmax(found))])

@@ -1,1 +1,1 @@
-"""Real machines, held against what others measured or computed of them."""
+"""Real machines compared with measurements or computations of others."""

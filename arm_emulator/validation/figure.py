@@ -1,7 +1,6 @@
-"""Figures of a validation, each with the limit that it must keep.
+"""Figures of a validation, each with its limit.
 
-The table that is printed and the exit code come from one list of these, so that no figure is shown
-that does not count.
+Table and exit code come from the same list of these, so that every figure shown counts.
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ from arm_emulator.machine.chain import Array
 
 @dataclass(frozen=True)
 class Figure:
-    """A quantity of each axis, or a single one, and what it must keep.
+    """A quantity of each axis, or a single one, and its limit.
 
-    A yardstick (the figure of a null model) has no limit of its own: others are held against it.
+    A yardstick (the figure of a null model) has no limit of its own: others are compared with it.
     """
 
     title: str
@@ -70,7 +69,7 @@ class Figure:
 
     @property
     def limits(self) -> str:
-        """The limits in words."""
+        """The limits as text."""
         if self.yardstick:
             return "null model"
         each, mean = self._rule(self.least, self.most), self._rule(self.least_mean, self.most_mean)
@@ -78,7 +77,7 @@ class Figure:
 
 
 def table_of(title: str, names: Sequence[str], figures: Sequence[Figure]) -> Table:
-    """Return figures of axes as a table, what fails in red."""
+    """Return figures of axes as a table, failures in red."""
     table = Table(title=title)
     table.add_column("")
     for name in (*names, "mean", "must be"):

@@ -1,9 +1,8 @@
-"""The identified KUKA under our own servo, which gets the command that the real one got.
+"""The identified KUKA under our own servo, which gets the command of the real machine.
 
-Nothing is published of windings and encoders. Those assumed here are there since our servo
-commands voltages; its current control hides them. The real controller is not known: that ours
-needs the same torques for the same motion is a matter of the machine, by how much it lags behind
-its command is a matter of the gains.
+No data of windings and encoders are published. They are assumed here because our servo commands
+voltages; its current control hides them. The real controller is unknown: that ours needs the same
+torques for the same motion depends on the machine, its lag behind the command on the gains.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ VELOCITY_LIMIT = 5.0  # rad/s, beyond all axes' own
 class ClosedLoop:
     """A run under our servo, of each joint (N,)."""
 
-    explained: Array  # % of the measured torque in motion, by that of our servo's motors
+    explained: Array  # % of the measured torque in motion, by the torque of our servo's motors
     lag: Array  # rad, root of mean square of command less motor
     measured_lag: Array  # rad, the same of the real machine
 

@@ -34,10 +34,10 @@ EVERY = 0.1  # s, from one free run to the next
 LONG = (0.6, 2.0)  # s, free runs
 JUDGED = (1, 2)  # axes whose wind-up is judged: axis 1 carries too little to be judged
 
-# What the identified machine must reach on any run. The shares of null models are what makes a
-# figure mean something: gears ten times too stiff leave 0.91 of a wind-up, our own 0.30 to 0.68.
+# Limits of the identified machine on any run. The shares of null models give a figure its meaning:
+# with gears ten times too stiff 0.91 of a wind-up remains, with ours 0.30 to 0.68.
 LEAST_EXPLAINED, LEAST_OF_AXIS = 87.0, 80.0  # %, in motion
-LEAST_OF_ALL = 65.0  # %, mean over all samples: at rest stiction takes what torque there is
+LEAST_OF_ALL = 65.0  # %, mean over all samples: at rest stiction takes any torque
 LEAST_CAUSAL = 83.0  # %, mean, in motion, low-passed one way
 MOST_DRIFT = {0.6: (8.0, 15.0), 2.0: (40.0, 60.0)}  # %, mean and each axis, after seconds
 MOST_OF_NULL = 0.6  # free runs: their mean, of that of the best null model
@@ -48,7 +48,7 @@ LEAST_OF_LARGE, LEAST_OF_WRIST = 80.0, 60.0  # %, our servo: each of axes 1 to 3
 
 @dataclass(frozen=True)
 class Comparison:
-    """One run beside the scene."""
+    """Comparison of one run with the scene."""
 
     run: MeasuredRun
     data: Filtered  # every sample, low-passed
@@ -65,13 +65,13 @@ class Comparison:
 
     @property
     def good(self) -> bool:
-        """Whether it is as close as it should be."""
+        """Whether all limits are kept."""
         return not self.failures
 
 
 @dataclass(frozen=True)
 class Known:
-    """What run A has given beside the machine's numbers."""
+    """Results of run A beside the machine's numbers."""
 
     per_axis: PerAxis
     wave_order: Array  # of the encoder at the link, waves per turn (N,)
@@ -80,7 +80,7 @@ class Known:
 
 @cache
 def known() -> Known:
-    """Return what null models and the encoder's wave take from run A."""
+    """Return the null models and the encoder's wave, identified on run A."""
     scene = load_scene("kuka_kr300")
     run = load(SHIPPED[0], scene)
     data = _filtered(run, scene)
@@ -94,10 +94,10 @@ def load(path: Path, scene: Scene) -> MeasuredRun:
 
 
 def compare(path: Path, scene: Scene | None = None) -> Comparison:
-    """Hold a run against the scene.
+    """Compare a run with the scene.
 
     Raises:
-        Refusal: the file is no such run.
+        Refusal: the file is not such a run.
     """
     scene = scene or load_scene("kuka_kr300")
     run = load(path, scene)
@@ -124,7 +124,7 @@ def _torques(scene: Scene, data: Filtered) -> Array:
 
 
 def torques_of(scene: Scene, run: MeasuredRun) -> tuple[Filtered, Array]:
-    """Return a run low-passed, and the torques that a machine takes for it (K, N) [N m]."""
+    """Return a run low-passed, and the machine's torques for it (K, N) [N m]."""
     data = _filtered(run, scene)
     return data, _torques(scene, data)
 
@@ -132,7 +132,7 @@ def torques_of(scene: Scene, run: MeasuredRun) -> tuple[Filtered, Array]:
 def torque_figures(
     scene: Scene, run: MeasuredRun, data: Filtered, torques: Array
 ) -> Iterator[Figure]:
-    """Yield how much of the measured torque a machine explains, see `torques_of`."""
+    """Yield the share of the measured torque that a machine explains, see `torques_of`."""
     every = np.ones_like(data.moving)
     null = known().per_axis.torques(data)
     alone = explained(data.tau, null - data.tau, data.moving)
@@ -186,12 +186,12 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
 
 
 def wind_up_figures(run: MeasuredRun, of_gears: WindUp) -> Iterator[Figure]:
-    """Yield how much of the measured wind-up is left beside the computed one."""
+    """Yield the measured wind-up that remains beside the computed one."""
     rigid = np.degrees(of_gears.unexplained)
     yield Figure("wind-up, deg rms: rigid gears", rigid, ".4f", yardstick=True)
     share = of_gears.residual / of_gears.unexplained
     yield _of_rigid("  not computed, of that", share, MOST_OF_RIGID)
-    # Only the phase of the encoder's wave is the run's own, as its zero is.
+    # Only the phase of the encoder's wave is specific to the run, as its zero is.
     wave, q = known(), run.q_motor[np.searchsorted(run.t, of_gears.t)]
     left, whole = (
         _without_wave(error, q, wave.wave_order, wave.wave)

@@ -1,6 +1,6 @@
-"""Null models of the KUKA KR300: what a comparison must distinguish from our machine.
+"""Null models of the KUKA KR300: a comparison must distinguish them from our machine.
 
-None of them knows the arm. Those with numbers have them from run A, as the machine has.
+None of them models the arm. Their numbers, if any, come from run A, as the machine's do.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class PerAxis:
 
     @classmethod
     def fitted(cls, data: Filtered) -> PerAxis:
-        """Return what fits a record best, least squares over its samples in motion."""
+        """Return the least-squares fit to a record, over its samples in motion."""
         rows = []
         for j in range(data.q.shape[1]):
             A, moving = _features(data, j), data.moving[:, j]
@@ -36,7 +36,7 @@ class PerAxis:
         return cls(np.array(rows))
 
     def torques(self, data: Filtered) -> Array:
-        """Return the torques that a motion takes (K, N) [N m]."""
+        """Return the torques of a motion (K, N) [N m]."""
         axes = range(len(self.coefficients))
         return np.column_stack([_features(data, j) @ self.coefficients[j] for j in axes])
 
@@ -68,7 +68,7 @@ def constant_acceleration(run: MeasuredRun, begin: Starts, seconds: float, low: 
     Args:
         run: the record.
         begin: the starts.
-        seconds: how long.
+        seconds: time of each.
         low: low-pass of the acceleration [Hz]; it looks ahead, so that this one knows more than the
             machine does.
     """

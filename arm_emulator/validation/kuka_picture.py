@@ -12,7 +12,7 @@ from arm_emulator.validation.kuka_kr300 import Comparison
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-EVERY = 5  # free runs: one of so many is drawn
+EVERY = 5  # free runs: one of this many is drawn
 
 
 def draw(one: Comparison, names: tuple[str, ...], file: Path) -> None:

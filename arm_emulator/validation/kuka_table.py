@@ -23,10 +23,10 @@ def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[
     Args:
         runs: files as run_A.npz; none: the shipped ones.
         folder: of the pictures.
-        console: where tables go.
+        console: for the tables.
 
     Raises:
-        Refusal: a file that is no such run.
+        Refusal: a file is not such a run.
     """
     scene = load_scene("kuka_kr300")
     paths = list(runs) or list(SHIPPED)

@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 
 
 def draw(motion: Motion, by_period: Sequence[tuple[float, Comparison]], file: Path) -> None:
-    """Draw angles, currents, friction modes, and how the error falls with the period."""
+    """Draw angles, currents, friction modes, and the error over the period."""
     truth, modes, _, _ = solution()
     figure, ((angles, currents), (sticking, errors)) = plt.subplots(
         2, 2, figsize=(12, 7.5), layout="constrained"

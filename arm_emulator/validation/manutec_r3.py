@@ -21,7 +21,7 @@ from arm_emulator.machine.scene import load_scene
 
 AXES = 6
 END = 1.8560450019  # s
-# Of the path: largest speeds and accelerations of the axes, and where they go.
+# Largest speeds and accelerations of the axes on the path, and its end.
 Q_BEGIN = np.radians([-60.0, 20.0, 90.0, 0.0, -110.0, 0.0])
 Q_END = np.radians([60.0, -70.0, -35.0, 45.0, 110.0, 45.0])
 LARGEST_SPEED = np.array([3.0, 1.5, 5.0, 3.1, 3.1, 4.1])  # rad/s
@@ -31,7 +31,7 @@ REGULATOR_W = np.array([4590.0, 5500.0, 5500.0, 6250.0, 6250.0, 7400.0])  # rad/
 REGULATOR_D = np.array([0.6, 0.6, 0.6, 0.55, 0.55, 0.27])
 
 CONTROLLERS = Path(__file__).with_suffix(".hpp")
-ELASTIC = slice(0, 3)  # axes whose motor turns by itself
+ELASTIC = slice(0, 3)  # axes with elastic gears
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Motion:
 
 @cache
 def turns_of_motors() -> Array:
-    """Return by how much the motors turn as their links turn by 1."""
+    """Return the motor angles per unit link angles."""
     return 1.0 / load_scene("manutec_r3").gear_ratios
 
 
@@ -125,7 +125,7 @@ def simulate(period: float = 5e-5, steps: int = 1, scheme: str = "rosenbrock",
 
 @dataclass(frozen=True)
 class Comparison:
-    """By how much a motion differs from the solution, the largest of each axis."""
+    """Largest deviations of a motion from the solution, by axis."""
 
     q: Array  # rad
     v: Array  # rad/s

@@ -19,7 +19,7 @@ PERIODS = (2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)  # s, servo period and step
 SHOWN = 5e-5  # s, of which angles and currents are drawn
 
 
-# What must be kept at the period that is drawn; the solution itself is good to 5e-9 rad.
+# Limits at the drawn period; the solution itself is accurate to 5e-9 rad.
 MOST = {"q": 1e-6, "v": 1e-3, "current": 5e-3, "wind_up": 5e-5}
 MOST_OTHER_MODES = 0.01  # of the rows: the solution has two at each instant of change
 ORDER = (1.8, 2.2)  # of the angles' error, over the periods from 50 to 5 us
@@ -85,7 +85,7 @@ def order_of(found: Mapping[float, tuple[manutec_r3.Comparison, float]]) -> floa
 def manutec_failures(
     found: Mapping[float, tuple[manutec_r3.Comparison, float]],
 ) -> Iterator[str]:
-    """Yield each limit that is not kept, as a line: figures at `SHOWN`, order, and modes at all."""
+    """Yield each exceeded limit, as a line: figures at `SHOWN`, order, and modes."""
     at, speed = found[SHOWN]
     where = f"at {1e6 * SHOWN:g} us"
     for name, most in MOST.items():

@@ -25,7 +25,7 @@ def advise(
 
     Args:
         error: largest error of a link on the way (rad or m).
-        motion: to judge by: a bag, or a CSV of commands with t and the joints' names (default: the
+        motion: test motion: a bag, or a CSV of commands with t and the joints' names (default: the
             scene's demo and motions of many kinds).
         write: put the result into the scene file.
     """

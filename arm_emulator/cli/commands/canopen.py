@@ -26,15 +26,15 @@ def canopen(
     eds: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     kept: Keep = NOTHING,
 ) -> int:
-    """Serve masters of CANopen until Ctrl-C.
+    """Serve CANopen masters until Ctrl-C.
 
     Args:
-        listen: offer the bus there, as socketcand does.
-        bus: in place of this one of python-can: socketcan, udp_multicast, ...
+        listen: address of the bus, served as by socketcand.
+        bus: instead, a bus of python-can: socketcan, udp_multicast, ...
         channel: of that bus, such as can0.
         bitrate: for buses that need it.
         first_node: node-ID of the first joint; the others follow.
-        eds: write the drives' data sheets, and end.
+        eds: folder for the drives' data sheets, which are written instead.
     """
     from arm_emulator.cli.canopen import canopen as serve
     from arm_emulator.cli.canopen import write_eds

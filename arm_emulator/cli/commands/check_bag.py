@@ -17,7 +17,7 @@ def check_bag(
     Args:
         bag: folder of the bag.
         scene: scene file or name (default: the one that the bag names).
-        strict: exit code 1 also where anything is not compared.
+        strict: exit code 1 also if any message is not compared.
     """
     from arm_emulator.cli.check_bag import check
 

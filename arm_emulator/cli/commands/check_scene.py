@@ -21,7 +21,7 @@ def check_scenes(
     """Check scene files, and the servo and motion parameters that lie beside them.
 
     Args:
-        modes: show the eigenvalues of every loop that the scene's drives can be put into.
+        modes: show the eigenvalues of every loop that the modes of the scene's drives select.
     """
     from arm_emulator.cli.check_scene import check_scenes as check
 

@@ -26,9 +26,9 @@ def compile_scene(
     Args:
         target: native (this machine's processor), or a level such as x86-64-v3 for machines without
             a compiler.
-        into: for the libraries (default: the cache).
-        fleet: also many arms side by side.
-        fieldbus: also what field buses need.
+        into: folder of the libraries (default: the cache).
+        fleet: compile the library of a fleet, too.
+        fieldbus: compile the libraries of field buses, too.
     """
     from arm_emulator.build.unit import compile_units
     from arm_emulator.machine.compiler import compile_ahead

@@ -23,7 +23,7 @@ def demo(
 
     Args:
         scene: scene file or name, or a robot's URDF.
-        out: for the results.
+        out: folder of the results.
     """
     from arm_emulator.base.config_files import ROBOTS
     from arm_emulator.cli.demo import demo as experiment

@@ -1,4 +1,4 @@
-"""Check what this machine has of what the emulator needs, and what an earlier run left behind."""
+"""Check this machine for the emulator's needs, and for remains of earlier runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from arm_emulator.cli.options import Json
 def doctor(*, json: Json = False) -> int:
     """Check compiler, packages, ROS, processes, shared memory and disk: a line each, with a remedy.
 
-    The exit code is 1 where something is a problem. What only some commands need is a note.
+    The exit code is 1 if there is a problem. A missing package of some commands is a note.
     """
     from arm_emulator.cli.doctor import doctor as examine
 

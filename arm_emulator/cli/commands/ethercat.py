@@ -24,11 +24,11 @@ def ethercat(
     realtime: bool = False,
     kept: Keep = NOTHING,
 ) -> int:
-    """Serve a master of EtherCAT until Ctrl-C.
+    """Serve an EtherCAT master until Ctrl-C.
 
     Args:
         interface: network interface that the master is connected to.
-        esi: write the description of the slaves (ESI), and end.
+        esi: file for the description of the slaves (ESI), which is written instead.
         lockstep: a servo period per frame of process data (default).
         realtime: servo periods by the clock.
     """

@@ -28,9 +28,9 @@ def firmware(
     """Run unmodified firmware of a microcontroller in the loop with a machine.
 
     Args:
-        board: which register is wired to what (YAML).
+        board: wiring of the registers (YAML).
         firmware: ELF file.
-        gdb: wait there for gdb, on 127.0.0.1.
+        gdb: port on 127.0.0.1 at which to wait for gdb.
         uart: a serial line of the board: stdout, pty or none (default: the first to stdout).
     """
     from arm_emulator.cli.firmware import run

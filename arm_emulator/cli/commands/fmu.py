@@ -25,11 +25,11 @@ def fmu(
     """Write a scene's machine as a functional mock-up unit for co-simulation.
 
     Args:
-        out: such as arm.fmu.
-        varied: numbers that become parameters, by commas (default: those that the scene lists).
-        target: processors of its binary: a level (default: x86-64-v2), or native, this machine's.
+        out: file to write, such as arm.fmu.
+        varied: parameters, separated by commas (default: numbers that the scene lists).
+        target: processors of the binary: a level (default: x86-64-v2), or native, this machine's.
         fmi: version, 3.0 or 2.0.
-        windows: with a binary for 64-bit Windows, too (by mingw).
+        windows: add a binary for 64-bit Windows (by mingw).
     """
     from arm_emulator.cli.fmu import write_fmu
 

@@ -34,18 +34,18 @@ def identify(
     """Find a scene's numbers from a record of its machine's motion.
 
     Args:
-        scene: scene file or name: the machine as it is known.
+        scene: scene file or name: the nominal machine.
         data: record: .npz, .csv, or a bag's folder.
-        fit: what to find, by commas.
-        hold: what to keep as it is, by commas.
+        fit: numbers to identify, separated by commas.
+        hold: numbers to keep, separated by commas.
         out: the scene to write.
         angles: unit in the data.
         side: of the gear on which motor angles are measured.
-        delay: how late tau or q_link come.
-        low_pass: what is faster is not used.
-        trust: share to which the scene's inertias and springs are good.
-        as_is: do not ask whether axes, signs, units are right.
-        simulate: then fit by simulating free runs (compiles).
+        delay: delays of tau or q_link.
+        low_pass: cut-off frequency.
+        trust: relative accuracy of the scene's inertias and springs.
+        as_is: skip the check of axes, signs and units.
+        simulate: second stage: fit simulated free runs (compiles).
     """
     from arm_emulator.cli.identify import identify as find
 

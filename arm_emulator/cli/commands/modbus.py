@@ -27,17 +27,17 @@ def modbus(
     registers: bool = False,
     kept: Keep = NOTHING,
 ) -> int:
-    """Serve masters of Modbus RTU until Ctrl-C.
+    """Serve Modbus RTU masters until Ctrl-C.
 
     Args:
-        clock: a servo period per write of commands, logical time by what the line takes, or the
-            wall clock.
+        clock: a servo period per write of commands, logical time by the duration of the line's
+            traffic, or the wall clock.
         baud: of the line.
         station: address on the line.
-        error_rate: of bytes that are lost or damaged on the line.
+        error_rate: share of bytes lost or damaged on the line.
         seed: of these errors.
-        watchdog: after which a silent master's drives are off; 0: never.
-        link: link to the port, to be made.
+        watchdog: time after which the drives of a silent master are off; 0: never.
+        link: symbolic link to the port.
         registers: print the table of registers, and end.
     """
     from arm_emulator.cli.modbus import modbus as serve

@@ -26,17 +26,17 @@ def move(
     namespace: str = "",
     json: Json = False,
 ) -> int:
-    """Send a target over ROS, and print what becomes of it: accepted, moving, reached.
+    """Send a target over ROS, and print its states: accepted, moving, reached.
 
     The exit code is 0 when the target is reached, and 1 when it is refused, unreachable, replaced
-    or aborted, or when the time is over.
+    or aborted, or after the timeout.
 
     Args:
-        to: where the tool shall be (m, in the world).
-        by: displacement of the tool from where it is (m, in the world).
-        quaternion: orientation of the tool (default: as it is).
-        joints: angles of joints (rad or m); the others hold theirs.
-        seconds: logical time that a motion of joints takes.
+        to: target of the tool (m, in the world).
+        by: displacement of the tool from its present position (m, in the world).
+        quaternion: orientation of the tool (default: unchanged).
+        joints: angles of joints (rad or m); the others hold.
+        seconds: logical time of a motion of joints.
         timeout: wall time to wait for the end.
         namespace: of the network, such as /cell1.
     """

@@ -1,4 +1,4 @@
-"""Make a scene, with servo and motion control, of a robot."""
+"""Make a scene, with servo and motion control, from a robot description."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ def new(
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     force: bool = False,
 ) -> int:
-    """Make a scene of a robot description.
+    """Make a scene from a robot description.
 
     Args:
         robot: URDF or xacro source.
         arguments: arguments of the xacro source.
-        tool: where the arm ends (default: chosen).
-        joints: that move, the rest is held (default: chosen).
-        payload: mass that the tool carries (default: none).
-        density: of bodies that the description leaves out.
+        tool: link of the tool (default: chosen).
+        joints: moving joints; the others are held (default: chosen).
+        payload: mass at the tool (default: none).
+        density: density of bodies without inertia in the description.
         motor: kind of all motors, as `motor.kind` in scenes.
-        out: of the scene's files (default: the robot's name, here).
-        force: write over files that are there.
+        out: folder of the scene's files (default: the robot's name, here).
+        force: overwrite existing files.
     """
     from arm_emulator.cli.new import new as make
 

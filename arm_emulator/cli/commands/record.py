@@ -14,11 +14,11 @@ def record(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> 
 
     Args:
         out: folder of the new bag.
-        from_start: reset a machine that runs already: `check-bag` needs a run from tick 0 on.
+        from_start: reset a machine that is already running: `check-bag` needs a run from tick 0 on.
     """
     from arm_emulator.ros.recorder_presence import RecorderPresence
 
-    # Before anything that takes time: an emulator that is started together with this command waits.
+    # Before anything that takes time: an emulator started together with this command waits.
     with RecorderPresence(topics) as presence:
         from arm_emulator.cli.record import record as write
 

@@ -1,4 +1,4 @@
-"""Make a whole bag of a killed recorder's."""
+"""Repair the bag of a killed recorder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from arm_emulator.cli.command import command
 
 @command()
 def repair(bag: Path, /) -> int:
-    """Make a whole bag of one whose recorder was killed.
+    """Repair a bag whose recorder was killed.
 
     Args:
         bag: folder of the bag.

@@ -1,4 +1,4 @@
-"""Publish what a bag holds, at the recorded times."""
+"""Publish the messages of a bag at the recorded times."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from arm_emulator.cli.options import Topics
 
 @command(until_stopped=True, of_ros=True)
 def replay(bag: Path, /, *, topics: Topics = None, rate: float = 1.0, wait: bool = False) -> int:
-    """Publish what a bag holds, at the recorded times.
+    """Publish the messages of a bag at the recorded times.
 
     Args:
         bag: folder of the bag.
         rate: recorded seconds per second.
-        wait: begin when every topic has a listener.
+        wait: begin when every topic has a subscriber.
     """
     from arm_emulator.cli.replay import replay as publish
 

@@ -1,4 +1,4 @@
-"""The same without a network, as fast as it goes."""
+"""Run machine, servo and motion controller without a network, as fast as possible."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ def run(
     """Run machine, servo and motion controller in one process, in lock-step.
 
     Args:
-        displacement: where to bring the tool, from where it starts (m, in the world; default:
-            nowhere).
-        targets: joint targets in place of the motion controller: CSV with t and the joints' names.
-        servo: control code in C in place of our servo; with --targets.
+        displacement: displacement of the tool from its start (m, in the world; default: none).
+        targets: joint targets instead of the motion controller: CSV with t and the joints' names.
+        servo: control code in C instead of our servo; with --targets.
     """
     kept.check("run")
     if targets is not None:

@@ -1,4 +1,4 @@
-"""Write what our servo in C knows of a scene's joints as a C header."""
+"""Write the data of a scene's joints as a C header for our servo."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def servo_header(
     *,
     out: Annotated[Path | None, Parameter(metavar="FILE")] = None,
 ) -> int:
-    """Write what our servo in C knows of a scene's joints as a C header.
+    """Write the data of a scene's joints as a C header for our servo.
 
     Args:
-        out: the header (default: the terminal).
+        out: header file (default: the terminal).
     """
     from arm_emulator.cli.servo_header import write_header
 

@@ -1,4 +1,4 @@
-"""Print how a running network does: its clock, its nodes' health, its newest target."""
+"""Print the state of a running network: its clock, its nodes' health, its newest target."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def status(
     namespace: str = "",
     json: Json = False,
 ) -> int:
-    """Print how a running network does; the exit code is 1 where a node is missing or not healthy.
+    """Print the state of a running network; the exit code is 1 if a node is missing or not healthy.
 
     Args:
-        timeout: wall time to wait for what is missing.
+        timeout: wall time to wait for missing nodes.
         namespace: of the network, such as /cell1.
     """
     from arm_emulator.cli.status import status as show

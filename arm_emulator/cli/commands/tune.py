@@ -21,12 +21,12 @@ def tune(
     write: bool = False,
     json: Json = False,
 ) -> int:
-    """Compute gains for a scene, and show what they and the present ones do.
+    """Compute gains for a scene, and compare them with the present ones.
 
     Args:
-        out: where to draw a picture.
-        payload: mass at the tool, in place of the scene's.
-        write: put the gains into the servo's file.
+        out: folder of a picture.
+        payload: mass at the tool, instead of the scene's.
+        write: write the gains into the servo's file.
     """
     from arm_emulator.cli.tune import tune as compute
 

@@ -28,13 +28,13 @@ def up(
     """Start the three nodes until Ctrl-C, or until one of them ends.
 
     Args:
-        start: what the machine does until the servo answers.
-        rerun_port: where a Rerun viewer may connect.
+        start: behaviour until the servo's first answer.
+        rerun_port: port at which a Rerun viewer may connect.
         rerun_file: Rerun recording to write.
-        record: new bag, written by the emulator itself: complete whatever the network does.
+        record: new bag, written by the emulator itself, independent of the network.
         namespace: of all nodes and topics, such as /cell1.
         use_sim_time: the nodes' own clocks follow the emulator's.
-        params_file: ROS parameter file that rules over all other parameters.
+        params_file: ROS parameter file that overrides all other parameters.
     """
     from arm_emulator.cli.up import up as bring_up
 

@@ -1,4 +1,4 @@
-"""Compare a real machine with what others found."""
+"""Compare a real machine with measurements or with independent solutions."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def validate(
     out: Annotated[Path, Parameter(metavar="FOLDER")] = Path("out"),
     json: Json = False,
 ) -> int:
-    """Compare a real machine, computed again, with measurements or with others' solutions.
+    """Compare the emulation of a real machine with measurements or with independent solutions.
 
     Args:
         machine: manutec_r3 or kuka_kr300.
         runs: of kuka_kr300: further records (default: those shipped).
-        out: of the pictures.
+        out: folder of the pictures.
     """
     from arm_emulator.cli.validate import validate as compare
 
