@@ -7,13 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documents import DOCS
 from machines import GRAVITY, LINK, write_scene
 from rclpy.serialization import deserialize_message
+from torque_modes import enabled
 
+from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.build.c_header import text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.doors.fieldbus.converter import Converter, blocks
+from arm_emulator.doors.fieldbus.drives import dictionary
 from arm_emulator.doors.fieldbus.modbus_rtu import ModbusException
 from arm_emulator.doors.fmu.variables import variables
 from arm_emulator.machine import outputs
@@ -21,15 +25,18 @@ from arm_emulator.machine.core_calls import ARM
 from arm_emulator.machine.loop_clock import real_time_session
 from arm_emulator.machine.measured_fields import MeasuredFields
 from arm_emulator.machine.outputs import KNOWN, SYMBOLS, outputs_of, readings_of, reported_by_parts
+from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.output import FURTHER, READINGS, Output
-from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.parts.sensors import ANALOG, SENSORS
 from arm_emulator.machine.parts.torque_sensor import TorqueSensor
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
 from arm_emulator.machine.scene_unit import scene_unit
 from arm_emulator.machine.session import Session
 from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator.runs.gains import load_gains
 from arm_emulator_msgs.msg import MotorState
+from bench import pages, quantities
 
 PMSM = {
     "kind": "pmsm", "resistance": 0.4, "inductance_d": 2e-3, "inductance_q": 3e-3, "flux": 0.05,
@@ -211,3 +218,48 @@ def test_a_faultless_sensor_has_the_bits_of_the_truth() -> None:
         plant.exchange(rng.uniform(-20.0, 20.0, 3))
         assert plant.measured.torque.tobytes() == plant.state.gear_torque.tobytes()
         assert plant.measured.current.tobytes() == plant.state.current.tobytes()
+
+
+def test_drives_on_a_bus_have_the_outputs_that_have_an_object() -> None:
+    """In the unit of the output or a thousandth; what a drive sends of its own is an output."""
+    entries = {one.index: one for one in dictionary() if one.sub == 0}
+    shown = {one.cia: one for one in KNOWN.values() if one.cia}
+    assert len(shown) == sum(one.cia > 0 for one in KNOWN.values()), "an object each"
+    own = {index for index, one in entries.items() if 0x2000 <= index < 0x3000 and one.tx}
+    assert own == {index for index in shown if index < 0x3000}
+    file = find_scene("ur5")
+    drives = enabled(load_scene(file), load_gains(file).servo)
+    drives.write(2, 0x607A, drives.read(2, 0x6064) + 200)
+    drives.write(5, 0x60FE, 1, 2)
+    drives.write(5, 0x60FE, 1, 1)
+    changed = dict.fromkeys(shown, 0)
+    for _ in range(40):
+        drives.period()
+        for index, output in shown.items():
+            assert entries[index].access == "ro" and entries[index].tx, hex(index)
+            times = 1e3 if entries[index].unit.startswith("m") else 1.0
+            row = times * np.asarray(getattr(drives.plant.measured, output.name), float)
+            for j, value in enumerate(row):
+                assert abs(drives.read(j, index) - value) <= 0.5, f"{output.name} of joint {j}"
+            changed[index] += len(np.unique(row)) > 1
+    assert min(changed.values()) > 10, "joints differ"
+
+
+def test_the_page_of_quantities_has_all_of_them() -> None:
+    """As `make pages` writes it from what parts declare."""
+    page = pages.tables()["quantities"]
+    table = quantities.report(quantities.run(quick=True))
+    assert page.read_text() == pages.put(page.read_text(), "quantities", table)
+
+
+def test_lists_of_parts_and_sensors_have_all_of_them() -> None:
+    """A part whose page no list leads to is one that nobody finds."""
+    folder = DOCS / "reference" / "parts"
+    names = {one.__module__.rsplit(".", 1)[1] for one in PARTS}
+    listed = (DOCS / "concepts" / "parts.md").read_text()
+    for name in names:
+        assert f"parts/{name}.md" in listed or not (folder / f"{name}.md").exists(), name
+    rows = (folder / "sensors.md").read_text()
+    for one in SENSORS:
+        place = f"| `joints.NAME.{one.section}` |" if one.owners == "joints" else "| `imus.NAME` |"
+        assert place in rows, one.section

@@ -17,11 +17,21 @@ from arm_emulator.machine.scene import Scene
 
 # Of every drive, whatever its parts.
 _COUNTS = Output(
-    "encoder_counts", "counts of the encoder at each motor", "joint.encoder", kind="count"
+    "encoder_counts",
+    "counts of the encoder at each motor",
+    "joint.encoder",
+    kind="count",
+    cia=0x6063,
 )
-_CURRENT = Output("current", "current of each motor, by its sensor", "joint.current", "A")
+_CURRENT = Output(
+    "current", "current of each motor, by its sensor", "joint.current", "A", cia=0x2005
+)
 _APPLIED = Output(
-    "applied", "what each motor got in the servo period that has passed", "joint.applied", COMMAND
+    "applied",
+    "what each motor got in the servo period that has passed",
+    "joint.applied",
+    COMMAND,
+    cia=0x2006,
 )
 ALWAYS = (_COUNTS, _CURRENT, _APPLIED, FAULTS)
 

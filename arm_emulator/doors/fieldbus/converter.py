@@ -76,7 +76,7 @@ _ALWAYS = (
     (1, "index pulses, modulo 2^16", "uint16", "1"),
 )
 # The outputs that these have, and the joint status.
-_REPORTED = (
+REPORTED = (
     "encoder_counts", "current", "applied", "faults", "brake_closed",
     "link_encoder_counts", "index_counts", "index_pulses",
 )  # fmt: skip
@@ -84,7 +84,7 @@ _REPORTED = (
 
 def further(scene: Scene) -> tuple[Output, ...]:
     """Return what the scene's parts report beside what every machine has."""
-    return tuple(one for one in outputs_of(scene) if one.name not in _REPORTED)
+    return tuple(one for one in outputs_of(scene) if one.name not in REPORTED)
 
 
 def measured_blocks(scene: Scene) -> list[Block]:

@@ -23,7 +23,11 @@ class Brake(Part):
     shaft = "rotor"
     header = "brake.hpp"
     cxx = "Brake"
-    outputs = (Output("brake_closed", "whether each brake is closed", "joint.brake", kind="flag"),)
+    outputs = (
+        Output(
+            "brake_closed", "whether each brake is closed", "joint.brake", kind="flag", cia=0x2004
+        ),
+    )
 
     torque: float = number("torque", "N m", above=0.0)
     close_delay: float = number(

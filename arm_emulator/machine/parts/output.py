@@ -31,6 +31,7 @@ class Output:
         unit_of_slides: where that of a joint that slides is another one.
         kind: of its values.
         per_unit: whether it has three values per inertial measurement unit, and none per joint.
+        cia: the object of a CiA 402 drive that has it, in its unit or a thousandth; 0: none.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Output:
     unit_of_slides: str = ""
     kind: Kind = "number"
     per_unit: bool = False
+    cia: int = 0
 
     def unit_at(self, kind: str) -> str:
         """Return its unit at a joint.
