@@ -172,10 +172,10 @@ robots: .venv/.robots
 demo: setup $(ROBOTS)
 	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
 
-# Two files at a time, since many tests wait for a compiler or for processes; in the order of
+# Three files at a time on two cores, since many tests wait for processes; in the order of
 # test/conftest.py. A worker that dies ends the run: xdist may wait for ever for the one in its place.
 # Tests start hundreds of processes, so bytecode is kept whatever the environment asks for.
-PYTEST := PYTHONDONTWRITEBYTECODE= pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+PYTEST := PYTHONDONTWRITEBYTECODE= pytest -n 3 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 test: setup .venv/.robots
 	@$(RUN) && $(PYTEST) $(ARGS)
@@ -187,7 +187,7 @@ test-in-full: setup .venv/.robots
 # tests that want it are then skipped.
 test-peers: setup .venv/.robots .venv/.peers
 	@sh test/peers/install.sh
-	@$(RUN) && $(PYTEST) test/peers $(ARGS)
+	@$(RUN) && $(PYTEST) -n 2 test/peers $(ARGS)
 
 NETWORK_TESTS := test/test_network.py test/test_lockstep.py
 

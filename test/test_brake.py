@@ -150,7 +150,8 @@ def test_power_off_holds_the_arm_by_its_brakes(scene: Scene) -> None:
 @pytest.mark.parametrize("torque", some([0.05, 0.5, 2.0, 50.0], 2))
 def test_a_brake_that_closes_at_rest_moves_nothing(torque: float, dt: float, scheme: str) -> None:
     """Rotors without friction stand but for rounding: some 1e-12 rad/s of either sign."""
-    keys = {"joints.*.brake": {"torque": torque, "close_delay": 0.02}}
+    brake = {"torque": torque, "close_delay": 0.02}
+    keys = {"joints.*.brake": brake, "varied": ["joints.*.brake.torque"]}  # share a library
     integrator = {"integrator.dt": dt, "integrator.scheme": scheme}
     plant = Plant(load_scene("three_axis", overrides={**keys, **integrator}))
     plant.powered = False

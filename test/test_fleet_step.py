@@ -9,22 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
+from test_fleet_calls import COUNT, NUMBER, SENSED
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.outputs import KNOWN
 from arm_emulator.machine.scene import Scene, load_scene
 
-COUNT = 11  # more than one group, and none that is full
-NUMBER = "joints.elbow.friction.viscous"
 BRAKED: dict[str, Any] = {
     "varied": ["joints.*.friction.viscous"],
     "joints.waist.brake": {"torque": 50.0, "close_delay": 0.004, "release_delay": 0.006},
     "external_wrench": True,
-}
-SENSED: dict[str, Any] = {
-    "varied": ["joints.*.friction.viscous", "seed"],
-    "joints.*.current_sensor": {"noise": 0.01},
 }
 SCENES = {"braked": BRAKED, "sensed": SENSED}
 
