@@ -12,7 +12,7 @@ from documents import page_of
 # Page, words with the number's place, where the number is, and in which unit the page has it.
 NUMBERS: list[tuple[str, str, str, float]] = [
     ("motion", "uses {} of the description's speed limits", "way_controller.SPEED_SHARE", 1),
-    ("motion", "more than {} rad (or as many parts of its reach) from", "way_controller.LOST", 1),
+    ("motion", "deviates by more than {} rad", "way_controller.LOST", 1),
     ("motion", "would take more than {} times and", "way_controller.MUCH_LONGER", 1),
     ("motion", "times and {} s longer", "way_controller.LONGER", 1),
     ("motion", "comes to its limit in {} ms", "way_controller.JERK_TIME", 1e3),

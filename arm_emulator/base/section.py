@@ -54,6 +54,13 @@ class Section:
             return self._below(key, {})
         return self.required_section(key)
 
+    def below(self, dotted: str) -> Section | None:
+        """Return the section at a dotted path below this one, None if one on the way is absent."""
+        section: Section | None = self
+        for key in dotted.split("."):
+            section = section and section.section(key)
+        return section
+
     def required_section(self, key: str) -> Section:
         """Return the section below a required key."""
         value = self._take(key)

@@ -49,7 +49,7 @@ class AnalogSensor(Converter):
 
     quantity: ClassVar[str]  # what is measured, in C++
     quantity_header: ClassVar[str] = "mechanics/quantities.hpp"  # that has it
-    of_motor: ClassVar[bool] = True  # whether it belongs to a joint with a motor
+    of: ClassVar[str] = "motor"  # the section of a joint that it needs; none: it stands alone
     channel: ClassVar[int | None] = None  # its place among the draws of a joint, if it has one
 
     @classmethod

@@ -107,9 +107,7 @@ def read_extras(joint: Section) -> tuple[Part, ...]:
     """Return the parts of a joint that stand in sections of their own."""
     found = []
     for kind in EXTRAS:
-        section: Section | None = joint
-        for key in kind.section.split("."):
-            section = section and section.section(key)
+        section = joint.below(kind.section)
         if section is not None:
             found.append(kind.read(section))
     return tuple(found)

@@ -47,11 +47,10 @@ class JointSensors:
         Raises:
             Refusal: a value breaks its rule, or a sensor of a motor that is not there.
         """
-        if not joint.has("motor"):
-            for key in ("encoder", *(one.section for one in ANALOG if one.of_motor)):
-                if joint.has(key):
-                    rule = "belong to a joint with a motor"
-                    raise joint.refusal(key, rule, "no motor section")
+        for key, needed in {"encoder": "motor", **{one.section: one.of for one in ANALOG}}.items():
+            if needed and joint.has(key) and joint.below(needed) is None:
+                rule = f"belong to a joint with a {needed.replace('.', ' with a ')}"
+                raise joint.refusal(key, rule, f"no {needed} section")
         motor, link = joint.section("encoder"), joint.section("link_encoder")
         given = ((one, joint.section(one.section)) for one in ANALOG)
         turn = 1.0 if kind == "prismatic" else 2.0 * math.pi

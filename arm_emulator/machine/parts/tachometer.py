@@ -17,7 +17,7 @@ class Tachometer(AnalogSensor):
     unit = "rad/s"
     quantity = "LinkSpeed"
     quantity_header = "mechanics/link_speed.hpp"
-    of_motor = False
+    of = ""
     outputs = (
         Output("link_speed", "speed of each link, by its tachometer", READINGS, "rad/s", "m/s"),
     )
