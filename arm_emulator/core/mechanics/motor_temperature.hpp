@@ -1,0 +1,16 @@
+// The temperature of a motor's winding, which a thermometer in it measures.
+#pragma once
+
+#include "mechanics/quantities.hpp"
+
+namespace arm {
+
+struct MotorTemperature {  // degC
+  static constexpr Field field = Field::reading;
+  template <class Glance>
+  static void of(const Glance& now, double* row) {
+    now.machine.winding_temperatures(row);
+  }
+};
+
+}  // namespace arm

@@ -1,0 +1,28 @@
+"""Thermometers in the windings of motors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from arm_emulator.machine.parts.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.output import READINGS, Output
+from arm_emulator.machine.parts.resting import AtRest, Share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thermometer(AnalogSensor):
+    """Of the temperature of a joint's winding."""
+
+    section = "thermometer"
+    unit = "degC"
+    of = "motor.winding"
+    quantity = "MotorTemperature"
+    quantity_header = "mechanics/motor_temperature.hpp"
+    outputs = (
+        Output("motor_temperature", "temperature of each winding, by its thermometer", READINGS,
+               "degC"),
+    )  # fmt: skip
+
+    def rests(self, at: AtRest) -> Share | str:
+        """Our servo does not look at it."""
+        return Share()
