@@ -67,7 +67,7 @@ typedef struct arm_description {
 
 enum arm_kind { ARM_REVOLUTE = 0, ARM_PRISMATIC = 1 };
 
-/* What a command sets; bits of arm_joint_description.modes. */
+/* Quantity set by a command; bits of arm_joint_description.modes. */
 enum arm_mode {
   ARM_VOLTAGE = 1,
   ARM_TORQUE = 2,
@@ -99,7 +99,7 @@ enum arm_sensor {
   ARM_HAS_TORQUE = 8
 };
 
-/* What a row of numbers is at a joint: of arm_measurement.readings, or of arm_command.further. */
+/* Meaning of a row at a joint: of arm_measurement.readings, or of arm_command.further. */
 typedef struct arm_reading {
   uint32_t size;
   int32_t present; /* 1: the joint has such a sensor or input; else the number is 0 */
@@ -111,7 +111,7 @@ typedef struct arm_reading {
 int arm_describe(arm_description* out);
 int arm_describe_joint(int32_t joint, arm_joint_description* out);
 int arm_describe_reading(int32_t reading, int32_t joint, arm_reading* out); /* since version 4 */
-/* What a row of arm_command.further is at a joint. */
+/* Describes a row of arm_command.further at a joint. */
 int arm_describe_input(int32_t input, int32_t joint, arm_reading* out); /* since version 5 */
 
 /* ---------------------------------------------------------------------------------- a machine */
@@ -152,7 +152,7 @@ typedef struct arm_command {
   uint32_t reserved;
   int64_t tick; /* that it answers, repeated in the measurement; -1: none */
   const arm_joint_command* joint;
-  /* What motors are commanded beside `value`: arm_description.inputs rows, an entry per joint each;
+  /* Inputs of motors beside `value`: arm_description.inputs rows, an entry per joint each;
    * null: 0. Since version 2, then the voltage along the rotor's flux. */
   const double* further;
 } arm_command;
@@ -172,7 +172,7 @@ typedef struct arm_joint_measurement {
   uint32_t brake;  /* 1: it is closed */
 } arm_joint_measurement;
 
-/* What further sensors of a joint measure; 0 of those that it does not have. */
+/* Readings of further sensors of a joint; 0 for absent sensors. */
 typedef struct arm_joint_sensors {
   int64_t index;        /* counts of the encoder at the motor when its newest index pulse came */
   int64_t index_pulses; /* that have come */
@@ -217,7 +217,7 @@ void arm_power(arm_machine* machine, int on);
 void arm_listen(arm_machine* machine, void (*listener)(void* with, const arm_machine* machine),
                 void* with);
 
-/* What refused the newest call on this machine. */
+/* Reason of the newest refusal on this machine. */
 int arm_why(const arm_machine* machine, arm_refusal* out);
 
 /* -------------------------------------------------------------------------- varied parameters */
@@ -309,9 +309,9 @@ int arm_advance(arm_machine* machine, const double* command, int64_t steps);
 /* The same for `rows` rows of commands, `steps` steps each; q after each row goes to `q`. */
 int arm_run(arm_machine* machine, const double* command, int64_t rows, int64_t steps, double* q);
 
-/* What the supply and external wrenches give to each joint and what each dissipates, so many of
- * each in `out`: now and under `command` [W], or 0 without power. Both calls need a scene with
- * `energy_flow`. */
+/* Power supplied to each joint by motors and external wrenches, then power dissipated by each, an
+ * entry per joint in `out`: now and under `command` [W], or 0 without power. Both calls need a
+ * scene with `energy_flow`. */
 int arm_powers(const arm_machine* machine, const double* command, double* out);
 /* As `arm_advance`; what was given and dissipated on the way goes to `out` [J]. */
 int arm_advance_metered(arm_machine* machine, const double* command, int64_t steps, double* out);

@@ -59,7 +59,7 @@ void arm_fleet_power(arm_fleet* fleet, const uint8_t* on);
 int arm_fleet_save(const arm_fleet* fleet, void* out, int64_t size);
 int arm_fleet_restore(arm_fleet* fleet, const uint8_t* mask, const void* saved, int64_t size);
 
-/* What the sensors of all arms give; every array may be null. */
+/* Readings of the sensors of all arms; every array may be null. */
 typedef struct arm_fleet_measurement {
   uint32_t size;
   uint32_t reserved;

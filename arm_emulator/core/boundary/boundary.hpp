@@ -12,7 +12,7 @@
 #include "mechanics/linearisation.hpp"
 #include "mechanics/sensors.hpp"
 
-// What a scene's library was built of; set by the compiler's command line (compiler.py).
+// Digest of the sources of a scene's library; set on the compiler's command line (compiler.py).
 #ifndef ARM_FINGERPRINT
 #define ARM_FINGERPRINT 0
 #endif
@@ -70,7 +70,7 @@ struct arm_machine {
   // Of the varied numbers and the brakes, and one that is 0.
   using Values = double[arm::kOwnNumbers<Scene> + 1];
 
-  // What is saved, in eight bytes each and in a fixed order: what it is of, and the machine.
+  // Saved numbers, eight bytes each in a fixed order: a digest of the library, then the machine.
   template <class Number>
   static void for_each_saved_number(arm_machine& one, Machine::Whole& whole, Values& values,
                                     Number&& number) {
@@ -171,7 +171,7 @@ struct arm_machine {
       }
     }
   }
-  // What the motors get of commands: without power nothing.
+  // Commands applied to the motors: 0 without power.
   const double* with_power(const double* command) const {
     static constexpr double nothing[N] = {};
     return powered ? command : nothing;
@@ -243,7 +243,7 @@ struct arm_machine {
     return !powered || !enable || enable & ARM_CLOSE_BRAKE;
   }
 
-  // What a measurement is made of beside the sensors' memories.
+  // Inputs of a measurement beside the sensors' memories.
   struct Motors {
     double current[N], angle[N], speed[N];
     std::int64_t steps;
@@ -283,14 +283,14 @@ struct arm_machine {
   }
   static bool has(const arm_measurement* out, std::size_t size) { return out->size >= size; }
 
-  // Where readings go; all but the first may be null.
+  // Destination of readings; all but the first may be null.
   struct Places {
     arm_joint_measurement* joint;
     arm_joint_sensors* sensors;
     arm_imu_measurement* units;
     double* readings;
   };
-  // What sensors measure in place of what is there.
+  // Replace ideal values by the sensors' readings.
   template <class TheSensors>
   static void measure_by(const TheSensors& sensors, const Places& to) {
     for (int j = 0; to.sensors && j < N; ++j) to.sensors[j] = {};
@@ -367,8 +367,8 @@ int fill(Struct* out, const Struct& all) {
 
 #pragma GCC visibility push(default)
 
-// What the scene states of time. No code depends on it, and scenes that differ in it alone share a
-// library: the numbers are written into a copy that is made for others (compiler.py).
+// Periods of the scene. No code depends on them, and scenes that differ in them alone share a
+// library: the numbers are written into a copy for use outside of the cache (compiler.py).
 extern "C" {
 struct arm_periods {
   double servo_period, step;
@@ -598,8 +598,8 @@ namespace {
 
 constexpr std::int64_t kWord = 8;
 
-// Where the words of a saved machine go, or come from. They end with a sum, so that bytes that were
-// spoiled on their way are distinguished from a machine.
+// Reader or writer of the words of a saved machine. They end with a checksum, which detects
+// spoiled bytes.
 struct Words {
   unsigned char* at;
   std::uint64_t sum = 0xcbf29ce484222325;

@@ -18,7 +18,7 @@ extern "C" {
 
 #define FIRMWARE_VERSION 1
 
-/* What the machine is, given once. */
+/* Description of the machine, given once. */
 typedef struct firmware_machine {
   uint32_t size;
   int32_t joints;
@@ -27,7 +27,7 @@ typedef struct firmware_machine {
   const arm_joint_description* joint; /* an entry per joint, base to tool, as in all arrays */
 } firmware_machine;
 
-/* What is known at the start of a servo period. */
+/* Measurements and targets at the start of a servo period. */
 typedef struct firmware_input {
   uint32_t size;
   int32_t new_targets; /* 1: joint targets have come */
@@ -38,8 +38,8 @@ typedef struct firmware_input {
   const double* tau;      /* N m or N, of the links, known beforehand; null: 0 */
 } firmware_input;
 
-/* What the drives shall do in it. The arrays hold what was written there last: at first every joint
- * is enabled, its value 0, in the first mode that its drive takes. */
+/* Commands of the drives for the period. The arrays keep the values written last: at first every
+ * joint is enabled, its value 0, in the first mode of its drive. */
 typedef struct firmware_output {
   uint32_t size;
   uint32_t reserved;

@@ -32,7 +32,7 @@ typedef struct firmware_loop {
   const int32_t* stop; /* null, or not 0 after a step that ends the run before its period */
 } firmware_loop;
 
-/* Where a run with a library is, for whoever watches it from another process. */
+/* Progress of a run with a library, for an observer in another process. */
 typedef struct firmware_progress {
   int32_t doing; /* whose code runs, and what of it */
   int32_t code;  /* with which the run has ended */

@@ -47,7 +47,7 @@ class Cell {
     sequence_.store(s + 2, std::memory_order_release);
   }
 
-  // What a command has: entries of joints, and its further inputs.
+  // A command: entries of joints, and its further inputs.
   struct Entries {
     std::vector<arm_joint_command> joints;
     std::vector<double> further;
@@ -111,7 +111,7 @@ class Ring {
     }
   }
 
-  // Where the next snapshot goes, null if nobody has taken the oldest one.
+  // Place of the next snapshot, null if the oldest one has not been taken.
   arm_snapshot* free() {
     const std::size_t w = written_.load(std::memory_order_relaxed);
     return w - taken_.load(std::memory_order_acquire) == kSnapshots ? nullptr
@@ -152,7 +152,7 @@ class Ring {
   alignas(64) std::atomic<std::size_t> taken_ = 0;
 };
 
-// How late the thread woke up.
+// Statistics of the thread's late wake-ups.
 class Lateness {
  public:
   void note(std::int64_t lateness) {
@@ -166,7 +166,7 @@ class Lateness {
   }
   std::int64_t largest() const { return worst_.load(); }
 
-  // What the share `part` of the wake-ups stayed below [ns], by the microsecond.
+  // Quantile `part` of the lateness [ns], with a resolution of 1 us.
   std::int64_t quantile(double part) const {
     std::int64_t total = 0, below = 0;
     for (const auto& bin : bins_) total += bin.load(std::memory_order_relaxed);

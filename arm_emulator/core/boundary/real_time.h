@@ -26,8 +26,8 @@ typedef struct arm_real_time_options {
   int32_t inputs;   /* rows of further inputs, arm_description.inputs */
 } arm_real_time_options;
 
-/* What a period leaves behind: the machine at the tick that ends it. Every pointer may be null, in
- * `truth` as in arm_get_truth; the sizes of both structs must be set. */
+/* Result of a period: the machine at the tick that ends it. Every pointer may be null, in `truth`
+ * as in arm_get_truth; the sizes of both structs must be set. */
 typedef struct arm_snapshot {
   uint32_t size;
   uint32_t reserved;

@@ -17,7 +17,7 @@ typedef struct record_ring {
   int64_t taken; /* rows, by the reader */
 } record_ring;
 
-/* How a row begins. The arrays of `truth` and `measurement` lie behind it. */
+/* Header of a row. The arrays of `truth` and `measurement` follow it. */
 typedef struct record_row {
   double time; /* s */
   int64_t tick;

@@ -1,4 +1,4 @@
-// What one machine, or several side by side, are to do: rows of commands, each held for some steps.
+// Commands for one machine, or several side by side: rows, each held for some steps.
 #pragma once
 
 #include <cstdint>
@@ -22,7 +22,7 @@ class Course {
       command_[lane] = given[lane], q_[lane] = positions[lane];
   }
 
-  // What is left to do for one lane.
+  // The remaining course of one lane.
   template <int single>
   Course<S, double, single> of_lane(int lane) const {
     return {{command_[lane]}, {q_[lane]}, step_over_, steps, left_};

@@ -268,7 +268,7 @@ class Machine {
   // Put commands within the bounds of their motors.
   void bound(double* u) const { bound_commands(numbers_, x_, u); }
 
-  // What the joints are given and dissipate now, under these commands [W].
+  // Power supplied to and dissipated by each joint now, under these commands [W].
   EnergyFlow<S> powers(const double* command) const {
     double u[N];
     for (int j = 0; j < N; ++j) u[j] = command[j];
@@ -367,7 +367,7 @@ class Machine {
     else
       return past;
   }
-  // What links and rotors take here for the accelerations `a`.
+  // Torques of links and rotors for the accelerations `a`.
   void torques_for(const double* a, double (&torque)[N]) const {
     typename Links<S>::Kinematics kinematics;
     Links<S>::kinematics(x_.q, kinematics);

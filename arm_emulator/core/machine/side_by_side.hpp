@@ -106,7 +106,7 @@ class SideBySide {
 
   static constexpr int kSection = 256;  // steps after which machines that diverged stand still
 
-  // Where all lanes are.
+  // State of all lanes.
   struct Abreast {
     State<S, X> x;
     alignas(64) X u[Method::row] = {};

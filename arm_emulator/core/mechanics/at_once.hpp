@@ -1,4 +1,4 @@
-// What follows at once, put where the state and the commands have it: the current of a winding
+// Algebraic states, set from the other states and the commands: the current of a winding
 // without inductance, the torque of a motor whose control has no bandwidth.
 #pragma once
 

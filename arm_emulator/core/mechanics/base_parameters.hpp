@@ -32,7 +32,7 @@ struct BaseParameters {
         moving.I = own.I;
         own.I = {};
       }
-      // What moves is the same in every turn about z, and the tensor alone sees no shift along it.
+      // The moved part is invariant under turns about z, the tensor alone under shifts along it.
       const double sin = turns ? 0.0 : link[j].sin_theta_0, cos = turns ? 1.0 : link[j].cos_theta_0;
       const Placement<double> at = {sin, cos, link[j].cos_alpha, link[j].sin_alpha, link[j].p};
       Body<double>& parent = j > 0 ? body[j - 1] : fixed;

@@ -98,8 +98,8 @@ class Coulomb {
     if (resting != 0 && resting != N) solve(W, v, rhs);
   }
 
-  // What each joint does: whether it is locked, else the way it slides, which is 0 where no dry
-  // friction is.
+  // Mode of each joint: locked, or the direction in which it slides, which is 0 without dry
+  // friction.
   struct Modes {
     Mask<X> locked[N] = {};
     X direction[N] = {};
@@ -131,7 +131,7 @@ class Coulomb {
     for (int j = 0; j < N; ++j) held_[j] = x[j];
   }
 
-  // What the lock of joint j could take beside what it takes, below 0 if it does not hold [N m].
+  // Remaining capacity of the lock of joint j, below 0 if it does not hold [N m].
   ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(held_[j]); }
 
   ARM_INLINE void solve_again(X* x) const {
@@ -156,7 +156,7 @@ class Coulomb {
   }
 
  private:
-  // What the speeds v call for, where every joint at rest holds. Returns how many of them are.
+  // Set the modes for the speeds v, with every joint at rest locked. Return how many are at rest.
   ARM_INLINE int begin(const X* v) {
     int resting = 0;
     for (int j = 0; j < N; ++j) {
@@ -183,7 +183,7 @@ class Coulomb {
     return torque;
   }
 
-  // How far the search for what holds has come.
+  // Progress of the search for consistent modes.
   struct Descent {
     X rhs[N];
     Mask<X> broken[N] = {};  // away, in this step: they are held by Dc
@@ -192,8 +192,9 @@ class Coulomb {
   };
   static constexpr int kMostRounds = 4 * N;  // rounding might go on for ever
 
-  // Where joints that have broken away would go back: lock the first to come to rest on the way
-  // from where the descent was to there; false if none would. Lanes where none would are there.
+  // If joints that have broken away would move backward: lock the first that comes to rest between
+  // the previous point of the descent and x; false if none would. In lanes without such a joint the
+  // descent reaches x.
   bool lock_one(Descent& down, const X* x) {
     if (down.rounds == 0) return false;
     X part = X{} + 1.0, first = X{} - 1.0;
@@ -243,7 +244,7 @@ class Coulomb {
     return mask;
   }
 
-  // What is taken at each step, where it varies.
+  // Friction torques of a step, if they vary.
   struct Taken {
     X Dc[N] = {}, Ds[N] = {};
     X dry[N] = {};  // 1 where there is a law of dry friction, be its torques 0 just then

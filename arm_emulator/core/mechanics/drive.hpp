@@ -30,7 +30,7 @@
 
 namespace arm {
 
-// What a drive of n states and M parts with modes is asked at.
+// Inputs of a drive with n states and M parts with modes.
 template <int n, int M, class X>
 struct DriveInput {
   X z[n > 0 ? n : 1] = {};
@@ -57,7 +57,7 @@ struct Drive {
   static constexpr bool elastic = driven && !Gear::rigid;
   static constexpr bool carries_rotor = driven && Gear::rigid;
   static constexpr bool has_extras = sizeof...(Extras) > 0;
-  // Where the states stand: those of the motor, then tm and wm, then those of the extras.
+  // Indices of the states: those of the motor, then tm and wm, then those of the extras.
   static constexpr int i = 0;
   static constexpr int tm = Motor::states, wm = Motor::states + 1;
   static constexpr int own = Motor::states + (elastic ? Gear::states : 0);
@@ -144,7 +144,7 @@ struct Drive {
     return r;
   }
 
-  // What `rates` has beyond those of the linear drive.
+  // Difference between `rates` and those of the linear drive.
   template <class X>
   ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held) const {
     DriveRates<states, X> all = rates(x, held);
@@ -366,8 +366,8 @@ struct Drive {
     }
     return at;
   }
-  // How far x is from where one of its modes changes, negative if one does not hold any more. (Of
-  // quantities that differ in unit the least; only its sign counts.)
+  // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
+  // quantities with different units; only its sign counts.)
   constexpr double margin(const Input<double>& x, const Modes& now) const {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
@@ -434,7 +434,7 @@ struct Drive {
     return gear.torque(x.z[tm], x.z[wm], x.q, x.v, x.offset[Gear::modes > 0 ? of_gear : 0],
                        is_held(held, of_gear) && Gear::modes > 0);
   }
-  // What the rotor feels of the torque T of an elastic gear on its link.
+  // Torque on the rotor from the torque T of an elastic gear on its link.
   template <class X>
   ARM_INLINE constexpr X on_rotor(const Input<X>& x, X T) const {
     if constexpr (requires { gear.on_rotor(x.z[0], x.q, T); })

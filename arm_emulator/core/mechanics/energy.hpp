@@ -63,7 +63,7 @@ class EnergyBalance {
     steps_ = 0;
   }
 
-  // What the motors give at most under the commands u [W].
+  // Largest power that the motors can supply under the commands u [W].
   template <class X>
   ARM_INLINE static X largest_power(const Numbers<S, X>& n, const State<S, X>& x, const X* u) {
     X power = {};

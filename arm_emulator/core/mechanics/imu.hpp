@@ -42,7 +42,7 @@ struct Imu {
   }
 };
 
-// How a link moves, in its own frame: angular rate, angular acceleration, and specific force at the
+// Motion of a link in its own frame: angular rate, angular acceleration, and specific force at the
 // frame's origin.
 struct LinkMotion {
   Vec3<double> omega, alpha, force;

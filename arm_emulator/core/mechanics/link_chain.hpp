@@ -1,8 +1,8 @@
 // The links: M(q) dv/dt + nle(q, v) + Dl v = T, eq. (4), by Newton-Euler recursion
 // (Luh, Walker and Paul 1980; mass matrix: Walker and Orin 1982, method 3).
 //
-// Everything is expressed in the links' own frames (scene.hpp). `nle` holds the Coriolis,
-// centrifugal and gravity terms, which the paper calls C.
+// All vectors are expressed in the links' own frames (scene.hpp). `nle` contains the Coriolis,
+// centrifugal and gravity terms, called C in the paper.
 #pragma once
 
 #include "mechanics/numbers.hpp"
@@ -115,7 +115,7 @@ struct LinkChain {
   }
 
  private:
-  // What each link's motion takes, without the links after it.
+  // Wrenches of each link's own motion, without the links after it.
   static ARM_INLINE void wrenches(const Numbers& n, const Kinematics& k, const X* v, const X* a,
                                   Wrench<X> (&wrench)[N]) {
     BaseAxes base;

@@ -1,6 +1,5 @@
-// What each joint does at an instant: its link slides or is locked (coulomb.hpp), and the parts of
-// its drive that have modes are each in one (mode.hpp). All that follows from the state and the
-// commands: nothing has to be remembered.
+// Modes of the joints at an instant: a link slides or is locked (coulomb.hpp), and each part with
+// modes is in one (mode.hpp). They follow from state and commands alone: nothing is remembered.
 #pragma once
 
 #include "mechanics/at_once.hpp"
@@ -56,8 +55,8 @@ class Modes {
     coulomb.solve_in(friction, links.M.at, a);
   }
 
-  // How far x is from where a mode changes: negative if one does not hold any more. (Of quantities
-  // that differ in unit the least; only its sign counts.)
+  // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
+  // quantities with different units; only its sign counts.)
   double margin(const State<S>& x, const double* u, LinksMemo<S>& memo) const {
     double least = 1.0;
     const auto at_most = [&least](double margin) { least = margin < least ? margin : least; };
@@ -106,8 +105,8 @@ class Modes {
     return found;
   }
 
-  // What is left for the links to accelerate with, beside dry friction; M with the rotors that they
-  // carry.
+  // Torques that accelerate the links, without dry friction; and M with the carried
+  // rotors.
   void torques(const State<S>& x, const double* u, Dynamics& links, double* rhs) const {
     n_->for_each_drive([&](const auto& drive, int j) {
       links.M.at[j][j] += drive.carried();

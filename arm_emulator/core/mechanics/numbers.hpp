@@ -1,8 +1,8 @@
 // The numbers of a machine: constants of its scene, and those that the scene lists as varied, which
 // every machine has for itself and which may be set between two steps.
 //
-// What is asked for here is a constant wherever no varied number can reach it: which of the links'
-// base parameters one reaches is found out by trying it.
+// Numbers here are constants unless a varied number affects them; a trial shows which of the
+// links' base parameters it affects.
 #pragma once
 
 #include "mechanics/base_parameters.hpp"
@@ -40,7 +40,7 @@ constexpr Sheet<S> sheet_with(int changed) {
   return Sheet<S>(values.p);
 }
 
-// Which of a body's numbers depend on what is varied.
+// Mask of a body's numbers that depend on varied ones.
 struct BodyMask {
   bool m = false, hx = false, hy = false, hz = false;
   bool xx = false, yy = false, zz = false, xy = false, xz = false, yz = false;

@@ -1,10 +1,10 @@
-// What sensors measure: quantities of a machine, an entry per joint. A quantity of a new sensor is
-// a struct like these, in a header of its own.
+// Quantities measured by sensors, an entry per joint. A quantity of a new sensor is a struct like
+// these, in a header of its own.
 #pragma once
 
 namespace arm {
 
-// Where arm.h has what is measured: in a field of its own, or among the readings.
+// Place of a quantity in arm.h: a field of its own, or among the readings.
 enum class Field { current, torque, reading };
 
 // A machine at the moment at which its sensors look, with what was worked out for all of them.

@@ -11,9 +11,9 @@ namespace arm {
 
 // Each has its MethodOf, in the file that has its steps.
 enum class Scheme { paper, implicit, rosenbrock, extrapolated };
-// What two threads exchange: see two_threads.hpp.
+// Data exchanged by two threads: see two_threads.hpp.
 enum class Exchange { lag, predict };
-// Where the modes of joints change: at the ends of steps, or within them (located.hpp).
+// Instants at which modes of joints change: at the ends of steps, or within them (located.hpp).
 enum class Events { step, located };
 enum class JointKind { revolute, prismatic };
 
@@ -79,7 +79,7 @@ inline constexpr auto kLinks = S::links(SomeValues<S>().p);
 template <class S>
 inline constexpr bool kCoupled = requires { S::coupling; };
 
-// How the joint moves by whose name the shaft of drive j goes.
+// Kind of the joint after which the shaft of drive j is named.
 template <class S>
 constexpr JointKind kind_of(int j) {
   if constexpr (kCoupled<S>)

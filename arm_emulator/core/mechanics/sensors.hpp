@@ -23,7 +23,7 @@ struct AnalogRow {
   constexpr bool reads(int j) const { return always || at[j].present; }
 };
 
-// What a scene has. The motor's encoder is always there.
+// Sensors of a scene. The motor's encoder is always present.
 template <int joints, int imus, class... Quantities>
 struct SensorSuite {
   static constexpr int N = joints, M = imus, K = sizeof...(Quantities);
@@ -144,7 +144,7 @@ class Sensors<S> {
   static constexpr int kLength = structure.longest_delay() + 1;
   static constexpr int kChannels = 4;  // of a joint, two of them its encoders
 
-  // Where the readings of so many ticks ago are.
+  // Index of the readings of that many ticks ago.
   int place(int ago) const {
     const std::int64_t tick = newest_ + kLength - ago;
     return static_cast<int>(tick % kLength);

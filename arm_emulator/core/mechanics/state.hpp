@@ -26,7 +26,7 @@ constexpr void for_each_number(State<S, X>& x, Number&& number) {
   }
 }
 
-// What the drive of joint j is asked at, in one lane.
+// Inputs of the drive of joint j, in one lane.
 template <class Drive, class S, class X>
 ARM_INLINE constexpr auto input_in_lane(const Drive&, int j, const State<S, X>& x, const X& u,
                                         int lane) {
@@ -36,7 +36,7 @@ ARM_INLINE constexpr auto input_in_lane(const Drive&, int j, const State<S, X>& 
   return in;
 }
 
-// What the drive of joint j is asked at.
+// Inputs of the drive of joint j.
 template <class Drive, class S, class X>
 ARM_INLINE constexpr auto input_of(const Drive&, int j, const State<S, X>& x, X u) {
   typename Drive::template Input<X> in = {{}, x.q[j], x.v[j], u, {}};

@@ -5,8 +5,8 @@
 
 namespace arm {
 
-// What the drives are asked for is worked out for all joints at once: a row of doubles is as long
-// as whole vectors, with nothing at the end. Lanes are vectors by themselves.
+// Quantities of drives are computed for all joints at once: a row of doubles is padded to whole
+// vectors, without a remainder. Lanes are vectors by themselves.
 template <int N, class X>
 inline constexpr int kGroup = kWidth<X> > 1 ? 1
                               : N <= 4      ? 4

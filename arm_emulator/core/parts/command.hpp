@@ -1,4 +1,4 @@
-// What motors are commanded, and within which bounds.
+// Quantities commanded to motors, and their bounds.
 #pragma once
 
 #include "numerics/number.hpp"

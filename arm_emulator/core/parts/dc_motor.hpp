@@ -32,7 +32,7 @@ struct DcMotorOf {
   static constexpr Command takes = Command::voltage;  // within the supply's
   constexpr double largest_current() const { return current_limit; }
 
-  // What stands before di/dt in (1), and (1) itself.
+  // Factor of di/dt in (1), and the right-hand side of (1).
   constexpr double inertia(int, bool held) const { return held ? 0.0 : L; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* i, X V, X, X wm, X offset, bool held, X* f) const {
@@ -48,7 +48,7 @@ struct DcMotorOf {
   }
   constexpr void put_current(double* i, double current) const { i[0] = current; }
 
-  // What follows at once takes its value.
+  // Set the current if it is algebraic.
   constexpr void follow(double* i, double V, double wm) const {
     if (L == 0.0) i[0] = (V - Kb * wm) / R;
     if constexpr (limited) i[0] = clamp(i[0], current_limit);
@@ -89,7 +89,7 @@ struct DcMotorOf {
   ARM_INLINE constexpr X dissipated(const X* i) const {
     return R * i[0] * i[0];
   }
-  // What it takes from its supply, and what differing constants give it from nowhere [W].
+  // Power from the supply, and the surplus from unequal constants [W].
   template <class X>
   ARM_INLINE constexpr X given(const X* i, X V, X wm, bool held) const {
     const X applied = held ? R * i[0] + Kb * wm : V;

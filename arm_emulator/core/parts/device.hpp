@@ -1,4 +1,4 @@
-// What is fixed to a joint's drive beside motor and gear, and what sensors are called.
+// Devices of a joint's drive beside motor and gear, and the names of sensors.
 #pragma once
 
 namespace arm {

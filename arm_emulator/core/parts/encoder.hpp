@@ -16,7 +16,7 @@
 namespace arm {
 
 enum class EncoderKind { none, incremental, absolute };
-// What an index pulse does: nothing, it has its counts reported, or it sets the counter right, too.
+// Effect of an index pulse: none, its counts are reported, or the counter is corrected, too.
 enum class Index { none, latch, correct };
 
 struct EncoderReading {
@@ -50,7 +50,7 @@ struct Encoder {
     return kind == EncoderKind::absolute ? std::int64_t{1} << bits : 0;
   }
 
-  // What the disc shows at the shaft's angle theta, at the look of that number.
+  // Counts of the disc at the shaft's angle theta, at the sample of that number.
   std::int64_t disc(double theta, const Noise& noises, std::int64_t number) const {
     double alpha = theta + offset;
     const double t = 6.283185307179586 * turns_per_rad * theta;
@@ -61,7 +61,7 @@ struct Encoder {
   }
 };
 
-// What an encoder remembers from one look to the next.
+// State of an encoder between samples.
 struct EncoderMemory {
   EncoderReading now;
   std::int64_t disc = 0;    // what the disc showed

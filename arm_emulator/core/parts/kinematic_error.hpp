@@ -37,7 +37,7 @@ struct KinematicErrorGear {
     const X rate = (Ng + by_motor.slope) * wm - (1.0 - by_link.slope) * v;
     return (Kg * w + Dg * rate) * (1.0 - by_link.slope);
   }
-  // What the rotor feels of the torque T on the link.
+  // Torque on the rotor from the torque T on the link.
   template <class X>
   ARM_INLINE constexpr X on_rotor(X tm, X q, X T) const {
     return T * (Ng + error(motor, tm).slope) / (1.0 - error(link, q).slope);

@@ -5,8 +5,8 @@
 //   T = max(0, K u + D du/dt) where u > 0, else 0
 //
 // It stores K u^2 / 2 and dissipates T du/dt - K u du/dt, which is D (du/dt)^2 while it pushes.
-// Where the other leaves faster than the spring follows, T is 0 and the damper takes what the
-// spring still holds.
+// If the other body leaves faster than the spring extends, T is 0, and the damper absorbs the
+// spring's remaining force.
 #pragma once
 
 #include "numerics/number.hpp"
@@ -23,7 +23,7 @@ struct OneSided {
   }
   constexpr bool pushes(double u, double du) const { return u > 0.0 && push(u, du) > 0.0; }
 
-  // How far it is from where it begins or ceases to push, negative beyond [N m].
+  // Distance from the change between pushing and not, negative beyond [N m].
   constexpr double margin(bool pushing, double u, double du, double rounding) const {
     const double depth = K * u, torque = push(u, du);
     const double least = depth < torque ? depth : torque;

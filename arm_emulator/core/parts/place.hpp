@@ -1,5 +1,5 @@
-// Where a part of a drive acts that is neither motor nor gear: on the rotor, whose angle and speed
-// it is then asked at, or on the link.
+// Place of a part that is neither motor nor gear: the rotor, whose angle and speed are then its
+// inputs, or the link.
 #pragma once
 
 namespace arm {

@@ -10,7 +10,7 @@
 
 namespace arm {
 
-// What turns a rotor, beside its friction.
+// Torques on a rotor, beside its friction.
 struct OnRotor {
   double torque;    // N m, of all
   double of_gear;   // N m, of the gear alone
@@ -67,7 +67,7 @@ struct RotorFriction {
 
  private:
   constexpr bool is_free() const { return !law.is_dry(); }
-  // What could be held beside what turns it, below 0 if it does not hold [N m].
+  // Remaining holding torque, below 0 if it does not hold [N m].
   constexpr double spare(const OnRotor& on) const {
     return law.holding(on.of_gear) * (1.0 + kRounding) + on.rounding - magnitude(on.torque);
   }

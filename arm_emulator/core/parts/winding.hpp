@@ -82,7 +82,7 @@ struct HeatedMotor : Motor {
     return Motor::given_at_most(z, u, magnets(z) * wm) / resistance(z);
   }
 
-  // What asks for one machine gets the motor as it is at this temperature.
+  // For one machine, the motor at this temperature answers.
   constexpr double given(const double* z, double u, double wm, bool held) const {
     return now(z).given(z, u, wm, held);
   }

@@ -26,10 +26,10 @@ namespace arm {
 // Loops over states and inputs of a drive are unrolled up to these.
 inline constexpr int kMostStates = 16, kMostInputs = 64;
 
-// What a joint's part of a step is linear in: z, q, v, u, the numbers of its M modes (mode.hpp),
-// the drive's rest at the step's start in the rows of f and in g, the acceleration of the link in
-// the first stage, how the rest changes in it, and the acceleration in the second. R is K + 1, or 0
-// where all drives are linear.
+// Inputs in which a joint's part of a step is linear: z, q, v, u, the numbers of its M modes
+// (mode.hpp), the nonlinear rest at the step's start in the rows of f and in g, the acceleration
+// of the link in the first stage, the change of the rest in it, and the acceleration in the
+// second. R is K + 1, or 0 if all drives are linear.
 template <int K, int M, int R>
 struct StepInput {
   static constexpr int q = K, v = K + 1, u = K + 2, offset = K + 3, rest = offset + M;
@@ -165,7 +165,7 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, dou
 
   DriveTable<K, M, R> table = {};
   table.diagonal = s * b;
-  // What is left of a stage when z is eliminated: rhs of the link's row, then k_z from k_v.
+  // A stage after elimination of z: rhs of the link's row, then k_z from k_v.
   struct Stage {
     double z[n], rhs;
   };
@@ -381,7 +381,7 @@ class DriveTables {
     return rest;
   }
 
-  // What joint j, at `start`, is after a step of the paper's scheme in the modes in use.
+  // State of joint j after a step of the paper's scheme from `start`, in the modes in use.
   template <class TheDrive, class Input>
   Input end_of(const TheDrive& drive, int j, int lane, const Input& start) const {
     const Modes& modes = now_[lane][j];

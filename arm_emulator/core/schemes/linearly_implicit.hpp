@@ -169,7 +169,7 @@ class LinearlyImplicit {
     in[In::k1] = in[In::k2] = {};
   }
 
-  // What the links' first stage takes from the drives goes to `k1.torque`.
+  // The torques of the drives in the links' first stage go to `k1.torque`.
   ARM_INLINE void begin_links(const State<S, X>& x, const X (&u)[row], Inputs& in,
                               Accelerations& k1) const {
     if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);

@@ -132,7 +132,7 @@ class Located {
     }
     return last.holds() ? other.t : last.t;
   }
-  // Where between `last` and `other`, of which one holds, the margin is 0.
+  // Next trial for the zero of the margin between `last` and `other`, of which one holds.
   static double next_share(const auto& last, const auto& other, const auto& before) {
     const double xi = (last.t - other.t) / (before.t - other.t);
     const double phi = (last.margin - other.margin) / (before.margin - other.margin);

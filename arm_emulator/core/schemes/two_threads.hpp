@@ -86,12 +86,12 @@ class TwoThreads {
     put_on_core();
   }
 
-  // Where a links' part is taken.
+  // State at which a links' part is evaluated.
   struct Place {
     double q[N], v[N];
   };
 
-  // What a step takes from the past, beside the state: the speeds of one sample ago, and the links'
+  // Past values used by a step, beside the state: the speeds of one sample ago, and the links'
   // parts of D samples, the oldest first.
   struct Memory {
     double v[N];

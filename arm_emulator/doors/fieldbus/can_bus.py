@@ -48,11 +48,11 @@ def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Any]:
 
 
 class Bus(Protocol):
-    """Where frames come from and go to."""
+    """Source and destination of frames."""
 
     @property
     def ignored(self) -> int:
-        """How much came that was no frame of ours."""
+        """Number of received items that were not frames."""
 
     def receive(self, timeout: float) -> Frame | None:
         """Return the next frame, None if none comes in time [s].

@@ -52,7 +52,7 @@ class _Pdo:
     inhibit: int = 0  # ns
     timer: int = 0  # ns
     length: int = field(init=False)
-    # What has happened with it.
+    # State of its transfer.
     waiting: bytes | None = field(default=None, compare=False)  # received, for the next SYNC
     sent: bytes | None = field(default=None, compare=False)
     sent_at: int = field(default=0, compare=False)

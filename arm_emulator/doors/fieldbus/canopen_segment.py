@@ -48,7 +48,7 @@ class Segment:
 
     @property
     def tick(self) -> int:
-        """How many servo periods have passed."""
+        """Number of servo periods so far."""
         return self.drives.tick
 
     @property

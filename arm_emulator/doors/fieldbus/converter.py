@@ -24,7 +24,7 @@ from arm_emulator.machine.scene import Joint, Scene
 from arm_emulator.machine.session import Needless, Session
 
 MAP_VERSION = 1
-# Where the blocks of registers begin.
+# First addresses of the blocks of registers.
 MACHINE, MEASURED, COMMANDED, SETTINGS, JOINTS = 0, 1000, 2000, 3000, 10000
 PER_JOINT = 48  # registers of a joint's description
 
@@ -65,7 +65,7 @@ def full_scale(scene: Scene, joint: Joint) -> float:
     return limit
 
 
-# What is measured of every machine: words per joint, name, kind, unit.
+# Measurements of every machine: words per joint, name, kind, unit.
 _ALWAYS = (
     (2, "encoder at the motor, modulo 2^32", "int32", "counts"),
     (2, "motor current", "int32", "uA"),

@@ -246,7 +246,7 @@ class Drives:
 
     @property
     def tick(self) -> int:
-        """Where the machine is."""
+        """Number of the present tick."""
         return int(self.calls.drives_tick(self.pointer))
 
     def begin(self) -> None:

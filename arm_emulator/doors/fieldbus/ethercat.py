@@ -91,7 +91,7 @@ class Segment:
 
     @property
     def figures(self) -> CData:
-        """What has happened since the segment was made, as ``ethercat_figures``."""
+        """Counters of the segment since its creation, as ``ethercat_figures``."""
         out = SEGMENT.new("ethercat_figures")
         self._calls.ethercat_get_figures(self.pointer, out)
         return out

@@ -10,7 +10,7 @@ CLOCKS = ("lockstep", "line", "realtime")
 
 
 class ModbusLine:
-    """What a master sees on its end of the line: it sends bytes, and gets bytes.
+    """A master's end of the line: it sends and receives bytes.
 
     Clock "lockstep": each write of commands is a servo period, and the line takes no time. "line":
     logical time is that which requests, replies and the silences between them take on the line, and
@@ -44,7 +44,7 @@ class ModbusLine:
 
     @property
     def time(self) -> int:
-        """How long the line has been busy since the start [ns]."""
+        """Time for which the line has been busy since the start [ns]."""
         return self._bytes * BITS_PER_BYTE * 10**9 // self._baud + self._silences * self._silence
 
     def bring(self, data: bytes) -> bytes:

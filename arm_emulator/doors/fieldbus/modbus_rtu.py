@@ -17,7 +17,7 @@ LARGEST_FRAME = 256  # bytes
 
 
 class Function(enum.IntEnum):
-    """What a master asks for."""
+    """Function codes of requests."""
 
     READ_HOLDING = 3
     READ_INPUT = 4
@@ -37,7 +37,7 @@ class Code(enum.IntEnum):
 
 
 class ModbusException(Exception):
-    """What a station answers instead of the data that were asked for."""
+    """Exception response of a station."""
 
     def __init__(self, code: Code) -> None:
         self.code = code
@@ -45,7 +45,7 @@ class ModbusException(Exception):
 
 
 class Registers(Protocol):
-    """What a station has behind its addresses: words of 16 bits."""
+    """Registers of a station: words of 16 bits."""
 
     def read(self, address: int, count: int) -> Sequence[int]:
         """Return `count` words from an address on.
@@ -163,7 +163,7 @@ class Receiver:
 
 
 class Counters:
-    """What diagnostics (function 8) has a station since it was started or they were cleared."""
+    """Diagnostic counters (function 8) of a station since its start or since they were cleared."""
 
     def __init__(self) -> None:
         self.messages = 0  # on the line, for whichever station

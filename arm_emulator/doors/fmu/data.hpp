@@ -15,7 +15,7 @@ namespace fmu {
 
 constexpr int N = kJoints;
 
-// What the machine is given at a tick.
+// Inputs of the machine at a tick.
 struct Inputs {
   double command[N], further[kInputs * N + 1];
   double external_force[3 * N], external_moment[3 * N], external_point[3 * N];
@@ -40,7 +40,7 @@ struct Values {
 
 static_assert(sizeof(Values) % 8 == 0);
 
-// What was measured last.
+// Newest measurements.
 struct Shown {
   double time;
   arm_joint_measurement joint[N];

@@ -13,7 +13,7 @@ Instance* of(fmi2Component component) { return static_cast<Instance*>(component)
 
 fmi2Status as_fmi2(fmu::Status status) { return static_cast<fmi2Status>(status); }
 
-// What `call` returns if the instance is in one of these modes.
+// Return the result of `call` if the instance is in one of these modes.
 template <class Call>
 fmi2Status in(std::uint32_t modes, fmi2Component component, const char* name, Call&& call) {
   if (!component || !of(component)->allows(modes, name)) return fmi2Error;
@@ -54,7 +54,7 @@ fmi2Status no_strings(fmi2Component component, const char* name, std::size_t cou
   });
 }
 
-// What modelDescription.xml states is not there.
+// Functions that modelDescription.xml declares as missing.
 fmi2Status not_there(fmi2Component component, const char* name) {
   if (!component) return fmi2Error;
   return as_fmi2(of(component)->report(fmu::kError, "%s is not supported", name));

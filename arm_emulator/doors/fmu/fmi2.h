@@ -1,4 +1,4 @@
-/* What FMI 2.0 asks of a unit for co-simulation: types and functions of its binary interface.
+/* Binary interface of FMI 2.0 for co-simulation: types and functions of a unit.
  *
  * Declared from the standard (https://fmi-standard.org), as fmi3.h. C99.
  */

@@ -12,7 +12,7 @@ Instance* of(fmi3Instance instance) { return static_cast<Instance*>(instance); }
 
 fmi3Status as_fmi3(fmu::Status status) { return static_cast<fmi3Status>(status); }
 
-// What `call` returns if the instance is in one of these modes.
+// Return the result of `call` if the instance is in one of these modes.
 template <class Call>
 fmi3Status in(std::uint32_t modes, fmi3Instance instance, const char* name, Call&& call) {
   if (!instance || !of(instance)->allows(modes, name)) return fmi3Error;
@@ -55,7 +55,7 @@ fmi3Status none_of_this_type(fmi3Instance instance, const char* name, std::size_
   });
 }
 
-// What modelDescription.xml states is not there.
+// Functions that modelDescription.xml declares as missing.
 fmi3Status not_there(fmi3Instance instance, const char* name) {
   if (!instance) return fmi3Error;
   return as_fmi3(of(instance)->report(fmu::kError, "%s is not supported", name));

@@ -1,4 +1,4 @@
-/* What FMI 3.0 asks of a unit: types and functions of its binary interface.
+/* Binary interface of FMI 3.0: types and functions of a unit.
  *
  * Declared from the standard (https://fmi-standard.org), so that a unit can be compiled without the
  * standard's own headers. test/peers/test_fmu_fmpy.py compares each type with those. C99.

@@ -42,7 +42,7 @@ enum Category { kEvents, kStatusDiscard, kStatusError, kCategories };
 constexpr const char* kCategoryNames[kCategories] = {"logEvents", "logStatusDiscard",
                                                      "logStatusError"};
 
-// Where messages go to: a function of the importer's, called by `call`.
+// Destination of messages: a function of the importer's, called by `call`.
 struct Log {
   void (*call)(const Log& log, Status status, const char* category, const char* text);
   void (*function)();
@@ -50,8 +50,8 @@ struct Log {
   const char* name;  // of the instance
 };
 
-// What an importer wants to know of while a step is under way, at each tick: a function of its own,
-// called by `call`, which returns whether the step shall end at `*until` [s].
+// Callback of an importer at each tick within a step, called by `call`, which returns whether the
+// step shall end at `*until` [s].
 struct Watch {
   bool (*call)(const Watch& watch, double time, double* until);
   void (*function)();
@@ -105,8 +105,8 @@ class Instance {
 
   // ------------------------------------------------------------------------------------- logging
 
-  // What a call returns: with a status other than success, the reason is reported. An error
-  // ends the simulation; a reset or a state that was kept begins it again.
+  // Return the status of a call; unless it is success, the reason is reported. An error
+  // ends the simulation; a reset or a stored state restarts it.
   Status report(Status status, const char* format, ...) __attribute__((format(printf, 3, 4))) {
     if (status == kError) values_.mode = kTerminated;
     const Category category = status == kError     ? kStatusError
@@ -435,7 +435,7 @@ class Instance {
     values_.retuned = false;
   }
 
-  // What another thread, or the importer in the midst of a step, asks of the step.
+  // Request to a running step, by another thread or by the importer within the step.
   enum Ending { kGoesOn, kCancels, kTerminates };
   Status busy() { return report(kError, "no call but gets and an end may come during a step"); }
 
@@ -622,7 +622,7 @@ class Instance {
   Values& values_ = data_.values;
   Kept* kept_ = nullptr;
 
-  // What was asked of the machine last.
+  // Newest outputs of the machine.
   bool reported_ = false, truth_reported_ = false;
   arm_measurement measurement_ = {sizeof measurement_,
                                   0,

@@ -1,5 +1,5 @@
-// What a unit has its variables: a table in the order of their value references. The exporter
-// writes it (variables.py), from the same list as modelDescription.xml.
+// Variables of a unit: a table in the order of their value references, written by the exporter
+// (variables.py) from the same list as modelDescription.xml.
 #pragma once
 
 #include <cstddef>
@@ -17,10 +17,10 @@ enum class Role {
   output
 };
 
-// What a value must satisfy to be taken; `at` counts from Variable::first.
+// Rule for a value; `at` counts from Variable::first.
 enum class Rule { finite, command, further, wrench, start_q, start_v, parameter };
 
-// What stands in memory.
+// Type in memory.
 enum class Wire { float64, int64, int32, uint32, byte };
 template <class Value>
 constexpr Wire kWire = Wire::float64;

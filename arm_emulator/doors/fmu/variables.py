@@ -1,4 +1,4 @@
-"""What a unit has a machine: one list, of which its XML and its C++ are made."""
+"""Variables of a unit: one list, from which its XML and its C++ are generated."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Variable:
 
     @property
     def count(self) -> int:
-        """How many values it has."""
+        """Number of its values."""
         return math.prod(self.shape)
 
     @property

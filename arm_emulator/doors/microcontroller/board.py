@@ -44,7 +44,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Word:
-    """What a register begins with; bits that are `fixed` always read so."""
+    """Initial value of a register; bits that are `fixed` always read so."""
 
     at: int
     value: int

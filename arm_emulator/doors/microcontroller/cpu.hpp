@@ -187,7 +187,7 @@ class Cpu {
     pc = to;
     inside_until_ = 0;
   }
-  // What was translated of code that a debugger has changed.
+  // Discard the translation of code that a debugger has changed.
   void forget(uint32_t at, uint32_t size) {
     uc_ctl_remove_cache(uc_, static_cast<uint64_t>(at), static_cast<uint64_t>(at) + size);
     blocks_.fill({});
@@ -298,7 +298,7 @@ class Cpu {
     Cpu* cpu;
     uint32_t at;
   };
-  // What is known of a block.
+  // Data of a block.
   struct Block {
     uint32_t at = 1, size = 0;
     uint32_t count = 0;
@@ -373,7 +373,7 @@ class Cpu {
   static void instruction_begins(uc_engine*, uint64_t address, uint32_t, void* self) {
     static_cast<Cpu*>(self)->at_ = static_cast<uint32_t>(address);
   }
-  // How many instructions of the block stand before an address.
+  // Number of instructions of the block before an address.
   Time count_to(uint32_t at) const {
     Time count = 0;
     each_instruction([&](uint32_t one, const uint16_t*) {
@@ -541,7 +541,7 @@ class Cpu {
     return false;
   }
 
-  // What may be done with a page that is accessed for the first time.
+  // Permission for the first access to a page.
   static bool first_access(uc_engine*, uint64_t address, uc_mem_type type, uc_tlb_entry* out,
                            void* self) {
     Cpu& cpu = *static_cast<Cpu*>(self);

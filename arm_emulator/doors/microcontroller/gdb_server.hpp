@@ -18,8 +18,8 @@
 
 namespace mcu {
 
-// What is debugged. Registers: 0 to 15, 16 xPSR, from 17 on S0 to S31, 49 FPSCR, 50 MSP, 51 PSP,
-// 52 PRIMASK, 53 BASEPRI, 54 FAULTMASK, 55 CONTROL.
+// Target of the debugger. Registers: 0 to 15, 16 xPSR, from 17 on S0 to S31, 49 FPSCR, 50 MSP,
+// 51 PSP, 52 PRIMASK, 53 BASEPRI, 54 FAULTMASK, 55 CONTROL.
 class Debugged {
  public:
   virtual ~Debugged() = default;

@@ -29,7 +29,7 @@ class Memory {
     return nullptr;
   }
 
-  // Where so many bytes are, or null: they do not all lie in one region.
+  // Pointer to a range of bytes; null if it is not within one region.
   uint8_t* find(uint32_t at, uint64_t size) const {
     for (const Region& region : regions_)
       if (at >= region.at && at - region.at + size <= region.size)

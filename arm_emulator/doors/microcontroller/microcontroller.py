@@ -123,7 +123,7 @@ class Microcontroller(ControlCode):
 
     @property
     def fault(self) -> str:
-        """What has ended the firmware, or the first fault that it handled itself; "" for none."""
+        """The fault that ended the firmware, or the first one it handled itself; "" for none."""
         fault = RUNNER.new("mcu_fault")
         self._calls.mcu_get_fault(self.with_, fault)
         if not text(fault.what):
@@ -134,7 +134,7 @@ class Microcontroller(ControlCode):
 
     @property
     def figures(self) -> CData:
-        """What the processor has done so far, as ``mcu_figures``."""
+        """Counters of the processor so far, as ``mcu_figures``."""
         figures = RUNNER.new("mcu_figures")
         self._calls.mcu_get_figures(self.with_, figures)
         return figures

@@ -9,7 +9,7 @@
 
 namespace mcu {
 
-// What the processor's mask registers hold.
+// The processor's mask registers.
 struct Masks {
   uint32_t primask, basepri, faultmask;
 };

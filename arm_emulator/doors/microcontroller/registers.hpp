@@ -12,9 +12,9 @@ namespace mcu {
 
 class Registers {
  public:
-  // What a read of a register gives, by what is stored; with `look` it must change nothing.
+  // Value read from a register, from the stored one; with `look` nothing may change.
   using Read = std::function<uint32_t(uint32_t stored, bool look)>;
-  // What is stored after a write, by what was written and what was stored.
+  // Value stored after a write, from the written and the stored one.
   using Write = std::function<uint32_t(uint32_t value, uint32_t stored)>;
 
   // Both are multiples of 1024.

@@ -84,7 +84,7 @@ typedef struct mcu_uart {
   int32_t reserved;
 } mcu_uart;
 
-/* Where joint targets are read as floats. */
+/* Registers from which joint targets are read as floats. */
 typedef struct mcu_mailbox {
   uint32_t count; /* register: how often targets have come */
   int32_t interrupt;
@@ -142,9 +142,9 @@ int mcu_load(mcu_runner* runner, uint32_t at, const void* bytes, int64_t size);
 void mcu_debug(mcu_runner* runner, int socket);
 /* firmware_loop's step; `with` is the runner. */
 void mcu_step(void* with, const firmware_input* in, firmware_output* out);
-/* Where the end of the run is reported: 0, or 1 after a fault or the debugger's kill. */
+/* Pointer to the result of the run: 0, or 1 after a fault or the debugger's kill. */
 const int32_t* mcu_stopped(const mcu_runner* runner);
-/* What has ended the run, or the first fault that went to a handler. */
+/* The fault that ended the run, or the first one that went to a handler. */
 void mcu_get_fault(const mcu_runner* runner, mcu_fault* out);
 void mcu_get_figures(const mcu_runner* runner, mcu_figures* out);
 

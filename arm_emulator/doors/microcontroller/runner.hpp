@@ -96,7 +96,7 @@ class Runner : public Bus, public Debugged {
     if (registers_.special()) settle();
   }
 
-  // What a debugger sees and changes.
+  // Registers as read and written by a debugger.
   uint32_t get_register(int number) override {
     if (number == 15) return cpu_.pc;
     if (number == 16) return cpu_.get(UC_ARM_REG_XPSR);

@@ -1,4 +1,4 @@
-/* What planning a way takes much computing for: the joints along a way of the tool, their torques,
+/* Expensive parts of planning a way: the joints along a way of the tool, their torques,
  * and the timing of least duration within limits. No state, no allocation by the caller's leave:
  * all arrays are the caller's, row by row. Apache-2.0. */
 #ifndef ARM_WAY_H

@@ -55,7 +55,7 @@ typedef struct servo_sum {
   servo_real current, speed, voltage, load;
 } servo_sum;
 
-/* What is known of a joint: its numbers follow from the data sheet and the gains
+/* Data of a joint: its numbers follow from the data sheet and the gains
  * (arm_emulator/servo/servo_numbers.py; `python -m arm_emulator servo-header SCENE` writes them as
  * C). */
 typedef struct servo_joint {
@@ -85,7 +85,7 @@ typedef struct servo_joint {
   servo_real theta_gain, omega_gain, load_gain; /* of the observer */
 } servo_joint;
 
-/* What a joint remembers, and what it was asked for last. */
+/* State of a joint, and its newest request. */
 typedef struct servo_state {
   int64_t counts; /* that have been turned, of an absolute encoder */
   int32_t known;  /* 1: something was measured since the reset */
@@ -98,7 +98,7 @@ typedef struct servo_state {
   servo_real q_hold;                             /* where it is held without one */
 } servo_state;
 
-/* What is asked of a joint in one period, where it is more than a target: a drive that is commanded
+/* Request to a joint for one period, beyond a target: a drive that is commanded
  * in speeds or currents, or has limits of its own. */
 enum servo_wants { SERVO_POSITION = 0, SERVO_SPEED = 1, SERVO_CURRENT = 2 };
 enum servo_limits { SERVO_LIMITS_SPEED = 1, SERVO_LIMITS_CURRENT = 2, SERVO_LIMITS_VOLTAGE = 4 };

@@ -145,7 +145,7 @@ struct Axis {
   }
 };
 
-// How long something has been so without a break.
+// Time for which a condition has held without a break.
 struct Lasting {
   double time = 0.0;  // s
   void look(bool so, double dt) { time = so ? time + dt : 0.0; }

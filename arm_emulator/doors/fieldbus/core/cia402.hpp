@@ -49,7 +49,7 @@ inline constexpr std::uint16_t undervoltage = 0x3220, too_hot = 0x4310, software
                                sync_manager_watchdog = 0x821B, following_error = 0x8611;
 }  // namespace error_code
 
-// What bits 0 to 3 of a controlword ask for.
+// Commands in bits 0 to 3 of a controlword.
 enum class Command : std::uint8_t {
   shutdown,
   switch_on,
@@ -64,7 +64,7 @@ constexpr Command command_of(std::uint16_t word) {
   return word & control::enable_operation ? Command::enable_operation : Command::switch_on;
 }
 
-// What the options 0x605A to 0x605E state of the way to stand still.
+// Kinds of stop, selected by the options 0x605A to 0x605E.
 enum class Stop : std::uint8_t {
   none,          // keep going
   profile_ramp,  // slow down by 0x6084
@@ -72,7 +72,7 @@ enum class Stop : std::uint8_t {
   torque_limit,  // slow down by what torque there is
 };
 
-// What the master has set of it.
+// Options set by the master.
 struct StopOptions {
   std::int16_t quick_stop = 2, shutdown = 0, disable = 1, halt = 1, fault = 2;
 };
@@ -82,7 +82,7 @@ class StateMachine {
   State state() const { return state_; }
   // The transition taken last.
   int transition() const { return transition_; }
-  // How the drive shall come to a standstill now.
+  // Present kind of stop.
   Stop stop() const { return stop_; }
   std::uint16_t error() const { return error_; }
   // Whether the motor is controlled: also while its brake opens, before transition 4.

@@ -120,7 +120,7 @@ class Drive {
 
   // ------------------------------------------------------------------------- the servo period
 
-  // What the motor gets in the servo period that begins now.
+  // Return the motor's command for the servo period that begins now.
   arm_joint_command begin_period() {
     const Measured& now = axis_.measured;
     axis_.word_before = axis_.word;
@@ -138,7 +138,7 @@ class Drive {
     const std::uint32_t enable = ARM_ENABLED | (close ? std::uint32_t{ARM_CLOSE_BRAKE} : 0U);
     return {axis_.joint.mode, enable, command};
   }
-  // What was measured when it ended.
+  // Take the measurement at its end.
   void end_period(const arm_joint_measurement& measured, const arm_joint_sensors& sensors,
                   bool powered) {
     look(measured, sensors, powered);

@@ -1,5 +1,5 @@
-// What the dictionary of a drive begins with, beyond the standard values of the table: what follows
-// from its joint.
+// Initial values of a drive's dictionary that depend on its joint, beyond the standard values of
+// the table.
 #pragma once
 
 #include "axis.hpp"

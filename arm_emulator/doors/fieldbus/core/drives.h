@@ -21,7 +21,7 @@ typedef struct drives drives;
 
 enum drives_bus { DRIVES_ETHERCAT = 1, DRIVES_CANOPEN = 2 };
 
-/* What is known of a joint. */
+/* Data of a joint. */
 typedef struct drives_joint {
   const char* name;
   servo_joint servo;       /* what its inner loops work with */
@@ -64,7 +64,7 @@ void drives_begin(drives* all);
 int drives_period(drives* all);
 /* The same for so many periods, or fewer where one is not ARM_OK. */
 int drives_periods(drives* all, int64_t periods);
-/* Where the machine is. */
+/* Number of the present tick. */
 int64_t drives_tick(const drives* all);
 
 /* ---------------------------------------------------------------------------- the dictionaries */
@@ -98,7 +98,7 @@ typedef struct drives_entry {
 /* Walk the dictionary: entries 0, 1, ... in ascending order; 0 where there are no more, else 1. */
 int drives_list(int32_t slot, drives_entry* out);
 
-/* What a mode of operation controls: position; speed; torque; a torque at the limit of the speed.
+/* Controlled quantity of a mode of operation: position; speed; torque; a torque at the speed limit.
  */
 enum drives_loops {
   DRIVES_LOOP_POSITION = 1,

@@ -35,8 +35,8 @@ class Dictionary final : public fieldbus::SdoDictionary {
     return abort;
   }
 
-  // How many subs an object has now: as its sub 0 states, which masters set of mappings and
-  // assignments.
+  // Present number of sub-indices of an object: the value of sub 0, which masters set for mappings
+  // and assignments.
   std::size_t subs(std::span<const drives_entry> object) const {
     return std::min<std::size_t>(door_.number(object[0].index, 0), object.size() - 1);
   }

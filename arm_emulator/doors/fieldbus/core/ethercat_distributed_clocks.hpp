@@ -10,7 +10,7 @@
 
 namespace ethercat {
 
-// Where a slave stands in the segment and when a frame comes by [ns].
+// Times at which a frame passes a slave of the segment [ns].
 struct Passage {
   std::int64_t there = 0, back = 0;  // in time of the segment
   bool last = true;                  // nothing is connected behind it

@@ -8,7 +8,7 @@
 
 namespace ethercat {
 
-// What a logical datagram and a slave's memory share, in bytes or in bits.
+// Common part of a logical datagram and a slave's memory, in bytes or in bits.
 struct Mapped {
   std::size_t in_datagram;
   std::size_t address;  // of the slave

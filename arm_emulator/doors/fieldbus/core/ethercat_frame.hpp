@@ -14,7 +14,7 @@ namespace ethercat {
 using fieldbus::get16, fieldbus::get32, fieldbus::get64;
 using fieldbus::put16, fieldbus::put32, fieldbus::put64;
 
-// How a datagram addresses: by position (A), configured station (F), all (B), logically (L).
+// Addressing of a datagram: by position (A), configured station (F), all (B), logically (L).
 enum class Command : std::uint8_t {
   nop,
   aprd,

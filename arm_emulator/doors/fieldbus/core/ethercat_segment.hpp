@@ -199,7 +199,7 @@ class Segment {
   static void write(Slave& slave, Datagram& datagram) {
     datagram.count(slave.write(datagram.offset(), datagram.data()));
   }
-  // What is read takes the place of what is written.
+  // Write the datagram's data, and return the data read before.
   static void read_write(Slave& slave, Datagram& datagram, bool add) {
     std::array<std::uint8_t, 2048> in;
     const auto data = datagram.data();

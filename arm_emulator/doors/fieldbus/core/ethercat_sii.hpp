@@ -9,7 +9,7 @@
 
 namespace ethercat {
 
-// Where a slave's mailboxes and buffers of process data lie.
+// Addresses of a slave's mailboxes and buffers of process data.
 namespace area {
 constexpr std::uint16_t kMailbox = 256;  // bytes of each
 constexpr std::uint16_t kMailboxOut = 0x1000, kMailboxIn = 0x1100, kOutputs = 0x1200,

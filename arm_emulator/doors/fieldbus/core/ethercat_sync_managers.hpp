@@ -82,8 +82,8 @@ class SyncManagers {
       if (overlap(address, size, at(k), 8) && !switched_on(k)) empty(k);
   }
 
-  // Which bytes of the registers a master cannot change now: status and the slave's own, and the
-  // area of one that is switched on.
+  // Whether a master cannot change this byte of the registers now: status, the slave's own bytes,
+  // and the area of an active sync manager.
   bool locked(std::size_t address) const {
     const std::size_t byte = (address - reg::kSyncManager) % 8;
     const int k = static_cast<int>((address - reg::kSyncManager) / 8);

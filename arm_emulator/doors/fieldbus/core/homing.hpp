@@ -44,7 +44,7 @@ class Homing {
   }
   void fail() { phase_ = Phase::failed; }
 
-  // Where to: -1, 0 or 1.
+  // Direction: -1, 0 or 1.
   int direction() const {
     const int forward = method_ == 34 || method_ == -1 || method_ == -3 ? 1 : -1;
     if (phase_ == Phase::to_stop) return forward;
@@ -52,7 +52,7 @@ class Homing {
     return 0;
   }
 
-  // What a period has brought. `pressing`: the torque is at its limit and the motor stands.
+  // Evaluate a period. `pressing`: the torque is at its limit and the motor stands.
   void look(std::int64_t position, std::int64_t pulses, std::int64_t index, bool pressing,
             double speed, std::int64_t counts_per_turn, double dt) {
     const std::int64_t way = position > began_ ? position - began_ : began_ - position;

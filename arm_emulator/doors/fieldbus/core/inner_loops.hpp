@@ -29,8 +29,8 @@ class InnerLoops {
     now.torque = state_.current / axis.units.current;
   }
 
-  // What the demands take, in the unit of the motor's command. `offsets`: of the master;
-  // `torque_limit`: of the mode, in 0.1 %.
+  // Return the command for the demands, in the unit of the motor's command. `offsets`: of the
+  // master; `torque_limit`: of the mode, in 0.1 %.
   double command(Axis& axis, const Offsets& offsets, double torque_limit, bool within_limits) {
     const Units& units = axis.units;
     const Demand& demand = axis.demand;

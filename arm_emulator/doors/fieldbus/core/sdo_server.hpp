@@ -10,14 +10,14 @@
 
 namespace fieldbus {
 
-// What a transfer is about.
+// Object of a transfer.
 struct SdoObject {
   std::uint16_t index = 0;
   std::uint8_t sub = 0;
   bool complete = false;  // all entries of the object, from `sub` on
 };
 
-// What a server has behind it. Abort codes are returned; after one, nothing has changed.
+// Dictionary behind a server. Abort codes are returned; after one, nothing has changed.
 class SdoDictionary {
  public:
   virtual std::uint32_t read(const SdoObject& at, Bytes& out) const = 0;

@@ -1,5 +1,5 @@
-// How a motor comes to a standstill: by a ramp, by what torque there is, or, in a mode that
-// controls torque, by no torque.
+// Stop of a motor: by a ramp, with the largest torque, or, in a mode that controls torque, with
+// zero torque.
 #pragma once
 
 #include "axis.hpp"

@@ -54,7 +54,7 @@ class Values {
     value_[kSlot<index, sub>] = value;
   }
   void set_at(int slot, std::int64_t value) { value_[slot] = value; }
-  // Where a value lies, little-endian, for process data that are copied.
+  // Address of a value, little-endian, for copied process data.
   const std::byte* place(int slot) const {
     return reinterpret_cast<const std::byte*>(&value_[slot]);
   }
@@ -128,7 +128,7 @@ class Values {
                                : static_cast<std::int64_t>(bits);
   }
 
-  // What a PDO (0x1600 ..., 0x1A00 ...) consists of. Returns how many.
+  // Entries of a PDO (0x1600 ..., 0x1A00 ...). Returns their number.
   int mapping(std::uint16_t pdo, std::span<Mapped> out) const {
     const int first = find(pdo, 0);
     if (first < 0) return 0;

@@ -1,4 +1,4 @@
-// What a mode of operation (0x6060) is to the drive.
+// Interface of a mode of operation (0x6060).
 //
 // A mode is made anew each time it is chosen. In Operation enabled it sets the demands of the inner
 // loops, period after period; the drive enables, stops and publishes.
@@ -11,7 +11,7 @@
 
 namespace fieldbus {
 
-// What a mode is, without an axis.
+// Static properties of a mode.
 struct AboutMode {
   int number = 0;  // 0x6060
   const char* name = "none";
@@ -21,13 +21,13 @@ struct AboutMode {
   bool halts_in_torque = false;  // a halt takes the torque away
 };
 
-// What a master adds to what the inner loops are to do.
+// Offsets that a master adds to the demands of the inner loops.
 struct Offsets {
   double speed = 0.0;   // counts/s
   double torque = 0.0;  // 0.1 %
 };
 
-// What bits of the statusword depend on.
+// Inputs of the mode's bits of the statusword.
 struct Situation {
   bool operates;  // Operation enabled
   bool stops;     // ... and on its way out of it

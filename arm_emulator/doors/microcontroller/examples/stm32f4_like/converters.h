@@ -1,4 +1,4 @@
-/* What converters make of currents and voltages. Firmware computes so, and so can a library on a
+/* Conversion of currents and voltages. Used by the firmware, and by a library on a
  * computer that shall give the same bits. */
 #ifndef CONVERTERS_H
 #define CONVERTERS_H
