@@ -1,4 +1,4 @@
-"""Which joints of a robot description are the arm, which link is its tool, what is held."""
+"""Choice of the arm's joints, its tool link and the held joints in a robot description."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Choice:
     held: dict[str, Held]
     """All other joints that could move."""
     guesses: tuple[str, ...]
-    """What was not given but chosen, in words."""
+    """Choices made, as text."""
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class JointSheet:
-    """What is published of the drive of a joint."""
+    """Published figures of a joint's drive."""
 
     torque: float  # N m
     speed: float  # rad/s

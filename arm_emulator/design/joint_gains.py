@@ -87,7 +87,7 @@ class GearData:
 
 @dataclass(frozen=True)
 class ServoGains:
-    """What `JointServo` takes beside the data sheet."""
+    """Numbers of `JointServo` beside the data sheet."""
 
     position_gain: float  # 1/s
     velocity_gain: float  # N m s/rad, at the link
@@ -184,7 +184,7 @@ def _rounded(value: float) -> float:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """How gains do at their worst."""
+    """Worst results of gains."""
 
     gains: ServoGains
     kick: float  # A per count

@@ -1,4 +1,4 @@
-"""What a motion controller may know of a scene's drives, for feed-forward."""
+"""Numbers of a scene's drives for the motion controller's feed-forward."""
 
 from __future__ import annotations
 

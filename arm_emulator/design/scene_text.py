@@ -46,7 +46,7 @@ _RULES = """\
 
 @dataclass(frozen=True)
 class Given:
-    """What a scene is made of."""
+    """Content of a new scene."""
 
     robot: str  # name of its file
     choice: Choice

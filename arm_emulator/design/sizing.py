@@ -24,7 +24,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sensors import JointSensors
 from arm_emulator.machine.scene import Joint
 
-# What a limit of the description may be. Beyond, it stands for "not known".
+# Largest plausible limits of a description. Larger ones mean "unknown".
 MOST_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s
 DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
 # A torque of the description stands for "not known" beyond so many times what the joint needs with
@@ -52,7 +52,7 @@ COUNTS_PER_TURN = 8192  # 13 bit at the motor
 
 @dataclass(frozen=True)
 class Demand:
-    """What the links ask of a joint, and what the robot description states of it.
+    """Loads of the links on a joint, and its limits in the robot description.
 
     Units are those of a revolute joint; for a prismatic one read kg, N and m/s.
     """
@@ -62,7 +62,7 @@ class Demand:
     start: float  # rad
     inertia: tuple[float, float]  # kg m2, least and most over poses
     coupling: tuple[float, ...]
-    """What it feels of each joint's acceleration, its own among them, most over poses [kg m2]."""
+    """Inertia felt from each joint's acceleration, its own included, largest over poses [kg m2]."""
     gravity_torque: float  # N m, most over poses, with the payload
     bare_torque: float  # N m, the same without the payload
     tool_torque: float  # N m, what a tool may ask for that the description does not know
@@ -81,7 +81,7 @@ class Sized:
     speed: float  # rad/s of the link
     acceleration: float  # rad/s2, for motion control
     notes: dict[str, str]
-    """Where `torque` and `speed` come from, in words."""
+    """Sources of `torque` and `speed`, as text."""
 
 
 def size(demands: list[Demand], kind: type[Motor] = DcMotor) -> tuple[float, list[Sized]]:

@@ -23,7 +23,7 @@ DEMO_PART = 0.05  # of the arm's reach: how far a demo moves the tool
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What was seen. N joints, in the scene's order."""
+    """Results of the survey. N joints, in the scene's order."""
 
     inertia: Array
     """Least and most that a joint feels over the poses, (N, 2) [kg m2 or kg].

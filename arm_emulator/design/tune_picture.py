@@ -1,4 +1,4 @@
-"""What `tune` draws: steps, sensitivities and tracking errors of the present and computed gains."""
+"""Picture of `tune`: steps, sensitivities, tracking errors, for present and computed gains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a compiled core is called with, and why it has refused a call."""
+"""Arguments of calls of a compiled core, and the reasons of its refusals."""
 
 from __future__ import annotations
 

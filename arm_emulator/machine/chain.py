@@ -228,7 +228,7 @@ def read_chain(
 
 @dataclass(frozen=True)
 class MovedBody:
-    """What a joint moves: a link with all that is fixed to it."""
+    """Body moved by a joint: a link with all links fixed to it."""
 
     joint: str
     links: tuple[str, ...]
@@ -316,7 +316,7 @@ def _check_kind(joint: _UrdfJoint, locked: Mapping[str, float], where: str) -> N
         raise Refusal(where, f"locked.{joint.name}", rule, locked[joint.name])
 
 
-# What only a joint that moves has in a URDF, or has otherwise.
+# Elements of a URDF that only moving joints have, or have in another form.
 _OF_MOVING = ("origin", "axis", "limit", "mimic", "coupling", "dynamics", "safety_controller")
 
 

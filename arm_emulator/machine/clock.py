@@ -11,7 +11,7 @@ from arm_emulator.machine.plant import Plant
 
 @dataclass(frozen=True)
 class RealTimeFigures:
-    """How punctual a loop is, since it was reset; times in ns."""
+    """Punctuality of a loop since its reset; times in ns."""
 
     tick: int = 0
     lost_periods: int = 0  # deadlines missed by whole periods, which logical time has lost
@@ -57,7 +57,7 @@ class Clock:
 
     @property
     def figures(self) -> RealTimeFigures:
-        """How punctual it is; zeros where nobody waits for a time."""
+        """Punctuality; zeros if no deadline is kept."""
         return RealTimeFigures()
 
     def begin(self) -> None:

@@ -9,7 +9,7 @@ from arm_emulator.machine.plant import Plant
 
 
 class ControlCode:
-    """Whoever gives the commands of a run. These are the defaults.
+    """Source of the commands of a run. These are the defaults.
 
     Attributes:
         name: for refusals.

@@ -9,10 +9,10 @@ from arm_emulator.machine.chain import Array
 
 @dataclass(frozen=True)
 class EnergyFlow:
-    """What each joint is given and what it dissipates, (N,): W now, J over a time.
+    """Energy supplied to and dissipated by each joint, (N,): W now, J over a time.
 
-    It is given by the supply, and by the external wrench as far as that turns this joint.
-    A motor whose torque constant differs from its back-EMF constant is given the difference, too.
+    The supply and the share of the external wrench that turns this joint supply it.
+    A motor with different torque and back-EMF constants gets the difference, too.
     """
 
     given: Array

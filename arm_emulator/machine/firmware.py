@@ -36,7 +36,7 @@ class Doing(enum.IntEnum):
 
     @property
     def must(self) -> tuple[str, str]:
-        """What must do what, where the process ends there."""
+        """Quantity and rule of the refusal if the process ends there."""
         return {
             Doing.OURS: ("a thread of it", "let the process go on"),
             Doing.LOADING: ("file", "be loaded by the system"),

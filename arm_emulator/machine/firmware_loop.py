@@ -82,7 +82,7 @@ class FirmwareLoop:
 
     @property
     def tick(self) -> int:
-        """Where the machine is."""
+        """Number of the present tick."""
         return int(self.pointer.tick)
 
     def run(self, tick: int, ticks: int) -> None:

@@ -355,7 +355,7 @@ class Fleet(Turns):
     @property
     @in_turn
     def measured(self) -> Measured:
-        """What the sensors of all arms measured at their newest ticks, as a copy.
+        """Readings of the sensors of all arms at their newest ticks, as a copy.
 
         As `Plant.measured`, with arrays (count, N).
         """

@@ -12,9 +12,9 @@ from arm_emulator.machine.scene import Scene
 
 
 class FleetFrame:
-    """What is measured and what is true of all arms after a step.
+    """Measured and true values of all arms after a step.
 
-    The arrays stay the same from step to step; whoever keeps a moment copies them.
+    The arrays are reused in every step; copy them to keep a moment.
 
     Attributes:
         of: scene and count.

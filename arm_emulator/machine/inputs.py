@@ -1,4 +1,4 @@
-"""What a machine takes, from what its motors declare."""
+"""Inputs of a machine, as declared by its motors."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class LoopClock(Clock):
 
     @property
     def figures(self) -> RealTimeFigures:
-        """How punctual the loop is."""
+        """Punctuality of the loop."""
         return self._loop.figures()
 
     def begin(self) -> None:

@@ -17,7 +17,7 @@ from arm_emulator.machine.scene import Scene
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured at one tick: an attribute for each of `outputs.KNOWN`.
+    """Measurements of one tick: an attribute for each of `outputs.KNOWN`.
 
     Arrays are (N,), base to tool, 0 where a joint has no such sensor; those of inertial measurement
     units are (M, 3). Of a fleet they are (count, N) and (count, M, 3).
@@ -56,7 +56,7 @@ class Measured:
 
 
 class MeasuredPlace:
-    """Where the core writes what was measured.
+    """Arrays into which the core writes measurements.
 
     Attributes:
         arrays: by their names in ``arm_measurement``.

@@ -1,4 +1,4 @@
-"""What is measured as messages have it, filled in and read back by one list.
+"""Measurements in messages, filled in and read back by one list.
 
 A message has fields of its own for some outputs, and readings by name for all others.
 """
@@ -19,7 +19,7 @@ from arm_emulator.machine.scene import Scene
 
 
 class MeasuredFields:
-    """Where the messages of a scene have what is measured.
+    """Places of measurements in the messages of a scene.
 
     Args:
         scene: the scene.

@@ -109,7 +109,7 @@ class Plant(Turns):
         self._held_pointer = pointer(self._held)
         self._rows = np.zeros((len(ROWS), N))
         self._energy = np.zeros(1)
-        # What is asked for, apart: without a place, energy and torques are not worked out.
+        # Separate requests: quantities without an output array are not computed.
         self._clock = truth_at()
         self._energy_alone = truth_at(energy=self._energy)
         self._truth = truth_at(**dict(zip(ROWS, self._rows, strict=True)))
@@ -297,7 +297,7 @@ class Plant(Turns):
     @property
     @in_turn
     def measured(self) -> Measured:
-        """What the sensors reported at the newest tick, as a copy.
+        """Readings of the sensors at the newest tick, as a copy.
 
         Joints without sensors (docs/reference/parts/sensors.md) report their present values.
         """
@@ -365,7 +365,7 @@ class Plant(Turns):
     @property
     @in_turn
     def external_wrenches(self) -> dict[str, ExternalWrench]:
-        """What acts on the link of each joint, by its name; empty in a scene without."""
+        """External wrench on the link of each joint, by its name; empty in a scene without."""
         wrenches = {}
         for index, joint in enumerate(self.scene.chain.joints):
             if self.scene.external_wrench:

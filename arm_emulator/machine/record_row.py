@@ -21,7 +21,7 @@ STRUCTS = ("joint", "sensors", "imu")  # what `arm_measurement` has as structs
 
 
 class RecordRow(Turns):
-    """Where the core writes a row of a plant.
+    """Buffer into which the core writes a row of a plant.
 
     Attributes:
         rows: one row, the newest.

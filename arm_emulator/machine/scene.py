@@ -80,7 +80,7 @@ class Load:
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """What the scene file states of one moving joint. A joint without a motor swings freely."""
+    """Section of one moving joint in a scene. A joint without a motor swings freely."""
 
     name: str
     start: float = number("rad or m", at_least=-1e4, at_most=1e4, default=0.0)
@@ -119,7 +119,7 @@ class Joint:
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """What its motor takes: its command, and what it takes beside it."""
+        """Inputs of its motor: the command first, then further ones."""
         of_motor = self.motor.inputs if self.motor else (VOLTAGE,)
         return next((one.inputs for one in self.decorators[::-1] if one.inputs), of_motor)
 
@@ -130,14 +130,14 @@ class Joint:
 
     @property
     def current_bandwidth(self) -> float:
-        """How fast its current follows the command of its drive's loop [Hz]; 0: it has no loop."""
+        """Bandwidth of its drive's current loop [Hz]; 0: it has none."""
         if self.motor is None:
             return 0.0
         return max((one.bandwidth_around(self.motor) for one in self.decorators), default=0.0)
 
     @property
     def servo_data(self) -> ServoData | None:
-        """What a servo must know of its motor and drive; None: ours cannot drive it."""
+        """Data of motor and drive for a servo; None: ours cannot drive them."""
         data = None if self.motor is None else self.motor.servo_data
         if data is None or self.current_bandwidth == 0.0:
             return data
@@ -161,7 +161,7 @@ class Joint:
 
     @property
     def _of_motor_per_command(self) -> float:
-        """What its motor itself is commanded at rest for a unit of the joint's command."""
+        """Command of the motor itself at rest, per unit of the joint's command."""
         if self.motor is None:
             return 1.0
         return math.prod(one.inner_per_command(self.motor) for one in self.decorators)
@@ -340,7 +340,7 @@ def _build(root: Section, file: Path) -> Scene:
     chain = read(payload_body)
     bare = tuple(link.body for link in chain.links)
     if payload_body is not None:
-        # What a second one adds is the first.
+        # Bodies are linear in the payload: two with one payload, less one with two, have none.
         twice = (link.body for link in read(payload_body.scaled(2.0)).links)
         bare = tuple(
             one.scaled(2.0) + two.scaled(-1.0) for one, two in zip(bare, twice, strict=True)

@@ -37,7 +37,7 @@ STARTS = ("free_run", "first_answer", "paused")
 
 
 class Phase(enum.IntEnum):
-    """What the session is doing; the values are those of EmulatorStatus."""
+    """Phase of the session; the values are those of EmulatorStatus."""
 
     FREE_RUNNING = 0
     WAITING = 1
@@ -146,7 +146,7 @@ class Session(Turns):
 
     @property
     def figures(self) -> RealTimeFigures:
-        """How punctual a loop is; zeros where the owner lets time pass."""
+        """Punctuality of a loop; zeros if the owner advances time."""
         return self._clock.figures
 
     @in_turn
@@ -315,7 +315,7 @@ class Session(Turns):
     @property
     @in_turn
     def measured(self) -> Measured:
-        """What the sensors reported at this tick."""
+        """Readings of the sensors at this tick."""
         if self._measured is None:
             self._measured = self.plant.measured
         return self._measured
@@ -338,7 +338,7 @@ class Session(Turns):
 
     @property
     def phase(self) -> Phase:
-        """What the session is doing."""
+        """Present phase."""
         if self.fault is not None:
             return Phase.STOPPED
         if self.paused:

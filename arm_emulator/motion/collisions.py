@@ -1,4 +1,4 @@
-"""Which parts of an arm touch each other or an obstacle in a configuration: Pinocchio with coal.
+"""Contacts between parts of an arm, or with obstacles, in a configuration: Pinocchio with coal.
 
 The shapes are those for collisions in the robot description, meshes by their convex hulls. Two
 parts count as touching when they are nearer than a margin.
@@ -84,7 +84,7 @@ class Collisions:
 
     @property
     def pairs(self) -> int:
-        """How many pairs are tested."""
+        """Number of pairs tested."""
         return len(self._shapes.collisionPairs)
 
     def first(self, q: FloatArray) -> str:

@@ -1,4 +1,4 @@
-"""What every method of motion control offers, and which one a configuration asks for."""
+"""Interface of all methods of motion control, and their choice by a configuration."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Controller(Protocol):
 
     @property
     def coming(self) -> Reference | None:
-        """How the joints are commanded to move at the next motion period; None: not known."""
+        """Commanded motion of the joints at the next motion period; None: unknown."""
 
     @property
     def resting(self) -> bool:

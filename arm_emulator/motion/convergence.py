@@ -1,4 +1,4 @@
-"""How fast eq. (6) converges, by its weight and by how far the servo gets in a motion period."""
+"""Convergence of eq. (6), from its weight and the servo's step response per motion period."""
 
 from __future__ import annotations
 

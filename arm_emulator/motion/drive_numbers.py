@@ -1,4 +1,4 @@
-"""What is known of the drives of an arm, for feed-forward: gears and friction by joint."""
+"""Numbers of an arm's drives for feed-forward: gears and friction by joint."""
 
 from __future__ import annotations
 

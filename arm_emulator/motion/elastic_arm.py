@@ -1,4 +1,4 @@
-"""What the motors of an arm with elastic gears must do for its links to follow a motion.
+"""Motion of the motors of an arm with elastic gears for a given motion of its links.
 
 A joint with an elastic gear is differentially flat: its link's motion gives that of its motor. All
 quantities at the link; theta is the motor's angle times the ratio, w = theta - q the wind-up.
@@ -34,7 +34,7 @@ _UNKNOWN_LIMIT = 1.0  # rad/s or m/s, where a joint has no limit of speed
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """How the motors of an arm move at a moment, (N,) each, seen at the links."""
+    """Motion of an arm's motors at an instant, (N,) each, referred to the links."""
 
     theta: FloatArray
     """Angles of the motors times their ratios [rad]."""
@@ -43,7 +43,7 @@ class Drive:
     torque: FloatArray
     """Torques that the gears carry [N m]."""
     torque_rate: FloatArray
-    """How fast they change [N m/s]."""
+    """Their rates of change [N m/s]."""
 
 
 class ElasticArm:

@@ -1,4 +1,4 @@
-"""What the servo is given beside the links' angles: speeds, torques, wind-up of the gears."""
+"""Feed-forward for the servo: speeds, torques, wind-up of the gears."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class _Period:
     """Speeds (N,)."""
     q_end: FloatArray
     ends: Drive
-    """How the motors move at its end."""
+    """Motion of the motors at its end."""
 
 
 def _estimated(q: FloatArray, mean: FloatArray, before: _Period | None, period: float) -> Reference:

@@ -195,7 +195,7 @@ class Instructor:
         def order() -> Order:
             kinematics, config = _known(controller, "tool_path"), self._config
             turning = kinematics.turns_tool
-            # Where the orientation is free it must not take time either.
+            # A free orientation must not take time either.
             level = [one if turning else Pose(one.p_WT, np.eye(3)) for one in poses]
             path = ToolPath(
                 level, tool_limits(config), stamp_ns, times_ns, config.path_arcs, config.path_blend

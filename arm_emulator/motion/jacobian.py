@@ -68,7 +68,7 @@ class JacobianController:
             "motion_controller", singular_below
         )
         self.notices: tuple[str, ...] = ()
-        """What limited the last `update`, in words; empty: nothing did."""
+        """Limit of the last `update`, as text; empty: none."""
         self.searching = False
         """Eq. (6) has one way only."""
         self.way = ""

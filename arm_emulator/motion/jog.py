@@ -32,7 +32,7 @@ _TWIST = VELOCITY.named("twist")
 
 
 class JogStatus(enum.IntEnum):
-    """What limits a jog, by the codes of MoveIt Servo."""
+    """Limits of a jog, by the codes of MoveIt Servo."""
 
     NO_WARNING = 0
     DECELERATE_FOR_APPROACHING_SINGULARITY = 1
@@ -50,7 +50,7 @@ class JogStatus(enum.IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class JogCommand:
-    """What somebody wants who holds a lever."""
+    """A jog command."""
 
     time_ns: int
     """Logical time of it [ns]."""

@@ -56,7 +56,7 @@ class JointCurve:
 
     @property
     def end(self) -> FloatArray:
-        """Where it ends (N,)."""
+        """Its end (N,)."""
         return np.asarray(self.derivatives(np.ones(1))[0, 0])
 
     def derivatives(self, s: FloatArray) -> FloatArray:

@@ -43,7 +43,7 @@ _BOUNDS = {
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """What the joints of an arm can do, (N,) each."""
+    """Limits of an arm's joints, (N,) each."""
 
     lower: FloatArray
     """[rad]; -inf: no limit."""

@@ -1,4 +1,4 @@
-"""Where an arm's tool is, and how it moves with the joints: kinematics by Pinocchio."""
+"""Kinematics of an arm's tool, by Pinocchio."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Kinematics:
         moved = [rates[name] for name in self.shafts.joints]
         self.velocity_limit = self.shafts.most(np.array([one.velocity for one in moved]))
         self.acceleration_limit = self.shafts.most(np.array([one.acceleration for one in moved]))
-        # What a drive can give: a torque of its shaft, whatever joints that moves.
+        # Limit of a drive: a torque of its shaft, whichever joints that moves.
         self.effort_limit = np.array([rates[name].effort for name in self.joint_names])
         self.reach = self._reach()
         _REACH.check("robot_description", [self.reach])

@@ -57,7 +57,7 @@ def whole_model(urdf_xml: str, tool: str = "", masses: bool = False) -> Any:
 
 @dataclass(frozen=True)
 class RateLimits:
-    """How fast a joint may move, and with which torque; infinite where the description has none."""
+    """Limits of a joint's speed and torque; infinite if the description has none."""
 
     velocity: float
     """[rad/s or m/s]"""

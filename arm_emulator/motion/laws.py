@@ -52,7 +52,7 @@ class Laws:
 
     @property
     def braking(self) -> SmoothJoints:
-        """How the joints come to rest before a collision."""
+        """Braking motion before a collision."""
         kinematics, config = self.controller.kinematics, self.config
         if self._braking is None:
             self._braking = smooth_joints(kinematics, config, margin=0.0)

@@ -240,7 +240,7 @@ class MotionConfig:
     """Gears and friction of joints by name, for the feed-forward `full`; a joint that is not there
     has a rigid gear and no friction. In files it is the section `joints`."""
     where: str = field(default=NODE, compare=False)
-    """What to call it in refusals: its file, or the node."""
+    """Its name in refusals: its file, or the node."""
 
     @property
     def watches_collisions(self) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 
 class Kind(enum.IntEnum):
-    """What was asked for; the numbers are those of msg/MotionStatus.msg."""
+    """Kind of an order; the numbers are those of msg/MotionStatus.msg."""
 
     TOOL_TARGET = 1
     JOINT_TRAJECTORY = 2
@@ -61,7 +61,7 @@ class Reports:
 
     def __init__(self) -> None:
         self.numbers: Counter[Kind] = Counter()
-        """How many of each kind came so far."""
+        """Number of orders of each kind so far."""
         self.waiting: list[MotionReport] = []
 
     def next_number(self, kind: Kind) -> int:

@@ -1,4 +1,4 @@
-"""What stands in an arm's way: a floor, boxes. The section `obstacles` of the parameter file."""
+"""Obstacles of an arm: a floor, boxes. The section `obstacles` of the parameter file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Obstacle:
     at: tuple[float, ...] = (0.0, 0.0, 0.0)
     """Middle of the box [m]."""
     rpy: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """How it is turned: roll, pitch, yaw as in a URDF [rad]."""
+    """Orientation: roll, pitch, yaw as in a URDF [rad]."""
 
 
 def obstacles_of(given: object, where: str) -> tuple[Obstacle, ...]:

@@ -1,4 +1,4 @@
-"""What an arm is commanded, while it does it: hold its tool, follow its joints, or a path."""
+"""Orders of an arm during execution: hold its tool, follow its joints, or a path."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SECONDS = 1e-9
 
 @dataclass(frozen=True)
 class Progress:
-    """How far an order is."""
+    """Progress of an order."""
 
     state: State
     reason: str = ""
@@ -50,7 +50,7 @@ MOVING = Progress(State.MOVING)
 
 
 class Order(Protocol):
-    """What every order offers.
+    """Interface of all orders.
 
     Attributes:
         kind: what it came as.
@@ -62,7 +62,7 @@ class Order(Protocol):
 
     @property
     def way(self) -> str:
-        """Which way it takes, and why that one, in words; empty: not known."""
+        """Kind of its way and the reason, as text; empty: unknown."""
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """Take over from `reference`.

@@ -61,7 +61,7 @@ class PathWatch:
 
     @property
     def missed(self) -> str:
-        """Which pose the tool has not come through, in words; empty: through all of them."""
+        """First pose that the tool has not passed, as text; empty: it has passed all."""
         seen = np.isfinite(self._passed)
         off = np.where(seen, self._reached, 0.0) - np.where(seen, self._passed, 0.0)
         if self._tolerance == 0.0 or not (off > self._tolerance).any():

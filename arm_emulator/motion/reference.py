@@ -1,4 +1,4 @@
-"""How the joints are commanded to move at a moment, with the derivatives that are known."""
+"""Commanded motion of the joints at an instant, with the known derivatives."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class _Seen:
     twist: FloatArray
     """Between this target and those before (6,) [m/s, rad/s]."""
     count: int
-    """How many have come in a row."""
+    """Number of successive targets."""
     posture: FloatArray
     """Joint angles at the first of them, which redundant joints come back to (N,) [rad or m]."""
 

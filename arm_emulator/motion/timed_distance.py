@@ -1,4 +1,4 @@
-"""How far along a path something is that shall be in given places at given times."""
+"""Distance along a path over time, for given positions at given times."""
 
 from __future__ import annotations
 

@@ -70,9 +70,9 @@ class Allowed:
 
 @dataclass(frozen=True, eq=False)
 class Tolerances:
-    """What is allowed on the way of a trajectory, and in the end."""
+    """Tolerances along a trajectory, and at its end."""
 
     path: Allowed
     goal: Allowed
     goal_time: float = 0.0
-    """How long after its end the joints may take to keep `goal` [s]; 0: as long as they like."""
+    """Time after its end in which the joints must come within `goal` [s]; 0: unlimited."""

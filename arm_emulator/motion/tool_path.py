@@ -33,7 +33,7 @@ _SECONDS = 1e-9
 
 @dataclass(frozen=True)
 class ToolLimits:
-    """How the tool may go along a path; all > 0."""
+    """Limits of the tool along a path; all > 0."""
 
     speed: float
     """[m/s]."""
@@ -102,7 +102,7 @@ class ToolPath:
 
     @property
     def first(self) -> Pose:
-        """Where it begins."""
+        """Its first pose."""
         return self.poses[0]
 
     def place(self, x: float) -> str:

@@ -33,7 +33,7 @@ _LOOKS = np.linspace(0.0, 1.0, 17)  # at which the length of the ramps is judged
 
 @dataclass(frozen=True, eq=False)
 class WayLimits:
-    """What the joints may do along a way, (N,) each; speed, acceleration and jerk > 0."""
+    """Limits of the joints along a way, (N,) each; speed, acceleration and jerk > 0."""
 
     speed: FloatArray
     """[rad/s or m/s]."""
@@ -47,7 +47,7 @@ class WayLimits:
 
 @dataclass(frozen=True, eq=False)
 class AlongLimits:
-    """What the tool may do along its curve, of which s = 1 is the end."""
+    """Limits of the tool along its curve, which ends at s = 1."""
 
     length: float
     """Measure of the curve [m]."""
@@ -58,7 +58,7 @@ class AlongLimits:
     jerk: float
     """Along [m/s3]."""
     ends: FloatArray
-    """Where parts of the curve end in s, ascending (S,)."""
+    """Ends of the curve's parts in s, ascending (S,)."""
     curvature: FloatArray
     """Of these parts, acceleration across at speed 1, (S,) [1/m]."""
 

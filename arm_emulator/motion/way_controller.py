@@ -52,7 +52,7 @@ _SAME = 1e-9  # m, and of a rotation's entries: the same target once more
 
 
 class Motion(Protocol):
-    """What the reference follows.
+    """Motion that the reference follows.
 
     Attributes:
         duration: [s]; from then on it rests.
@@ -84,9 +84,9 @@ class WayController:
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last answer found, (rows,) [m, rad]; NaN before any."""
         self.notices: tuple[str, ...] = ()
-        """What limited the last answer, in words; empty: nothing did."""
+        """Limit of the last answer, as text; empty: none."""
         self.way = ""
-        """Which way leads to the target, and why that one, in words; empty: not known yet."""
+        """Kind of the way to the target and the reason, as text; empty: unknown yet."""
         self._began = False
         self._target: Pose | None = None
         self._seeking, self._looking = 0, False
@@ -120,12 +120,12 @@ class WayController:
 
     @property
     def coming(self) -> Reference:
-        """How the joints are commanded to move at the next motion period."""
+        """Commanded motion of the joints at the next motion period."""
         return self._motion.at(self._time)
 
     @property
     def motion(self) -> Motion:
-        """What the reference follows now."""
+        """Present motion of the reference."""
         return self._motion
 
     @property
@@ -197,7 +197,7 @@ class WayController:
     def _limit(self, config: MotionConfig) -> None:
         self.limits = way_limits(self.kinematics, config)
         self.top_speed = np.minimum(self.kinematics.velocity_limit, config.velocity_limit)
-        """What speeds may be that others ask for (N,): without what is kept for swinging links."""
+        """Bounds of requested speeds (N,): without the reserve for swinging links."""
 
     def _take(self, now: Reference) -> None:
         """Let the reference be as the joints move, and come to rest."""
@@ -317,7 +317,7 @@ class WayController:
             return Way(curve, self.limits)
 
     def _look_elsewhere(self, now: Reference, notices: list[str]) -> None:
-        """Where the arm rests at the nearest point, look for a configuration that reaches."""
+        """Search for a configuration that reaches, while the arm rests at the nearest point."""
         assert self._target is not None
         if not self._looking:
             if self._time <= self._motion.duration:

@@ -33,7 +33,7 @@ class TargetTable:
 
     @property
     def seconds(self) -> float | None:
-        """How long it lasts: its last row as long as the one before; None: it has one row."""
+        """Its duration, with a last row as long as the previous one; None: it has one row."""
         return float(2.0 * self.t[-1] - self.t[-2]) if len(self.t) > 1 else None
 
     def ticks(self, period: float) -> list[int]:

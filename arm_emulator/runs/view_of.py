@@ -1,4 +1,4 @@
-"""What Rerun needs of a scene, to show rows of its machine."""
+"""Data of a scene for showing rows of its machine in Rerun."""
 
 from __future__ import annotations
 

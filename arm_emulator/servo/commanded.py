@@ -1,4 +1,4 @@
-"""What the command of a motor meets, so that the servo's law is one for voltages and currents.
+"""Electrical model behind a motor's command, so that one servo law serves voltages and currents.
 
 A drive that closes a current loop of bandwidth f makes of a command u [A] the current
 

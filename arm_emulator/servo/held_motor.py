@@ -36,7 +36,7 @@ class Sum(NamedTuple):
 
 @dataclass(frozen=True)
 class HeldMotor:
-    """What a motor does in one period; quantities in SI units, all of the motor.
+    """Response of a motor over one period; quantities in SI units, all at the motor.
 
     A current that differs from its prediction has two possible causes: another voltage (or another
     resistance, back EMF or limit of the drive), or another load. Both are taken to be off by

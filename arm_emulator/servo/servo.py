@@ -71,7 +71,7 @@ class Servo(Turns):
         self._counts = config.counts.named("counts")
         self._theta_measured, self._omega = self.state["theta_measured"], self.state["omega"]
         self._is_known, self._ratio = self.state["known"], self._joint["ratio"]
-        # What the law reads and writes has its place for good: finding an array's costs time.
+        # Fixed arrays for the law's inputs and outputs: finding an array's address costs time.
         self._whole = np.zeros(self._N, np.int64)
         self._rows = np.zeros((6, self._N))
         self.places = (pointer(self._whole), *map(pointer, self._rows))
@@ -100,7 +100,7 @@ class Servo(Turns):
 
     @property
     def restarts(self) -> int:
-        """How often the state of a joint was no longer finite, and began anew."""
+        """Number of restarts of a joint's observer because its state was not finite."""
         return int(self.arm.restarts)
 
     @in_turn

@@ -47,7 +47,7 @@ class JointServo:
     integral_time: float = number("s", above=0)
     """Reset time of the velocity loop's integral action [s]."""
     observer_bandwidth: float = number("rad/s", above=0)
-    """Where the three poles of the speed observer lie [rad/s]."""
+    """The three poles of the speed observer [rad/s]."""
     inductance: float = number("H", at_least=0, default=0.0)
     """Of the winding [H]; 0: the current follows the voltage at once."""
     link_inertia: float = number("kg m2", at_least=0, default=0.0)
@@ -69,7 +69,7 @@ class JointServo:
 
     @property
     def commanded(self) -> Commanded:
-        """What the motor's command meets."""
+        """Electrical model behind the motor's command."""
         emf = self.back_emf_constant
         return Commanded.by(self.resistance, self.inductance, emf, self.loop_bandwidth)
 
@@ -109,7 +109,7 @@ class JointServo:
 
     @property
     def inertia(self) -> float:
-        """What the motor moves rigidly, seen at the motor [kg m2]."""
+        """Inertia that turns rigidly with the motor, referred to the motor [kg m2]."""
         return self.rotor_inertia + self.gear_ratio**2 * self.link_inertia
 
     @property
@@ -141,7 +141,7 @@ class ServoConfig:
 
     @property
     def counts(self) -> Number:
-        """How large the encoders' counts may be, (N,)."""
+        """Bounds of the encoders' counts, (N,)."""
         going_on = encoder_counts([joint.count_angle for joint in self.joints])
         words = np.array([2.0**joint.encoder_bits for joint in self.joints])
         largest = np.where(words > 1.0, words - 1.0, going_on.at_most)  # type: ignore[arg-type]
@@ -203,7 +203,7 @@ _SCALARS = numbers_of(ServoConfig)
 _FIELDS = numbers_of(JointServo)
 
 
-# What can be set while the servo runs: not the data sheet.
+# Settable at run time: not the data sheet.
 SETTABLE = (
     "hold_after",
     "cut_after",

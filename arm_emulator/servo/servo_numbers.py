@@ -1,4 +1,4 @@
-"""What the servo law works with, from data sheets and gains: the numbers of `servo_joint`."""
+"""Numbers of the servo law, from data sheets and gains: the numbers of `servo_joint`."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ _HALVINGS = 30
 
 
 class _Numbers:
-    """What follows from one joint's data sheet, gains and period."""
+    """Numbers that follow from one joint's data sheet, gains and period."""
 
     def __init__(self, joint: JointServo, period: float) -> None:
         self.ratio = joint.gear_ratio
@@ -157,7 +157,7 @@ class _Numbers:
             to_current * speed.voltage,
             to_current * speed.load + 1.0 / joint.torque_constant,
         )
-        # What is left of a current error after a period: z / 2 where the motor is slow.
+        # Remainder of a current error after a period: z / 2 for a slow motor.
         current, per_volt = self.motor.current, 1.0 / self.mean_current.voltage
         self.current_kept = abs(
             current.current

@@ -89,7 +89,7 @@ class Watchdog:
 
     @property
     def state(self) -> WatchdogState:
-        """What it asked to do last."""
+        """Its newest request."""
         return DOES[self._dog.does]
 
     @property

@@ -24,7 +24,7 @@ class BacklashGear(ElasticGear):
     backlash: float = number("play", "rad", at_least=0.0)
 
     def rests(self, at: AtRest) -> Share | str:
-        """Where no torque holds its teeth on one side, the link is anywhere within the play."""
+        """Anywhere within the play, unless a torque holds the teeth on one side."""
         share = super().rests(at)
         if abs(at.torque.centre) > at.torque.within + NO_TORQUE or isinstance(share, str):
             return share

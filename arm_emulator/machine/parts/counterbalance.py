@@ -55,7 +55,7 @@ class Counterbalance(Part):
             raise section.refusal("stiffness", rule, self.stiffness)
         shortest = abs(self.base_distance - self.link_distance)
         longest = self.base_distance + self.link_distance
-        # How far the gas is compressed beyond `length`, at most.
+        # Largest compression of the gas beyond `length`.
         most = longest - self.length if self.force < 0.0 else self.length - shortest
         if self.gas_column < 1.01 * most:
             rule = f"be >= {1.01 * most:g} m, so that some gas is left wherever the link is"

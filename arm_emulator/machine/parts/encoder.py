@@ -22,7 +22,7 @@ from arm_emulator.machine.parts.resting import (
     waves_at,
 )
 
-# What a joint without an encoder reports, since encoder counts are whole numbers.
+# Resolution of a joint without an encoder, since encoder counts are whole numbers.
 IDEAL_COUNTS_PER_TURN = 2**20
 KINDS = ("incremental", "absolute")
 INDICES = ("none", "latch", "correct")  # what an index pulse does
@@ -134,7 +134,7 @@ class Encoder(Part):
         return 2**self.bits if self.bits is not None else 0
 
     def rests(self, at: AtRest) -> Share | str:
-        """What it shows is the middle of a count; within it our servo asks for no correction."""
+        """The middle of a count; within a count our servo makes no correction."""
         if self.missed:
             return "misses edges, which sum up"
         count, ratio = self.turn / self.counts_per_turn, abs(at.ratio)

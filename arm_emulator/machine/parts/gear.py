@@ -17,7 +17,7 @@ RATIO_UNIT = "link turns per motor turn"  # m per rad for a prismatic joint
 
 @dataclass(frozen=True, kw_only=True)
 class Gear(Part):
-    """What may be asked of any gear."""
+    """Interface of all gears."""
 
     section = "gear"
     shaft = "rotor"

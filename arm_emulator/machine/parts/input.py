@@ -1,4 +1,4 @@
-"""What motors are commanded: each quantity declared once, by the motor or what is around it.
+"""Inputs of motors: each declared once, by the motor or by a decorator around it.
 
 Commands of plants and fleets, messages, FMU variables and registers follow from these lists.
 """

@@ -26,7 +26,7 @@ class KinematicErrorGear(ElasticGear):
     link: tuple[Wave, ...] = ()
 
     def effort(self, motion: ShaftMotion) -> Array:
-        """What the rotor feels of the gear's torque beside the nominal ratio of it."""
+        """Torque on the rotor from the gear's torque, beside that by the nominal ratio."""
         by_motor = wave_slope(self.motor, motion.angle) / self.ratio
         by_link = wave_slope(self.link, motion.angle * self.ratio)
         torque: Array = motion.gear_torque * ((1.0 + by_motor) / (1.0 - by_link) - 1.0)

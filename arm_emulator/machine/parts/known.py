@@ -56,7 +56,7 @@ EXTRAS: tuple[type[Part], ...] = (
     TorqueTable,
 )
 
-# What is around a motor, innermost first.
+# Decorators around a motor, innermost first.
 DECORATORS = tuple(sorted(kinds_of(Decorator), key=lambda one: one.layer))
 
 # Of motors that have one of their own.

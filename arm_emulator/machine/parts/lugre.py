@@ -16,7 +16,7 @@ from arm_emulator.machine.parts.stribeck import stribeck_torque
 
 @dataclass(frozen=True, kw_only=True)
 class LuGre(Part):
-    """Where the motion before sliding matters: positioning, reversals, stick-slip."""
+    """Bristle friction, for motion before sliding: positioning, reversals, stick-slip."""
 
     header = "lugre.hpp"
     cxx = "LuGre"

@@ -1,4 +1,4 @@
-"""What all motors have in common."""
+"""Common base of all motors."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ AT_ONCE = 1e9  # Hz, the bandwidth of what follows its command at once
 
 @dataclass(frozen=True, kw_only=True)
 class ServoData:
-    """What a servo must know of a motor: what its command meets, and what torque comes of it.
+    """Data of a motor for a servo: the response to its command, and the resulting torque.
 
     The command is a voltage across the winding, a current behind a bandwidth, or a torque behind
-    one; then the torque takes the place of the current, with a torque constant of 1.
+    one; a torque replaces the current, with a torque constant of 1.
     """
 
     torque_constant: float  # N m/A
@@ -42,7 +42,7 @@ class ServoData:
 
 @dataclass(frozen=True, kw_only=True)
 class Rating:
-    """What a drive must give, by which a motor of any kind is sized, and the winding that does it.
+    """Requirements on a drive, for sizing a motor of any kind, and a winding that meets them.
 
     The winding is that of a direct-current motor; other kinds take their numbers from it.
     """

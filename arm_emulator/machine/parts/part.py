@@ -1,4 +1,4 @@
-"""What all parts of a drive have in common: numbers, each declared once.
+"""Common base of all parts of a drive: numbers, each declared once.
 
 A part is a frozen dataclass whose attributes are called as their keys in the scene::
 
@@ -64,7 +64,7 @@ class Part:
 
     @property
     def reports(self) -> tuple[Output, ...]:
-        """What this part reports, of `outputs`."""
+        """Outputs of this part, among `outputs`."""
         return self.outputs
 
     @property

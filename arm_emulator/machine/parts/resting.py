@@ -1,4 +1,4 @@
-"""What a part leaves of a target once its joint rests behind our servo."""
+"""Contribution of a part to the error at rest behind our servo."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Shape(enum.Enum):
-    """How an unknown number is distributed between its largest values of either sign."""
+    """Distribution of an unknown number between its largest values of either sign."""
 
     ANYWHERE = "anywhere"
     """All values are as likely."""
@@ -74,13 +74,13 @@ class Around:
 
     @property
     def within(self) -> float:
-        """How far it may be off its centre."""
+        """Largest distance from its centre."""
         return sum(abs(one.most) for one in self.unknown)
 
 
 @dataclass(frozen=True)
 class Stuck:
-    """How far from its target a servo may leave its joint: anywhere from one end to the other."""
+    """Range of positions around its target in which a servo may leave its joint."""
 
     short: float = 0.0
     """On the side that the joint comes from."""
@@ -134,7 +134,7 @@ class AtRest:
 
 @dataclass(frozen=True)
 class Share:
-    """What one part leaves. Units: N m, rad at the link; N, m of a joint that slides."""
+    """Contribution of one part. Units: N m, rad at the link; N, m of a prismatic joint."""
 
     torque: Around = Around()
     """On the link, beside weight: known, or whatever it takes within, as dry friction does."""

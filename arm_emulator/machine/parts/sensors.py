@@ -30,7 +30,7 @@ SENSORS: tuple[type[Part], ...] = (Encoder, *ANALOG, Accelerometer, Gyroscope)
 
 @dataclass(frozen=True, kw_only=True)
 class JointSensors:
-    """What a joint has; without an encoder, counts are those of the finest there is."""
+    """Sensors of a joint; without an encoder, counts have the finest resolution."""
 
     encoder: Encoder | None = None
     link_encoder: LinkEncoder | None = None
