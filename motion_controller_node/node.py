@@ -19,6 +19,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose as PoseOfMessage
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
@@ -28,7 +30,7 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from arm_emulator.base.bound import POSITION, VELOCITY
+from arm_emulator.base.bound import BRAKE_CLOSED, POSITION, VELOCITY
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.controller import Controller, controller_for
@@ -60,9 +62,11 @@ from arm_emulator.ros.node_shell import (
     stamp,
     time_of,
 )
-from arm_emulator_msgs.msg import MotionStatus
+from arm_emulator_msgs.msg import MotionStatus, ServoState
 from motion_controller_node.follow_action import FollowAction, installed
 from motion_controller_node.jog_topics import JogTopics
+
+_MOVABLE = BRAKE_CLOSED.named("movable")
 
 
 class MotionControllerNode(Node):
@@ -103,9 +107,14 @@ class MotionControllerNode(Node):
         self._instructor = Instructor(self._config)
         self._answer: JointState | None = None
         self._now_ns = 0  # of the newest joint states
+        self._movable: tuple[Time, npt.NDArray[np.bool_]] | None = None  # by servo_states
+        self._unanswered: JointState | None = None  # of which the servo's state is not here yet
         self._status = self.create_publisher(MotionStatus, "motion/status", EVENT_QOS)
         self._targets = self.create_publisher(JointState, "joint_targets", COMMAND_QOS)
         self.create_subscription(String, "robot_description", self._on_description, DESCRIPTION_QOS)
+        self._servo_states = self.create_subscription(
+            ServoState, "servo_states", self._on_servo_state, STATE_SUB_QOS
+        )
         self.create_subscription(JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS)
         self.create_subscription(PoseStamped, "tool_target", self._on_tool_target, COMMAND_SUB_QOS)
         self.create_subscription(
@@ -245,6 +254,31 @@ class MotionControllerNode(Node):
             rule, valid = "be the arm's base", ", ".join(bases)
             raise Refusal(topic, "header.frame_id", rule, header.frame_id, valid)
 
+    def _on_servo_state(self, message: ServoState) -> None:
+        if self._controller is None:
+            return
+        try:
+            can = self._order.arrange(message.joint_names, message.movable, _MOVABLE)
+        except Refusal as reason:
+            self._diagnostics.refuse("servo_states", reason)
+            return
+        self._movable = message.header.stamp, can != 0.0
+        waiting, self._unanswered = self._unanswered, None
+        if waiting is not None and waiting.header.stamp == message.header.stamp:
+            self._on_joint_states(waiting)
+
+    def _movable_at(self, stamp: Time) -> npt.NDArray[np.bool_] | None:
+        """Return which joints the servo can move (N,); None: it is about to report it.
+
+        A servo that is not ours does not: it moves all of them.
+        """
+        if self._movable is not None and self._movable[0] == stamp:
+            return self._movable[1]
+        if self.count_publishers(self._servo_states.topic_name):
+            return None
+        assert self._controller is not None
+        return np.ones(len(self._controller.kinematics.joint_names), dtype=bool)
+
     def _on_joint_states(self, message: JointState) -> None:
         controller = self._controller
         if controller is None:
@@ -263,8 +297,12 @@ class MotionControllerNode(Node):
                 self._targets.publish(self._answer)  # a partner came late or lost it
                 return
             self._start_over("time began anew")
+        movable = self._movable_at(message.header.stamp)
+        if movable is None:
+            self._unanswered = message
+            return
         self._now_ns = now
-        instruction = self._instructor.instruct(controller, now, q, v)
+        instruction = self._instructor.instruct(controller, now, q, v, movable)
         self._report()
         self._report_status()
         self._jogs.publish()
@@ -316,6 +354,9 @@ class MotionControllerNode(Node):
             return
         if self._instructor.torques_unknown:
             self._diagnostics.values["no torques"] = self._instructor.torques_unknown
+        if self._instructor.waits_for:
+            self._diagnostics.warn(self._instructor.waits_for)
+            return
         if self._instructor.holding:
             self._diagnostics.ok("holding, no tool target yet")
             return

@@ -20,12 +20,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from arm_emulator.base.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
+from arm_emulator.base.bound import BRAKE_CLOSED, COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.joint_order import JointOrder
 from arm_emulator.base.parameters import ROS_PARAMETERS, parameter
 from arm_emulator.base.refusal import Refusal
@@ -52,7 +53,7 @@ from arm_emulator.servo.drives import Drives, Target
 from arm_emulator.servo.servo import FloatArray, Servo
 from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
 from arm_emulator.servo.watchdog import WatchdogState
-from arm_emulator_msgs.msg import MotorCommand, MotorState
+from arm_emulator_msgs.msg import MotorCommand, MotorState, ServoState
 
 PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall
@@ -83,6 +84,7 @@ class _Measurement:
     current: FloatArray
     applied: FloatArray | None
     powered: bool
+    closed: FloatArray | None
 
 
 class ServoNode(Node):
@@ -142,6 +144,8 @@ class ServoNode(Node):
         self._command = FixedLayout(command)
         self._joint_state = JointState(name=names)
         self._commands = self.create_publisher(MotorCommand, "motor_commands", COMMAND_QOS)
+        self._state = ServoState(joint_names=names)
+        self._servo_states = self.create_publisher(ServoState, "servo_states", STATE_PUB_QOS)
         self._joint_states = self.create_publisher(JointState, "joint_states", STATE_PUB_QOS)
         take = taking("motor_states", MotorState, self._on_state, self._diagnostics.refuse)
         self.create_subscription(MotorState, "motor_states", take, STATE_SUB_QOS, raw=True)
@@ -192,6 +196,9 @@ class ServoNode(Node):
                 if len(message.applied)
                 else None,
                 bool(message.powered),
+                self._states_order.arrange(names, message.brake_closed, BRAKE_CLOSED)
+                if len(message.brake_closed)
+                else None,
             )
             self._check_machine(int(message.machine))
         except Refusal as reason:
@@ -213,7 +220,7 @@ class ServoNode(Node):
         if self._next_config is not None:
             self._config, self._next_config = self._next_config, None
             self._drives.retune(self._config)
-        self._drives.measure(now.time_ns, now.counts, now.current, now.applied)
+        self._drives.measure(now.time_ns, now.counts, now.current, now.applied, now.closed)
         begins = self._lockstep and self._motion_ticks > 0 and now.tick % self._motion_ticks == 0
         if begins:
             self._waiting, self._cycle_ns = True, now.time_ns
@@ -309,6 +316,12 @@ class ServoNode(Node):
         message.header.stamp = stamp(time_ns)
         message.position = array("d", self._drives.servo.q_measured.tobytes())
         message.velocity = array("d", self._drives.servo.v_measured.tobytes())
+        if self._newest is not None:
+            self._state.header.stamp = message.header.stamp
+            self._state.movable = array(
+                "q", self._drives.movable(self._newest.powered).astype(np.int64).tobytes()
+            )
+            self._servo_states.publish(self._state)
         self._joint_states.publish(message)
 
     def _report_again(self) -> None:

@@ -21,6 +21,7 @@ ACCELERATION = Number.within("acceleration", "rad/s2", 1e9)
 EFFORT = Number.within("effort", "N m", 1e9)
 COMMAND = Number.within("command", "V, N m or A", 1e9)
 CURRENT = Number.within("current", "A", 1e9)
+BRAKE_CLOSED = Number.within("brake_closed", "", 1.0)
 # Commands within one process, of any size: drives limit them.
 ANY_COMMAND = Number.within("command", "V, N m or A", math.inf)
 ANY_STATE = Number.within("x", "", math.inf)

@@ -28,6 +28,7 @@ from arm_emulator.motion.orders import (
 )
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.standstill import Flags, Standstill
 from arm_emulator.motion.stream_order import TargetStream
 from arm_emulator.motion.tolerances import Allowed, Tolerances
 from arm_emulator.motion.tool_path import ToolPath
@@ -92,6 +93,7 @@ class Instructor:
                 self._report(taken, Progress(State.ABORTED, reason))
         self._hold: FloatArray | None = None
         self._active = None
+        self._standing: Standstill | None = None
         self._coming = []
         self._now_ns: int | None = None  # logical time of the newest joint angles
         self._last: tuple[int, Instruction] | None = None
@@ -238,7 +240,12 @@ class Instructor:
             self._coming.insert(0, (0, _Taken(_stop(self._laws), 0)))
 
     def instruct(
-        self, controller: Controller, time_ns: int, q: FloatArray, v: FloatArray | None = None
+        self,
+        controller: Controller,
+        time_ns: int,
+        q: FloatArray,
+        v: FloatArray | None = None,
+        movable: Flags | None = None,
     ) -> Instruction:
         """Return the joint targets at a logical time [ns].
 
@@ -247,16 +254,24 @@ class Instructor:
             time_ns: of the joint angles; never before that of the last call.
             q: joint angles measured at the motors (N,) [rad].
             v: measured joint speeds (N,) [rad/s]; None: not measured.
+            movable: which joints can move (N,): with power, and an open brake; None: all.
 
         Raises:
             Refusal: q is not finite or too large; nothing has changed then.
         """
         _Q.check("motion_controller", q.tolist())
         laws = self._laws_of(controller)
+        if movable is not None and not movable.all():
+            laws.feedforward.forget()  # the joints are where they are measured, whatever was asked
         measured, q = q, laws.feedforward.links(q)
         try:
+            self._wait(laws, time_ns, q, movable)
             self._take_up(laws, time_ns, q)
-            of_links = self._instruct(laws, time_ns, q, v)
+            if self._standing is None:
+                of_links = self._instruct(laws, time_ns, q, v)
+            else:
+                can = np.ones(len(q), dtype=bool) if movable is None else movable
+                of_links = self._standing.instruct(q, v, can)
             instruction = laws.feedforward.complete(of_links)
             _Q_TARGET.check("motion_controller", instruction.q.tolist())
             if instruction.v is not None:
@@ -273,6 +288,31 @@ class Instructor:
             of_links, instruction = Instruction(q), Instruction(measured)
         self._last = time_ns, of_links
         return instruction
+
+    @property
+    def waits_for(self) -> str:
+        """What the arm waits for at a standstill, in words; empty: it moves as it is asked to."""
+        return "" if self._standing is None else self._standing.words
+
+    def _wait(self, laws: Laws, time_ns: int, q: FloatArray, movable: Flags | None) -> None:
+        """Stand still from when joints cannot move until all of them can, and rest."""
+        if self._standing is None:
+            if movable is not None and not movable.all():
+                self._standing = Standstill(laws, self._reference(laws, time_ns, q))
+            return
+        if not self._standing.over or (movable is not None and not movable.all()):
+            return
+        rest, active = self._standing.reference, self._active
+        self._standing = None
+        if active is None:
+            self._hold = rest.q if self._hold is not None else None
+            return
+        begins = active.state is State.ACCEPTED
+        try:
+            (active.order.begin if begins else active.order.go_on)(laws, time_ns, rest)
+        except Refusal as reason:
+            self._report(active, Progress(State.REFUSED, str(reason)))
+            self._active, self._hold = None, rest.q
 
     def _laws_of(self, controller: Controller) -> Laws:
         if self._laws is None or self._laws.controller is not controller:
@@ -387,6 +427,8 @@ class Instructor:
 
     def _reference(self, laws: Laws, time_ns: int, q: FloatArray) -> Reference:
         """Return how the joints are commanded to move now, or where they are if that is far off."""
+        if self._standing is not None:
+            return self._standing.reference
         still = np.zeros_like(q)
         reference = None if self._active is None else self._active.order.reference(time_ns)
         if reference is None and self._last is not None:

@@ -46,6 +46,10 @@ class JogOrder:
         self._stale = False
         laws.nobody_leads()
 
+    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+        """See `Order`."""
+        self.begin(laws, now_ns, reference)
+
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
         now, config = self._joints.now, laws.config

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from arm_emulator.motion.controller import Controller
+from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.joint_trajectory import JointTrajectory
 from arm_emulator.motion.kinematics import POSITION_ROWS
@@ -21,7 +22,7 @@ from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.tolerances import Tolerances
 from arm_emulator.motion.tool_path import ToolPath
-from arm_emulator.motion.trajectory_way import within_limits
+from arm_emulator.motion.trajectory_way import AsAsked, Delayed, Slower, within_limits
 
 PATIENCE = 1.0  # s: an error that has not become smaller for so long will not
 _SMALLER = 0.99  # what counts as smaller
@@ -71,6 +72,9 @@ class Order(Protocol):
             Refusal: it cannot be begun so. Nothing has changed then.
         """
 
+    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+        """Go on after a standstill, from rest at `reference`."""
+
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """Return the joint targets of this motion period."""
 
@@ -94,6 +98,12 @@ class TargetOrder:
         """See `Order`."""
         laws.lead(laws.controller, reference)
         self._law, self._arrival = laws.controller, _Arrival(laws.config)
+
+    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+        """See `Order`."""
+        laws.nobody_leads()
+        self._held = None
+        self.begin(laws, now_ns, reference)
 
     @property
     def way(self) -> str:
@@ -136,12 +146,20 @@ class PathOrder:
             law.begin_moving(reference)
         scaled = config.trajectory_limits == "scale"
         self._motion = plan_path(law, self._path, reference, now_ns, scaled)
-        self._begin_ns = now_ns
         laws.leading = law
         law.follow(self._motion)
         self._law, self._arrival = law, _Arrival(config)
         self._watch = PathWatch(law.kinematics, self._path.poses, config.tool_path_tolerance)
         self.way = f"in {self._motion.duration:.3g} s"
+
+    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+        """See `Order`."""
+        law = self._law
+        left = GoingOn(law.motion, law.gone, reference, law.limits)
+        law.begin_moving(reference)
+        laws.leading = law
+        law.follow(left)
+        self.way = f"goes on, in {left.duration:.3g} s"
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
@@ -174,6 +192,7 @@ class TrajectoryOrder:
     def __init__(self, trajectory: JointTrajectory, tolerances: Tolerances) -> None:
         self.stamp_ns, self.trajectory = trajectory.stamp_ns, trajectory
         self._tolerances = tolerances
+        self._motion: AsAsked | Slower | Delayed
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
@@ -182,8 +201,12 @@ class TrajectoryOrder:
         self._motion = within_limits(
             laws.ways, self.trajectory, now_ns, start_ns, reference, scaled
         )
-        self._start_ns = start_ns
+        self._start_ns, self._at_ns = start_ns, now_ns
         laws.nobody_leads()
+
+    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+        """See `Order`."""
+        self._motion = Delayed(self._motion, self._at_ns, now_ns, reference, laws.ways.limits)
 
     @property
     def way(self) -> str:
@@ -192,6 +215,7 @@ class TrajectoryOrder:
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""
+        self._at_ns = now_ns
         now, then = (self._motion.at(now_ns + t) for t in (0, laws.period_ns))
         effort = None
         if not self.trajectory.stops:

@@ -96,13 +96,17 @@ class StreamOrder:
     ) -> None:
         self.stamp_ns, self._posture = target.stamp_ns, posture
         self._target, self._time_ns, self._twist = target, time_ns, twist
-        self._rests = False
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
         self._joints = smooth_joints(laws.controller.kinematics, laws.config, margin=0.0)
         self._joints.begin(reference)
+        self._rests = False
         laws.nobody_leads()
+
+    def go_on(self, laws: Laws, now_ns: int, reference: Reference) -> None:
+        """See `Order`."""
+        self.begin(laws, now_ns, reference)
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
         """See `Order`."""

@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.going_on import GoingOn
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import WHERE, JointMotion, JointTrajectory
 from arm_emulator.motion.path_way import InARow
 from arm_emulator.motion.reference import Reference
-from arm_emulator.motion.way import Way
+from arm_emulator.motion.way import Way, WayLimits
 from arm_emulator.motion.way_controller import Motion, WayController
 
 FloatArray = npt.NDArray[np.float64]
@@ -74,6 +75,55 @@ class Slower:
             if time < since + run.duration:
                 return begin + round(run.place(time - since) * (end - begin))
         return self._runs[-1][1]
+
+
+class Delayed:
+    """A joint trajectory that goes on after a standstill.
+
+    Args:
+        before: how it went.
+        since_ns: until when.
+        now_ns: logical time [ns].
+        now: where the joints rest.
+        limits: of the joints.
+
+    Attributes:
+        end_ns: when it ends.
+        way: why, in words.
+    """
+
+    def __init__(
+        self,
+        before: AsAsked | Slower | Delayed,
+        since_ns: int,
+        now_ns: int,
+        now: Reference,
+        limits: WayLimits,
+    ) -> None:
+        self._before, self._since_ns, self._now_ns = before, since_ns, now_ns
+        self._left = GoingOn(_InSeconds(before, since_ns), 0.0, now, limits)
+        self.end_ns = now_ns + round(self._left.duration / _SECONDS)
+        self.way = f"goes on, in {self._left.duration:.3g} s"
+
+    def at(self, time_ns: int) -> Reference:
+        """Return the joints at a logical time."""
+        return self._left.at((time_ns - self._now_ns) * _SECONDS)
+
+    def asked_ns(self, time_ns: int) -> int:
+        """Return the time for which the trajectory gives what holds at a logical time."""
+        gone = self._left.place((time_ns - self._now_ns) * _SECONDS)
+        return self._before.asked_ns(self._since_ns + round(gone / _SECONDS))
+
+
+class _InSeconds:
+    """A motion over logical time as one over the seconds since a moment."""
+
+    def __init__(self, motion: AsAsked | Slower | Delayed, since_ns: int) -> None:
+        self._motion, self._since_ns = motion, since_ns
+        self.duration = max(0.0, (motion.end_ns - since_ns) * _SECONDS)
+
+    def at(self, time: float) -> Reference:
+        return self._motion.at(self._since_ns + round(time / _SECONDS))
 
 
 def within_limits(

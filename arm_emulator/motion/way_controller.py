@@ -129,6 +129,11 @@ class WayController:
         return self._motion
 
     @property
+    def gone(self) -> float:
+        """How far along its motion the reference is [s]."""
+        return self._time
+
+    @property
     def seeking(self) -> bool:
         """Whether the joint angles of the target are not found yet."""
         return self._seeking > 0

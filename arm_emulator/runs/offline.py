@@ -96,7 +96,8 @@ class OfflineRun:
         self._step.measure(self._loop, session.tick)
         q = drives.servo.q_measured[self._to_motion]
         v = drives.servo.v_measured[self._to_motion]
-        drives.aim(self._target(self.instructor.instruct(self.controller, now, q, v)))
+        can = drives.movable(session.powered)[self._to_motion]
+        drives.aim(self._target(self.instructor.instruct(self.controller, now, q, v, can)))
 
     def _target(self, instruction: Instruction) -> Target:
         """Return joint targets in the servo's order of joints."""

@@ -7,10 +7,12 @@ static void take(servo_step* one, int64_t now, const arm_measurement* measured) 
   for (int32_t j = 0; j < one->arm->joints; ++j) {
     const arm_joint_measurement* joint = &measured->joint[one->place[j]];
     one->counts[j] = joint->encoder;
+    one->closed[j] = joint->brake;
     one->current[j] = joint->current;
     one->applied[j] = joint->applied;
   }
   servo_measure(one->arm, now, one->counts, one->current, one->applied);
+  servo_brakes(one->arm, one->closed);
 }
 
 void servo_step_measure(servo_step* one, firmware_loop* loop) {

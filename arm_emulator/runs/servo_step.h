@@ -8,7 +8,7 @@
 typedef struct servo_step {
   servo* arm;
   const int32_t* place; /* of each of its joints among the machine's */
-  int64_t* counts;      /* what is handed to it, an entry per joint */
+  int64_t *counts, *closed; /* what is handed to it, an entry per joint */
   double *current, *applied, *q, *command;
   int32_t measured; /* 1: it has taken the measurement of this period already */
   int32_t reserved;

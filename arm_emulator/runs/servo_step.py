@@ -52,11 +52,13 @@ class ServoStep(ControlCode):
         self._place = np.array(place, np.int32)
         servo = drives.servo
         counts, current, applied, q, *_, command = servo.places
+        self._closed = np.zeros(len(place), np.int64)
         self.with_ = STEP.new(
             "servo_step",
             arm=servo.arm,
             place=self._place,
             counts=counts,
+            closed=self._closed,
             current=current,
             applied=applied,
             q=q,

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import numpy.typing as npt
 
+from arm_emulator.base.bound import BRAKE_CLOSED
+from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.servo.servo import FloatArray, Servo, ServoConfig
 from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.servo.watchdog import DOES, Watchdog, WatchdogState
@@ -64,6 +67,7 @@ class Drives:
         counts: npt.ArrayLike,
         current: npt.ArrayLike,
         applied: npt.ArrayLike | None = None,
+        closed: npt.ArrayLike | None = None,
     ) -> None:
         """Take this period's measurement.
 
@@ -72,13 +76,27 @@ class Drives:
             counts: see `Servo.observe`, as for the others.
             current: [A].
             applied: what the motors got in the period that ends now [V, N m, A].
+            closed: which brakes are closed, 1 or 0 (N,); None: none is.
 
         Raises:
             Refusal: see `Servo.observe`. Nothing has changed then.
         """
         servo = self.servo
         places = servo.measurement(counts, current, applied)
+        if closed is not None:
+            closed = servo.vector(closed, BRAKE_CLOSED).astype(np.int64)
+        brakes = NULL if closed is None else pointer(closed)
         self._law.servo_measure(servo.arm, time_ns, *places)
+        self._law.servo_brakes(servo.arm, brakes)
+
+    def movable(self, powered: bool) -> npt.NDArray[np.bool_]:
+        """Return which joints can be moved (N,), and could since the newest target.
+
+        They cannot without power or with a closed brake.
+        """
+        can = (self.servo.state["braked"] == 0) & (self.servo.state["stood"] == 0)
+        cut = self._watchdog.state is WatchdogState.CUT
+        return np.asarray(can & powered & (not cut))
 
     def aim(self, target: Target) -> None:
         """Take new joint targets, from this period on.

@@ -225,12 +225,12 @@ class Servo(Turns):
         Raises:
             Refusal: see `observe`.
         """
-        given = self._vector(counts, self._counts)
+        given = self.vector(counts, self._counts)
         self._whole[:] = given
         if (self._whole != given).any():
             raise Refusal("servo", "counts", "be whole numbers", given.tolist())
-        got = None if applied is None else self._vector(applied, _APPLIED)
-        return self.places[0], self._row(0, self._vector(current, CURRENT)), self._row(1, got)
+        got = None if applied is None else self.vector(applied, _APPLIED)
+        return self.places[0], self._row(0, self.vector(current, CURRENT)), self._row(1, got)
 
     def targets(
         self,
@@ -243,9 +243,9 @@ class Servo(Turns):
         Raises:
             Refusal: see `control`.
         """
-        q = self._vector(q_target, _Q_TARGET)
-        v = None if v_target is None else self._vector(v_target, _V_TARGET)
-        tau = None if tau_feedforward is None else self._vector(tau_feedforward, _TAU)
+        q = self.vector(q_target, _Q_TARGET)
+        v = None if v_target is None else self.vector(v_target, _V_TARGET)
+        tau = None if tau_feedforward is None else self.vector(tau_feedforward, _TAU)
         return self._row(2, q), self._row(3, v), self._row(4, tau)
 
     def _row(self, row: int, values: FloatArray | None) -> CData:
@@ -254,6 +254,6 @@ class Servo(Turns):
         self._rows[row] = values
         return self.places[row + 1]
 
-    def _vector(self, values: npt.ArrayLike, bound: Number) -> FloatArray:
+    def vector(self, values: npt.ArrayLike, bound: Number) -> FloatArray:
         """Return `values` as N numbers within the bound."""
         return bound.row("servo", values, self._N)

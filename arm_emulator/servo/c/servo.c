@@ -36,7 +36,7 @@ SERVO_INLINE servo_real sum_of(const servo_sum* sum, servo_real current, servo_r
 void servo_joint_reset(servo_state* state) {
   if (!state) return;
   state->counts = 0;
-  state->known = 0;
+  state->known = state->braked = state->stood = 0;
   state->theta_measured = state->theta = state->omega = state->load = 0;
   state->current = state->integral = 0;
   state->voltage = state->unknown_voltage = 0;
@@ -324,6 +324,11 @@ void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_r
   servo_watchdog_state(&arm->watchdog, now);
 }
 
+void servo_brakes(servo* arm, const int64_t* closed) {
+  if (!complete(arm)) return;
+  for (int32_t j = 0; j < arm->joints; ++j) arm->state[j].braked = closed && closed[j];
+}
+
 /* Seconds since the target before, if that was followed until now, period after period; else 0. */
 static servo_real since_target(const servo* arm) {
   const int64_t since = arm->now - arm->target_time;
@@ -337,6 +342,7 @@ void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo
   for (int32_t j = 0; j < arm->joints; ++j) {
     servo_state* state = &arm->state[j];
     const servo_real v_before = state->v_target, tau_before = state->tau;
+    state->stood = 0;
     state->q_target = q[j];
     state->v_target = v ? v[j] : 0;
     state->tau = tau ? tau[j] : 0;
@@ -371,18 +377,26 @@ void servo_command(servo* arm, int32_t powered, servo_real* command) {
   if (!complete(arm) || !command) return;
   arm->does = servo_watchdog_check(&arm->watchdog, arm->now);
   if (!powered || !arm->measured) arm->does = SERVO_CUT;
+  if (!powered && arm->measured) arm->aimed = arm->watchdog.target_came = 0;
   if (arm->does == SERVO_CUT) {
     arm->holding = 0;
     servo_release(arm);
-    for (int32_t j = 0; j < arm->joints; ++j) command[j] = 0;
+    for (int32_t j = 0; j < arm->joints; ++j) {
+      arm->state[j].stood = 1;
+      command[j] = 0;
+    }
     return;
   }
   const int follows = arm->does == SERVO_FOLLOWS && arm->aimed;
   const servo_real ahead = ahead_of(arm);
   for (int32_t j = 0; j < arm->joints; ++j) {
     servo_state* state = &arm->state[j];
-    if (!follows && !arm->holding) state->q_hold = state->theta_measured * arm->joint[j].ratio;
-    command[j] = follows ? pursue(arm, j, ahead) : control(arm, j, state->q_hold, 0, 0);
+    if (state->braked) state->stood = 1;
+    if ((!follows && !arm->holding) || state->braked)
+      state->q_hold = state->theta_measured * arm->joint[j].ratio;
+    command[j] = follows && !state->braked
+                     ? pursue(arm, j, ahead)
+                     : control(arm, j, state->q_hold, 0, follows ? state->tau : 0);
   }
   arm->holding = !follows;
 }

@@ -89,6 +89,8 @@ typedef struct servo_joint {
 typedef struct servo_state {
   int64_t counts; /* that have been turned, of an absolute encoder */
   int32_t known;  /* 1: something was measured since the reset */
+  int32_t braked; /* 1: the brake is closed */
+  int32_t stood;  /* 1: it had no power or a closed brake since the newest target */
   int32_t reserved;
   servo_real theta_measured, theta, omega, load; /* rad, rad, rad/s, N m, of the motor */
   servo_real current, integral;                  /* A */
@@ -173,6 +175,10 @@ void servo_reset(servo* arm);
 /* `applied` is what the motors got in the period that ends now; null: what was asked for. */
 void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_real* current,
                    const servo_real* applied);
+/* Report which brakes are closed at the newest measurement, an entry per joint; null: none is. A
+ * joint with a closed brake is held where it stands, with the torque of its target, so that no
+ * difference to a target adds up that would be released with the brake. */
+void servo_brakes(servo* arm, const int64_t* closed);
 /* Link angles [rad], speeds with which they go on [rad/s], and torques of the links that are known
  * beforehand [N m]; speeds and torques may be null: 0.
  *
@@ -189,7 +195,8 @@ void servo_measure(servo* arm, int64_t now, const int64_t* counts, const servo_r
 void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau);
 /* Commands for the period that begins with the newest measurement: follow the newest target, hold
  * without one, or 0 where nothing was measured yet, the watchdog has cut the power or the drives
- * have none. */
+ * have none. Drives that get their power back hold until a new target comes: the arm has moved
+ * meanwhile. */
 void servo_command(servo* arm, int32_t powered, servo_real* command);
 
 /* The same without watchdog and clock. */

@@ -23,15 +23,17 @@ static const char* start(const firmware_machine* machine) {
 }
 
 static void step(const firmware_input* in, firmware_output* out) {
-  int64_t counts[SERVO_JOINTS];
+  int64_t counts[SERVO_JOINTS], closed[SERVO_JOINTS];
   servo_real current[SERVO_JOINTS], applied[SERVO_JOINTS], q[SERVO_JOINTS], command[SERVO_JOINTS];
   for (int j = 0; j < SERVO_JOINTS; ++j) {
     counts[j] = in->measured->joint[j].encoder;
+    closed[j] = in->measured->joint[j].brake;
     current[j] = (servo_real)in->measured->joint[j].current;
     applied[j] = (servo_real)in->measured->joint[j].applied;
     q[j] = (servo_real)in->q_target[j];
   }
   servo_measure(&arm, in->time, counts, current, applied);
+  servo_brakes(&arm, closed);
   if (in->new_targets) servo_aim(&arm, q, NULL, NULL);
   servo_command(&arm, (int32_t)in->measured->powered, command);
   for (int j = 0; j < SERVO_JOINTS; ++j) out->joint[j].value = (double)command[j];

@@ -1,0 +1,193 @@
+"""Arms whose joints cannot move for a while, by power or brakes: the reference waits, and goes on.
+
+Everything is judged on the true links along the whole way, from the moment when all joints can move
+on: nothing is made up for at a jump.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from draws import some
+
+from arm_emulator.base.config_files import find_scene
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.motion.going_on import GoingOn
+from arm_emulator.motion.joint_curve import JointCurve
+from arm_emulator.motion.joint_trajectory import TrajectoryPoint
+from arm_emulator.motion.laws import joint_limits
+from arm_emulator.motion.motion_report import State
+from arm_emulator.motion.pose import Pose
+from arm_emulator.motion.reference import Reference
+from arm_emulator.motion.way import Way, WayLimits
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.offline import OfflineRun
+
+SECOND = 1000  # ticks
+PAST = 1e-3  # m
+OVER = 1.02  # of a limit of speed: links swing a little on their gears
+TOOL_LINE = np.array([0.0, 0.1, -0.2])  # m, from where the tool begins
+JOINT_WAY = 0.6  # rad
+
+Ask = Callable[[OfflineRun], np.ndarray]
+
+
+class Stopped:
+    """A run of an arm with brakes, and what was commanded and done while its joints could move."""
+
+    def __init__(self, scene: str, brakes: dict[str, object], **motion: object) -> None:
+        file = find_scene(scene)
+        gains = load_gains(file)
+        self.scene = load_scene(file, brakes)
+        config = dataclasses.replace(gains.motion, **motion)  # type: ignore[arg-type]
+        self.run = OfflineRun(self.scene, gains.servo, config)
+        self.kinematics = self.run.controller.kinematics
+        self.limits = joint_limits(self.kinematics, config)
+        self.top = np.minimum(self.kinematics.velocity_limit, config.velocity_limit)
+        self.links: list[np.ndarray] = []
+        self.targets: list[np.ndarray] = []
+        self.run.advance(200)
+
+    @property
+    def can(self) -> bool:
+        """Whether all joints can move."""
+        return bool(self.run.drives.movable(self.run.session.powered).all())
+
+    def advance(self, ticks: int) -> None:
+        """Go on, and keep angles, speeds and targets of every tick."""
+        for _ in range(ticks):
+            self.run.advance(1)
+            state, servo = self.run.session.state, self.run.drives.servo.state
+            speed = state.v if self.can else np.full_like(state.v, np.nan)
+            self.links.append(np.concatenate([state.q, speed]))
+            self.targets.append(servo["v_target"].copy())
+
+    def interrupted(self, off: int, away: int, until: int) -> None:
+        """Take the power away at a tick for so many ticks, and go on until a tick."""
+        self.advance(off)
+        self.run.session.powered = False
+        self.advance(away)
+        self.run.session.powered = True
+        self.advance(until - off - away)
+
+    @property
+    def last(self) -> State:
+        """What became of the newest order."""
+        return self.run.instructor.reports.take()[-1].state
+
+    def tool(self) -> np.ndarray:
+        """The true tool at every tick (K, 3) [m]."""
+        return np.array([self.kinematics.forward(one[: len(one) // 2])[1] for one in self.links])
+
+    def fastest(self, since: int) -> float:
+        """The largest true speed over its limit from a tick on, while the joints could move."""
+        v = np.array(self.links[since:])[:, len(self.top) :]
+        return float(np.nanmax(np.abs(v) / self.top))
+
+    def hardest(self, since: int) -> float:
+        """The largest change of the commanded speeds over what the acceleration allows."""
+        period = self.run.motion_ticks
+        v = np.array(self.targets)[since - since % period :: period]
+        most = self.limits.acceleration * period / SECOND
+        return float((np.abs(np.diff(v, axis=0)) / most).max())
+
+
+def draw(seed: int) -> tuple[Stopped, np.random.Generator, int, int]:
+    """Return an arm some or all of whose joints have brakes with delays, and when power is away."""
+    rng = np.random.default_rng(seed)
+    name = ("three_axis", "ur5", "panda")[seed % 3 if seed > 1 else 0]
+    names = load_scene(name).joint_names
+    braked = [one for one in names if rng.random() < 0.7] or [names[-1]]
+    brakes: dict[str, object] = {
+        f"joints.{one}.brake": {
+            "torque": 300.0,
+            "close_delay": round(rng.uniform(0.0, 0.1), 3),
+            "release_delay": round(rng.uniform(0.0, 0.5), 3),
+        }
+        for one in braked
+    }
+    arm = Stopped(name, brakes, feedforward="speed")
+    return arm, rng, int(rng.integers(0, 900)), int(rng.integers(1, 700))
+
+
+@pytest.mark.parametrize("seed", some(range(30), 2))
+def test_a_target_waits_for_the_brakes_and_is_reached_within_limits(seed: int) -> None:
+    """Never past the target, never faster than the limits, and there in the end."""
+    arm, _, off, away = draw(seed)
+    R_WT, p_WT = arm.kinematics.forward(arm.scene.start)
+    arm.run.instructor.add(0, Pose(p_WT + TOOL_LINE, R_WT))
+    arm.interrupted(off, away, 4 * SECOND)
+    released = off + away
+    along = (arm.tool() - p_WT) @ TOOL_LINE / np.linalg.norm(TOOL_LINE)
+    # Without its power an arm falls as it likes until the brakes hold it; from then on it is ours.
+    past = along[released:].max() - np.linalg.norm(TOOL_LINE)
+    assert past < max(PAST, along[released] - np.linalg.norm(TOOL_LINE) + PAST)
+    assert arm.fastest(released + 50) < OVER
+    # The first period begins where the arm is measured, as fast as it is.
+    assert arm.hardest(released + 2 * arm.run.motion_ticks) < 1.001
+    assert arm.last is State.REACHED
+
+
+@pytest.mark.parametrize("seed", some(range(100, 112), 1))
+def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
+    """Within the limits, through all of their ends, after the time that they stood."""
+    for trajectory in (False, True):
+        arm, rng, off, away = draw(seed)
+        off = 300 + off % 500
+        R_WT, p_WT = arm.kinematics.forward(arm.scene.start)
+        start = arm.scene.start
+        if trajectory:
+            names = arm.kinematics.joint_names
+            way = rng.uniform(-JOINT_WAY, JOINT_WAY, len(names))
+            points = [
+                TrajectoryPoint(k * 400_000_000, start + way * k / 4, way / 1.6 * (0 < k < 4))
+                for k in range(5)
+            ]
+            arm.run.instructor.add_trajectory(arm.run.controller, names, points)
+            end = arm.kinematics.forward(start + way)[1]
+        else:
+            steps = (0.0, 0.5, 1.0)
+            poses = [Pose(p_WT + part * TOOL_LINE, R_WT) for part in steps]
+            # An arm that falls leaves its path, and would be stopped for it.
+            config = dataclasses.replace(arm.run.instructor._config, tool_path_tolerance=0.0)
+            arm.run.instructor.retune(config)
+            arm.run.instructor.add_path(arm.run.controller, poses)
+            end = p_WT + TOOL_LINE
+        arm.interrupted(off, away, 6 * SECOND)
+        assert arm.fastest(off + away + 50) < OVER
+        assert arm.hardest(off + away + 2 * arm.run.motion_ticks) < 1.06  # as of trajectories
+        assert arm.last is State.REACHED
+        assert np.linalg.norm(arm.tool()[-1] - end) < 2e-3
+
+
+@pytest.mark.parametrize("seed", some(range(60), 8))
+def test_what_goes_on_keeps_the_limits_and_ends_where_it_would_have(seed: int) -> None:
+    """Drawn ways, interrupted anywhere, with the joints beside them."""
+    rng = np.random.default_rng(seed)
+    N = int(rng.integers(1, 8))
+    limits = WayLimits(
+        rng.uniform(0.5, 4.0, N),
+        rng.uniform(1.0, 20.0, N),
+        rng.uniform(20.0, 400.0, N),
+        np.inf * np.ones(N),
+    )
+    begin, end = rng.uniform(-2.0, 2.0, (2, N))
+    way = Way(JointCurve.line(begin, end), limits)
+    since = rng.uniform(0.0, 1.05) * way.duration
+    now = Reference.at_rest(way.at(since).q + rng.normal(0.0, 0.05, N))
+    on = GoingOn(way, since, now, limits)
+    times = np.linspace(0.0, on.duration, 800)
+    moves = [on.at(float(t)) for t in times]
+    q, v, a = (np.array([getattr(one, name) for one in moves]) for name in "qva")
+    assert np.abs(q[0] - now.q).max() < 1e-9 and np.abs(q[-1] - end).max() < 1e-6
+    assert np.abs(v[[0, -1]]).max() < 1e-6
+    assert (np.abs(v) <= limits.speed * 1.001).all()
+    assert (np.abs(a) <= limits.acceleration * 1.001).all()
+    # Speeds are those of the angles: nothing jumps.
+    h = times[1] - times[0]
+    between = 0.5 * (v[1:] + v[:-1]) * h
+    assert np.abs(np.diff(q, axis=0) - between).max() <= limits.jerk.max() * h**3
+    assert on.duration < way.duration - since + 2.0
