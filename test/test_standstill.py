@@ -7,7 +7,7 @@ on: nothing is made up for at a jump.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from draws import some
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.going_on import GoingOn
+from arm_emulator.motion.instruction import Instruction
 from arm_emulator.motion.joint_curve import JointCurve
 from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.laws import joint_limits
@@ -27,12 +28,10 @@ from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.offline import OfflineRun
 
 SECOND = 1000  # ticks
-PAST = 1e-3  # m
+PAST = 1.5e-3  # m; three_axis, whose gears feed-forward does not know, 1.42 mm without a standstill
 OVER = 1.02  # of a limit of speed: links swing a little on their gears
 TOOL_LINE = np.array([0.0, 0.1, -0.2])  # m, from where the tool begins
 JOINT_WAY = 0.6  # rad
-
-Ask = Callable[[OfflineRun], np.ndarray]
 
 
 class Stopped:
@@ -48,7 +47,18 @@ class Stopped:
         self.limits = joint_limits(self.kinematics, config)
         self.top = np.minimum(self.kinematics.velocity_limit, config.velocity_limit)
         self.links: list[np.ndarray] = []
-        self.targets: list[np.ndarray] = []
+        self.asked: list[tuple[int, Reference]] = []  # tick and motion of the links
+        self.ready = 0  # the first tick since the interruption at which all joints could move
+        self.waited = 0  # the last tick at which it stood still, or came to rest
+        instruct = self.run.instructor.instruct
+
+        def kept(*given: Any) -> Instruction:
+            answer = instruct(*given)
+            if answer.now is not None:
+                self.asked.append((len(self.links), answer.now))
+            return answer
+
+        self.run.instructor.instruct = kept  # type: ignore[method-assign, assignment]
         self.run.advance(200)
 
     @property
@@ -60,10 +70,12 @@ class Stopped:
         """Go on, and keep angles, speeds and targets of every tick."""
         for _ in range(ticks):
             self.run.advance(1)
-            state, servo = self.run.session.state, self.run.drives.servo.state
+            state = self.run.session.state
             speed = state.v if self.can else np.full_like(state.v, np.nan)
             self.links.append(np.concatenate([state.q, speed]))
-            self.targets.append(servo["v_target"].copy())
+            if self.run.instructor.waits_for:
+                self.waited = len(self.links) - 1
+                self.ready = self.ready if self.can else len(self.links)
 
     def interrupted(self, off: int, away: int, until: int) -> None:
         """Take the power away at a tick for so many ticks, and go on until a tick."""
@@ -87,12 +99,17 @@ class Stopped:
         v = np.array(self.links[since:])[:, len(self.top) :]
         return float(np.nanmax(np.abs(v) / self.top))
 
-    def hardest(self, since: int) -> float:
-        """The largest change of the commanded speeds over what the acceleration allows."""
+    def hardest(self) -> tuple[float, float]:
+        """The largest commanded acceleration since all joints can move, over its limit, and how far
+        the commanded speeds change beyond what the accelerations give.
+        """
         period = self.run.motion_ticks
-        v = np.array(self.targets)[since - since % period :: period]
-        most = self.limits.acceleration * period / SECOND
-        return float((np.abs(np.diff(v, axis=0)) / most).max())
+        asked = [one for tick, one in self.asked if tick > self.ready + period]
+        a, v = (np.array([getattr(one, name) for one in asked]) for name in "av")
+        most = self.limits.acceleration
+        return float((np.abs(a) / most).max()), float(
+            (np.abs(np.diff(v, axis=0)) * SECOND / period / most).max()
+        )
 
 
 def draw(seed: int) -> tuple[Stopped, np.random.Generator, int, int]:
@@ -109,7 +126,8 @@ def draw(seed: int) -> tuple[Stopped, np.random.Generator, int, int]:
         }
         for one in braked
     }
-    arm = Stopped(name, brakes, feedforward="speed")
+    given = {"feedforward": "torque"} if name == "three_axis" else {}  # else of its file
+    arm = Stopped(name, brakes, method="way", **given)
     return arm, rng, int(rng.integers(0, 900)), int(rng.integers(1, 700))
 
 
@@ -122,12 +140,11 @@ def test_a_target_waits_for_the_brakes_and_is_reached_within_limits(seed: int) -
     arm.interrupted(off, away, 4 * SECOND)
     released = off + away
     along = (arm.tool() - p_WT) @ TOOL_LINE / np.linalg.norm(TOOL_LINE)
-    # Without its power an arm falls as it likes until the brakes hold it; from then on it is ours.
-    past = along[released:].max() - np.linalg.norm(TOOL_LINE)
-    assert past < max(PAST, along[released] - np.linalg.norm(TOOL_LINE) + PAST)
+    # Without power an arm falls as it likes; from when it has come to rest the way is ours.
+    past = along[arm.waited :] - np.linalg.norm(TOOL_LINE)
+    assert past.max() < max(0.0, past[0]) + PAST
     assert arm.fastest(released + 50) < OVER
-    # The first period begins where the arm is measured, as fast as it is.
-    assert arm.hardest(released + 2 * arm.run.motion_ticks) < 1.001
+    assert max(arm.hardest()) < 1.001
     assert arm.last is State.REACHED
 
 
@@ -143,7 +160,9 @@ def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
             names = arm.kinematics.joint_names
             way = rng.uniform(-JOINT_WAY, JOINT_WAY, len(names))
             points = [
-                TrajectoryPoint(k * 400_000_000, start + way * k / 4, way / 1.6 * (0 < k < 4))
+                TrajectoryPoint(
+                    k * 400_000_000, list(start + way * k / 4), list(way / 1.6 * (0 < k < 4))
+                )
                 for k in range(5)
             ]
             arm.run.instructor.add_trajectory(arm.run.controller, names, points)
@@ -158,7 +177,7 @@ def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
             end = p_WT + TOOL_LINE
         arm.interrupted(off, away, 6 * SECOND)
         assert arm.fastest(off + away + 50) < OVER
-        assert arm.hardest(off + away + 2 * arm.run.motion_ticks) < 1.06  # as of trajectories
+        assert max(arm.hardest()) < 1.06  # as of trajectories
         assert arm.last is State.REACHED
         assert np.linalg.norm(arm.tool()[-1] - end) < 2e-3
 

@@ -15,8 +15,8 @@ Flags = npt.NDArray[np.bool_]
 class Standstill:
     """The reference of an arm that waits.
 
-    A joint that cannot move is commanded to be where it is measured, so that its brake never opens
-    on a difference. The others come to rest from how they are commanded to move, or from how they
+    A joint that cannot move is commanded to be where it is measured, as fast as it is, so that its
+    brake never opens on a difference. The others come to rest from how they are commanded to move, or from how they
     are measured to move when they can again.
 
     Args:
@@ -56,10 +56,9 @@ class Standstill:
         """
         now, on = self._joints.now, movable & self._led
         moves = np.zeros_like(q) if v is None else v
-        measured = np.where(movable, moves, 0.0)
         self._joints.begin(
             Reference(
-                np.where(on, now.q, q), np.where(on, now.v, measured), np.where(on, now.a, 0.0)
+                np.where(on, now.q, q), np.where(on, now.v, moves), np.where(on, now.a, 0.0)
             )
         )
         self._led = movable
