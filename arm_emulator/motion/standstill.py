@@ -16,8 +16,8 @@ class Standstill:
     """The reference of an arm that waits.
 
     A joint that cannot move is commanded to be where it is measured, as fast as it is, so that its
-    brake never opens on a difference. The others come to rest from how they are commanded to move, or from how they
-    are measured to move when they can again.
+    brake never opens on a difference. The others come to rest, from their commanded motion
+    or, after a standstill, from the measured one.
 
     Args:
         laws: of the arm.
@@ -57,9 +57,7 @@ class Standstill:
         now, on = self._joints.now, movable & self._led
         moves = np.zeros_like(q) if v is None else v
         self._joints.begin(
-            Reference(
-                np.where(on, now.q, q), np.where(on, now.v, moves), np.where(on, now.a, 0.0)
-            )
+            Reference(np.where(on, now.q, q), np.where(on, now.v, moves), np.where(on, now.a, 0.0))
         )
         self._led = movable
         now = self._joints.now

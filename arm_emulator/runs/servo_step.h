@@ -7,7 +7,7 @@
 
 typedef struct servo_step {
   servo* arm;
-  const int32_t* place; /* of each of its joints among the machine's */
+  const int32_t* place;     /* of each of its joints among the machine's */
   int64_t *counts, *closed; /* what is handed to it, an entry per joint */
   double *current, *applied, *q, *command;
   int32_t measured; /* 1: it has taken the measurement of this period already */
