@@ -1,4 +1,4 @@
-"""What `advise` answers, held against brute force and against motions that it has not seen.
+"""Advice of `advise`, compared with brute force and with unseen motions.
 
     python -m bench.advice --count 20
 

@@ -1,4 +1,4 @@
-"""How far the demo of an arm moves over what its scene assumes.
+"""Spread of an arm's demo over the assumed numbers of its scene.
 
     python -m bench.assumed [SCENE ...]
 

@@ -1,4 +1,4 @@
-"""How punctual real time is, and how fast logical time runs, with all three nodes as processes."""
+"""Punctuality of real time and speed of logical time, with all three nodes as processes."""
 
 from __future__ import annotations
 

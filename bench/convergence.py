@@ -1,4 +1,4 @@
-"""How fast eq. (6) converges: predicted from one step of the servo, measured on the machine."""
+"""Convergence of eq. (6): predicted from one step of the servo, measured on the machine."""
 
 from __future__ import annotations
 

@@ -142,7 +142,7 @@ def as_it_is(scene: Scene, rng: np.random.Generator) -> Scene:
     return scene
 
 
-# How a scene gets an effect, and the names under which it may go.
+# Change of a scene that adds an effect, and the accepted names of the effect.
 EFFECTS: dict[str, tuple[Callable[[Scene, np.random.Generator], Scene], tuple[str, ...]]] = {
     "stribeck": (stribeck, (FALLS,)),
     "hysteresis": (bristles, (WAY, RISES)),

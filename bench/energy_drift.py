@@ -1,4 +1,4 @@
-"""How much energy appears or vanishes where none should: free links, one minute."""
+"""Drift of conserved energy: free links, one minute."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far the true tool is from its reference on a fast line, by what is known of the machine.
+"""Distance of the true tool from its reference on a fast line, by the feed-forward.
 
     python -m bench.feedforward [SCENE ...]
 

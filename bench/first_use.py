@@ -1,4 +1,4 @@
-"""What the first use of a scene takes, and every later one: fresh processes, no ROS."""
+"""Time of the first use of a scene, and of later ones: fresh processes, no ROS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a step through FMI 3.0 costs beside `arm_exchange`, from C.
+"""Cost of a step through FMI 3.0 beside `arm_exchange`, from C.
 
     python -m bench.fmu [SCENE ...]
 

@@ -1,4 +1,4 @@
-/* What an importer of FMI 3.0 does each servo period, and the same by arm.h, for fmu.py. C99. */
+/* Servo period of an importer of FMI 3.0, and the same through arm.h, for fmu.py. C99. */
 #ifndef FMU_LOOP_H
 #define FMU_LOOP_H
 

@@ -1,4 +1,4 @@
-// What a handshake between two threads costs: a counter goes to the other thread and back.
+// Cost of a handshake between two threads: a counter goes to the other thread and back.
 // Prints the time of one round trip [ns].
 
 #include <atomic>

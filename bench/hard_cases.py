@@ -445,7 +445,7 @@ def _breaches(plant: Plant) -> int:
     wrong = [
         not np.array_equal(moved(1e300), moved(48.0)),
         not np.array_equal(moved(-1e300), moved(-48.0)),
-        # What a denormal voltage moves is lost beside angles of 1 rad.
+        # Motion by a denormal voltage is lost in rounding beside angles of 1 rad.
         np.abs(moved(5e-324) - start).max() > 1e-15,
         np.abs(moved(-1e-310) - start).max() > 1e-15,
     ]

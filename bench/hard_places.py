@@ -1,4 +1,4 @@
-"""Where motion control through the Jacobian is hard: eq. (6) beside the bounded method.
+"""Hard cases of motion control through the Jacobian: eq. (6) beside the bounded method.
 
 Each case goes through the whole machine, motors, gears and encoders included, but for the random
 moves, which ask the control laws alone. What is left of the gears' wind-up at rest is in the
@@ -84,7 +84,7 @@ class Case:
     targets: Targets
     """The target by the time since the case began [s]."""
     every: float
-    """How often it is sent [s]."""
+    """Interval of its publication [s]."""
     outcome: Callable[[Track], str]
     start: tuple[float, ...] | None = None
 

@@ -1,4 +1,4 @@
-"""How well identification knows how well it knows: truth within the published confidence."""
+"""Coverage of identification's confidence: truth within the published intervals."""
 
 from __future__ import annotations
 

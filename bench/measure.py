@@ -1,4 +1,4 @@
-"""How things are timed here: interleaved, repeated, medians with spread, the machine named."""
+"""Timing: interleaved, repeated, medians with spread, the machine named."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Task:
 
     @property
     def times(self) -> int:
-        """How often to do it in one repetition."""
+        """Number of calls in one repetition."""
         return max(1, min(50, round(ENOUGH / self.about)))
 
 

@@ -1,4 +1,4 @@
-"""Where the figures of a scene come from: published, or assumed within a range.
+"""Origins of a scene's figures: published, or assumed within a range.
 
 In a scene file the comment beside a figure states it: ``[1]``, a source that the head of the file
 names, or ``assumed 0.09 to 0.14``.

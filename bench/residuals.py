@@ -40,7 +40,7 @@ NEAREST_SINGULAR = 0.08  # singular value
 STICKS = {"viscous": 0.5, "coulomb": 2.0, "breakaway": 3.0}
 WAVES = [[2, 5e-5], [1, 2e-5, 0.7]]
 
-# What `make pages` measures: the effects of each arm.
+# Cases measured by `make pages`: the effects of each arm.
 OF_ARMS: dict[str, tuple[str, ...]] = {
     "three_axis": (
         "none", "play", "stiction", "stiction of rotors", "eccentric encoders", "noisy encoders",
@@ -50,7 +50,7 @@ OF_ARMS: dict[str, tuple[str, ...]] = {
     "panda": ("none", "play", "stiction", "eccentric encoders", "noisy encoders", "payload"),
 }  # fmt: skip
 
-# What is changed in a scene, by the name of the effect.
+# Changes of a scene, by the name of the effect.
 EFFECTS: dict[str, dict[str, Any]] = {
     "none": {},
     "play": {"joints.*.gear.backlash": 4e-4, "joints.*.gear.cubic_stiffness": None},

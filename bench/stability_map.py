@@ -1,4 +1,4 @@
-"""Where each scheme holds: step against gear stiffness, electrical time constant, rotor inertia."""
+"""Stable regions of each scheme: step over gear stiffness, electrical time, rotor inertia."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ACCURATE = 1e-3  # rad, largest error within the second
 BOUND = 10.0  # rad from the truth
 FINE = 1e-6  # s, step of the truth
 
-# What a cell shows, the best first.
+# Symbols of a cell, the best first.
 ACCURATE_CELL, BOUNDED_CELL, DETECTED_CELL, LOST_CELL = range(4)
 MEANING = ("accurate", "bounded", "diverged, detected", "diverged, not detected")
 

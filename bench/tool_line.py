@@ -1,4 +1,4 @@
-"""How straight a tool goes: 300 mm at 250 mm/s, through the whole machine.
+"""Straightness of a tool's line: 300 mm at 250 mm/s, through the whole machine.
 
 The servo sees motors, not links: what the gears give way under the arm's weight it cannot know. So
 the true tool is beside the line by that wind-up, which follows from the gears' stiffness and the

@@ -38,7 +38,7 @@ GRID = 100  # gridpoints of toppra
 
 @dataclass
 class Seen:
-    """What became of all ways."""
+    """Outcome of all ways."""
 
     ways: Counter[str] = field(default_factory=Counter)
     speed: float = 0.0

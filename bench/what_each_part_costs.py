@@ -1,4 +1,4 @@
-"""What each optional part of a machine costs per step, and what leaving it out does."""
+"""Cost of each optional part of a machine per step, and the effect of leaving it out."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _scene(name: str, scheme: str, overrides: dict[str, Any], dt: float = DT) ->
 
 @dataclass(frozen=True)
 class _Full:
-    """How the full machine moves: what machines without a part are compared with.
+    """Motion of the full machine, the reference for machines without a part.
 
     Attributes:
         name: of the scene.

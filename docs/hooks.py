@@ -1,4 +1,4 @@
-"""What the site has beside the pages: text that follows from the code, and files that pages link.
+"""Additions of the site to the pages: generated text, and files that pages link.
 
 A page may hold a line
 

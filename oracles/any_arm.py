@@ -50,7 +50,7 @@ NO_ARMS = (
 
 @dataclass
 class Move:
-    """What became of one move, judged over all of its way."""
+    """Outcome of one move, judged over its whole length."""
 
     distance: str
     """Of all arms alike; small ones go as much less."""
@@ -61,13 +61,13 @@ class Move:
     seconds: float = 0.0
     """Logical time to arrival."""
     past: float = 0.0
-    """How far the true tool went along its line past the place where it rested [m]."""
+    """Overshoot of the true tool along its line past its final position [m]."""
     aside: float = 0.0
     """Largest distance of the true tool from the line to there [m]."""
     peak_speed: float = 0.0
     """Largest link speed over the joint's limit."""
     way: str = ""
-    """What the motion controller published about the way that it took."""
+    """Reason of its way, as published by the motion controller."""
 
     @property
     def overshot(self) -> bool:

@@ -94,7 +94,7 @@ class Case:
 
 
 class Equations:
-    """What holds at rest in a scene: Pinocchio's M and nle, and the sizes that friction has."""
+    """Equilibrium of a scene at rest: Pinocchio's M and nle, and the magnitudes of friction."""
 
     def __init__(self, scene: Scene, payload: Mapping[str, Any] | None) -> None:
         self.model = links_model(scene, payload)

@@ -1,4 +1,4 @@
-"""How far the true tool is from its reference on a fast line, with and without feed-forward.
+"""Distance of the true tool from its reference on a fast line, with and without feed-forward.
 
 The whole machine follows a line of the tool while servo and motion controller know its gears,
 friction and inertia right, wrong, or not at all. The truth is the emulated machine's own state, the
@@ -28,7 +28,7 @@ REST = 0.5  # s, after it ends
 
 @dataclass(frozen=True)
 class Known:
-    """What servo and motion controller know, as parts of the true numbers."""
+    """Assumed numbers of servo and motion controller, relative to the true ones."""
 
     feedforward: str
     stiffness: float = 1.0
@@ -39,7 +39,7 @@ class Known:
 
 @dataclass(frozen=True)
 class Line:
-    """Where the tool goes."""
+    """Line of the tool."""
 
     length: float = 0.3  # m
     speed: float = 1.0  # m/s
@@ -50,7 +50,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """What became of a line."""
+    """Outcome of a line."""
 
     t: Array
     """Times (K,) [s]."""
@@ -71,7 +71,7 @@ class Followed:
 
     @property
     def past(self) -> float:
-        """How far the tool goes beyond the farthest place of its reference [m]."""
+        """Overshoot of the tool past the farthest point of its reference [m]."""
         return float((self.place + self.deviation[:, 0]).max() - self.place.max())
 
     @property

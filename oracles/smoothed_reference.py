@@ -44,7 +44,7 @@ KNOWN = (
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How sharp what jumps is here."""
+    """Widths of smoothed jumps."""
 
     speed: float = 1e-5  # rad/s or m/s of a link, within which dry friction has its full torque
     resistance: float = 1e5  # of a winding beyond its limit, in its own resistance

@@ -1,4 +1,4 @@
-"""How many cases of a class a run tries."""
+"""Number of cases of a class per run."""
 
 from __future__ import annotations
 

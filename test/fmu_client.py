@@ -82,7 +82,7 @@ class Fmu:
         self.binary.fmi3FreeInstance.restype = None
 
     def size(self, name: str) -> int:
-        """How many values a variable has."""
+        """Number of a variable's values."""
         return math.prod(int(one.attrib["start"]) for one in self.variables[name])
 
 

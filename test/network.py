@@ -36,7 +36,7 @@ JOINTS = ["waist", "shoulder", "elbow"]  # of three_axis
 PATIENCE = 120.0  # s, for what takes well below a second on an idle machine
 ASK_AGAIN = 5.0  # s, after which a service that has not answered is called once more
 ALL_THREE = ("emulator", "servo", "motion_controller")
-# Who acts on what a user states.
+# Node that acts on each topic of a user.
 RECEIVER = {
     "motor_commands": "emulator",
     "joint_targets": "servo",
@@ -53,7 +53,7 @@ SERVICES = {
 # a Python listener is slower than the machine: it would fall behind by all that is kept for it.
 RECORD_QOS = QoSProfile(depth=20_000)
 NEWEST_QOS = QoSProfile(depth=5)
-# What an executor need not look at before each callback: it is half of this user's processor time.
+# Without default event callbacks, whose checks take half of this user's processor time.
 HEAR_ALONE = SubscriptionEventCallbacks(use_default_callbacks=False)
 SEND_ALONE = PublisherEventCallbacks(use_default_callbacks=False)
 # A depth of 1 would keep only the newest for a node that is just being discovered.
@@ -208,7 +208,7 @@ class User:
 
         def listens() -> bool:
             known = self._listeners(publisher.topic_name)
-            # Who is known is matched a moment later; the number states that all of them are.
+            # A discovered node is matched a moment later; the number confirms that all of them are.
             return (
                 any(node == receiver and who not in self._gone for who, node in known)
                 and len(known) <= publisher.get_subscription_count()

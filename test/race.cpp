@@ -1,4 +1,4 @@
-// Everything in the core that two threads touch, at once, for ThreadSanitizer to watch. Built by
+// Concurrent use of all data of the core that two threads share, for ThreadSanitizer. Built by
 // test_threads.py behind a scene's unit.
 
 #include <atomic>

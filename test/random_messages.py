@@ -42,7 +42,7 @@ TOPICS = (
     "tool_path",
     "robot_description",
 )
-# Who acts on what is reported there.
+# Node that acts on each topic of reports.
 RECEIVER = {
     "motor_commands": "emulator",
     "motor_states": "servo",

@@ -1,4 +1,4 @@
-"""What is out of a declared number's range, and the one form in which every reader refuses it."""
+"""Numbers outside of a declared range, and the one form of refusal of every reader."""
 
 from __future__ import annotations
 

@@ -239,7 +239,7 @@ def _scene(folder: Path) -> Path:
 
 
 def _text_odd(rng: Rng, file: Path) -> None:
-    """What is odd in any text."""
+    """Spoiled versions of any text."""
     text = file.read_text()
     many = int(10 ** rng.uniform(1, 6))
     lines = text.splitlines()

@@ -150,5 +150,5 @@ def assert_order_two(
             places.append([plant.state.theta_m[0] * RATIO, plant.state.q[1]])
         errors.append(np.abs(np.array(places) - truth[:, None]).max(axis=0))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    # What comes next in the error's expansion is some per cent of it.
+    # The next term of the error's expansion is some per cent of it.
     assert orders[1:] == pytest.approx(2.0, abs=0.2), f"rotor, link: {errors}"

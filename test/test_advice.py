@@ -219,7 +219,7 @@ def three_motors(folder: Path, kinds: tuple[str, ...]) -> Scene:
     "kinds", some([("dc", "loop", "pmsm"), ("torque", "current", "unlimited")], 1)
 )
 def test_commands_are_in_the_unit_of_each_motor(kinds: tuple[str, ...], tmp_path: Path) -> None:
-    """What a part declares of its torque and its limit is what the machine does."""
+    """The torque and limit declared by a part are those of the machine."""
     scene = three_motors(tmp_path, kinds)
     plant = Plant(scene)
     commands = np.array([0.05, -0.02, 0.03])
@@ -270,7 +270,7 @@ def test_a_table_and_a_bag_are_motions(tmp_path: Path) -> None:
         read_commands(tmp_path / "bag", load_scene("ur5"))
 
 
-# Where a machine diverges
+# Divergence of a machine
 
 
 def diverged(plant: Plant, volts: np.ndarray) -> Diverged:

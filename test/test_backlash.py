@@ -114,7 +114,7 @@ def test_teeth_bounce_as_the_closed_form_states_with_order_two(
         errors.append(float(np.abs(np.array(out) - q).max()))
         left.append(abs(plant.energy - stored + lost) / stored)
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    # What comes next in the error's expansion is a few per cent of it with 60 steps a contact.
+    # The next term of the error's expansion is a few per cent of it with 60 steps a contact.
     assert orders[-1] == pytest.approx(2.0, abs=0.35), errors
     assert left[-1] < 1e-2, f"energy {left}"
     assert left[-1] < 0.4 * left[-2] or left[-1] < 1e-5, f"the balance closes as the scheme, {left}"

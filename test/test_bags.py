@@ -459,7 +459,7 @@ def _set_stamp(message: Any) -> None:
     message.header.stamp.nanosec += 1
 
 
-# What is changed in the states of tick 7, whether the bag reports changes by hand, and the outcome.
+# Change in the states of tick 7, whether the bag reports changes by hand, and the outcome.
 EDITS: list[tuple[Callable[[Any], None], bool, int, str]] = [
     (_set("tick", 3), False, 1, "not compared: 18 motor states that belong to no run, from one of"),
     (_set("tick", 0), False, 1, "the first difference: run 2, tick 0"),

@@ -88,7 +88,7 @@ def test_turning_joints_stop_within_the_way_of_the_closed_form(tmp_path: Path) -
 
 
 def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
-    """Whatever the calls that the time is made of; what is taken back in time has no effect."""
+    """The result is independent of the division into calls; a withdrawn command has no effect."""
     draw = random.Random(2)
     dt = scene.integrator.dt
     steps = {False: round(CLOSE / dt), True: round(RELEASE / dt)}
@@ -141,7 +141,7 @@ def test_power_off_holds_the_arm_by_its_brakes(scene: Scene) -> None:
             plant.advance(np.zeros(3), round(0.01 / scene.integrator.dt))
             highest = np.maximum(highest, np.abs(plant.state.q - q))
         np.testing.assert_array_equal(plant.state.theta_m, theta, err_msg="rotors, 1 s later")
-        # What swings, swings about the wind-up under the weight.
+        # Oscillations are about the wind-up under the weight.
         assert (highest <= 2.5 * np.abs(wind_up) + 1e-3).all(), f"{highest}, wind-up {wind_up}"
 
 

@@ -1,4 +1,4 @@
-"""Where joints behind rigid gears break away, against the balance of torques.
+"""Breakaway of joints behind rigid gears, against the balance of torques.
 
 With the motor's torque T at the link, the torque G that the joint needs to hold its links, and
 friction of link and rotor, which may both go with |T|, a joint at rest stays there while
@@ -60,7 +60,7 @@ def drawn_motor(rng: np.random.Generator) -> dict[str, Any]:
 
 
 class Balance:
-    """What holds each joint of a scene at rest."""
+    """Torque that holds each joint of a scene at rest."""
 
     def __init__(self, scene: Scene) -> None:
         self.oracle = Oracle(scene)

@@ -1,4 +1,4 @@
-"""What cffi reads of our C headers is what a C compiler makes of them."""
+"""cffi reads our C headers as a C compiler does."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_what_was_read_is_kept_and_read_anew_where_it_is_spoiled(
 
 
 def test_another_text_is_another_header(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is kept is found by the text of a header and of all that it includes."""
+    """The cache key is the text of a header and of all headers that it includes."""
     monkeypatch.setenv(library_cache.CACHE_VARIABLE, str(tmp_path / "cache"))
     sizes: list[Any] = []
     for words in ("int a;", "int a, b;", "int a, b, c;"):

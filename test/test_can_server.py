@@ -129,7 +129,7 @@ def test_it_listens_on_this_machine_only_unless_asked() -> None:
 
 
 def strange(rng: np.random.Generator) -> bytes:
-    """What a client could send that is not what it should."""
+    """Return a malformed message of a client."""
     kind = rng.integers(8)
     size = int(rng.integers(1, 3 * LONGEST_LINE))
     if kind == 0:

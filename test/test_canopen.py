@@ -167,7 +167,7 @@ def test_whole_dictionary_is_read_and_written_as_the_drive_has_it(scene: Scene) 
 
 
 def drives_of_one(drives: Drives, index: int, sub: int, raw: bytes) -> int:
-    """What another drive of the machine states to the same write."""
+    """Return the reply of another drive of the machine to the same write."""
     try:
         drives.download(2, index, sub, raw)
     except Aborted as no:
@@ -689,7 +689,7 @@ def test_data_sheet_reports_every_entry(scene: Scene) -> None:
             assert low <= value <= high, f"default of {name}"
 
 
-# What CiA 306 lets stand in a data sheet, and the values of the types that we use.
+# Keys that CiA 306 permits in a data sheet, and the values of the types in use.
 _KEYS = {
     "FileInfo": "FileName FileVersion FileRevision EDSVersion Description CreationTime "
     "CreationDate CreatedBy ModificationTime ModificationDate ModifiedBy",

@@ -29,7 +29,7 @@ SERVO = load_servo_config(ROOT / "config/servo/three_axis.yaml")
 PLAIN = load_scene("three_axis")
 N, T = len(PLAIN.joints), PLAIN.servo_period
 CLOSE, RELEASE = 0.012, 0.025  # s
-# Everything that a drive may know of: under gravity, between stops, with brakes and index pulses.
+# Scene with all features of a drive: gravity, stops, brakes and index pulses.
 RICH = load_scene(
     "three_axis",
     overrides={
@@ -144,7 +144,7 @@ def test_units_are_those_of_the_scene() -> None:
 
 
 def expected_abort(one: Entry | None, known_object: bool, size: int, value: int) -> int:
-    """What CiA 301 states of a write."""
+    """Return the result of a write by CiA 301."""
     if one is None:
         return 0x06090011 if known_object else 0x06020000
     if one.access in ("const", "ro"):
@@ -156,7 +156,7 @@ def expected_abort(one: Entry | None, known_object: bool, size: int, value: int)
     return 0x06090032 if value < one.least else 0
 
 
-# What the drive has a state in, beside the range: mappings, histories, stores, modes, methods.
+# Objects with rules beside the range: mappings, histories, stores, modes, methods.
 SPECIAL = {0x1003, 0x1010, 0x1011, 0x1C12, 0x1C13, MODE, 0x6098, *range(0x1600, 0x1604)} | {
     *range(0x1A00, 0x1A04)
 }
@@ -210,7 +210,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
             assert {key: drives.upload(0, *key) for key in known} == model, "the whole dictionary"
     assert {key: drives.upload(0, *key) for key in known} == model, "the whole dictionary"
     assert min(taken, refused) > 2_000, f"{taken} taken, {refused} refused"
-    # Whatever was set, the drive goes on.
+    # The drive runs with any settings.
     drives.period(100)
 
 

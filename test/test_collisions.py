@@ -124,7 +124,7 @@ def test_a_target_below_the_floor_is_stopped_before_it() -> None:
 
 
 def test_without_obstacles_the_same_move_is_made() -> None:
-    """What stops it is the floor."""
+    """The floor, not another obstacle, stops the arm."""
     arm = Arm(collisions="off")
     arm.run.instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, 0.4]), arm.R_WT))
     arm.run.advance(2000)

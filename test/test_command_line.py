@@ -219,7 +219,7 @@ def test_help_and_version_end_quietly_where_nobody_reads_them() -> None:
     assert ended == [f"{words}|141|" for words in lines], "as by SIGPIPE, without a traceback"
 
 
-# What programs may rely on: the keys at the top of each command's object.
+# Stable interface for programs: the keys at the top of each command's object.
 KEYS = {
     "advise": "scene judged_on error settings now why_none checked written",
     "check-scene": "scenes warnings",

@@ -55,7 +55,7 @@ def quick_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def compiled_in(cache: Path) -> list[Path]:
-    """What is in a cache, but for headers that were read."""
+    """Return the files of a cache, except parsed headers."""
     return [file for file in cache.iterdir() if file.suffix != ".cdef"]
 
 
@@ -163,7 +163,7 @@ def test_a_library_compiled_ahead_serves_a_machine_without_a_compiler(
         compile_ahead(scene, "z80", cache)
 
 
-# What compilers do, and the end of the one line that reports it.
+# Misbehaviour of compilers, and the end of the one line that reports it.
 MISCHIEF = {
     "CXX=false": "compile the scene's core, got exit code 1",
     "CXX=cat": "compile the scene's core, got exit code 1",  # waits for input if it is given any

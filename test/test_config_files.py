@@ -1,4 +1,4 @@
-"""What belongs to a scene is found beside it by every command, from any folder."""
+"""Every command finds the files beside a scene, from any folder."""
 
 from __future__ import annotations
 

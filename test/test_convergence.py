@@ -1,4 +1,4 @@
-"""How fast eq. (6) converges: derived, against closed forms and the whole machine."""
+"""Convergence of eq. (6): derived, against closed forms and the whole machine."""
 
 from __future__ import annotations
 

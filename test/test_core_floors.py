@@ -1,4 +1,4 @@
-"""Which headers of the core include which: a floor stands on those below it."""
+"""Includes between headers of the core: a floor depends only on those below it."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class Machine:
         }
 
     def tool(self, p: np.ndarray) -> pin.SE3:
-        """Where the tool is, by the joints."""
+        """Return the position of the tool, from the joints."""
         model, data = self.truth.model, self.truth.data
         pin.framesForwardKinematics(model, data, self.truth.C @ p)
         return data.oMf[model.getFrameId("tool0")].copy()
@@ -174,7 +174,7 @@ def test_position_limits_of_drives_keep_the_joints_within_theirs(machine: Machin
 
 
 def test_numbers_of_its_links_explain_the_torques_that_its_gears_carry(machine: Machine) -> None:
-    """What `identify` fits: the same torques as the independent solution asks for."""
+    """The torque model of `identify` agrees with the independent solution."""
     draw, C = np.random.default_rng(6), machine.truth.C
     v, a = (draw.normal(size=(20, C.shape[1])) * size for size in (1.0, 2.0))
     q = machine.scene.start + draw.uniform(-0.05, 0.05, v.shape)  # off the stops

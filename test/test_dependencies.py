@@ -1,4 +1,4 @@
-"""What our packages import is declared: in package.xml for rosdep, or for pip beside it."""
+"""Every import of our packages is declared: in package.xml for rosdep, or for pip beside it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-# Where rosdep's key is not the name of the module, or begins with python3-.
+# Modules whose rosdep key differs from the name, or begins with python3-.
 KEYS = {"PIL": "python3-pil", "_cffi_backend": "python3-cffi"}
-# Where pip's name is not the name of the module.
+# Modules whose name for pip differs.
 WHEELS = {
     "can": "python-can",
     "elftools": "pyelftools",
@@ -69,7 +69,7 @@ def test_wheels_for_ros_are_those_of_the_environment_that_is_tested() -> None:
     assert len(ours) > 5 and ours - numpy_1 <= everywhere
 
 
-# What the wheel needs beside ROS is named in requirements*.txt, and follows from these.
+# Requirements of the wheel without ROS are named in requirements*.txt, and follow from these.
 BROUGHT = {"coal": "pin", "lz4": "rosbags", "zstandard": "rosbags", "pyarrow": "rerun-sdk"}
 NAMES = {"pinocchio": "pin", "yaml": "PyYAML", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}
 NAMES |= {"can": "python-can", "elftools": "pyelftools", "_cffi_backend": "cffi"}

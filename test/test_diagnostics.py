@@ -1,4 +1,4 @@
-"""How often a node publishes its health: when something has changed, and every second."""
+"""Rate of a node's health messages: at each change, and every second."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def nodes() -> Iterator[InProcess]:
 
 @pytest.fixture
 def printed(nodes: InProcess, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What the servo's health publishes, nothing else running."""
+    """Return the servo's health messages, with nothing else running."""
     printed: list[str] = []
 
     def hear(message: DiagnosticArray) -> None:

@@ -1,4 +1,4 @@
-"""What `doctor` reports of a machine that lacks something, or where something was left behind."""
+"""Findings of `doctor`: missing requirements, and remains of earlier runs."""
 
 from __future__ import annotations
 

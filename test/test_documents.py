@@ -1,4 +1,4 @@
-"""What README.md, CONTRIBUTING.md and docs/ state agrees with the code."""
+"""README.md, CONTRIBUTING.md and docs/ agree with the code."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_files_named_in_text_exist(document: Path) -> None:
 
 
 def test_every_key_of_a_scene_is_listed() -> None:
-    """What parts declare is compared in test_parts.py."""
+    """Keys of parts are compared in test_parts.py."""
     source = (ROOT / "arm_emulator" / "machine" / "scene.py").read_text()
     keys = set(re.findall(r"\.(?:text|choice|(?:required_)?section)\(\s*\"(\w+)\"", source))
     keys |= {one.name for one in vars(scene).values() if isinstance(one, Number)}

@@ -1,4 +1,4 @@
-"""What parts state that a motion takes, against what the core gives for it."""
+"""Torques declared by parts for a motion, against those of the core."""
 
 from __future__ import annotations
 

@@ -288,7 +288,7 @@ def works(memory: bytes) -> bool:
 
 
 def counts(memory: bytes) -> int:
-    """What a slave adds to the counter of an LRW, by its registers.
+    """Return a slave's contribution to the working counter of an LRW, by its registers.
 
     An area counts where its guard is open, or where no guard is switched on: then it is plain RAM.
     """
@@ -616,7 +616,7 @@ def random_mapping(rng: np.random.Generator, entries: list[Entry]) -> list[list[
 
 @pytest.mark.parametrize("seed", some(range(30), 6))
 def test_any_mapping_carries_what_it_names(master: Master, seed: int) -> None:
-    """What process data do to drives is what the same values do to them by their dictionaries."""
+    """Process data affect drives as the same values written through their dictionaries do."""
     rng = np.random.default_rng(seed)
     twin, drives = segment().drives, master.segment.drives
     master.slaves = 1

@@ -239,7 +239,7 @@ def test_a_steady_turn_is_that_of_the_closed_form(tmp_path: Path) -> None:
 
 
 def test_hard_pushes_of_an_elastic_arm_are_no_divergence(tmp_path: Path) -> None:
-    """What a push gives is energy that may be there, whatever the step and the swing."""
+    """The energy of a push is permitted, at any step and any swing."""
     rng = np.random.default_rng(7)
     file = driven_arm(tmp_path)
     for case in range(30):

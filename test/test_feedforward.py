@@ -154,7 +154,7 @@ def test_motors_go_on_without_a_jump_whatever_is_known_of_the_motion() -> None:
     ("known", "bound"),
     [
         (Known("full"), 0.5e-3),
-        # What the issue claims of numbers that are 30 % off, to either side.
+        # Claimed bounds for numbers that are 30 % off, to either side.
         (Known("full", stiffness=0.7, friction=0.7, inertia=0.7), 2e-3),
         (Known("full", stiffness=1.3, friction=1.3, inertia=1.3), 2e-3),
     ],
@@ -177,7 +177,7 @@ def test_what_is_known_pays() -> None:
 
 
 def test_files_state_the_drives_of_their_scenes() -> None:
-    """What the shipped motion controllers know of gears and friction is what the scenes have."""
+    """The shipped motion controllers have the scenes' numbers of gears and friction."""
     for name in ("ur5", "panda"):
         scene = load_scene(name)
         assert load_motion_config(find_beside(find_scene(name), "motion")).drives == known_drives(

@@ -157,7 +157,7 @@ def test_all_of_our_c_compiles_without_a_warning(tmp_path: Path) -> None:
 
 
 def test_a_servo_that_has_measured_nothing_gives_no_voltage() -> None:
-    """Whatever it was aimed at: it does not know where the motors stand."""
+    """For any target the output is 0 V: the positions of the motors are unknown."""
     drives, law = Drives(SERVO), servo_law()
     arm, voltage = drives.servo.arm, np.full(N, np.nan)
     drives.aim(Target(np.ones(N)))
@@ -514,7 +514,7 @@ def test_a_library_that_ends_the_process_is_reported_with_its_tick(
         (place, how, tick)
         for place in some(["step", *PLACES], 1)
         for tick, how in enumerate(ENDS, random.Random(place).randrange(1800))
-        # What ends as it would have ended does no harm.
+        # An end of the process in its usual place is harmless.
         if place not in ("end", "atexit") or "0" not in ENDS[how]
     ]
     libraries = []

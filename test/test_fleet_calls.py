@@ -42,7 +42,7 @@ def alone(fleet: Fleet, arm: int, **began: Any) -> Plant:
 
 
 def assert_alike(fleet: Fleet, plants: list[Plant]) -> None:
-    """Whatever a plant measures and its true state, for each arm."""
+    """Return all measurements and the true state of each arm."""
     measured, state = fleet.measured, fleet.state
     for arm, plant in enumerate(plants):
         for name in KNOWN:

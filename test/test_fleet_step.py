@@ -128,7 +128,7 @@ def test_an_arm_that_diverges_is_reported_by_steps_and_its_neighbours_go_on() ->
 
 
 def test_an_arm_goes_on_in_its_lane_when_nobody_holds_it_any_more(scene: Scene) -> None:
-    """What is set by hand is where the fleet goes on from."""
+    """The fleet continues from a state set by hand."""
     fleet = Fleet(scene, COUNT)
     rows = np.full((COUNT, 3), 5.0)
     for _ in range(3):

@@ -229,7 +229,7 @@ def test_free_runs_find_what_a_pendulum_is(tmp_path: Path) -> None:
 
 
 def fitted(folder: Path, scene: Scene, file: Path, seed: int) -> tuple[Scene, dict[str, float]]:
-    """What is written and read again of numbers drawn within what a fit may find."""
+    """Numbers drawn from the range of fits are read back as written."""
     rng = np.random.default_rng(seed)
     N = len(scene.joints)
     model = TorqueModel(scene, (10.0 * np.ones(N), np.ones(N)), 0.5)

@@ -1,4 +1,4 @@
-"""What motors take, declared once: commands and further inputs of mixed motors at every door."""
+"""Inputs of motors, declared once: commands and further inputs of mixed motors at every door."""
 
 from __future__ import annotations
 

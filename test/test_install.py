@@ -32,7 +32,7 @@ find-links = /a/wheels /b/wheels
 
 
 def listed(tmp_path: Path, text: str, **more: str) -> dict[str, str]:
-    """What pip itself lists of a file and of variables, as install.py reads it."""
+    """Return pip's own listing of a file and of variables, as install.py reads it."""
     file = tmp_path / "pip.conf"
     file.write_text(text)
     own = {name: value for name, value in os.environ.items() if not name.startswith("PIP_")}

@@ -220,7 +220,7 @@ def test_one_instruction_halves_a_small_error(
         target = moved(pose_at(controller, q), twist)
         before = controller.kinematics.tool_error(q, target)
         after = controller.kinematics.tool_error(controller.update(q, target).q, target)
-        # What is left out is quadratic: 1e-12 over a smallest singular value of 0.1.
+        # The neglected term is quadratic: 1e-12 over a smallest singular value of 0.1.
         assert np.allclose(after, 0.5 * before, rtol=0, atol=1e-10)
         assert np.array_equal(controller.error, before)
         assert controller.notices == ()
@@ -632,7 +632,7 @@ def test_robots_move_50_mm_with_the_orientation_held(scene: str, method: str) ->
     errors = np.array(deviations)
     # Rotation: the wind-up of about 2 mrad, and what the joints' different swing adds on the way.
     assert np.linalg.norm(errors[:, 3:], axis=1).max() < 0.01, "the orientation was not held"  # rad
-    # Where links stick, the servo's integral winds the gears up by the seconds: the longer, the
-    # nearer to their targets they stick, which is what feed-forward of friction does.
+    # If links stick, the servo's integral winds the gears up over the seconds: the longer, the
+    # closer to their targets they stick, as with feed-forward of friction.
     errors = (errors - bound.wind_up)[round(8.0 / motion.period) :]
     assert (np.abs(errors) < bound.encoder).all(), "the tool is not where it was predicted"

@@ -65,7 +65,7 @@ class Jogged:
             self.statuses.append(JogStatus.NO_WARNING if jog is None else jog.status)
 
     def tool(self) -> np.ndarray:
-        """Where the true tool was (K, 3)."""
+        """Return the path of the true tool (K, 3)."""
         return np.array([self.kinematics.forward(q)[1] for q in self.q])
 
     def twist(self, *twist: float, of_tool: bool = False) -> JogCommand:

@@ -105,7 +105,7 @@ def test_every_scheme_keeps_its_order(
         q = plant.run(voltages, steps)
         errors.append(float(np.abs(q[:, 0] - expected[:, 2]).max()))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    # What comes next in the error's expansion may be some per cent of it.
+    # The next term of the error's expansion may be some per cent of it.
     slack = 0.15 if ORDERS[scheme] == 2 else 0.3
     assert orders[-1] == pytest.approx(ORDERS[scheme], abs=slack), errors
     if ORDERS[scheme] == 1:

@@ -1,4 +1,4 @@
-"""How the nodes start, state no, and end: alone and together."""
+"""Start, refusal and end of the nodes: alone and together."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ REFUSED_NODES = [
         "node motion_controller: parameter weight must be a number from 1e-06 to 1, got 'half'",
     ),
 ]
-# What ROS itself does not take; it states a line of its own before.
+# Arguments that ROS itself refuses, with a line of its own before ours.
 REFUSED_BY_ROS = [
     (
         ("servo_node.node", "--params-file", "nonesuch.yaml"),
@@ -153,7 +153,7 @@ def test_what_is_not_taken_is_reported_in_one_line_with_exit_code_2() -> None:
             assert len(own) == lines - 1, complaint
 
 
-# What is started, and the exit codes after SIGINT and SIGTERM.
+# Commands, and their exit codes after SIGINT and SIGTERM.
 BREAKS_OFF, ENDS = {signal.SIGINT: 130, signal.SIGTERM: 143}, {signal.SIGINT: 0, signal.SIGTERM: 0}
 STOPPED = [
     (("arm_emulator", "up"), ENDS),
@@ -202,7 +202,7 @@ def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
             reported = (
                 f"{command}, {stop.name} after {moment:.3f} s: {process.returncode} {complaint}"
             )
-            # What ends by itself may be done, or have left only Python's own end to do.
+            # A command that ends by itself may be done, or in Python's own shutdown.
             ends_itself = command[1:] and command[1] in ("demo", "advise", "compile")
             finished = ends_itself and process.returncode in (0, -stop)
             assert process.returncode == codes[stop] or finished, reported

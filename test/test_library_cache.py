@@ -85,7 +85,7 @@ def cache(sound: Sound, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     return folder
 
 
-# What lies there
+# Content of the cache
 
 
 WAYS = [
@@ -204,7 +204,7 @@ def test_what_lies_in_the_place_of_a_lock_does_no_harm(cache: Path, sound: Sound
         assert [item.name for item in cache.iterdir()] == [sound.name], way
 
 
-# Who has put it there
+# Owners
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ def chain(rng: np.random.Generator, top: Path) -> tuple[Path, str]:
         if way == "somebody's link":
             os.lchown(which, SOMEBODY, 0)
     elif way.startswith("dots behind"):
-        # What is above the place where the link leads, beside a sound folder of the same name.
+        # The parent of the link's target, beside a sound folder of the same name.
         elsewhere = top / "elsewhere"
         (elsewhere / "inner").mkdir(parents=True)
         (elsewhere / folder.name).mkdir()
@@ -503,7 +503,7 @@ def test_a_library_compiled_into_a_folder_is_found_there(
             compile_ahead(sound.scene, "native", nowhere)
 
 
-# How much of it stays
+# Size
 
 
 def test_the_least_recently_used_go(

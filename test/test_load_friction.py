@@ -115,7 +115,7 @@ def test_a_gear_that_a_step_does_not_resolve_is_followed(tmp_path: Path, mu: flo
 
 
 def test_the_loss_of_a_gear_with_play_closes_the_balance_of_energy(tmp_path: Path) -> None:
-    """Where teeth meet and part, the torque that the loss goes with jumps: at a step's end."""
+    """The torque of load friction jumps where teeth meet and part: at a step's end."""
     rng = np.random.default_rng(44)
     joint = {
         "motor": {

@@ -96,7 +96,7 @@ def test_sticking_and_slipping_follow_the_closed_form_with_order_two(
         q = plant.run(np.zeros((rows, 1)), steps)[:, 0]
         errors.append(float(np.abs(q - truth).max()))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    # What comes next in the error's expansion is a few per cent of it with 140 steps a swing.
+    # The next term of the error's expansion is a few per cent of it with 140 steps a swing.
     assert orders == pytest.approx(2.0, abs=0.15), errors
 
 

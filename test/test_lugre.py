@@ -101,7 +101,7 @@ def test_every_scheme_keeps_its_order(tmp_path: Path, side: str, scheme: str) ->
         q = with_steps(tmp_path, lugre, side, steps, scheme).run(voltages, steps)[:, 0]
         errors.append(float(np.abs(q - expected[:, 1]).max()))
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    # What comes next in the error's expansion is some per cent of it.
+    # The next term of the error's expansion is some per cent of it.
     assert orders[-1] == pytest.approx(ORDERS[scheme], abs=0.15), errors
     assert errors[-1] < 0.02 * np.abs(expected[:, 1]).max(), errors
 

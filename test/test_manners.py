@@ -349,7 +349,7 @@ def test_overrides_of_another_kind_are_refused(wrong: Any) -> None:
         load_scene("three_axis", overrides=wrong)
 
 
-# Whatever may be handed over: a call takes it as what it is, or refuses it and changes nothing.
+# Any argument: a call accepts it with its meaning, or refuses it and changes nothing.
 
 NO_ROWS: list[Any] = [
     None, "abc", b"abc", ["a", "b", "c"], [None] * 3, [1j, 0, 0], {1.0, 2.0, 3.0}, object(), Plant,
@@ -375,7 +375,7 @@ NAME = "joints.elbow.friction.viscous"
 
 
 def calls() -> Iterator[tuple[str, Callable[[Any, Any], Any], list[Any]]]:
-    """What is called of a plant or a fleet with each of the wrong ones."""
+    """Yield calls of a plant or a fleet with each of the wrong arguments."""
     yield "advance", lambda p, x: p.advance(x, 1), NO_ROWS
     yield "advance steps", lambda p, x: p.advance(ROW, x), NO_COUNTS
     yield "run", lambda p, x: p.run(x, 1), NO_SETS

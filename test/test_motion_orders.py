@@ -44,7 +44,7 @@ class Ideal:
     def __init__(self, scene: str = "ur5") -> None:
         run = load_offline_run(scene)
         self.controller, self.start = run.controller, run.session.scene.start
-        # What orders ask of the links; with `full` the servo gets what the motors are asked for.
+        # Motion of the links; with `full` the servo would get that of the motors.
         motion = load_gains(find_scene(scene)).motion
         self.config = dataclasses.replace(motion, feedforward="torque")
         self.instructor = Instructor(self.config)
@@ -75,7 +75,7 @@ class Ideal:
         return tuple(self.controller.kinematics.joint_names)
 
 
-# What holds
+# The order in force
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -132,7 +132,7 @@ def test_paths_that_begin_where_the_tool_rests_follow_one_another(seed: int) -> 
 @pytest.mark.parametrize("kind", ["TOOL_TARGET", "JOINT_TRAJECTORY", "TOOL_PATH", "TIMED_PATH"])
 @pytest.mark.parametrize("known", [False, True], ids=["before any angles", "while it runs"])
 def test_a_stamp_of_the_wall_clock_is_refused(kind: str, known: bool) -> None:
-    """Whoever stamps with the wall clock would wait for decades."""
+    """A stamp of the wall clock would mean a wait of decades."""
     arm = Ideal()
     wall = 1_790_000_000 * SECOND
     if known:
@@ -194,7 +194,7 @@ def test_the_newest_holds_and_every_one_is_answered() -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_request_is_lost_in_silence(seed: int) -> None:
-    """Whatever comes, in whatever order: accepted ones get one final answer, refused ones too."""
+    """For any orders in any sequence: accepted ones get one final answer, refused ones too."""
     rng = np.random.default_rng([seed, 1])
     arm = Ideal("three_axis" if seed % 2 else "ur5")
     asked = {kind: 0 for kind in Kind}
@@ -378,7 +378,7 @@ def nodes() -> Iterator[InProcess]:
 
 
 def statuses(nodes: InProcess) -> list[MotionStatus]:
-    """What the motion controller states on its status topic, from now on."""
+    """Collect the messages on the motion controller's status topic, from now on."""
     heard: list[MotionStatus] = []
     nodes.listen_alone("motion/status", MotionStatus, heard.append)
     return heard

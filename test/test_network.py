@@ -502,7 +502,7 @@ def test_services_in_real_time(real_time: SharedNetwork) -> None:
 
 
 def test_real_time_is_real_time(real_time: SharedNetwork) -> None:
-    """What holds on every machine, however busy; how punctual one is, the bench measures."""
+    """Properties of every machine, however busy; the bench measures punctuality."""
     period = 1e-3  # s
     with real_time() as (user, _):
         user.wait("the nodes to meet", lambda: user.status and user.status.answered)

@@ -126,7 +126,7 @@ def test_joints_that_are_not_in_a_row_are_refused() -> None:
 
 @pytest.mark.parametrize("seed", range(50))
 def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
-    """Whatever the description states or leaves out, and from a watch to a crane."""
+    """For any limits in the description, or none, and from a watch to a crane."""
     draw = np.random.default_rng(seed)
     demands = []
     for k in range(int(draw.integers(1, 8))):

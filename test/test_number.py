@@ -1,4 +1,4 @@
-"""What a number may be is declared once; all that is derived from it is of one mind."""
+"""Ranges of numbers are declared once; all that is derived from them agrees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What parts report, declared once: everything that shows it has it, and all of it."""
+"""Outputs of parts, declared once: every door and display has all of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the plain libraries take from whoever calls them: counts, arrays, rotations, poses.
+"""Arguments of the plain libraries from any caller: counts, arrays, rotations, poses.
 
 Whatever is no such thing is refused in one line, and nothing has changed then.
 """

@@ -1,4 +1,4 @@
-"""Where the tool rests is computed before it moves, from what each part states of itself."""
+"""Prediction of the tool's rest before it moves, from the contributions of the parts."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) 
         for steps in (40, 80, 160, 320):
             plant = Plant(with_steps(file, scheme, steps))
             errors.append(float(np.abs(plant.run(voltages, steps) - truth[:, 3]).max()))
-        # What comes next in the error's expansion may be 10 % of it, and a bit more with order 1.
+        # The next term of the error's expansion may be 10 % of it, and a bit more with order 1.
         slack = 0.15 if order == 2 else 0.3
         assert orders_of(errors)[-2:] == pytest.approx(order, abs=slack), (scheme, errors)
         x = plant.state
@@ -150,7 +150,7 @@ def test_an_undamped_gear_swings_as_duffing_states(tmp_path: Path, scheme: str) 
     W, m = np.sqrt(a + b * A**2), 0.5 * b * A**2 / (a + b * A**2)
     period, rows = float(round(4.0 * ellipk(m) / W / 9.3, 9)), 14  # one swing and a half
     w = A * ellipj(W * period * np.arange(1, rows + 1), m)[1]
-    # What turns the link turns the rotor back: the sum of both momenta stays 0.
+    # The gear turns link and rotor in opposite directions: the sum of both momenta stays 0.
     q = (A - w) / (1.0 + LINK_INERTIA * gear["ratio"] ** 2 / rotor)
     stored = 0.5 * gear["stiffness"] * A**2 + 0.25 * gear["cubic_stiffness"] * A**4
     errors, gained = [], []
@@ -250,7 +250,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
 
 
 def test_what_calls_itself_linear_and_is_not_does_not_compile(tmp_path: Path) -> None:
-    """Nobody can forget to state that a part is not linear."""
+    """A part that fails to declare its nonlinearity does not compile."""
     core = shutil.copytree(CORE, tmp_path / "core")
     gear = core / "parts/gear.hpp"
     text = gear.read_text()

@@ -1,4 +1,4 @@
-"""Whatever a file holds: it is taken, or refused in one line that names it, within 2 s."""
+"""Any file is accepted, or refused in one line that names it, within 2 s."""
 
 from __future__ import annotations
 

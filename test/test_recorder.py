@@ -111,7 +111,7 @@ READERS: dict[str, Callable[[Path], tuple[dict[str, list[Any]], dict[str, str]]]
 
 
 def truth_of(plant: Plant) -> dict[str, Any]:
-    """Everything that a record has to have, by the plant's own account."""
+    """Return all values that a record must contain, from the plant."""
     scene, state, measured = plant.scene, plant.state, plant.measured
     found: dict[str, Any] = {"t": state.t, "energy": plant.energy}
     found |= {

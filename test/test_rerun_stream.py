@@ -114,7 +114,7 @@ def offer_all(stream, times, rows):
         stream.offer(int(time_ns), *row)
 
 
-# What is written
+# Content of the recording
 
 
 def test_every_sample_is_read_back_to_the_bit(tmp_path):
@@ -255,7 +255,7 @@ def test_layout_names_and_meshes_are_in_the_stream(tmp_path):
     assert ("/odd_arm/visual_geometries/a/visual_0", "Asset3D:blob") in columns
 
 
-# What does not reach back
+# Isolation of the control path
 
 
 def test_without_a_sink_nothing_is_started():

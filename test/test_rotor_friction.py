@@ -107,8 +107,8 @@ def test_a_rotor_swings_and_sticks_as_the_closed_form_states_with_order_two(
         if abs(truth[-1] - rest) < 1e-12:
             assert plant.state.omega_m[0] == 0.0, "the rotor sticks exactly"
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    # What comes next in the error's expansion is a few per cent of it, more where few steps make a
-    # swing.
+    # The next term of the error's expansion is a few per cent of it, more with few steps per
+    # oscillation.
     assert orders[-1] == pytest.approx(2.0, abs=0.2), errors
 
 

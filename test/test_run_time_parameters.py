@@ -29,7 +29,7 @@ BAD = (0.0, -1.0, math.nan, math.inf, -math.inf, 1e308, "fast", True, [1.0])
 
 
 class Parameters:
-    """What `ros2 param` does."""
+    """Set parameters as `ros2 param` does."""
 
     def __init__(self, user: User) -> None:
         self._user = user

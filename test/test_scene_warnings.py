@@ -1,4 +1,4 @@
-"""What a scene's user is warned of: joints that stick while events are not located."""
+"""Warnings about a scene: joints that stick while events are not located."""
 
 from __future__ import annotations
 

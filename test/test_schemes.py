@@ -237,7 +237,7 @@ def test_small_inductances_converge_to_none(scheme: str) -> None:
     assert falls == pytest.approx([10.0, 10.0], rel=0.05), "distances per tenth of the inductance"
 
 
-# What is not smooth
+# Nonsmooth parts
 
 
 @pytest.mark.parametrize(

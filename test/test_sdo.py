@@ -19,7 +19,7 @@ from arm_emulator.runs.gains import load_gains
 SCENE = load_scene("three_axis")
 SERVO = load_gains(find_scene("three_axis")).servo
 REQUESTS = 1000
-# What is the bus's own, or a text, which only a mailbox sends in its first reply.
+# Not the bus's own objects, nor texts, which only a mailbox sends in its first reply.
 BOTH = [
     one
     for one in dictionary()

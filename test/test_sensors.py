@@ -119,7 +119,7 @@ def set_all(plant: Plant, numbers: dict[str, float]) -> None:
 
 
 def motion(plant: Plant, rng: np.random.Generator, ticks: int) -> list[tuple[Measured, PlantState]]:
-    """What is measured and true at each tick, from the one where the machine is."""
+    """Return measured and true values at each tick, from the present one on."""
     reported = [(plant.measured, plant.state)]
     for tick in range(ticks):
         if tick % 50 == 0:
@@ -139,7 +139,7 @@ def truth(reported: list[tuple[Measured, PlantState]], name: str) -> np.ndarray:
 
 
 def late(values: np.ndarray, ticks: int) -> np.ndarray:
-    """What a sensor reports that is late: at first what there was in the beginning."""
+    """Return the readings of a delayed sensor: at first the initial value."""
     return np.concatenate([np.repeat(values[:1], ticks, axis=0), values[: len(values) - ticks]])
 
 

@@ -182,7 +182,7 @@ def test_feed_forward_of_the_speed_leaves_no_lag() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_targets_go_on_with_their_speed_for_a_motion_period_at_most(seed: int) -> None:
-    """What the control law is asked for in every tick, against q + v (t - t_target)."""
+    """Targets of the control law in every tick, against q + v (t - t_target)."""
     rng = np.random.default_rng(seed)
     motion_period = float(rng.choice([0.0, 0.01, 0.05]))
     config = ServoConfig(PERIOD, motion_period, 0.3, 2.0, 48.0, (JOINT,))

@@ -118,8 +118,7 @@ def test_a_motor_over_a_period_is_the_matrix_exponential(seed: int) -> None:
     expected = after[:3] if L else [(V - Kb * after[0]) / R, after[0], after[1]]
     sums = (motor.current, motor.speed, motor.turn)
     for name, one, value in zip(("current", "speed", "turn"), sums, expected, strict=True):
-        # What cancels may be large, and either exponential loses digits where L R and Mm are far
-        # apart.
+        # Large terms may cancel, and either exponential loses digits if L R and Mm are far apart.
         terms = np.abs(np.array(one) * [i, omega, V, load]).sum()
         got = one.of(i, omega, V, load)
         assert got == pytest.approx(value, abs=1e-6 * terms), f"{name} at x = {x:g}, y = {y:g}"
@@ -434,7 +433,7 @@ def test_arms_called_stable_settle_and_those_called_unstable_swing(
     if rate > 1.0:
         assert late > 3.0, f"grows by {rate:.3g} 1/s, but moves by {late:.3g} rad/s only"
     elif rate < -1.0:
-        # What is left is a count or two, made into a speed by the servo.
+        # The remainder is a count or two, converted to a speed by the servo.
         assert late < max(0.05 * middle, 0.3), f"dies by {rate:.3g} 1/s, but still {late:.3g} rad/s"
 
 

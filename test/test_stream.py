@@ -40,7 +40,7 @@ class Streamed:
             self.behind.append(float(np.linalg.norm(self.tool() - at((k + 1) / rate))))
 
     def tool(self) -> np.ndarray:
-        """Where the true tool is, as seen from the start."""
+        """Return the position of the true tool, relative to the start."""
         return self.kinematics.forward(self.run.session.state.q)[1] - self.p_WT
 
 

@@ -1,4 +1,4 @@
-"""Where drives report at once that they are in their usual modes, their parts agree one by one."""
+"""If drives report that they are in their usual modes, their parts agree one by one."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def words(values: Any) -> str:
     return " ".join(map(repr, np.asarray(values, dtype=float).tolist()))
 
 
-# What is written for the compiler
+# Generated code
 
 
 def skewed_joint(rng: np.random.Generator) -> ChainJoint:
@@ -181,7 +181,7 @@ def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dic
 
 
 def constants(scene: Scene, values: dict[str, float]) -> dict[str, float]:
-    """What builds these values into the scene: numbers that follow another one keep their ratio."""
+    """Return overrides with these values: numbers that follow another one keep their ratio."""
     built = {name: value for name, value in values.items() if not name.startswith("links.")}
     for joint in scene.joints:
         for part in joint.parts:

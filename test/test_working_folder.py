@@ -17,7 +17,7 @@ OTHERS = (
     "ament_index_python can canopen elftools geometry_msgs lz4 matplotlib mcap numpy pinocchio "
     "rclpy rerun rich rpyutils scipy sensor_msgs std_msgs unicorn xacro yaml zstandard"
 ).split()
-# Whatever Python itself has loaded when it looks for what `-m` names.
+# Modules that Python itself has loaded when it looks for the argument of `-m`.
 EARLY = subprocess.run(
     [sys.executable, "-c", "import runpy, sys; print(*sys.modules)"],
     capture_output=True, text=True, check=True,

@@ -1,4 +1,4 @@
-"""What drives do in their torque modes: joint after joint, from where the scene starts."""
+"""Behaviour of drives in their torque modes: joint after joint, from the scene's start."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def by_uv(files: list[str]) -> str:
         return "uv itself cannot be installed"
     command: list[str | Path] = [uv, "pip", "install", "--python", sys.executable]
     command += [word for file in files for word in ("-r", file)]
-    # What is set for uv already counts.
+    # Settings for uv itself take precedence.
     done = subprocess.run(command, env={**variables, **os.environ}, check=False)
     return f"uv ended with exit code {done.returncode}" if done.returncode else ""
 

@@ -1,4 +1,4 @@
-/* What ethercat.cpp of this folder adds to a segment. C99. */
+/* Additions of ethercat.cpp in this folder to a segment. C99. */
 #ifndef ETHERCAT_FUZZ_H
 #define ETHERCAT_FUZZ_H
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-# What a line may count.
+# Counters that a line may change.
 TAKEN, REFUSED, FAILED = "taken", "refused", "failed"
 
 

@@ -35,7 +35,7 @@ CROSS = (
 ).split()
 SCENE = load_scene("three_axis")
 
-# What small programs are made of: registers, a serial line, and a handler that may be defined.
+# Building blocks of small programs: registers, a serial line, an optional handler.
 TINY = """
 #include <stdint.h>
 #define REGISTER(at) (*(volatile uint32_t*)(at))

@@ -137,7 +137,7 @@ def move(line: Line, motion: bytes, log: Path) -> dict[str, Any]:
     took = time.perf_counter() - started
     moved = len(line.log)
     bad = line.bad
-    # What the line carries: the same outputs, as fast as they go.
+    # Throughput of the line: the same outputs, as fast as possible.
     hold = list(outputs)
     for k, (_, q, _, _, _) in enumerate(reported):
         hold[k] = struct.pack("<HiihbB", 0x0F, q, 0, 0, 8, 0)

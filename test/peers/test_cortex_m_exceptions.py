@@ -26,7 +26,7 @@ from arm_emulator.runs.table_run import TableRun
 
 
 class Model:
-    """Which handler runs when, by the rules of ARMv7-M (B1.5), each a few lines of Python.
+    """Order of handlers by the rules of ARMv7-M (B1.5), each a few lines of Python.
 
     Args:
         priorities: of interrupts.

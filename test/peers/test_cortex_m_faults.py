@@ -235,7 +235,7 @@ def test_cycles_are_counted_within_a_line_of_code(seed: int, tmp_path: Path) -> 
     fillers = ("nop", "nop.w", "adds r5, #1", "eor.w r5, r5, r4")
     line, counts = "", []
     for k, gap in enumerate(gaps):
-        # What is read is stored, and both are instructions, too.
+        # The word read is stored again, and both are valid instructions, too.
         words = rng.choice(fillers, gap).tolist()
         line += "\\n ".join([*words, "ldr r4, [%0]", f"str r4, [%1, #{4 * k}]", ""])
         counts.append(gap + 2)

@@ -219,7 +219,7 @@ def test_a_master_moves_the_arm_as_the_plant_predicts(
     good = raw[:, 0] == 1
     assert result["exchanges"] == len(raw), "the log has every exchange"
     sent, back = raw[:, 1 : 1 + DRIVES * BYTES], raw[:, 1 + DRIVES * BYTES :]
-    # What the host delays is answered too late for SOEM, but no exchange is lost on the segment.
+    # A busy host may exceed SOEM's timeout, but no exchange is lost on the segment.
     lost = len(raw) + 20_000 - reported["exchanges"]
     assert 0 <= lost <= result["bad"] + result["bad_of_20000"], "cycles that the host did not lose"
     assert reported["malformed"] == 0, "frames that the segment could not read"
@@ -237,7 +237,7 @@ def test_a_master_moves_the_arm_as_the_plant_predicts(
     )
     rows = len(motion.q)
     moved, fine = q[-rows:], good[-rows:]
-    # What a frame reports was measured before its targets came.
+    # A frame reports measurements from before its targets.
     error = np.abs(moved[1:] - motion.q[:-1]) / motion.counts_per_rad
     mode = 8 + np.minimum(2, 3 * np.arange(rows - 1) // rows)
     for one, largest in LARGEST.items():
