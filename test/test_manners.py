@@ -133,7 +133,7 @@ def in_child(work: Callable[[], object]) -> str:
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", some([2, 1], 1))
 def test_a_forked_child_goes_on_for_itself(threads: int, tmp_path: Path) -> None:
     keys = {"threads": threads, "integrator.scheme": "extrapolated"}
     scene = load_scene("three_axis", overrides=keys)

@@ -51,7 +51,8 @@ def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
     servo = load_gains(find_scene("ur5")).servo
     joints = tuple(dataclasses.replace(one, current_bandwidth=0.0) for one in servo.joints)
     loop = {"joints.*.motor.current_loop": None, "joints.*.motor.current_limit": None}
-    scene = load_scene("ur5", {**loop, **(more or {})})
+    varied = {"varied": ["joints.*.friction.coulomb"]}  # share a library
+    scene = load_scene("ur5", {**loop, **varied, **(more or {})})
     return scene, dataclasses.replace(servo, joints=joints)
 
 
