@@ -1,7 +1,7 @@
 """Tool paths through the whole machine: how far the true tool is beside them.
 
-Lines, circles and corners with blend, at two speeds. What the gears give way at rest, where a path
-begins and ends, is taken off: the servo does not see it.
+Lines, circles and corners with blend, at two speeds. Nothing is taken off: the feed-forward `full`
+knows the wind-up of the gears, so that the links are where they shall be.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.scene import load_scene
-from arm_emulator.motion.link_torques import LinkTorques
 from arm_emulator.motion.path_watch import apart
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.gains import load_gains
@@ -42,7 +41,7 @@ class Run:
     t: Array
     tool: Array
     off: Array
-    """Beside the path, without the wind-up at rest (K,) [m]."""
+    """Beside the path (K,) [m]."""
     joints: Array
     """Link speeds over their limits (K, N)."""
     end: str
@@ -84,16 +83,14 @@ def drive(scene_name: str, kind: str, speed: float) -> Run:
     one.instructor.add_path(one.controller, way[:1])
     one.advance(settle)
     one.instructor.reports.take()
-    gravity = LinkTorques(scene.urdf, kinematics.joint_names, scene.gravity or (0.0, 0.0, 0.0))
     one.instructor.add_path(one.controller, way)
     t, tool, joints, asked = [], [], [], []
     end, reason, after = "", "", 0
     while session.logical_ns * 1e-9 < LONGEST and after < 100:
         one.advance(EVERY)
         q = session.state.q
-        still = gravity.at(q, np.zeros(len(q)))
         t.append(session.logical_ns * 1e-9)
-        tool.append(kinematics.forward(q + scene.wind_up(still))[1])
+        tool.append(kinematics.forward(q)[1])
         joints.append(np.abs(session.state.v) / kinematics.velocity_limit)
         asked.append(kinematics.forward(one.instructor.leading.coming.q)[1])  # type: ignore[union-attr]
         for report in one.instructor.reports.take():
@@ -132,7 +129,7 @@ def report(figures: dict[str, Any]) -> str:
     lines = [
         "300 mm, circles of 100 mm radius and corners rounded from 30 mm before, with "
         f"{ACCELERATION:g} m/s² and {JERK:g} m/s³. The true tool's largest distance from the way "
-        "asked for, without the gears' wind-up at rest, and the largest link speed over its limit.",
+        "asked for, and the largest link speed over its limit.",
         "",
         "| scene | path | asked | ends | beside it | speed / limit |",
         "|---|---|---|---|---|---|",

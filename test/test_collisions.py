@@ -16,6 +16,7 @@ from arm_emulator.machine.scene import load_scene
 from arm_emulator.motion.collision_guard import CollisionGuard
 from arm_emulator.motion.collisions import Collisions
 from arm_emulator.motion.jog import JogStatus, joint_command, twist_command
+from arm_emulator.motion.joint_trajectory import TrajectoryPoint
 from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
 from arm_emulator.motion.motion_report import State
@@ -166,6 +167,48 @@ def test_a_way_is_looked_through_before_it_begins() -> None:
     assert found[0] == pytest.approx(math.asin(0.47) / 0.5, abs=0.06)
     assert found[1] == "second and floor"
     assert guard.along(lambda t: np.array([-0.2 * t, 0.0]), 4.0) is None
+
+
+@pytest.mark.parametrize("seed", some(range(40), 4))
+def test_a_move_that_would_collide_is_refused_before_it_begins(seed: int) -> None:
+    """Drawn targets, paths and trajectories to the floor: refused with the pair, the arm rests.
+
+    What is not refused arrives, and touches nothing on its way.
+    """
+    rng = np.random.default_rng(seed)
+    arm = Arm()
+    instructor, start = arm.run.instructor, arm.run.session.state.q
+    down = np.array([*rng.uniform(-0.15, 0.15, 2), -rng.uniform(0.05, 0.45)])
+    kind, target = seed % 3, Pose(arm.p_WT + down, arm.R_WT)
+    if kind == 0:
+        instructor.add(0, target)
+    elif kind == 1:
+        instructor.add_path(arm.run.controller, [Pose(arm.p_WT, arm.R_WT), target])
+    else:
+        names = arm.kinematics.joint_names
+        end = list(arm.run.session.scene.start + rng.uniform(-0.9, 0.9, 6))
+        still = [0.0] * 6
+        point = TrajectoryPoint(2_000_000_000, end, still)
+        instructor.add_trajectory(arm.run.controller, names, [point])
+    arm.advance(4.0)
+    last = instructor.reports.take()[-1]
+    assert last.state in (State.REFUSED, State.REACHED), last
+    if last.state is State.REFUSED:
+        assert "would touch at" in last.reason and "the tool at [" in last.reason
+        assert np.abs(arm.run.session.state.q - start).max() < 1e-3, "it began"
+    if kind == 0 and down[2] < -0.2:
+        assert last.state is State.REFUSED
+
+
+def test_after_a_refusal_the_arm_takes_other_targets() -> None:
+    """The arm rests where it was, and leaves along a free way."""
+    arm = Arm()
+    arm.run.instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, 0.4]), arm.R_WT))
+    arm.advance(0.5)
+    assert arm.run.instructor.reports.take()[-1].state is State.REFUSED
+    arm.run.instructor.add(0, Pose(arm.p_WT + np.array([0.0, 0.0, 0.05]), arm.R_WT))
+    arm.advance(2.0)
+    assert arm.run.instructor.reports.take()[-1].state is State.REACHED
 
 
 def test_obstacles_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

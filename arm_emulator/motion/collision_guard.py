@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.collisions import Collisions
 from arm_emulator.motion.instruction import FloatArray
 from arm_emulator.motion.kinematics import Kinematics
@@ -19,12 +20,17 @@ _ROUNDING = 1e-6  # m
 _MOST = 2000  # configurations of a way
 
 
+class WouldTouch(Refusal):
+    """A motion on which parts would touch."""
+
+
 class CollisionGuard:
     """Looks ahead of the reference.
 
     In each period it tests the way on which the joints would come to rest if they braked after it.
     When parts touch there they brake now, on the way that the period before has tested. So they
-    rest before they touch, by the margin, whatever was asked for.
+    rest before they touch, by the margin, whatever was asked for. Motions that are known to their
+    end are checked before they begin.
 
     Args:
         kinematics: of the arm.
@@ -36,7 +42,8 @@ class CollisionGuard:
 
     def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
         self._reach = kinematics.reach
-        self._scale = kinematics.joint_scale
+        self._scale, self._margin = kinematics.joint_scale, config.collision_margin
+        self._kinematics = kinematics
         self.collisions = Collisions(
             kinematics.urdf_xml, kinematics.joint_names, config.obstacles, config.collision_margin
         )
@@ -81,6 +88,28 @@ class CollisionGuard:
             time, q = ahead, coming
             step *= 1.5 if parts < 0.5 else 1.0
         return None
+
+    def check(self, where: str, at: Callable[[float], FloatArray], duration: float) -> None:
+        """Check a whole motion before it begins.
+
+        Args:
+            where: names the motion.
+            at: angles (N,) at a time since its begin [s].
+            duration: of the motion [s].
+
+        Raises:
+            WouldTouch: with the pair and the place.
+        """
+        found = self.along(at, duration)
+        if found is None:
+            return
+        time, touching = found
+        place = np.array2string(
+            self._kinematics.forward(at(time))[1], precision=3, suppress_small=True
+        )
+        part = time / duration if duration > 0.0 else 1.0
+        got = f"{touching} would touch at {part:.0%} of it, the tool at {place} m"
+        raise WouldTouch(where, "the way", f"keep parts {self._margin * 1e3:g} mm apart", got)
 
     def _nearer(self, q: FloatArray, now: FloatArray) -> bool:
         """Whether parts are nearer to each other at q than now, or do not touch now."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from arm_emulator.base.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.motion.collision_guard import WouldTouch
 from arm_emulator.motion.controller import Controller
 from arm_emulator.motion.instruction import FloatArray, Instruction
 from arm_emulator.motion.jog import JogCommand
@@ -384,7 +385,14 @@ class Instructor:
             if self._hold is None:
                 self._hold = q
             return Instruction(self._hold)
-        instruction = taken.order.instruct(laws, time_ns, q)
+        before = None if laws.guard is None else taken.order.reference(time_ns)
+        try:
+            instruction = taken.order.instruct(laws, time_ns, q)
+        except WouldTouch as reason:
+            assert before is not None
+            moved = bool((before.v != 0.0).any())
+            state = State.ABORTED if moved else State.REFUSED
+            return self._halt(laws, time_ns, before, Progress(state, str(reason)))
         progress = taken.order.progress(time_ns, q, v)
         way = taken.order.way
         if taken.state is State.ACCEPTED or (taken.state is State.MOVING and way != taken.way):
@@ -410,11 +418,17 @@ class Instructor:
         touching = guard.ahead(laws.braking, now.q, then)
         if not touching:
             return instruction
-        self._report(taken, Progress(State.ABORTED, f"collision: {touching} would touch"))
-        stop = JogOrder.stop(time_ns, len(q))
+        why = Progress(State.ABORTED, f"collision: {touching} would touch")
+        return self._halt(laws, time_ns, now, why)
+
+    def _halt(self, laws: Laws, time_ns: int, now: Reference, why: Progress) -> Instruction:
+        """Give up what was asked for, and come to rest from the commanded motion."""
+        if self._active is not None:
+            self._report(self._active, why)
+        stop = JogOrder.stop(time_ns, len(now.q))
         stop.begin(laws, time_ns, now)
         self._active = _Taken(stop, 0, state=State.MOVING)
-        return stop.instruct(laws, time_ns, q)
+        return stop.instruct(laws, time_ns, now.q)
 
     def _stop(self, laws: Laws, time_ns: int, q: FloatArray, v: FloatArray | None) -> Instruction:
         """Bring the joints to rest from how they really move."""

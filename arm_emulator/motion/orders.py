@@ -76,7 +76,11 @@ class Order(Protocol):
         """Go on after a standstill, from rest at `reference`."""
 
     def instruct(self, laws: Laws, now_ns: int, q: FloatArray) -> Instruction:
-        """Return the joint targets of this motion period."""
+        """Return the joint targets of this motion period.
+
+        Raises:
+            WouldTouch: a motion that would begin now leads to a collision.
+        """
 
     def reference(self, now_ns: int) -> Reference | None:
         """Return how the joints are commanded to move; None: as the last instruction was."""
@@ -93,6 +97,7 @@ class TargetOrder:
     def __init__(self, stamp_ns: int, pose: Pose) -> None:
         self.stamp_ns, self.pose = stamp_ns, pose
         self._held: FloatArray | None = None
+        self._checked: object = None  # the newest motion that was held against collisions
 
     def begin(self, laws: Laws, now_ns: int, reference: Reference) -> None:
         """See `Order`."""
@@ -115,6 +120,11 @@ class TargetOrder:
         if self._held is not None:
             return Instruction(self._held)
         instruction = self._law.update(q, self.pose)
+        if laws.guard is not None and self._law is laws.ways:
+            motion = laws.ways.motion
+            if motion is not self._checked:
+                self._checked = motion
+                laws.guard.check(self.kind.topic, lambda time: motion.at(time).q, motion.duration)
         if self._law.coming is None and self._arrival.stalls(now_ns):
             # Eq. (6) would try for ever what the arm cannot do.
             self._held = q
@@ -145,7 +155,9 @@ class PathOrder:
         if leading is not law:
             law.begin_moving(reference)
         scaled = config.trajectory_limits == "scale"
-        self._motion = plan_path(law, self._path, reference, now_ns, scaled)
+        self._motion = motion = plan_path(law, self._path, reference, now_ns, scaled)
+        if laws.guard is not None:
+            laws.guard.check(self.kind.topic, lambda time: motion.at(time).q, motion.duration)
         laws.leading = law
         law.follow(self._motion)
         self._law, self._arrival = law, _Arrival(config)
@@ -198,9 +210,14 @@ class TrajectoryOrder:
         """See `Order`."""
         start_ns = self.stamp_ns or now_ns
         scaled = laws.config.trajectory_limits == "scale"
-        self._motion = within_limits(
-            laws.ways, self.trajectory, now_ns, start_ns, reference, scaled
-        )
+        motion = within_limits(laws.ways, self.trajectory, now_ns, start_ns, reference, scaled)
+        if laws.guard is not None and not self.trajectory.stops:
+            laws.guard.check(
+                self.kind.topic,
+                lambda time: motion.at(now_ns + round(time / _SECONDS)).q,
+                (motion.end_ns - now_ns) * _SECONDS,
+            )
+        self._motion = motion
         self._start_ns, self._at_ns = start_ns, now_ns
         laws.nobody_leads()
 
