@@ -25,12 +25,12 @@ arm_emulator check-scene SCENE --modes
 
 prints these tables. For each joint and each loop that a mode of its drive
 ([Drives behind a field bus](drives.md)) can select, they show the eigenvalues of one servo period
-at their worst over four poses, with the brake open and closed.
+at the worst of four poses, with the brake open and closed.
 
-- `largest` is the factor by which the fastest motion grows per period. It is 1 for a motion that
-  stands or drifts; in torque loops it exceeds 1 by the arm's own fall.
-- `slowest swing` is the largest factor of the motions that swing.
-- `growth` is the fastest growth at its worst: in torque loops less the arm's fall, in speed loops
+- `largest` is the growth factor of the fastest growing motion per period. It is 1 for a motion that
+  rests or drifts; in torque loops it exceeds 1 by the arm's own fall.
+- `slowest swing` is the largest factor of the oscillating motions.
+- `growth` is the fastest growth at the worst gain: in torque loops less the arm's fall, in speed loops
   less a tenth of it.
 
 Modes 1 and 8 are position, 3 and 9 speed, 4 and 10 torque and torque at the speed limit, 6 position
