@@ -30,8 +30,8 @@ at the worst of four poses, with the brake open and closed.
 - `largest` is the growth factor of the fastest growing motion per period. It is 1 for a motion that
   rests or drifts; in torque loops it exceeds 1 by the arm's own fall.
 - `slowest swing` is the largest factor of the oscillating motions.
-- `growth` is the fastest growth at the worst gain: in torque loops less the arm's fall, in speed loops
-  less a tenth of it.
+- `growth` is the fastest growth at the worst gain: in torque loops less the arm's fall, in speed
+  loops less a tenth of it.
 
 Modes 1 and 8 are position, 3 and 9 speed, 4 and 10 torque and torque at the speed limit, 6 position
 and speed. Stiction, encoder steps and limits are not included. `python -m bench.modes` writes this
