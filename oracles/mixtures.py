@@ -32,7 +32,7 @@ from arm_emulator.machine.external_wrench import ExternalWrench
 from arm_emulator.machine.fleet import Fleet
 from arm_emulator.machine.parts.gear import Gear
 from arm_emulator.machine.parts.known import EXTRAS, GEARS, LOOPS, MOTORS
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motor import Motor, Rating
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant import Plant
 from arm_emulator.machine.scene import Scene, load_scene
@@ -217,7 +217,29 @@ def _brake(rng: Rng) -> Numbers:
     return {"torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
 
 
-# By the name of the Python class. A part that is not here stops the run.
+def sized(kind: type[Motor]) -> Callable[[Rng], Numbers]:
+    """Return what draws a motor as `new` sizes it, but for its rotor."""
+
+    def draw(rng: Rng) -> Numbers:
+        rating = Rating(
+            torque=scaled(rng, 0.3, 1.0), rotor_inertia=1e-4, torque_constant=0.05,
+            back_emf_constant=0.05, resistance=scaled(rng, 0.5, 2.0), inductance=2e-3,
+            bandwidth=200.0,
+        )  # fmt: skip
+        motor = kind.sized(rating)
+        values = {key: getattr(motor, key) for key in kind.numbers()}
+        limit = motor.limit if motor.circuit is not None else ""  # it would need a loop
+        return {
+            key: value
+            for key, value in values.items()
+            if value is not None and key not in ("rotor_inertia", limit)
+        }
+
+    return draw
+
+
+# By the name of the Python class. A part that is not here stops the run; motors are drawn as they
+# are sized.
 DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "DcMotor": _dc,
     "Pmsm": _pmsm,
@@ -246,6 +268,7 @@ DRAWS: dict[str, Callable[[Rng], Numbers]] = {
     "RotorStribeck": _law(0.01, 1e-5, stribeck=6.0),
     "RotorLoadFriction": _law(0.01, 1e-5, load=0.2),
 }
+DRAWS |= {kind.__name__: sized(kind) for kind in MOTORS if kind.__name__ not in DRAWS}
 
 
 def drawn_joint(rng: Rng) -> Numbers:
