@@ -40,6 +40,7 @@ class OfflineRun:
         controller: the control law for the arm.
         instructor: takes tool targets, joint trajectories and tool paths.
         motion_ticks: servo periods in a motion period.
+        aimed: joint targets that the servo got last, in its order of joints (N,) [rad or m].
 
     Args:
         scene: the machine.
@@ -56,6 +57,8 @@ class OfflineRun:
         self.drives = Drives(servo)
         self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
         self.instructor = Instructor(motion)
+        self.aimed = scene.start
+        self._motion = motion
         self.motion_ticks = round(motion.period / servo.period)
         # Indices of one side's joints in the other's arrays; a slice where the order is the same.
         places = _places("servo", scene.joint_names, servo.joint_names)
@@ -83,6 +86,17 @@ class OfflineRun:
             if session.fault is not None:
                 raise session.fault
 
+    def restart(self, machine: bytes) -> None:
+        """Begin anew at tick 0, with a saved machine; gains and limits stay as they are.
+
+        Raises:
+            Refusal: see `Session.restore`.
+        """
+        self.session.reset()
+        self.session.restore(machine)
+        self.drives.reset()
+        self.instructor = Instructor(self._motion)
+
     @property
     def wound(self) -> FloatArray:
         """By how much the motion controller takes the gears to be wound up (N,) [rad or m]."""
@@ -97,7 +111,9 @@ class OfflineRun:
         q = drives.servo.q_measured[self._to_motion]
         v = drives.servo.v_measured[self._to_motion]
         can = drives.movable(session.powered)[self._to_motion]
-        drives.aim(self._target(self.instructor.instruct(self.controller, now, q, v, can)))
+        target = self._target(self.instructor.instruct(self.controller, now, q, v, can))
+        self.aimed = target.q
+        drives.aim(target)
 
     def _target(self, instruction: Instruction) -> Target:
         """Return joint targets in the servo's order of joints."""

@@ -48,17 +48,29 @@ class TableRun:
         table: TargetTable | None,
         servo: ControlCode,
     ) -> None:
-        self.session = Session(scene, "lockstep", "first_answer")
+        self.session = session = Session(scene, "lockstep", "first_answer")
         self._servo = servo  # it must not go before the loop
-        targets = None
-        if table is not None:
-            ticks, rows = table.ticks(scene.servo_period), table.q
-            if ticks[0] > 0:
-                ticks, rows = [0, *ticks], np.vstack([scene.start, rows])
-            targets = ticks, rows
-        session = self.session
         servo.start(session.plant, session.period_ns)
-        self._loop = FirmwareLoop(session.plant, session.period_ns, servo, targets)
+        self._loop = self._looping(table)
+
+    def _looping(self, table: TargetTable | None) -> FirmwareLoop:
+        session, targets = self.session, None
+        if table is not None:
+            ticks, rows = table.ticks(session.scene.servo_period), table.q
+            if ticks[0] > 0:
+                ticks, rows = [0, *ticks], np.vstack([session.scene.start, rows])
+            targets = ticks, rows
+        return FirmwareLoop(session.plant, session.period_ns, self._servo, targets)
+
+    def restart(self, machine: bytes, table: TargetTable | None) -> None:
+        """Begin anew at tick 0, with a saved machine and a table; the servo is its owner's to reset.
+
+        Raises:
+            Refusal: see `Session.restore`.
+        """
+        self.session.reset()
+        self.session.restore(machine)
+        self._loop = self._looping(table)
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods.

@@ -1,0 +1,424 @@
+"""A campaign's file, read once, and what it means for one run after the other."""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.number import Number, numbers_of
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.section import Section
+from arm_emulator.base.text_file import read_bytes
+from arm_emulator.base.yaml_file import MOST_BYTES, read_yaml
+from arm_emulator.campaign.distributions import parse_distribution
+from arm_emulator.campaign.fault import Fault
+from arm_emulator.campaign.faults import known_faults
+from arm_emulator.campaign.scenario import Scenario, read_scenario
+from arm_emulator.campaign.variation import (
+    SAMPLINGS,
+    Variation,
+    Varying,
+    correlation_of,
+)
+from arm_emulator.machine.scene import LARGEST_SEED, Scene, load_scene
+from arm_emulator.motion.motion_config import MotionConfig, load_motion_config
+from arm_emulator.runs.gains import check_fit
+from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
+from arm_emulator.version import VERSION
+
+COUNT = Number("count", at_least=1, at_most=10**12, whole=True, text="runs at most")
+SEED = Number("seed", at_least=0, at_most=LARGEST_SEED, whole=True, default=0,
+              text="another one draws other runs")  # fmt: skip
+WIDTH = Number("width", at_least=1e-9, at_most=1.0, default=0.0,
+               text="of the interval of each share of failures, at which the campaign may end")  # fmt: skip
+CONFIDENCE = Number("confidence", above=0.5, at_most=0.999999, default=0.95, text="of intervals")
+WALL = Number("seconds", "s", above=0.0, at_most=1e9, default=math.inf, text="of wall time")
+CORRELATION = Number("by", at_least=-1.0, at_most=1.0, text="correlation of each with each")
+ALL = 1000  # runs of a campaign that states no count
+DRAWN = ("scenario", "faults", "controller")  # sections whose numbers can vary
+
+
+@dataclass(frozen=True)
+class Stop:
+    """When a campaign ends before all of its runs are done."""
+
+    width: float
+    confidence: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign as its file has it.
+
+    Attributes:
+        file: that it was read from.
+        scene: with all that varies as data of the machine.
+        servo, motion: parameters of the controller, before what varies.
+        data: the file's sections that are read anew where numbers in them vary.
+        variation: of the numbers that vary.
+        requirements: by name, as written: a formula, or a section with a function of Python.
+        measures: by name, as written.
+        count: of runs.
+        stop: when it may end before.
+        key: of all that decides what a run is, 32 bytes.
+    """
+
+    file: Path
+    scene: Scene
+    servo: ServoConfig
+    motion: MotionConfig
+    data: Mapping[str, Any]
+    variation: Variation
+    requirements: Mapping[str, Any]
+    measures: Mapping[str, str]
+    count: int
+    stop: Stop
+    key: bytes
+
+    @property
+    def where(self) -> str:
+        """The file, for refusals."""
+        return self.file.name
+
+    @property
+    def draws_sections(self) -> bool:
+        """Whether numbers of the file itself, or of the controller, vary."""
+        return any(one.name.split(".")[0] in DRAWN for one in self.variation.numbers)
+
+    @cached_property
+    def nominal(self) -> tuple[Scenario, Mapping[str, Fault], ServoConfig]:
+        """Scenario, faults and servo where nothing varies."""
+        return self.with_values({})
+
+    def with_values(
+        self, values: Mapping[str, float]
+    ) -> tuple[Scenario, Mapping[str, Fault], ServoConfig]:
+        """Return scenario, faults and servo with values of what varies in them.
+
+        Raises:
+            Refusal: a value that is out of its range.
+        """
+        data = _unshared({key: self.data[key] for key in DRAWN if key in self.data})
+        servo = self.servo
+        for name, value in values.items():
+            section = name.split(".")[0]
+            if section == "controller":
+                servo = _with_gain(servo, name, value, self.where)
+            elif section in DRAWN:
+                _put(data, name.split("."), value)
+        root = Section(data, self.where)
+        scenario = read_scenario(root.required_section("scenario"), self.scene, self.file.parent)
+        faults = _faults(root, self.scene)
+        root.has("controller")
+        for key in ("scenario", "faults"):
+            if (section_of := root.section(key)) is not None:
+                section_of.finish()
+        return scenario, faults, servo
+
+
+def load_campaign(file: Path) -> Campaign:
+    """Read a campaign's file.
+
+    Raises:
+        Refusal: a key or value that is not taken, there or in a file that it names.
+    """
+    data = read_yaml(file)
+    root = Section(data, file.name)
+    beside = file.parent / root.text("scene")
+    scene_file = find_scene(beside if beside.is_file() else root.text("scene"))
+    controller = root.section("controller") or Section({}, file.name, "controller")
+    servo_file = _file(controller, "servo", file) or find_beside(scene_file, "servo")
+    motion_file = _file(controller, "motion", file) or find_beside(scene_file, "motion")
+    servo, motion = load_servo_config(servo_file), load_motion_config(motion_file)
+    servo = _with_gains(servo, controller, file.name)
+    patterns = _patterns(root)
+    scene = _scene(root, scene_file, [one for one in patterns if one.split(".")[0] not in DRAWN])
+    check_fit(scene, servo, motion)
+    count = root.integer(replace(COUNT, default=0))
+    used = {"scene": read_bytes(scene_file, MOST_BYTES), "urdf": scene.urdf.encode()}
+    used |= {"servo": servo_file.read_bytes(), "motion": motion_file.read_bytes()}
+    used |= _named_files(data, file.parent)
+    sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])
+    numbers = _numbers(root, patterns, scene, servo, data)
+    pairs = _pairs(root, [one.name for one in numbers])
+    correlation = correlation_of(pairs, numbers, file.name)
+    levels = Variation(numbers, "random", bytes(32), 1).levels
+    count = count or (levels if levels > 1 else ALL)
+    key = _key(data, used, root, count if sampling == "latin" else 0)
+    variation = Variation(numbers, sampling, key, count, correlation, file.name)
+    stop = root.section("stop")
+    campaign = Campaign(
+        file=file,
+        scene=scene,
+        servo=servo,
+        motion=motion,
+        data=data,
+        variation=variation,
+        requirements=_texts(root, "requirements", (str, dict)),
+        measures=_texts(root, "measures", (str,)),
+        count=count,
+        stop=_stop(stop or Section({}, file.name, "stop")),
+        key=key,
+    )
+    for known in (*DRAWN, "requirements", "measures"):
+        root.has(known)
+    controller.finish()
+    if stop is not None:
+        stop.finish()
+    _finish(root)
+    _ = campaign.nominal
+    return campaign
+
+
+def _finish(root: Section) -> None:
+    """Refuse keys of the file that nobody knows; sections are asked on their own."""
+    known = (
+        "scene set controller scenario vary correlate sampling faults requirements measures "
+        "count stop seed"
+    ).split()
+    for key in root.keys():
+        if key not in known:
+            raise Refusal(root.where, f"key {key}", "be known", repr(key), ", ".join(known))
+
+
+def _file(section: Section, key: str, campaign: Path) -> Path | None:
+    if not section.has(key):
+        return None
+    path = campaign.parent / section.text(key)
+    if not path.is_file():
+        raise section.refusal(key, "be a file beside the campaign's", section.text(key))
+    return path
+
+
+def _named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
+    """Return the contents of further files that decide what a run is."""
+    scenario = data.get("scenario")
+    table = scenario.get("table") if isinstance(scenario, dict) else None
+    named = [table] if isinstance(table, str) else []
+    requirements = data.get("requirements")
+    for one in requirements.values() if isinstance(requirements, dict) else ():
+        if isinstance(one, dict) and isinstance(one.get("python"), str):
+            named.append(one["python"].partition(":")[0])
+    return {
+        name: read_bytes(folder / name, 2**28) for name in named if (folder / name).is_file()
+    }
+
+
+def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section, count: int) -> bytes:
+    """Return the hash of all that decides what a run with an index is."""
+    deciding = {key: value for key, value in data.items() if key not in ("count", "stop")}
+    digest = hashlib.sha256(f"{VERSION} {root.integer(SEED)} {count}\0".encode())
+    digest.update(json.dumps(deciding, sort_keys=True, default=str).encode())
+    for name, content in sorted(used.items()):
+        digest.update(f"\0{name} {len(content)}\0".encode())
+        digest.update(content)
+    return digest.digest()
+
+
+def _stop(section: Section) -> Stop:
+    width, confidence = section.number(WIDTH), section.number(CONFIDENCE)
+    return Stop(width, confidence, section.number(WALL))
+
+
+def _texts(root: Section, key: str, kinds: tuple[type, ...]) -> dict[str, Any]:
+    section = root.section(key)
+    if section is None:
+        return {}
+    found = {}
+    for name in section.keys():
+        value = section.value(name)
+        if not re.fullmatch(r"[A-Za-z_][\w-]*", name):
+            raise section.refusal(name, "have a name of letters, digits, _ and -", repr(name))
+        if not isinstance(value, kinds):
+            raise section.refusal(name, "be a text", repr(value))
+        found[name] = value
+    return found
+
+
+def _patterns(root: Section) -> list[str]:
+    section = root.section("vary")
+    return [] if section is None else section.keys()
+
+
+def _scene(root: Section, file: Path, patterns: Sequence[str]) -> Scene:
+    """Return the scene, with all that varies as data of the machine."""
+    held = read_yaml(file)
+    given = root.section("set")
+    overrides: dict[str, Any] = {} if given is None else {
+        key: given.value(key) for key in given.keys()
+    }  # fmt: skip
+    wanted = list(held.get("varied") or [])
+    for kind in _kinds(root):
+        overrides = kind.needs({**held, **overrides}) | overrides
+        wanted += kind.varied
+    scene = load_scene(file, overrides)
+    if scene.sensed:
+        wanted.append("seed")
+        overrides = {"seed": scene.seed} | overrides
+    if not patterns and not wanted:
+        return scene
+    try:
+        return load_scene(file, overrides | {"varied": [*wanted, *patterns]})
+    except Refusal as no:
+        if no.quantity != "varied":
+            raise
+        rule = "name a number that can vary"
+        valid = f"{no.valid}, or numbers of {', '.join(f'{one}.' for one in DRAWN)}"
+        raise Refusal(root.where, f"vary.{no.got}", rule, no.got, valid) from None
+
+
+def _kinds(root: Section) -> list[type[Fault]]:
+    section = root.section("faults")
+    return [] if section is None else [
+        _kind(section.required_section(name)) for name in section.keys()
+    ]  # fmt: skip
+
+
+def _kind(section: Section) -> type[Fault]:
+    known = known_faults()
+    kind = section.text("kind")
+    if kind not in known:
+        raise section.refusal("kind", "be a known fault", repr(kind), ", ".join(known))
+    return known[kind]
+
+
+def _faults(root: Section, scene: Scene) -> dict[str, Fault]:
+    section = root.section("faults")
+    found = {}
+    for name in () if section is None else section.keys():
+        below = section.required_section(name)  # type: ignore[union-attr]
+        found[name] = _kind(below).read(below)
+        found[name].check(scene, f"{root.where}: faults.{name}")
+    return found
+
+
+def _with_gain(servo: ServoConfig, name: str, value: object, where: str) -> ServoConfig:
+    """Return a servo with another number, by its name ``controller.joints.JOINT.NUMBER``."""
+    *path, key = name.split(".")
+    joint = ".".join(path[2:])
+    of_joint = next((one for one in servo.joints if one.name == joint), None)
+    numbers = {} if of_joint is None else numbers_of(type(of_joint))
+    if path[:2] != ["controller", "joints"] or of_joint is None:
+        valid = ", ".join(f"controller.joints.{one}" for one in servo.joint_names)
+        raise Refusal(where, name, "be a number of the servo", name, valid)
+    if key not in numbers:
+        raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
+    changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
+    return replace(
+        servo, joints=tuple(changed if one is of_joint else one for one in servo.joints)
+    )
+
+
+def _with_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
+    joints = controller.section("joints")
+    for joint in () if joints is None else joints.keys():
+        section = joints.required_section(joint)  # type: ignore[union-attr]
+        for key in section.keys():
+            name = f"controller.joints.{joint}.{key}"
+            servo = _with_gain(servo, name, section.value(key), where)
+    return servo
+
+
+def _numbers(
+    root: Section,
+    patterns: Sequence[str],
+    scene: Scene,
+    servo: ServoConfig,
+    data: Mapping[str, Any],
+) -> list[Varying]:
+    """Return what varies, in the order of the file."""
+    known = {one.name: (one.number.unit, one.value) for one in scene.varied}
+    for section in DRAWN[:2]:
+        known |= {f"{section}.{name}": ("", value) for name, value in _leaves(data.get(section))}
+    for joint in servo.joints:
+        for name, number in numbers_of(type(joint)).items():
+            value = getattr(joint, name)
+            known[f"controller.joints.{joint.name}.{name}"] = number.unit, value
+    section_of_vary = root.section("vary")
+    found: dict[str, Varying] = {}
+    for pattern in patterns:
+        assert section_of_vary is not None
+        quantity = f"vary.{pattern}"
+        given = parse_distribution(section_of_vary.value(pattern), root.where, quantity)
+        names = fnmatch.filter(known, pattern)
+        if not names:
+            prefix = pattern.split(".")[0]
+            valid = ", ".join(name for name in known if name.startswith(prefix)) or "none"
+            raise Refusal(root.where, quantity, "name numbers that are there", pattern, valid)
+        for name in names:
+            if name in found:
+                raise Refusal(root.where, quantity, "name each number once", name)
+            unit, value = known[name]
+            found[name] = Varying(name, unit, given, float(value))
+    return list(found.values())
+
+
+def _pairs(root: Section, names: Sequence[str]) -> list[tuple[list[str], float]]:
+    pairs = []
+    for place, entry in enumerate(root.entries("correlate")):
+        root.put(f"correlate.{place}", entry)
+        one = root.required_section(f"correlate.{place}")
+        patterns = one.entries("between")
+        of = [name for name in names if any(fnmatch.fnmatch(name, str(p)) for p in patterns)]
+        missing = [str(p) for p in patterns if not fnmatch.filter(names, str(p))]
+        if missing or len(of) < 2:
+            got = ", ".join(missing) or ", ".join(of) or "none"
+            raise one.refusal("between", "name two numbers that vary", got, ", ".join(names))
+        pairs.append((of, one.number(CORRELATION)))
+        one.finish()
+    return pairs
+
+
+def _leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
+    """Yield all numbers below a section, by their dotted names."""
+    items: Any = ()
+    if isinstance(data, dict):
+        items = data.items()
+    elif isinstance(data, list):
+        items = enumerate(data)
+    elif isinstance(data, int | float) and not isinstance(data, bool):
+        yield path, float(data)
+    for key, value in items:
+        yield from _leaves(value, f"{path}.{key}" if path else str(key))
+
+
+def _unshared(data: Any) -> Any:
+    """Return a copy in which nothing is shared, as anchors of YAML do."""
+    if isinstance(data, dict):
+        return {key: _unshared(one) for key, one in data.items()}
+    return [_unshared(one) for one in data] if isinstance(data, list) else data
+
+
+def _put(data: Any, path: Sequence[str], value: float) -> None:
+    """Put a number in its place, which is there; names of joints may have dots."""
+    key: int | str = ""
+    if isinstance(data, list):
+        key, size = int(path[0]), 1
+    else:
+        sizes = range(len(path), 0, -1)
+        size = next(size for size in sizes if ".".join(path[:size]) in data)
+        key = ".".join(path[:size])
+    if size == len(path):
+        data[key] = value
+    else:
+        _put(data[key], path[size:], value)
+
+
+def seed_of(variation: Variation, index: int) -> float:
+    """Return the seed of the sensors' noise of a run."""
+    stream = variation.stream(index)
+    stream.random(len(variation.numbers))
+    return float(np.floor(stream.random() * LARGEST_SEED))
+

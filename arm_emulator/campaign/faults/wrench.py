@@ -1,0 +1,63 @@
+"""Something pushes against a link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from arm_emulator.base.bound import FORCE, MOMENT, POINT
+from arm_emulator.base.section import Section
+from arm_emulator.campaign.fault import Fault
+from arm_emulator.machine.external_wrench import AXES, NONE, ExternalWrench, on_moving_link
+from arm_emulator.machine.scene import Scene
+from arm_emulator.machine.session import Session
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrench(Fault):
+    """A force and a moment act on a link.
+
+    Attributes:
+        link: of the URDF, one that moves.
+        force: [N].
+        moment: about the point [N m].
+        point: in the link's frame [m].
+        axes: those of the link's frame, or of the world.
+    """
+
+    kind: ClassVar[str] = "wrench"
+
+    link: str
+    force: tuple[float, ...] = NONE
+    moment: tuple[float, ...] = NONE
+    point: tuple[float, ...] = NONE
+    axes: str = "world"
+
+    @classmethod
+    def others(cls, section: Section) -> dict[str, Any]:
+        """Return link, vectors and axes."""
+        bounds = {"force": FORCE, "moment": MOMENT, "point": POINT}
+        vectors = {
+            name: section.vector(bound.named(name)) or NONE for name, bound in bounds.items()
+        }
+        axes = section.choice("axes", AXES, default="world")
+        return {"link": section.text("link"), "axes": axes, **vectors}
+
+    @classmethod
+    def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
+        """Return that wrenches may act."""
+        return {"external_wrench": True}
+
+    @property
+    def _wrench(self) -> ExternalWrench:
+        return ExternalWrench(self.force, self.moment, self.point, self.axes)
+
+    def check(self, scene: Scene, where: str) -> None:
+        """Refuse a link that does not move."""
+        on_moving_link(scene, where, self.link, self._wrench)
+
+    def begin(self, session: Session) -> Callable[[], None]:
+        """Let it act."""
+        session.set_external_wrench(self.link, self._wrench)
+        return lambda: session.set_external_wrench(self.link, ExternalWrench())

@@ -1,0 +1,309 @@
+#include "robustness.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* A segment of a window. Of always and eventually, `hold` alone: the minimum or maximum. Of until,
+ * `hold` is the minimum of the left side, `reach` the best that the right side has within it. */
+typedef struct segment {
+  double hold, reach;
+} segment;
+
+/* Values of a node at times first, first + 1, ..., of which its parent has taken some. */
+typedef struct stream {
+  double* values;
+  int64_t room, begin, count; /* values[begin .. begin + count) wait to be taken */
+  int64_t made;               /* all so far */
+} stream;
+
+typedef struct node {
+  robustness_node what;
+  int64_t first, last; /* times at which its value is asked for; last FOREVER: to the end */
+  stream out;
+  /* The window of always, eventually and until that ends: the newest block of `width` samples, the
+   * part of it that has not come yet holding what the block before makes up from there on. */
+  segment* block;
+  int64_t width;
+  int64_t taken;  /* samples of its children */
+  segment newest; /* of the samples of the block that have come, or of all without an end */
+} node;
+
+struct robustness {
+  int32_t count;
+  int64_t samples;
+  node nodes[];
+};
+
+static double least(double a, double b) { return a < b ? a : b; }
+static double most(double a, double b) { return a > b ? a : b; }
+
+static int is_window(const node* one) { return one->what.kind >= ROBUSTNESS_UNTIL; }
+static int has_end(const node* one) { return one->what.end != ROBUSTNESS_FOREVER; }
+/* Whether it is asked for at one time alone, so that a window without end is a running value. */
+static int is_once(const node* one) { return one->first == one->last; }
+
+static segment nothing(int32_t kind) {
+  const segment none = {kind == ROBUSTNESS_EVENTUALLY ? -INFINITY : INFINITY, -INFINITY};
+  return none;
+}
+
+static segment joined(int32_t kind, segment a, segment b) {
+  segment both = {0.0, 0.0};
+  if (kind == ROBUSTNESS_ALWAYS) both.hold = least(a.hold, b.hold);
+  if (kind == ROBUSTNESS_EVENTUALLY) both.hold = most(a.hold, b.hold);
+  if (kind == ROBUSTNESS_UNTIL) {
+    both.hold = least(a.hold, b.hold);
+    both.reach = most(a.reach, least(a.hold, b.reach));
+  }
+  return both;
+}
+
+static double value_of(int32_t kind, segment one) {
+  return kind == ROBUSTNESS_UNTIL ? one.reach : one.hold;
+}
+
+/* ------------------------------------------------------------------------------------- streams */
+
+static int make_room(stream* one, int64_t more) {
+  if (one->begin > 0 && one->begin + one->count + more > one->room) {
+    memmove(one->values, one->values + one->begin, (size_t)one->count * sizeof(double));
+    one->begin = 0;
+  }
+  if (one->count + more > one->room) {
+    const int64_t room = 2 * (one->count + more);
+    double* values = realloc(one->values, (size_t)room * sizeof(double));
+    if (!values) return -1;
+    one->values = values;
+    one->room = room;
+  }
+  return 0;
+}
+
+static double* end_of(stream* one) { return one->values + one->begin + one->count; }
+
+static void grow(stream* one, int64_t by) {
+  one->count += by;
+  one->made += by;
+}
+
+static void take(stream* one, int64_t count) {
+  one->begin += count;
+  one->count -= count;
+}
+
+/* --------------------------------------------------------------------------------------- nodes */
+
+/* The time from which a child is asked for, and up to which. */
+static void ask(node* child, const node* parent) {
+  const int64_t begin = is_window(parent) ? parent->what.begin : 0;
+  child->first = parent->first + begin;
+  child->last = parent->last;
+  if (is_window(parent) && child->last != ROBUSTNESS_FOREVER) {
+    child->last = has_end(parent) ? parent->last + parent->what.end : ROBUSTNESS_FOREVER;
+  }
+}
+
+static void begin_anew(robustness* all) {
+  all->samples = 0;
+  for (int32_t k = 0; k < all->count; ++k) {
+    node* one = &all->nodes[k];
+    one->out.begin = one->out.count = one->out.made = one->taken = 0;
+    one->newest = nothing(one->what.kind);
+  }
+}
+
+robustness* robustness_new(const robustness_node* nodes, int32_t count) {
+  if (!nodes || count < 1) return NULL;
+  robustness* all = calloc(1, sizeof(robustness) + (size_t)count * sizeof(node));
+  if (!all) return NULL;
+  all->count = count;
+  for (int32_t k = 0; k < count; ++k) all->nodes[k].what = nodes[k];
+  for (int32_t k = count - 1; k >= 0; --k) {
+    node* one = &all->nodes[k];
+    const int32_t kind = one->what.kind;
+    if (kind != ROBUSTNESS_ATOM) ask(&all->nodes[one->what.left], one);
+    if (kind == ROBUSTNESS_AND || kind == ROBUSTNESS_OR || kind == ROBUSTNESS_UNTIL) {
+      ask(&all->nodes[one->what.right], one);
+    }
+    if (is_window(one) && has_end(one)) {
+      one->width = one->what.end - one->what.begin + 1;
+      one->block = calloc((size_t)one->width, sizeof(segment));
+      if (!one->block) {
+        robustness_delete(all);
+        return NULL;
+      }
+    }
+  }
+  begin_anew(all);
+  return all;
+}
+
+void robustness_delete(robustness* all) {
+  if (!all) return;
+  for (int32_t k = 0; k < all->count; ++k) {
+    free(all->nodes[k].block);
+    free(all->nodes[k].out.values);
+  }
+  free(all);
+}
+
+/* Take the samples first .. first + count of a row that are asked for. */
+static int feed_atom(node* one, const double* row, int64_t first, int64_t count) {
+  int64_t from = one->first > first ? one->first - first : 0;
+  int64_t to = count;
+  if (one->last != ROBUSTNESS_FOREVER && one->last - first + 1 < to) to = one->last - first + 1;
+  if (from >= to) return 0;
+  if (make_room(&one->out, to - from)) return -1;
+  memcpy(end_of(&one->out), row + from, (size_t)(to - from) * sizeof(double));
+  grow(&one->out, to - from);
+  return 0;
+}
+
+static int feed_pointwise(node* one, stream* left, stream* right) {
+  int64_t count = left->count;
+  if (right && right->count < count) count = right->count;
+  if (count == 0) return 0;
+  if (make_room(&one->out, count)) return -1;
+  const double* a = left->values + left->begin;
+  const double* b = right ? right->values + right->begin : a;
+  double* out = end_of(&one->out);
+  switch (one->what.kind) {
+    case ROBUSTNESS_NOT:
+      for (int64_t i = 0; i < count; ++i) out[i] = -a[i];
+      break;
+    case ROBUSTNESS_AND:
+      for (int64_t i = 0; i < count; ++i) out[i] = least(a[i], b[i]);
+      break;
+    default:
+      for (int64_t i = 0; i < count; ++i) out[i] = most(a[i], b[i]);
+  }
+  take(left, count);
+  if (right) take(right, count);
+  grow(&one->out, count);
+  return 0;
+}
+
+/* Put a sample into the window that moves, whose value goes out once it is full. `block` holds, from
+ * the place of the sample on, what the block before makes up from there to its end. */
+static void move(node* one, segment sample) {
+  const int32_t kind = one->what.kind;
+  const int64_t at = one->taken % one->width;
+  one->newest = at == 0 ? sample : joined(kind, one->newest, sample);
+  if (at == one->width - 1) {
+    *end_of(&one->out) = value_of(kind, one->newest);
+    grow(&one->out, 1);
+    one->block[at] = sample;
+    for (int64_t i = at - 1; i >= 0; --i) {
+      one->block[i] = joined(kind, one->block[i], one->block[i + 1]);
+    }
+  } else {
+    if (one->taken >= one->width) {
+      *end_of(&one->out) = value_of(kind, joined(kind, one->block[at + 1], one->newest));
+      grow(&one->out, 1);
+    }
+    one->block[at] = sample;
+  }
+  ++one->taken;
+}
+
+static int feed_window(node* one, stream* left, stream* right) {
+  int64_t count = left->count;
+  if (right && right->count < count) count = right->count;
+  if (count == 0 || (!has_end(one) && !is_once(one))) return 0;
+  if (make_room(&one->out, count)) return -1;
+  const double* a = left->values + left->begin;
+  const double* b = right ? right->values + right->begin : a;
+  const int32_t kind = one->what.kind;
+  if (has_end(one)) {
+    for (int64_t i = 0; i < count; ++i) {
+      const segment sample = {a[i], b[i]};
+      move(one, sample);
+    }
+  } else {
+    segment all = one->newest;
+    for (int64_t i = 0; i < count; ++i) {
+      const segment sample = {a[i], b[i]};
+      all = joined(kind, all, sample);
+    }
+    one->newest = all;
+  }
+  take(left, count);
+  if (right) take(right, count);
+  return 0;
+}
+
+/* What a window without end has at each time from `first` on: from the end of the trace back. */
+static int end_forever(node* one, stream* left, stream* right, int64_t wanted) {
+  if (make_room(&one->out, wanted)) return -1;
+  double* out = end_of(&one->out);
+  if (is_once(one)) {
+    if (wanted > 0) out[0] = value_of(one->what.kind, one->newest);
+    grow(&one->out, wanted);
+    return 0;
+  }
+  segment later = nothing(one->what.kind);
+  int64_t count = left->count;
+  if (right && right->count < count) count = right->count;
+  for (int64_t i = (count > wanted ? count : wanted) - 1; i >= 0; --i) {
+    if (i < count) {
+      const double a = left->values[left->begin + i];
+      const segment sample = {a, right ? right->values[right->begin + i] : a};
+      later = joined(one->what.kind, sample, later);
+    }
+    if (i < wanted) out[i] = value_of(one->what.kind, later);
+  }
+  grow(&one->out, wanted);
+  return 0;
+}
+
+/* Complete the values of a window at the times that the trace has. */
+static int end_window(robustness* all, node* one, stream* left, stream* right) {
+  int64_t last = all->samples - 1;
+  if (one->last != ROBUSTNESS_FOREVER && one->last < last) last = one->last;
+  const int64_t wanted = last - one->first + 1;
+  if (wanted <= one->out.made) return 0;
+  if (!has_end(one)) return end_forever(one, left, right, wanted);
+  if (make_room(&one->out, wanted - one->out.made)) return -1;
+  while (one->out.made < wanted) move(one, nothing(one->what.kind));
+  return 0;
+}
+
+static int go_on(robustness* all, const double* atoms, int64_t stride, int64_t samples, int ends) {
+  for (int32_t k = 0; k < all->count; ++k) {
+    node* one = &all->nodes[k];
+    const int32_t kind = one->what.kind;
+    int failed = 0;
+    if (kind == ROBUSTNESS_ATOM) {
+      if (samples > 0) {
+        failed = feed_atom(one, atoms + one->what.left * stride, all->samples, samples);
+      }
+    } else {
+      stream* left = &all->nodes[one->what.left].out;
+      const int two = kind == ROBUSTNESS_AND || kind == ROBUSTNESS_OR || kind == ROBUSTNESS_UNTIL;
+      stream* right = two ? &all->nodes[one->what.right].out : NULL;
+      if (is_window(one)) {
+        failed = feed_window(one, left, right);
+        if (!failed && ends) failed = end_window(all, one, left, right);
+      } else {
+        failed = feed_pointwise(one, left, right);
+      }
+    }
+    if (failed) return -1;
+  }
+  all->samples += samples;
+  return 0;
+}
+
+int robustness_feed(robustness* all, const double* atoms, int64_t stride, int64_t samples) {
+  return go_on(all, atoms, stride, samples, 0);
+}
+
+double robustness_end(robustness* all) {
+  const stream* root = &all->nodes[all->count - 1].out;
+  const int failed = go_on(all, NULL, 0, 0, 1);
+  const double value = failed || root->count < 1 ? NAN : root->values[root->begin];
+  begin_anew(all);
+  return value;
+}

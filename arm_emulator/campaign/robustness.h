@@ -1,0 +1,50 @@
+/* Robustness of a requirement over time, sample by sample, without the trace. C99.
+ *
+ * A requirement is a list of nodes, children first; the last one is its root, asked for at time 0.
+ * Times are whole numbers of samples. A window that reaches past the end of the trace has what is
+ * within; an empty one is +inf for always and -inf for eventually and until. */
+#ifndef ROBUSTNESS_H
+#define ROBUSTNESS_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum robustness_kind {
+  ROBUSTNESS_ATOM,       /* row `left` of what is fed */
+  ROBUSTNESS_NOT,        /* of node `left` */
+  ROBUSTNESS_AND,        /* of nodes `left` and `right`, as the next two */
+  ROBUSTNESS_OR,
+  ROBUSTNESS_UNTIL,      /* `left` holds until, from now to `end` later, `right` does */
+  ROBUSTNESS_ALWAYS,     /* `left`, from `begin` to `end` later */
+  ROBUSTNESS_EVENTUALLY,
+};
+
+#define ROBUSTNESS_FOREVER -1
+
+typedef struct robustness_node {
+  int32_t kind;
+  int32_t left;
+  int32_t right;
+  int32_t reserved;
+  int64_t begin; /* samples */
+  int64_t end;   /* samples; ROBUSTNESS_FOREVER: the end of the trace */
+} robustness_node;
+
+typedef struct robustness robustness;
+
+/* A requirement at the start of a trace; null without memory for it. */
+robustness* robustness_new(const robustness_node* nodes, int32_t count);
+void robustness_delete(robustness* one);
+/* Go on with so many samples; row r is at atoms + r * stride. Returns 0, or -1 without memory. */
+int robustness_feed(robustness* one, const double* atoms, int64_t stride, int64_t samples);
+/* Return the robustness of the trace, which ends, and begin anew; NaN without memory or samples. */
+double robustness_end(robustness* one);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

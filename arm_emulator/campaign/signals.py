@@ -1,0 +1,167 @@
+"""Signals of a run by name: what the machine is and measures, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.column import Column
+from arm_emulator.build.c_header import NULL, Header, Library, pointer
+from arm_emulator.build.flags import C_FLAGS
+from arm_emulator.build.unit import Unit, library
+from arm_emulator.core import BOUNDARY
+from arm_emulator.machine.call_arguments import truth_at
+from arm_emulator.machine.plant import Plant
+from arm_emulator.machine.record_row import RecordRow, columns_of
+from arm_emulator.machine.scene import Scene
+
+Array = NDArray[np.float64]
+HERE = Path(__file__).resolve().parent
+SAMPLER = Header(HERE / "sampler.h", (BOUNDARY,))
+ROOM = 4096  # samples that are taken before requirements see them
+_KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
+TOOL = ("tool.x", "tool.y", "tool.z")
+
+
+@cache
+def _sampler() -> Library:
+    return library(sampler_unit())
+
+
+def sampler_unit() -> Unit:
+    """Return what takes samples of a machine as what is compiled."""
+    part = "sampler.c"
+    source, about = f'#include "{part}"\n', "the samples of campaigns"
+    return Unit("sampler", source, C_FLAGS, (HERE, BOUNDARY), (SAMPLER,), "campaign", about, part)
+
+
+def units_of_signals(scene: Scene) -> dict[str, str]:
+    """Return the names of all signals of a scene, with their units."""
+    columns = {one.name: one.unit for one in columns_of(scene)}
+    units = {joint: columns[f"q.{joint}"] for joint in scene.joint_names}
+    columns |= {f"target.{joint}": unit for joint, unit in units.items()}
+    columns |= {f"error.{joint}": unit for joint, unit in units.items()}
+    return columns | (dict.fromkeys(TOOL, "m") if scene.chain.coupling.plain else {})
+
+
+class Sampler:
+    """Takes some numbers of a plant at every tick.
+
+    Args:
+        plant: the machine.
+        names: of signals that are asked for.
+    """
+
+    def __init__(self, plant: Plant, names: Iterable[str]) -> None:
+        scene = plant.scene
+        self._plant, self._period = plant, scene.servo_period
+        self._wanted = sorted(set(names))
+        own = {one.name: one for one in columns_of(scene)}
+        sampled = {name for name in self._wanted if name in own and name not in ("t", "tick")}
+        joints = [one.partition(".")[2] for one in self._wanted if one.startswith("error.")]
+        sampled |= {f"q.{joint}" for joint in joints}
+        if any(name in TOOL for name in self._wanted):
+            sampled |= {f"q.{joint}" for joint in scene.joint_names}
+        self._names = sorted(sampled)
+        self._row = RecordRow(plant)
+        self._samples = np.zeros((max(1, len(self._names)), ROOM))
+        numbers = self._numbers([own[name] for name in self._names])
+        truth = {name.partition(".")[0] for name in self._names} - {"measured"}
+        rows = self._row.rows
+        self._truth = truth_at(**{
+            name: rows["energy"] if name == "energy" else rows[name][0] for name in truth
+        })  # fmt: skip
+        measures = any(name.startswith("measured.") for name in self._names)
+        self._keeps = numbers
+        self._sampler = SAMPLER.new(
+            "sampler",
+            count=len(self._names),
+            measure=plant.core.arm_measure if measures else NULL,
+            get_truth=plant.core.arm_get_truth,
+            measurement=self._row.measurement,
+            truth=self._truth,
+            row=SAMPLER.ffi.cast("char *", SAMPLER.ffi.from_buffer(rows)),
+            numbers=SAMPLER.pointer("sampler_number", numbers),
+            samples=pointer(self._samples),
+            room=ROOM,
+        )
+        self._calls = _sampler()
+        self.targets: list[tuple[int, Array]] = []  # tick from which each one holds
+        self._first = 0
+
+    def _numbers(self, columns: Sequence[Column]) -> NDArray[np.void]:
+        rows = self._row.rows
+        base = rows.__array_interface__["data"][0]
+        numbers = SAMPLER.rows("sampler_number", max(1, len(columns)))
+        for number, column in zip(numbers, columns, strict=False):
+            place = column.of(rows)
+            number["offset"] = place.__array_interface__["data"][0] - base
+            number["kind"] = SAMPLER.constant(f"SAMPLER_{_KINDS[place.dtype.str[1:]]}")
+        return numbers
+
+    def begin(self) -> None:
+        """Take the first sample of a run, and one at each tick from now on."""
+        self._first, self._sampler.taken, self.targets = 0, 0, []
+        plant = self._plant
+        self._calls.sampler_take(self._sampler, plant.machine)
+        plant.core.arm_listen(plant.machine, self._calls.sampler_take, self._sampler)
+
+    def end(self) -> None:
+        """Take no more."""
+        self._plant.core.arm_listen(self._plant.machine, NULL, NULL)
+
+    @property
+    def room(self) -> int:
+        """Samples that find room before `take`."""
+        return ROOM - int(self._sampler.taken)
+
+    def take(self) -> tuple[dict[str, Array], int]:
+        """Return the signals of the samples that were taken since the last call (K,), and K."""
+        count, first = int(self._sampler.taken), self._first
+        self._sampler.taken, self._first = 0, first + count
+        signals: dict[str, Array] = {
+            name: row[:count].copy()
+            for name, row in zip(self._names, self._samples, strict=False)
+        }
+        ticks = np.arange(first, first + count)
+        signals["tick"] = ticks.astype(np.float64)
+        signals["t"] = signals["tick"] * self._period
+        if any(name.startswith(("target.", "error.")) for name in self._wanted):
+            self._add_targets(signals, ticks)
+        if any(name in TOOL for name in self._wanted):
+            joints = self._plant.scene.joint_names
+            q = np.array([signals[f"q.{joint}"] for joint in joints])
+            signals |= dict(zip(TOOL, tool_positions(self._plant.scene, q), strict=True))
+        return signals, count
+
+    def _add_targets(self, signals: dict[str, Array], ticks: NDArray[np.int64]) -> None:
+        scene = self._plant.scene
+        since = np.array([tick for tick, _ in self.targets])
+        rows = np.array([row for _, row in self.targets])
+        q = rows[np.searchsorted(since, ticks, "right") - 1]
+        for place, joint in enumerate(scene.joint_names):
+            signals[f"target.{joint}"] = np.ascontiguousarray(q[:, place])
+            if f"q.{joint}" in signals:
+                signals[f"error.{joint}"] = signals[f"q.{joint}"] - q[:, place]
+
+
+def tool_positions(scene: Scene, q: Mapping[int, Array] | Array) -> Array:
+    """Return where the tool is in the world (3, K) [m], for joint positions (N, K) [rad or m]."""
+    chain = scene.chain
+    joint, frame = chain.place_of(scene.tool)
+    p = np.repeat(frame.p[:, None], len(q[0]), axis=1)
+    for place in range(joint, -1, -1):
+        link = chain.links[place]
+        slides = link.kind == "prismatic"
+        angle = link.theta_0 + (0.0 if slides else q[place])
+        cos, sin = np.cos(angle), np.sin(angle)
+        x, y = cos * p[0] - sin * p[1], sin * p[0] + cos * p[1]
+        z = p[2] + (q[place] if slides else 0.0)
+        c, s = link.cos_alpha, link.sin_alpha
+        p = link.p[:, None] + np.array([x, c * y - s * z, s * y + c * z])
+    world: Array = chain.R_BW.T @ p
+    return world

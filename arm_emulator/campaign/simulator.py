@@ -1,0 +1,224 @@
+"""One run after the other: a run is a function of the campaign and its index."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.campaign_file import Campaign, seed_of
+from arm_emulator.campaign.fault import Fault
+from arm_emulator.campaign.judges import Judges
+from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
+from arm_emulator.campaign.signals import Sampler
+from arm_emulator.machine.diverged import Diverged
+from arm_emulator.motion.pose import Pose
+from arm_emulator.runs.offline import OfflineRun
+from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.runs.table_run import TableRun
+from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.servo.drives import Drives
+from arm_emulator.servo.servo_config import ServoConfig
+
+Array = NDArray[np.float64]
+Event = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What is kept of a run.
+
+    Attributes:
+        index: of the run.
+        values: of what varies, by name.
+        robustness: of each requirement; -inf in a run that diverged.
+        measures: by name; NaN in a run that diverged.
+        diverged: when the integration failed [s]; NaN: it did not.
+    """
+
+    index: int
+    values: Mapping[str, float]
+    robustness: Mapping[str, float]
+    measures: Mapping[str, float]
+    diverged: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether a requirement does not hold."""
+        return math.isfinite(self.diverged) or any(not r >= 0.0 for r in self.robustness.values())
+
+
+class Simulator:
+    """Simulates the runs of a campaign, with one machine that begins anew for each.
+
+    Attributes:
+        session: the machine.
+
+    Args:
+        campaign: which one.
+    """
+
+    def __init__(self, campaign: Campaign) -> None:
+        self._campaign = campaign
+        scenario, _, servo = campaign.nominal
+        self._scene, self._tuned = campaign.scene, servo
+        self._run = self._coupled(scenario, servo)
+        self.session = self._run.session
+        self._fresh = self.session.plant.save()
+        self._judges = Judges(campaign)
+        self._sampler = Sampler(self.session.plant, self._judges.signals)
+
+    def _coupled(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:
+        """Return machine and controller, as the scenario asks for."""
+        if scenario.moves:
+            return OfflineRun(self._scene, servo, self._campaign.motion)
+        names = self._scene.joint_names
+        place = [names.index(name) for name in servo.joint_names]
+        self._drives = Drives(servo)
+        table = TargetTable(np.zeros(1), self._scene.start[None])
+        return TableRun(self._scene, table, ServoStep(self._drives, place))
+
+    def run(self, index: int) -> Outcome:
+        """Simulate one run and judge it.
+
+        Raises:
+            Refusal: values of this run that are out of range.
+        """
+        values = self._begin(index)
+        sampler, judges = self._sampler, self._judges
+        judges.begin()
+        sampler.begin()
+        sampler.targets = list(self._targets())
+        diverged = math.nan
+        try:
+            for _ in self._pieces():
+                if sampler.room < 1:
+                    judges.take(*sampler.take())
+            judges.take(*sampler.take())
+        except Diverged as fault:
+            diverged = fault.t
+            sampler.take()
+        finally:
+            sampler.end()
+        robustness, measures = judges.end(math.isfinite(diverged))
+        return Outcome(index, values, robustness, measures, diverged)
+
+    def drive(self, index: int) -> Iterator[int]:
+        """Begin a run, and go on with it piece by piece, for whoever records the machine.
+
+        Yields:
+            Ticks that it has come, the first time 0.
+        """
+        self._begin(index)
+        yield 0
+        yield from self._pieces()
+
+    # ------------------------------------------------------------------------------------- a run
+
+    def _begin(self, index: int) -> dict[str, float]:
+        """Put machine and controller at the start of a run."""
+        campaign, session = self._campaign, self.session
+        values = campaign.variation.values(index)
+        try:
+            given = campaign.with_values(values) if campaign.draws_sections else campaign.nominal
+            self._scenario, faults, servo = given
+            self._restart(servo)
+            for name, value in values.items():
+                if name in session.plant.parameters:
+                    session.plant.set_parameter(name, value)
+        except Refusal as no:
+            where = f"{campaign.where}, run {index}"
+            raise Refusal(where, no.quantity, no.rule, no.got, no.valid) from None
+        if self._scene.sensed:
+            session.plant.set_parameter("seed", seed_of(campaign.variation, index))
+        session.plant.reset(self._scenario.start)
+        self._events = self._ordered(faults)
+        if isinstance(self._run, OfflineRun):
+            self._send(self._run)
+        return values
+
+    def _restart(self, servo: ServoConfig) -> None:
+        drives = self._run.drives if isinstance(self._run, OfflineRun) else self._drives
+        if servo is not self._tuned:
+            drives.retune(servo)
+            self._tuned = servo
+        if isinstance(self._run, OfflineRun):
+            self._run.restart(self._fresh)
+            return
+        table, start = self._scenario.targets, self._scenario.start
+        if table is None or table.t[0] > 0.0:
+            held = TargetTable(np.zeros(1), start[None])
+            table = held if table is None else TargetTable(
+                np.append(held.t, table.t), np.vstack([held.q, table.q])
+            )  # fmt: skip
+        self._table = table
+        drives.reset()
+        self._run.restart(self._fresh, table)
+
+    def _send(self, run: OfflineRun) -> None:
+        """Give the motion controller all moves of the tool, each at its time."""
+        R_WT, p_WT = run.controller.kinematics.forward(self._scenario.start)
+        for move in self._scenario.moves:
+            points = _points(move, p_WT)
+            at = round(move.at * 1e9)
+            if move.way == "along":
+                run.instructor.add_path(run.controller, [Pose(p, R_WT) for p in points], at)
+            else:
+                run.instructor.add(at, Pose(points[0], R_WT))
+
+    def _ordered(self, faults: Mapping[str, Fault]) -> list[tuple[int, Event]]:
+        """Return what happens by itself, with the ticks before which it does."""
+        period, session = self._scene.servo_period, self.session
+        events: list[tuple[int, Event]] = []
+        for fault in faults.values():
+            ends: list[Event] = []
+            begins = ticks_of(fault.at, period)
+            lasting = ticks_of(fault.lasting, period)
+            events.append((begins, lambda fault=fault, ends=ends: ends.append(fault.begin(session))))  # type: ignore[misc]
+            events.append((begins + max(1, lasting), lambda ends=ends: ends.pop()()))  # type: ignore[misc]
+        return sorted(events, key=lambda event: event[0])
+
+    def _pieces(self) -> Iterator[int]:
+        """Go on to the end, piece by piece between events; yield ticks that it has come."""
+        session, run = self.session, self._run
+        last = max(1, ticks_of(self._scenario.seconds, self._scene.servo_period))
+        events = self._events
+        while session.tick < last:
+            while events and events[0][0] <= session.tick:
+                events.pop(0)[1]()
+            until = min([last, *(tick for tick, _ in events[:1])])
+            ticks = min(until - session.tick, self._sampler.room, self._longest)
+            began = session.tick
+            run.advance(ticks)
+            if isinstance(run, OfflineRun) and began % run.motion_ticks == 0:
+                self._sampler.targets.append((began + 1, self._of_arm(run.aimed)))
+            yield session.tick
+
+    @property
+    def _longest(self) -> int:
+        """Ticks after which targets that were given to the servo are noted."""
+        run = self._run
+        if isinstance(run, TableRun):
+            return 2**31
+        return run.motion_ticks - self.session.tick % run.motion_ticks
+
+    def _of_arm(self, q: Array) -> Array:
+        """Return joint targets of the servo in the scene's order of joints."""
+        names = self._campaign.servo.joint_names
+        return q[[names.index(name) for name in self._scene.joint_names]]
+
+    def _targets(self) -> Iterator[tuple[int, Array]]:
+        """Yield the joint targets of a table, with the tick from which on each holds."""
+        if isinstance(self._run, OfflineRun):
+            yield 0, self._scenario.start
+        else:
+            ticks = self._table.ticks(self._scene.servo_period)
+            yield from zip(ticks, self._table.q, strict=True)
+
+
+def _points(move: Move, p_WT: Array) -> Array:
+    return move.points if move.way == "to" else p_WT + move.points

@@ -1,0 +1,197 @@
+"""Requirements: robustness that runs along, against brute force over whole traces and rtamt."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.formula import parse_formula
+from arm_emulator.campaign.requirement import Robustness, bound_to, signals_in
+from draws import FULL
+
+PERIOD = 0.01
+NAMES = ("a", "b.c", "d")
+
+
+def drawn_formula(rng, depth, horizon):
+    """A random text, and the brute force over rows of signals that means the same."""
+    kind = rng.choice(["atom", "not", "and", "or", "implies", "until", "always", "eventually"])
+    if depth == 0 or kind == "atom":
+        name, limit = str(rng.choice(NAMES)), float(rng.integers(-8, 9)) / 4.0
+        sign = str(rng.choice(["<", "<=", ">", ">="]))
+        toward = 1.0 if sign[0] == ">" else -1.0
+        return f"{name} {sign} {limit!r}", atom(name, toward, limit)
+    left, of_left = drawn_formula(rng, depth - 1, horizon)
+    if kind == "not":
+        return f"not ({left})", lambda rows, t: -of_left(rows, t)
+    if kind in ("always", "eventually"):
+        text, begin, end = drawn_interval(rng, horizon)
+        best, none = (min, math.inf) if kind == "always" else (max, -math.inf)
+        return f"{kind}{text} ({left})", window(of_left, begin, end, best, none)
+    right, of_right = drawn_formula(rng, depth - 1, horizon)
+    if kind == "until":
+        text, begin, end = drawn_interval(rng, horizon)
+        return f"({left}) until{text} ({right})", until(of_left, of_right, begin, end)
+    if kind == "implies":
+        return f"({left}) -> ({right})", lambda r, t: max(-of_left(r, t), of_right(r, t))
+    best = min if kind == "and" else max
+    return f"({left}) {kind} ({right})", lambda r, t: best(of_left(r, t), of_right(r, t))
+
+
+def atom(name, toward, limit):
+    return lambda rows, t: toward * (rows[name][t] - limit)
+
+
+def window(of, begin, end, best, none):
+    def value(rows, t):
+        last = min(t + end, len(rows["a"]) - 1)
+        return best([of(rows, s) for s in range(t + begin, int(last) + 1)], default=none)
+
+    return value
+
+
+def until(left, right, begin, end):
+    def value(rows, t):
+        last = min(t + end, len(rows["a"]) - 1)
+        best = -math.inf
+        for s in range(t + begin, int(last) + 1):
+            held = min((left(rows, r) for r in range(t, s)), default=math.inf)
+            best = max(best, min(held, right(rows, s)))
+        return best
+
+    return value
+
+
+def drawn_interval(rng, horizon):
+    if rng.random() < 0.25:
+        return "", 0, math.inf
+    begin = int(rng.integers(0, horizon))
+    if rng.random() < 0.2:
+        return f"[{begin * PERIOD:.2f}, end]", begin, math.inf
+    end = begin + int(rng.integers(0, horizon))
+    return f"[{begin * PERIOD:.2f}, {end * PERIOD:.2f}]", begin, end
+
+
+def fed(text, rows, cuts):
+    count = len(rows["a"])
+    one = Robustness(parse_formula(text, "test", "formula"), PERIOD, count)
+    for _ in range(2):  # the second trace begins anew
+        for first, last in zip([0, *cuts], [*cuts, count], strict=True):
+            one.feed({name: row[first:last] for name, row in rows.items()}, last - first)
+        value = one.end()
+    return value
+
+
+def drawn_case(seed):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 14))
+    text, brute = drawn_formula(rng, int(rng.integers(0, 4)), 1 + count // 2)
+    rows = {name: rng.integers(-12, 13, count) / 4.0 + rng.normal(0, 1e-3) for name in NAMES}
+    cuts = sorted(rng.integers(0, count + 1, int(rng.integers(0, 4))).tolist())
+    return text, brute, rows, cuts
+
+
+@pytest.mark.parametrize("part", range(10))
+def test_random_formulas_equal_brute_force(part):
+    # Minima and maxima of differences: not a bit may differ.
+    finite = 0
+    for k in range(1000 if FULL else 40):
+        text, brute, rows, cuts = drawn_case([part, k])
+        expected = brute(rows, 0)
+        assert fed(text, rows, cuts) == expected, (part, k, text)
+        finite += math.isfinite(expected)
+    assert finite > 15
+
+
+def test_rtamt_agrees():
+    rtamt = pytest.importorskip("rtamt", reason="rtamt is not installed: pip install rtamt")
+    for k in range(10_000 if FULL else 100):
+        text, _, rows, cuts = drawn_case([99, k])
+        count = len(rows["a"])
+        if count < 2:  # which rtamt does not take
+            continue
+        spec = rtamt.StlDiscreteTimeSpecification()
+        spec.set_sampling_period(10, "ms", 0.0)
+        plain = {name: name.replace(".", "_") for name in NAMES}
+        for name in plain.values():
+            spec.declare_var(name, "float")
+        spec.declare_var("out", "float")
+        spec.spec = f"out = {for_rtamt(text, count)}".replace("b.c", "b_c")
+        spec.parse()
+        trace = {plain[name]: row.tolist() for name, row in rows.items()}
+        value = spec.evaluate({"time": [k * PERIOD for k in range(count)], **trace})[0][1]
+        assert fed(text, rows, cuts) == pytest.approx(value, abs=1e-12), text
+
+
+def for_rtamt(text, count):
+    import re
+
+    text = re.sub(r"\[([\d.]+), end\]", rf"[\1, {2 * count * PERIOD:.2f}]", text)
+
+    def milliseconds(found):
+        return f"[{round(float(found[1]) * 1e3)}ms:{round(float(found[2]) * 1e3)}ms]"
+
+    return re.sub(r"\[([\d.]+), ([\d.]+)\]", milliseconds, text)
+
+
+def test_long_windows_over_a_long_trace():
+    rng = np.random.default_rng(1)
+    a = rng.normal(size=20_000)
+    text = "always[0, 150] eventually[0.5, 3] (a >= 0.2 until[0.1, 1] a <= 1)"
+    one = Robustness(parse_formula(text, "test", "formula"), PERIOD, len(a))
+    values = []
+    for piece in (1, 7, 501, 20_000):
+        for first in range(0, len(a), piece):
+            some = a[first : first + piece]
+            one.feed({"a": some}, len(some))
+        values.append(one.end())
+    last = 15_000 + 300 + 100
+    inner = [
+        max(min(a[t : s].min(initial=math.inf) - 0.2, 1.0 - a[s]) for s in range(t + 10, t + 101))
+        for t in range(last - 99)
+    ]
+    inner = np.lib.stride_tricks.sliding_window_view(inner, 251)[50:].max(axis=1)
+    assert values == [inner[:15_001].min()] * 4
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("a <", "got its end"),
+        ("always a", "must be a comparison"),
+        ("a < 1 < ", "got its end"),
+        ("always[2, 1] a < 1", "a <= b"),
+        ("always[0.001, 0.002] a < 1", "a sample in them"),
+        ("sin(a) < 1", "abs, sqrt, min, max"),
+        ("abs(a, d) < 1", "1 argument"),
+        ("a < 1 and", "got its end"),
+        ("a < 1 )", "')' at character 7"),
+        ("(a < 1) + 2 < 3", "must be a number"),
+        ("q < 1", "name signals"),
+        ("x.* < 1", "name signals"),
+        ("a = 1", "'= 1' at character 3"),
+        ("(" * 200 + "a < 1", "levels"),
+        ("not " * 500 + "a < 1", "levels"),
+        ("", "got its end"),
+    ],
+)
+def test_bad_formulas_are_refused_in_a_line(text, reason):
+    with pytest.raises(Refusal, match=".") as refusal:
+        formula = parse_formula(text, "c.yaml", "requirements.x")
+        Robustness(bound_to(formula, NAMES, "c.yaml", "requirements.x"), PERIOD, 100,
+                   "c.yaml", "requirements.x")  # fmt: skip
+    assert reason in str(refusal.value) and "\n" not in str(refusal.value)
+    assert str(refusal.value).startswith("c.yaml: requirements.x must ")
+
+
+def test_stars_stand_for_all_joints():
+    known = ["q.elbow", "q.waist", "target.elbow", "target.waist", "v.waist"]
+    formula = parse_formula("always abs(q.* - target.*) < 1", "c", "r")
+    assert signals_in(bound_to(formula, known, "c", "r")) == set(known[:4])
+    one = Robustness(bound_to(formula, known, "c", "r"), PERIOD, 3)
+    rows = {"q.elbow": 0.0, "q.waist": 0.5, "target.elbow": 0.25, "target.waist": -0.25}
+    one.feed({name: np.full(3, value) for name, value in rows.items()}, 3)
+    assert one.end() == 0.25
