@@ -46,6 +46,10 @@ CONFIDENCE = Number("confidence", above=0.5, at_most=0.999999, default=0.95, tex
 WALL = Number("seconds", "s", above=0.0, at_most=1e9, default=math.inf, text="of wall time")
 CORRELATION = Number("by", at_least=-1.0, at_most=1.0, text="correlation of each with each")
 ALL = 1000  # runs of a campaign that states no count
+KEYS = (
+    *("scene", "set", "controller", "scenario", "vary", "correlate", "sampling", "faults"),
+    *("requirements", "measures", "count", "stop", "seed"),
+)
 DRAWN = ("scenario", "faults", "controller")  # sections whose numbers can vary
 
 
@@ -177,20 +181,16 @@ def load_campaign(file: Path) -> Campaign:
     controller.finish()
     if stop is not None:
         stop.finish()
-    _finish(root)
+    _check_keys(data, file.name)
     _ = campaign.nominal
     return campaign
 
 
-def _finish(root: Section) -> None:
+def _check_keys(data: Mapping[str, Any], where: str) -> None:
     """Refuse keys of the file that nobody knows; sections are asked on their own."""
-    known = (
-        "scene set controller scenario vary correlate sampling faults requirements measures "
-        "count stop seed"
-    ).split()
-    for key in root.keys():
-        if key not in known:
-            raise Refusal(root.where, f"key {key}", "be known", repr(key), ", ".join(known))
+    for key in data:
+        if key not in KEYS:
+            raise Refusal(where, f"key {key}", "be known", repr(key), ", ".join(KEYS))
 
 
 def _file(section: Section, key: str, campaign: Path) -> Path | None:

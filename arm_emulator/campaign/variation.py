@@ -140,7 +140,7 @@ class Variation:
 
     def _of_all(self) -> np.random.Generator:
         """Return the random numbers of what all runs share."""
-        return np.random.Generator(np.random.Philox(key=self._key))
+        return np.random.Generator(np.random.Philox(np.random.SeedSequence(self._key)))
 
 
 def correlation_of(

@@ -1,0 +1,259 @@
+"""Runs of a campaign by several processes; what is done stays done, whoever is killed."""
+
+from __future__ import annotations
+
+import concurrent.futures as cf
+import itertools
+import math
+import multiprocessing as mp
+import os
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.wheel import need_wheel
+from arm_emulator.campaign.campaign_file import Campaign
+from arm_emulator.campaign.intervals import clopper_pearson
+from arm_emulator.campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
+from arm_emulator.campaign.worker import Done, end_with, simulate, simulator_of
+
+CHUNK = 1.5  # s of simulation: above what a task costs, below what one likes to lose
+LARGEST_CHUNK = 100_000  # runs
+MOST_BREAKS = 3  # of a pool in which no chunk comes to its end
+FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
+
+
+class Pool(Protocol):
+    """Processes that work, here or elsewhere."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
+        """Have a function called there."""
+
+    def end(self) -> None:
+        """Have what is done written, and end."""
+
+
+class LocalPool(cf.ProcessPoolExecutor):
+    """Processes on this machine, which end with this one."""
+
+    def __init__(self, workers: int) -> None:
+        spawned = mp.get_context("spawn")
+        super().__init__(workers, spawned, initializer=end_with, initargs=(os.getpid(),))
+
+    def end(self) -> None:
+        """Have all workers write what they have done, and end them."""
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            processes = list((self._processes or {}).values())
+            for process in processes:
+                process.terminate()
+            self.shutdown(wait=True, cancel_futures=True)
+            for process in processes:
+                process.join(30.0)
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+
+class DaskPool:
+    """The workers of a Dask cluster, which must see the same files.
+
+    Raises:
+        Refusal: Dask is not installed, or no scheduler answers.
+    """
+
+    def __init__(self, address: str) -> None:
+        need_wheel("campaign", "distributed", "distributed")
+        from distributed import Client
+
+        try:
+            self._client = Client(address, timeout=10)
+        except (OSError, ValueError) as error:
+            rule = "be the address of a Dask scheduler"
+            raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None
+        self._executor = self._client.get_executor(pure=False, retries=3)
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
+        """Have a function called there."""
+        future: cf.Future[Any] = self._executor.submit(function, *arguments)
+        return future
+
+    def end(self) -> None:
+        """Leave the cluster."""
+        self._executor.shutdown(wait=False)
+        self._client.close()
+
+
+@dataclass
+class Progress:
+    """How far a campaign has come.
+
+    Attributes:
+        count: of runs in all.
+        before: runs that were done when it began.
+        done: runs since then.
+        failures: of each requirement, and of any last, in all of these.
+        began: when it began, by `time.monotonic`.
+    """
+
+    count: int
+    before: int
+    done: int = 0
+    failures: list[int] = field(default_factory=list)
+    began: float = field(default_factory=time.monotonic)
+
+    def add(self, found: Done) -> None:
+        """Count what has come of a chunk."""
+        self.done += found.runs
+        pairs = zip(self.failures, found.failures, strict=True)
+        self.failures = [before + more for before, more in pairs]
+
+    def late(self, seconds: float) -> bool:
+        """Whether it has taken so much wall time."""
+        return time.monotonic() - self.began >= seconds
+
+    @property
+    def rate(self) -> float:
+        """Runs per second of wall time."""
+        return self.done / max(1e-9, time.monotonic() - self.began)
+
+    @property
+    def left(self) -> float:
+        """Seconds that the rest will take; NaN: not known yet."""
+        rest = self.count - self.before - self.done
+        return rest / self.rate if self.done else math.nan
+
+
+def run_campaign(
+    campaign: Campaign,
+    results: Results,
+    make_pool: Callable[[], Pool],
+    workers: int,
+    seconds: float,
+    report: Callable[[Progress], None],
+) -> None:
+    """Simulate what is missing, to the end or until the campaign may stop.
+
+    Args:
+        campaign: which one.
+        results: where to.
+        make_pool: makes processes; called again after one of them was killed.
+        workers: two chunks for each are under way.
+        seconds: of a run, measured beforehand.
+        report: is called after each chunk.
+
+    Raises:
+        Refusal: a run that is not taken, or workers that end again and again.
+        KeyboardInterrupt: after what was done has been written.
+    """
+    failures = failures_in(campaign, results, campaign.count)
+    before = len(results.done())
+    progress = Progress(campaign.count, before, failures=failures)
+    for count in stages_of(campaign):
+        _complete(campaign, results, make_pool, workers, seconds, report, progress, count)
+        if progress.late(campaign.stop.seconds) or may_stop(campaign, results, count):
+            return
+
+
+def _complete(
+    campaign: Campaign,
+    results: Results,
+    make_pool: Callable[[], Pool],
+    workers: int,
+    seconds: float,
+    report: Callable[[Progress], None],
+    progress: Progress,
+    count: int,
+) -> None:
+    """Simulate what is missing among the first `count` runs."""
+    size, breaks = max(1, min(LARGEST_CHUNK, round(CHUNK / seconds))), 0
+    while missing := results.missing(count):
+        left = sum(end - first for first, end in missing)
+        size = max(1, min(size, math.ceil(left / (2 * workers))))
+        before, pool = progress.done, make_pool()
+        try:
+            _work(campaign, results, pool, workers, chunks_of(missing, size), progress, report)
+        except BrokenProcessPool:
+            breaks = breaks + 1 if progress.done == before else 0
+            size = max(1, size // 2)
+        finally:
+            pool.end()
+        if breaks >= MOST_BREAKS:
+            where = f"{campaign.where}, runs from {missing[0][0]} on"
+            raise Refusal(where, "workers", "not end by themselves", f"ended {breaks} times")
+        if progress.late(campaign.stop.seconds):
+            return
+
+
+def _work(
+    campaign: Campaign,
+    results: Results,
+    pool: Pool,
+    workers: int,
+    chunks: Iterable[tuple[int, int]],
+    progress: Progress,
+    report: Callable[[Progress], None],
+) -> None:
+    """Work on chunks until all are done, or the time is over."""
+    of_all = str(campaign.file.absolute()), campaign.key, str(results.folder.absolute())
+    todo, waiting = iter(chunks), set[cf.Future[Done]]()
+    while True:
+        for first, end in itertools.islice(todo, max(0, 2 * workers - len(waiting))):
+            waiting.add(pool.submit(simulate, *of_all, first, end))
+        if not waiting:
+            return
+        done, waiting = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
+        for one in done:
+            progress.add(one.result())
+        report(progress)
+        if progress.late(campaign.stop.seconds):
+            return
+
+
+def stages_of(campaign: Campaign) -> Iterator[int]:
+    """Yield the counts of runs after which a campaign may stop: the same however it is divided."""
+    count = FIRST_STAGE
+    while campaign.stop.width > 0.0 and count < campaign.count:
+        yield count
+        count = math.ceil(GROWTH * count)
+    yield campaign.count
+
+
+def failures_in(campaign: Campaign, results: Results, count: int) -> list[int]:
+    """Return how often each requirement, and any of them last, failed in the first runs."""
+    columns = results.columns()
+    first = columns[INDEX] < count
+    failed = [
+        int(np.count_nonzero(~(columns[f"{ROBUSTNESS}{name}"][first] >= 0.0)))
+        for name in campaign.requirements
+    ]
+    return [*failed, int(np.count_nonzero(columns[FAILED][first]))]
+
+
+def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
+    """Return whether the shares of failures are known well enough from the first runs."""
+    stop = campaign.stop
+    if stop.width <= 0.0:
+        return False
+    found = failures_in(campaign, results, count)
+    intervals = (clopper_pearson(failed, count, stop.confidence) for failed in found)
+    return all(high - low <= stop.width for low, high in intervals)
+
+
+def seconds_per_run(campaign: Campaign) -> tuple[float, float]:
+    """Return what a run costs, and what it costs to begin [s of a process], measured."""
+    began = time.process_time()
+    _, simulator = simulator_of(str(campaign.file.absolute()), campaign.key)
+    simulator.run(0)
+    ready, runs = time.process_time(), 0
+    while runs < 3 or time.process_time() - ready < 0.2:
+        runs += 1
+        simulator.run(runs % campaign.count)
+        if time.process_time() - ready > 5.0:
+            break
+    return (time.process_time() - ready) / runs, ready - began

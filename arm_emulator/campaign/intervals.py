@@ -1,0 +1,34 @@
+"""Confidence intervals of shares and of quantiles."""
+
+from __future__ import annotations
+
+from scipy import special, stats
+
+
+def clopper_pearson(hits: int, count: int, confidence: float) -> tuple[float, float]:
+    """Return the interval that holds the true share at least that often, whatever it is."""
+    if count == 0:
+        return 0.0, 1.0
+    tail = 0.5 * (1.0 - confidence)
+    low = 0.0 if hits == 0 else float(special.betaincinv(hits, count - hits + 1, tail))
+    high = 1.0 if hits == count else float(special.betaincinv(hits + 1, count - hits, 1.0 - tail))
+    return low, high
+
+
+def wilson(hits: int, count: int, confidence: float) -> tuple[float, float]:
+    """Return the interval that holds the true share that often on average; a shorter one."""
+    if count == 0:
+        return 0.0, 1.0
+    z = float(special.ndtri(0.5 + 0.5 * confidence))
+    share, weight = hits / count, z * z / count
+    middle = (share + 0.5 * weight) / (1.0 + weight)
+    half = z / (1.0 + weight) * (share * (1.0 - share) / count + weight / (4.0 * count)) ** 0.5
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def quantile_places(q: float, count: int, confidence: float) -> tuple[int, int]:
+    """Return the places in a sorted sample between which a quantile lies that often."""
+    tail = 0.5 * (1.0 - confidence)
+    low = int(stats.binom.ppf(tail, count, q)) - 1
+    high = int(stats.binom.ppf(1.0 - tail, count, q))
+    return max(0, low), min(count - 1, high)

@@ -1,0 +1,199 @@
+"""Pictures of a campaign: margins of requirements, what moves them, and the runs side by side."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[Any]
+Columns = Mapping[str, Array]
+HOLDS, FAILS, INK, LIGHT = "#4878a8", "#d1495b", "#22313f", "#dfe5ea"
+MOST_LINES, MOST_POINTS, MOST_AXES = 600, 4000, 10
+_STYLE = {
+    "font.size": 9.5,
+    "font.family": "sans-serif",
+    "axes.edgecolor": "#9aa7b2",
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": "#5b6b78",
+    "ytick.color": "#5b6b78",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "figure.facecolor": "white",
+}
+
+
+def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
+    import matplotlib as mpl
+
+    mpl.use("Agg", force=False)
+    from matplotlib import pyplot as plt
+
+    with mpl.rc_context(_STYLE):  # type: ignore[arg-type]
+        figure, axes = plt.subplots(
+            rows, columns, figsize=(width, height), squeeze=False, layout="constrained"
+        )
+    return figure, list(axes.flat)
+
+
+def png(figure: Figure) -> bytes:
+    """Return a figure as a PNG, and forget it."""
+    import matplotlib as mpl
+    from matplotlib import pyplot as plt
+
+    stream = io.BytesIO()
+    with mpl.rc_context(_STYLE):  # type: ignore[arg-type]
+        figure.savefig(stream, dpi=140, metadata={"Software": "arm_emulator"})
+    plt.close(figure)
+    return stream.getvalue()
+
+
+def influence(columns: Columns, varying: Sequence[str], of: str) -> dict[str, float]:
+    """Return the rank correlation of each number that varies with a column, largest first."""
+    values = columns[of]
+    sound = np.isfinite(values)
+    found = {}
+    for name in varying:
+        x, y = columns[name][sound], values[sound]
+        if len(x) > 2 and np.ptp(x) > 0.0 and np.ptp(y) > 0.0:
+            found[name] = float(np.corrcoef(rankdata(x), rankdata(y))[0, 1])
+    return dict(sorted(found.items(), key=lambda item: -abs(item[1])))
+
+
+def margins(columns: Columns, requirements: Mapping[str, str]) -> Figure:
+    """Draw by how much each requirement holds or fails: a histogram each.
+
+    Args:
+        columns: of the results.
+        requirements: columns of robustness, and what to call each.
+    """
+    count = len(requirements)
+    across = min(3, count)
+    down = -(-count // across)
+    figure, axes = _figure(3.4 * across, 2.3 * down, down, across)
+    for axis, (name, title) in zip(axes, requirements.items(), strict=False):
+        values = columns[name][np.isfinite(columns[name])]
+        axis.set_title(title)
+        if len(values):
+            edges = np.histogram_bin_edges(values, bins=40)
+            low, high = edges[0], edges[-1]
+            if low < 0.0 < high:  # no bar has both kinds
+                edges = np.unique(np.append(edges, 0.0))
+            for kind, color in ((values >= 0.0, HOLDS), (values < 0.0, FAILS)):
+                axis.hist(values[kind], edges, color=color, linewidth=0.0)
+            axis.axvline(0.0, color=INK, linewidth=1.0)
+        failed = int(np.count_nonzero(~(columns[name] >= 0.0)))
+        word = f"{failed} of {len(columns[name])} fail" if failed else "holds in all runs"
+        axis.text(0.98, 0.95, word, transform=axis.transAxes, ha="right", va="top",
+                  color=FAILS if failed else HOLDS, fontweight="bold")  # fmt: skip
+        axis.set_xlabel("margin: < 0 fails")
+        axis.set_yticks([])
+        axis.spines["left"].set_visible(False)
+    for axis in axes[count:]:
+        axis.set_visible(False)
+    return figure
+
+
+def influences(columns: Columns, varying: Sequence[str], requirements: Mapping[str, str]) -> Figure:
+    """Draw for each requirement what moves its margin, and the margin over the two strongest."""
+    count = len(requirements)
+    figure, axes = _figure(10.2, 2.7 * count, count, 3)
+    rng = np.random.default_rng(0)
+    some = np.sort(rng.permutation(len(next(iter(columns.values()))))[:MOST_POINTS])
+    for row, (name, title) in enumerate(requirements.items()):
+        bars, *scatters = axes[3 * row : 3 * row + 3]
+        strongest = influence(columns, varying, name)
+        _bars(bars, dict(list(strongest.items())[:7]), title)
+        values = columns[name]
+        for axis, of in zip(scatters, [*strongest, *[None] * 2], strict=False):
+            if of is None:
+                axis.set_visible(False)
+                continue
+            _cloud(axis, columns[of][some], values[some])
+            axis.set_xlabel(_short(of))
+        scatters[0].set_ylabel("margin")
+    return figure
+
+
+def _bars(axis: Axes, strongest: Mapping[str, float], title: str) -> None:
+    names = list(strongest)[::-1]
+    heights = [strongest[name] for name in names]
+    colors = [HOLDS if height > 0 else FAILS for height in heights]
+    axis.barh(range(len(names)), heights, color=colors, height=0.62)
+    axis.set_yticks(range(len(names)), [_short(name) for name in names])
+    axis.axvline(0.0, color=INK, linewidth=0.8)
+    axis.set_xlim(-1.0, 1.0)
+    axis.tick_params(axis="y", length=0)
+    axis.spines["left"].set_visible(False)
+    axis.set_title(f"{title}: rank correlation")
+
+
+def _cloud(axis: Axes, x: Array, y: Array) -> None:
+    sound = np.isfinite(y)
+    for kind, color, size in ((y >= 0.0, HOLDS, 5.0), (y < 0.0, FAILS, 8.0)):
+        at = sound & kind
+        axis.scatter(x[at], y[at], s=size, color=color, alpha=0.45, linewidths=0.0,
+                     rasterized=True)  # fmt: skip
+    axis.axhline(0.0, color=INK, linewidth=0.8)
+    axis.margins(0.03)
+
+
+def coordinates(columns: Columns, varying: Sequence[str], failed: Array, least: Array) -> Figure:
+    """Draw runs as lines over all that varies, the failed ones above the others.
+
+    Args:
+        columns: of the results.
+        varying: numbers that vary; the first `MOST_AXES` are drawn.
+        failed: whether each run failed (K,).
+        least: its least margin, by which lines are chosen (K,).
+    """
+    from matplotlib.collections import LineCollection
+
+    names = [*varying[:MOST_AXES]]
+    figure, (axis,) = _figure(10.2, 3.6, 1, 1)
+    order = np.argsort(-least, kind="stable")
+    bad = order[failed[order]][-MOST_LINES // 2 :]
+    good = order[~failed[order]]
+    good = good[np.linspace(0, len(good) - 1, min(len(good), MOST_LINES // 2)).astype(int)]
+    heights = np.array([_scaled(columns[name]) for name in names])
+    for runs, color, alpha in ((good, HOLDS, 0.16), (bad, FAILS, 0.35)):
+        lines = [np.column_stack([np.arange(len(names)), heights[:, run]]) for run in runs]
+        axis.add_collection(LineCollection(lines, colors=color, alpha=alpha, linewidths=0.9))
+    for place, name in enumerate(names):
+        axis.axvline(place, color="#9aa7b2", linewidth=0.8)
+        low, high = float(np.min(columns[name])), float(np.max(columns[name]))
+        axis.text(place, 1.03, f"{high:.4g}", ha="center", va="bottom", fontsize=8)
+        axis.text(place, -0.03, f"{low:.4g}", ha="center", va="top", fontsize=8)
+    axis.set_xlim(-0.3, len(names) - 0.7)
+    axis.set_ylim(-0.12, 1.12)
+    axis.set_xticks(range(len(names)), [_short(name) for name in names])
+    axis.tick_params(length=0)
+    axis.set_yticks([])
+    for side in ("left", "bottom"):
+        axis.spines[side].set_visible(False)
+    return figure
+
+
+def _scaled(values: Array) -> Array:
+    low, high = float(np.min(values)), float(np.max(values))
+    scaled: Array = (values - low) / (high - low) if high > low else np.full(len(values), 0.5)
+    return scaled
+
+
+def _short(name: str) -> str:
+    """Return a name of at most two lines."""
+    name = name.removeprefix("joints.").removeprefix("scenario.")
+    head, _, tail = name.rpartition(".")
+    return f"{head}\n{tail}" if len(name) > 16 and head else name

@@ -1,0 +1,205 @@
+"""The report of a campaign: one HTML file with its pictures, which stand beside it as PNG too."""
+
+from __future__ import annotations
+
+import base64
+import html
+import shlex
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.campaign import pictures
+from arm_emulator.campaign.campaign_file import Campaign
+from arm_emulator.campaign.results import DIVERGED, FAILED, INDEX, ROBUSTNESS, Results, digest_of
+from arm_emulator.campaign.summary import Share, Summary
+
+WORST = 12  # runs that are listed
+_STYLE = """
+body{font:15px/1.5 system-ui,sans-serif;color:#22313f;max-width:1080px;margin:2.2em auto;
+padding:0 1em;background:#fff}
+h1{font-size:1.7em;margin:0}h2{font-size:1.15em;margin:2.2em 0 .5em;border-bottom:1px solid #dfe5ea;
+padding-bottom:.25em}p.lead{color:#5b6b78;margin:.2em 0 1.4em}
+.cards{display:flex;gap:14px;flex-wrap:wrap}.card{background:#f4f7f9;border-radius:8px;
+padding:.7em 1.1em;min-width:110px}.card b{display:block;font-size:1.5em}.card.bad b{color:#d1495b}
+.card.good b{color:#4878a8}.card span{color:#5b6b78;font-size:.86em}
+table{border-collapse:collapse;width:100%;font-size:.92em}
+th{text-align:left;color:#5b6b78;font-weight:600;border-bottom:2px solid #dfe5ea;padding:.35em .6em}
+td{border-bottom:1px solid #eef2f4;padding:.35em .6em;vertical-align:top}
+td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+td.bad{color:#d1495b;font-weight:600}code{background:#f4f7f9;border-radius:4px;padding:.1em .35em;
+font-size:.9em}td code{word-break:break-word}img{max-width:100%;display:block;margin:.4em 0}
+.bar{position:relative;height:10px;background:#eef2f4;border-radius:5px;min-width:150px;
+margin-top:.45em}.bar i{position:absolute;top:0;bottom:0;background:#f0b9c1;border-radius:5px}
+.bar b{position:absolute;top:-2px;bottom:-2px;width:3px;background:#d1495b}
+.scroll{overflow-x:auto}footer{color:#8695a1;font-size:.85em;margin-top:3em}
+"""
+
+
+def write_report(campaign: Campaign, results: Results, summary: Summary) -> Path:
+    """Write ``report.html`` and its pictures into the folder of the results; return the file.
+
+    Args:
+        campaign: which one.
+        results: of it, with a run at least.
+        summary: of these.
+    """
+    columns = results.columns()
+    varying = [one.name for one in campaign.variation.numbers]
+    names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
+    least = _least(columns, list(names))
+    drawn: dict[str, bytes] = {}
+    if names:
+        drawn["margins"] = pictures.png(pictures.margins(columns, names))
+    if names and varying:
+        drawn["influences"] = pictures.png(pictures.influences(columns, varying, names))
+    if len(varying) > 1:
+        order = _by_influence(columns, varying, list(names))
+        lines = pictures.coordinates(columns, order, columns[FAILED], least)
+        drawn["coordinates"] = pictures.png(lines)
+    for name, content in drawn.items():
+        _write(results.folder / f"{name}.png", content)
+    file = results.folder / "report.html"
+    text = "\n".join(_page(campaign, results, summary, columns, least, drawn))
+    _write(file, text.encode())
+    return file
+
+
+def _write(file: Path, content: bytes) -> None:
+    hidden = file.with_name(f".{file.name}.part")
+    hidden.write_bytes(content)
+    hidden.replace(file)
+
+
+def _least(columns: pictures.Columns, names: Sequence[str]) -> NDArray[np.float64]:
+    """Return the least margin of each run."""
+    if not names:
+        return np.where(columns[FAILED], -np.inf, np.inf)
+    return np.asarray(np.min([columns[name] for name in names], axis=0))
+
+
+def _by_influence(
+    columns: pictures.Columns, varying: Sequence[str], names: Sequence[str]
+) -> list[str]:
+    """Return what varies, that which moves some margin most first."""
+    strongest = dict.fromkeys(varying, 0.0)
+    for of in names:
+        for name, by in pictures.influence(columns, varying, of).items():
+            strongest[name] = max(strongest[name], abs(by))
+    return sorted(varying, key=lambda name: -strongest[name])
+
+
+def _page(
+    campaign: Campaign,
+    results: Results,
+    summary: Summary,
+    columns: pictures.Columns,
+    least: NDArray[np.float64],
+    drawn: dict[str, bytes],
+) -> Iterable[str]:
+    scenario, name = campaign.nominal[0], html.escape(campaign.file.stem)
+    yield f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title>"
+    yield f"<meta name=viewport content='width=device-width'><style>{_STYLE}</style>"
+    yield f"<h1>{name}</h1><p class=lead>{summary.count} of {campaign.count} runs of "
+    yield f"{scenario.seconds:g} s of <b>{html.escape(campaign.scene.name)}</b>, "
+    yield f"{len(campaign.variation.numbers)} numbers vary ({campaign.variation.sampling})</p>"
+    yield "<div class=cards>"
+    share = summary.shares[-1]
+    kind = "bad" if share.hits else "good"
+    yield _card(f"{100 * share.share:.3g} %", "of all runs fail", kind)
+    percent = f"{100 * summary.confidence:g} % confidence"
+    yield _card(f"{100 * share.low:.2g} to {100 * share.high:.2g} %", percent)
+    yield _card(str(int(np.count_nonzero(np.isfinite(columns[DIVERGED])))), "diverged")
+    yield _card(f"{summary.count * scenario.seconds:g} s", "simulated")
+    yield "</div>"
+    yield from _requirements(campaign, summary)
+    titles = {
+        "margins": "Margins",
+        "influences": "What moves the margins",
+        "coordinates": "All that varies, run by run",
+    }
+    for picture, content in drawn.items():
+        data = base64.b64encode(content).decode()
+        yield f"<h2>{titles[picture]}</h2><img alt='{titles[picture]}' "
+        yield f"src='data:image/png;base64,{data}'>"
+    yield from _worst(campaign, results, columns, least)
+    yield from _quantiles(summary)
+    yield f"<footer>campaign <code>{campaign.key.hex()[:16]}</code>, results "
+    yield f"<code>{digest_of(dict(columns))[:16]}</code></footer></html>"
+
+
+def _card(value: str, text: str, kind: str = "") -> str:
+    return f"<div class='card {kind}'><b>{html.escape(value)}</b><span>{text}</span></div>"
+
+
+def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
+    yield "<h2>Requirements</h2><table><tr><th>requirement<th>must hold<th class=n>fails"
+    yield "<th class=n>share<th>confidence interval<th class=n>least margin<th class=n>in run</tr>"
+    scale = max([one.high for one in summary.shares] or [1.0])
+    for one in summary.shares:
+        given = campaign.requirements.get(one.name, "")
+        text = given if isinstance(given, str) else str(given.get("python", ""))
+        bad = " bad" if one.hits else ""
+        yield f"<tr><td><b>{html.escape(one.name)}</b><td>"
+        yield f"<code>{html.escape(text)}</code>" if text else ""
+        yield f"<td class='n{bad}'>{one.hits}<td class=n>{100 * one.share:.3g} %"
+        yield f"<td>{_bar(one, scale)}"
+        known = one.worst >= 0
+        yield f"<td class='n{bad}'>{one.least:.4g}" if known else "<td>"
+        yield f"<td class=n>{one.worst}</tr>" if known else "<td></tr>"
+    yield "</table>"
+
+
+def _bar(one: Share, scale: float) -> str:
+    left, width = 100 * one.low / scale, 100 * (one.high - one.low) / scale
+    return (
+        f"<div class=bar title='{100 * one.low:.4g} to {100 * one.high:.4g} %'>"
+        f"<i style='left:{left:.2f}%;width:{width:.2f}%'></i>"
+        f"<b style='left:{100 * one.share / scale:.2f}%'></b></div>"
+        f"{100 * one.low:.3g} to {100 * one.high:.3g} %"
+    )
+
+
+def _worst(
+    campaign: Campaign,
+    results: Results,
+    columns: pictures.Columns,
+    least: NDArray[np.float64],
+) -> Iterable[str]:
+    varying = [one.name for one in campaign.variation.numbers]
+    shown = _by_influence(columns, varying, [f"{ROBUSTNESS}{n}" for n in campaign.requirements])[:5]
+    command = f"arm_emulator campaign {shlex.quote(str(campaign.file))} --replay"
+    yield "<h2>Worst runs</h2><p>Any run is driven again, bit for bit, and recorded, by"
+    yield f"<br><code>{html.escape(command)} INDEX --record run.mcap</code> or "
+    yield "<code>--rerun run.rrd</code></p><div class=scroll><table><tr><th class=n>run"
+    yield "<th class=n>least margin<th>of"
+    yield "".join(f"<th class=n>{html.escape(name)}" for name in shown)
+    yield "<th>drive it again</tr>"
+    names = list(campaign.requirements)
+    for at in np.argsort(least, kind="stable")[:WORST]:
+        index = int(columns[INDEX][at])
+        margins = [columns[f"{ROBUSTNESS}{name}"][at] for name in names]
+        of = html.escape(names[int(np.argmin(margins))]) if names else ""
+        bad = " bad" if columns[FAILED][at] else ""
+        yield f"<tr><td class=n>{index}<td class='n{bad}'>{least[at]:.4g}<td>{of}"
+        yield "".join(f"<td class=n>{columns[name][at]:.4g}" for name in shown)
+        line = f"{command} {index} --rerun run_{index}.rrd"
+        yield f"<td><code>{html.escape(line)}</code></tr>"
+    yield "</table></div>"
+
+
+def _quantiles(summary: Summary) -> Iterable[str]:
+    if not summary.quantiles:
+        return
+    heads = sorted({one.q for one in summary.quantiles})
+    yield "<h2>Quantiles</h2><table><tr><th>"
+    yield "".join(f"<th class=n>{100 * q:g} %" for q in heads) + "</tr>"
+    for column in dict.fromkeys(one.column for one in summary.quantiles):
+        yield f"<tr><td>{html.escape(column)}"
+        for one in (one for one in summary.quantiles if one.column == column):
+            low_high = f"{one.low:.5g} to {one.high:.5g}"
+            yield f"<td class=n title='{low_high}'>{one.value:.4g}"
+        yield "</tr>"
+    yield "</table>"

@@ -1,0 +1,162 @@
+"""Results of a campaign: parts in a folder, each whole or not there.
+
+A part holds a row per run, its indices ascending. Which runs are done is what the parts list; how
+they are divided among parts means nothing, and leaves the digest as it is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.wheel import need_wheel
+from arm_emulator.campaign.campaign_file import Campaign
+
+if TYPE_CHECKING:
+    from arm_emulator.campaign.simulator import Outcome
+
+PARTS, ABOUT = "parts", "campaign.json"
+INDEX, FAILED, DIVERGED = "index", "failed", "diverged"
+ROBUSTNESS, MEASURE = "robustness.", "measure."
+
+
+def column_units(campaign: Campaign) -> dict[str, str]:
+    """Return the columns of results with their units, in their order."""
+    units = {INDEX: "", FAILED: "", DIVERGED: "s"}
+    units |= {one.name: one.unit for one in campaign.variation.numbers}
+    units |= dict.fromkeys((f"{ROBUSTNESS}{name}" for name in campaign.requirements), "")
+    return units | dict.fromkeys((f"{MEASURE}{name}" for name in campaign.measures), "")
+
+
+def schema_of(campaign: Campaign) -> Any:
+    """Return the columns with types and units, as Arrow has them."""
+    need_wheel("campaign", "pyarrow", "pyarrow")
+    import pyarrow as pa
+
+    kinds = {INDEX: pa.int64(), FAILED: pa.bool_()}
+    return pa.schema(
+        [
+            pa.field(name, kinds.get(name, pa.float64()), False, {"unit": unit} if unit else None)
+            for name, unit in column_units(campaign).items()
+        ],
+        {"campaign": campaign.key.hex()},
+    )
+
+
+def write_part(folder: Path, campaign: Campaign, outcomes: Sequence[Outcome]) -> Path | None:
+    """Write the rows of some runs as a part; None: there are none."""
+    if not outcomes:
+        return None
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    schema = schema_of(campaign)
+    columns: dict[str, list[Any]] = {name: [] for name in schema.names}
+    for one in outcomes:
+        row = {INDEX: one.index, FAILED: one.failed, DIVERGED: one.diverged, **one.values}
+        row |= {f"{ROBUSTNESS}{name}": value for name, value in one.robustness.items()}
+        row |= {f"{MEASURE}{name}": value for name, value in one.measures.items()}
+        for name, value in row.items():
+            columns[name].append(value)
+    first, last = outcomes[0].index, outcomes[-1].index
+    part = folder / PARTS / f"{first:012d}-{last:012d}-{len(outcomes)}.parquet"
+    hidden = part.with_name(f".{part.name}.{os.uname().nodename}.{os.getpid()}")
+    pq.write_table(pa.table(columns, schema=schema), hidden)
+    with hidden.open("rb") as written:
+        os.fsync(written.fileno())
+    hidden.replace(part)
+    return part
+
+
+class Results:
+    """The folder of a campaign's results.
+
+    Args:
+        folder: of this campaign alone; made if it is not there.
+        campaign: which one.
+
+    Raises:
+        Refusal: it cannot be written, or has results of another campaign.
+    """
+
+    def __init__(self, folder: Path, campaign: Campaign) -> None:
+        self.folder, self.campaign = folder, campaign
+        about = folder / ABOUT
+        try:
+            (folder / PARTS).mkdir(parents=True, exist_ok=True)
+            if about.exists():
+                known = json.loads(about.read_text(encoding="utf-8")).get("key")
+                if known != campaign.key.hex():
+                    rule = "be new, or have results of this campaign as it is written now"
+                    got = f"results of campaign {str(known)[:12]}, this is {campaign.key.hex()[:12]}"
+                    raise Refusal("campaign", f"folder {folder}", rule, got, "--into FOLDER")
+            else:
+                hidden = folder / f".{ABOUT}.{os.getpid()}"
+                hidden.write_text(json.dumps({
+                    "key": campaign.key.hex(), "file": str(campaign.file.absolute()),
+                }))  # fmt: skip
+                hidden.replace(about)
+        except (OSError, ValueError) as error:
+            if isinstance(error, Refusal):
+                raise
+            raise Refusal("campaign", f"folder {folder}", "be writable", error) from None
+
+    @property
+    def parts(self) -> list[Path]:
+        """All parts, whole ones alone."""
+        return sorted((self.folder / PARTS).glob("[0-9]*.parquet"))
+
+    def done(self) -> NDArray[np.int64]:
+        """Return the indices of the runs that are done, ascending."""
+        import pyarrow.parquet as pq
+
+        indices = [pq.read_table(part, columns=[INDEX])[INDEX].to_numpy() for part in self.parts]
+        return np.unique(np.concatenate(indices)) if indices else np.zeros(0, np.int64)
+
+    def missing(self, count: int) -> list[tuple[int, int]]:
+        """Return the runs of the first `count` that are not done, as ranges [first, end)."""
+        done = self.done()
+        ends = np.concatenate([[-1], done[done < count], [count]])
+        gaps = np.flatnonzero(np.diff(ends) > 1)
+        return [(int(ends[gap]) + 1, int(ends[gap + 1])) for gap in gaps]
+
+    def table(self) -> Any:
+        """Return all rows as a table of Arrow, by index."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        schema = schema_of(self.campaign)
+        tables = [pq.read_table(part) for part in self.parts]
+        whole = pa.concat_tables(tables) if tables else schema.empty_table()
+        _, places = np.unique(whole[INDEX].to_numpy(), return_index=True)
+        return whole.take(places)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return all columns by name (K,), by index."""
+        table = self.table()
+        return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def digest_of(columns: dict[str, NDArray[Any]]) -> str:
+    """Return a hash of all rows, which the division into parts leaves as it is."""
+    digest = hashlib.sha256()
+    for name, values in columns.items():
+        digest.update(f"{name}\0{len(values)}\0".encode())
+        kind = np.int64 if values.dtype.kind in "ib" else np.float64
+        digest.update(np.ascontiguousarray(values.astype(kind)).tobytes())
+    return digest.hexdigest()
+
+
+def chunks_of(ranges: Iterable[tuple[int, int]], size: int) -> Iterable[tuple[int, int]]:
+    """Yield ranges [first, end) of at most so many runs."""
+    for first, end in ranges:
+        for start in range(first, end, size):
+            yield start, min(start + size, end)

@@ -1,0 +1,104 @@
+"""A worker: simulates chunks of runs and writes each as a part of the results."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+import time
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.campaign_file import Campaign, load_campaign
+from arm_emulator.campaign.results import write_part
+from arm_emulator.campaign.simulator import Outcome, Simulator
+
+_PR_SET_PDEATHSIG = 1
+_asked = {"end": False, "busy": False}
+
+
+class Done(NamedTuple):
+    """What has come of a chunk.
+
+    Attributes:
+        runs: that were simulated.
+        failures: of each requirement, and of any of them last (R + 1,).
+        seconds: of this process that they took.
+        whole: whether all runs of the chunk are done.
+    """
+
+    runs: int
+    failures: tuple[int, ...]
+    seconds: float
+    whole: bool
+
+
+def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator]:
+    """Return a campaign and this thread's machine for it.
+
+    Raises:
+        Refusal: the campaign is not the same here.
+    """
+    return _simulator(file, key, threading.get_ident())
+
+
+@cache
+def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator]:
+    campaign = load_campaign(Path(file))
+    if campaign.key != key:
+        rule = "be the same for all workers"
+        raise Refusal(campaign.where, "the campaign", rule, "another one, or other files")
+    return campaign, Simulator(campaign)
+
+
+def simulate(file: str, key: bytes, folder: str, first: int, end: int) -> Done:
+    """Simulate the runs [first, end) and write those that are done as a part.
+
+    Raises:
+        Refusal: values of a run that are out of range; the runs before it are written.
+    """
+    campaign, simulator = simulator_of(file, key)
+    outcomes: list[Outcome] = []
+    began = time.process_time()
+    _asked["busy"] = True
+    try:
+        for index in range(first, end):
+            if _asked["end"]:
+                break
+            outcomes.append(simulator.run(index))
+    finally:
+        write_part(Path(folder), campaign, outcomes)
+        _asked["busy"] = False
+    if _asked["end"]:
+        os._exit(0)
+    failures = np.zeros(len(campaign.requirements) + 1, np.int64)
+    for one in outcomes:
+        failures[:-1] += [not value >= 0.0 for value in one.robustness.values()]
+        failures[-1] += one.failed
+    spent = time.process_time() - began
+    whole = len(outcomes) == end - first
+    return Done(len(outcomes), tuple(failures.tolist()), spent, whole)
+
+
+def end_with(parent: int) -> None:
+    """Have this process write what it has done and end when its parent ends or asks for it.
+
+    Ctrl-C in a terminal reaches all processes of a group: the parent decides.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _end)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        sys.exit(0)
+
+
+def _end(signal_number: int, frame: object) -> None:
+    _asked["end"] = True
+    if not _asked["busy"]:
+        os._exit(0)
