@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from draws import FULL
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.formula import parse_formula
 from arm_emulator.campaign.requirement import Robustness, bound_to, signals_in
-from draws import FULL
 
 PERIOD = 0.01
 NAMES = ("a", "b.c", "d")
@@ -150,7 +150,7 @@ def test_long_windows_over_a_long_trace():
         values.append(one.end())
     last = 15_000 + 300 + 100
     inner = [
-        max(min(a[t : s].min(initial=math.inf) - 0.2, 1.0 - a[s]) for s in range(t + 10, t + 101))
+        max(min(a[t:s].min(initial=math.inf) - 0.2, 1.0 - a[s]) for s in range(t + 10, t + 101))
         for t in range(last - 99)
     ]
     inner = np.lib.stride_tricks.sliding_window_view(inner, 251)[50:].max(axis=1)
@@ -179,7 +179,7 @@ def test_long_windows_over_a_long_trace():
     ],
 )
 def test_bad_formulas_are_refused_in_a_line(text, reason):
-    with pytest.raises(Refusal, match=".") as refusal:
+    with pytest.raises(Refusal) as refusal:
         formula = parse_formula(text, "c.yaml", "requirements.x")
         Robustness(bound_to(formula, NAMES, "c.yaml", "requirements.x"), PERIOD, 100,
                    "c.yaml", "requirements.x")  # fmt: skip

@@ -41,7 +41,7 @@ COUNT = Number("count", at_least=1, at_most=10**12, whole=True, text="runs at mo
 SEED = Number("seed", at_least=0, at_most=LARGEST_SEED, whole=True, default=0,
               text="another one draws other runs")  # fmt: skip
 WIDTH = Number("width", at_least=1e-9, at_most=1.0, default=0.0,
-               text="of the interval of each share of failures, at which the campaign may end")  # fmt: skip
+               text="of the intervals of all shares of failures, at which it may end")  # fmt: skip
 CONFIDENCE = Number("confidence", above=0.5, at_most=0.999999, default=0.95, text="of intervals")
 WALL = Number("seconds", "s", above=0.0, at_most=1e9, default=math.inf, text="of wall time")
 CORRELATION = Number("by", at_least=-1.0, at_most=1.0, text="correlation of each with each")
@@ -211,9 +211,7 @@ def _named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
     for one in requirements.values() if isinstance(requirements, dict) else ():
         if isinstance(one, dict) and isinstance(one.get("python"), str):
             named.append(one["python"].partition(":")[0])
-    return {
-        name: read_bytes(folder / name, 2**28) for name in named if (folder / name).is_file()
-    }
+    return {name: read_bytes(folder / name, 2**28) for name in named if (folder / name).is_file()}
 
 
 def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section, count: int) -> bytes:
@@ -316,9 +314,7 @@ def _with_gain(servo: ServoConfig, name: str, value: object, where: str) -> Serv
     if key not in numbers:
         raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
     changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
-    return replace(
-        servo, joints=tuple(changed if one is of_joint else one for one in servo.joints)
-    )
+    return replace(servo, joints=tuple(changed if one is of_joint else one for one in servo.joints))
 
 
 def _with_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
@@ -421,4 +417,3 @@ def seed_of(variation: Variation, index: int) -> float:
     stream = variation.stream(index)
     stream.random(len(variation.numbers))
     return float(np.floor(stream.random() * LARGEST_SEED))
-

@@ -27,7 +27,7 @@ class Distribution:
         text: as it was written.
         quantile: value of a number within (0, 1).
         share: what part of the values lies below one; None: they are single values.
-        levels: how many values a grid has; 0: it is none.
+        levels: how many values a grid has; 0: it is not a grid.
         factor, offset: of the nominal value of the scene, with which it goes on:
             nominal * value, or nominal + value.
     """
@@ -193,11 +193,10 @@ def choice(*values: float) -> Distribution:
 def mixture(*pairs: float | Distribution) -> Distribution:
     """Weights, each followed by its distribution."""
     weights, parts = pairs[::2], pairs[1::2]
-    fits = len(weights) == len(parts) > 0
-    if not fits or not all(isinstance(part, Distribution) for part in parts):
+    if not len(weights) == len(parts) > 0:
         raise _Bad("be weights, each followed by a distribution", f"{len(pairs)} arguments")
-    total = sum(_above("weights", float(weight)) for weight in weights)  # type: ignore[arg-type]
-    shares = [float(weight) / total for weight in weights]  # type: ignore[arg-type]
+    sizes = [_above("weights", one) for one in weights if isinstance(one, float)]
+    shares = [one / math.fsum(sizes) for one in sizes]
 
     def quantile(u: float) -> float:
         left = u
@@ -240,7 +239,7 @@ def parse_distribution(given: object, where: str, quantity: str) -> Distribution
     ``nominal * ...`` and ``nominal + ...`` begin at the value of the scene.
 
     Raises:
-        Refusal: it is none.
+        Refusal: it is not a distribution.
     """
     text = f"choice({given!r})" if isinstance(given, int | float) else given
     valid = ", ".join(KINDS)

@@ -1,7 +1,7 @@
 """A fault: what goes wrong with a machine, from one tick to another.
 
-A new kind is a file in `faults`: a frozen dataclass that declares its numbers, and how it begins and
-ends. Files, refusals, docs and what can vary follow from it.
+A new kind is a file in `faults`: a frozen dataclass that declares its numbers, and how it begins
+and ends. Files, refusals, docs and what can vary follow from it.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def parse_formula(text: str, where: str, quantity: str) -> Formula:
     """Return the formula that a text states.
 
     Raises:
-        Refusal: it is none; with the place in the text.
+        Refusal: it states something else; with the place in the text.
     """
     parser = _Parser(text, where, quantity)
     found = parser.implies(0)
@@ -94,7 +94,7 @@ def parse_expression(text: str, where: str, quantity: str) -> Expression:
     """Return the arithmetic that a text states.
 
     Raises:
-        Refusal: it is none; with the place in the text.
+        Refusal: it states something else; with the place in the text.
     """
     parser = _Parser(text, where, quantity)
     found = parser.implies(0)

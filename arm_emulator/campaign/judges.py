@@ -43,7 +43,7 @@ class Measure:
         quantity: for refusals.
 
     Raises:
-        Refusal: it is none of these.
+        Refusal: it is something else.
     """
 
     def __init__(self, text: str, known: list[str], where: str, quantity: str) -> None:
@@ -177,7 +177,7 @@ class Judges:
         campaign: that states it.
 
     Raises:
-        Refusal: a requirement or measure that is none.
+        Refusal: a requirement or measure that is not taken.
     """
 
     def __init__(self, campaign: Campaign) -> None:

@@ -73,7 +73,7 @@ def value_of(what: Expression, signals: Mapping[str, Array]) -> Array | float:
         return signals[what.name]
     values = [value_of(one, signals) for one in what.of]
     if what.sign in ("abs", "sqrt"):
-        return np.abs(values[0]) if what.sign == "abs" else np.sqrt(values[0])  # type: ignore[return-value]
+        return np.abs(values[0]) if what.sign == "abs" else np.sqrt(values[0])
     return functools.reduce(_ARITHMETIC[what.sign], values)  # type: ignore[arg-type]
 
 

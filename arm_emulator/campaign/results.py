@@ -52,7 +52,7 @@ def schema_of(campaign: Campaign) -> Any:
 
 
 def write_part(folder: Path, campaign: Campaign, outcomes: Sequence[Outcome]) -> Path | None:
-    """Write the rows of some runs as a part; None: there are none."""
+    """Write the rows of some runs as a part; None: there is no row."""
     if not outcomes:
         return None
     import pyarrow as pa
@@ -96,7 +96,8 @@ class Results:
                 known = json.loads(about.read_text(encoding="utf-8")).get("key")
                 if known != campaign.key.hex():
                     rule = "be new, or have results of this campaign as it is written now"
-                    got = f"results of campaign {str(known)[:12]}, this is {campaign.key.hex()[:12]}"
+                    got = f"results of {str(known)[:12]}, this is {campaign.key.hex()[:12]}"
+
                     raise Refusal("campaign", f"folder {folder}", rule, got, "--into FOLDER")
             else:
                 hidden = folder / f".{ABOUT}.{os.getpid()}"

@@ -185,8 +185,8 @@ static int feed_pointwise(node* one, stream* left, stream* right) {
   return 0;
 }
 
-/* Put a sample into the window that moves, whose value goes out once it is full. `block` holds, from
- * the place of the sample on, what the block before makes up from there to its end. */
+/* Put a sample into the window that moves, whose value goes out once it is full. `block` holds,
+ * from the place of the sample on, what the block before makes up from there to its end. */
 static void move(node* one, segment sample) {
   const int32_t kind = one->what.kind;
   const int64_t at = one->taken % one->width;

@@ -13,12 +13,12 @@ extern "C" {
 #endif
 
 enum robustness_kind {
-  ROBUSTNESS_ATOM,       /* row `left` of what is fed */
-  ROBUSTNESS_NOT,        /* of node `left` */
-  ROBUSTNESS_AND,        /* of nodes `left` and `right`, as the next two */
+  ROBUSTNESS_ATOM, /* row `left` of what is fed */
+  ROBUSTNESS_NOT,  /* of node `left` */
+  ROBUSTNESS_AND,  /* of nodes `left` and `right`, as the next two */
   ROBUSTNESS_OR,
-  ROBUSTNESS_UNTIL,      /* `left` holds until, from now to `end` later, `right` does */
-  ROBUSTNESS_ALWAYS,     /* `left`, from `begin` to `end` later */
+  ROBUSTNESS_UNTIL,  /* `left` holds until, from now to `end` later, `right` does */
+  ROBUSTNESS_ALWAYS, /* `left`, from `begin` to `end` later */
   ROBUSTNESS_EVENTUALLY,
 };
 

@@ -19,7 +19,7 @@ typedef struct sampler_number {
 
 typedef struct sampler {
   uint32_t size;
-  int32_t count; /* of numbers */
+  int32_t count;                                        /* of numbers */
   int (*measure)(const arm_machine*, arm_measurement*); /* null: nothing of it is asked for */
   int (*get_truth)(const arm_machine*, arm_truth*);
   arm_measurement* measurement; /* these write into `row` */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -125,7 +126,7 @@ def _moves(section: Section, entries: list[object]) -> tuple[Move, ...]:
         if len(ways) != 1:
             raise one.refusal("by", f"be one of {', '.join(WAYS)}", ", ".join(ways) or "none")
         moves.append(Move(at, ways[0], _points(one, ways[0])))
-    if any(later.at <= one.at for one, later in zip(moves, moves[1:], strict=False)):
+    if any(later.at <= one.at for one, later in itertools.pairwise(moves)):
         got = ", ".join(f"{one.at:g}" for one in moves)
         raise section.refusal("moves", "have ascending times", got)
     return tuple(moves)

@@ -124,8 +124,7 @@ class Sampler:
         count, first = int(self._sampler.taken), self._first
         self._sampler.taken, self._first = 0, first + count
         signals: dict[str, Array] = {
-            name: row[:count].copy()
-            for name, row in zip(self._names, self._samples, strict=False)
+            name: row[:count].copy() for name, row in zip(self._names, self._samples, strict=False)
         }
         ticks = np.arange(first, first + count)
         signals["tick"] = ticks.astype(np.float64)

@@ -16,6 +16,7 @@ from arm_emulator.campaign.judges import Judges
 from arm_emulator.campaign.scenario import Move, Scenario, ticks_of
 from arm_emulator.campaign.signals import Sampler
 from arm_emulator.machine.diverged import Diverged
+from arm_emulator.machine.session import Session
 from arm_emulator.motion.pose import Pose
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.servo_step import ServoStep
@@ -175,11 +176,9 @@ class Simulator:
         period, session = self._scene.servo_period, self.session
         events: list[tuple[int, Event]] = []
         for fault in faults.values():
-            ends: list[Event] = []
             begins = ticks_of(fault.at, period)
-            lasting = ticks_of(fault.lasting, period)
-            events.append((begins, lambda fault=fault, ends=ends: ends.append(fault.begin(session))))  # type: ignore[misc]
-            events.append((begins + max(1, lasting), lambda ends=ends: ends.pop()()))  # type: ignore[misc]
+            ends = begins + max(1, ticks_of(fault.lasting, period))
+            events += zip((begins, ends), _halves(fault, session), strict=True)
         return sorted(events, key=lambda event: event[0])
 
     def _pieces(self) -> Iterator[int]:
@@ -218,6 +217,19 @@ class Simulator:
         else:
             ticks = self._table.ticks(self._scene.servo_period)
             yield from zip(ticks, self._table.q, strict=True)
+
+
+def _halves(fault: Fault, session: Session) -> tuple[Event, Event]:
+    """Return how a fault begins, and how it ends then."""
+    ends: list[Event] = []
+
+    def begin() -> None:
+        ends.append(fault.begin(session))
+
+    def end() -> None:
+        ends.pop()()
+
+    return begin, end
 
 
 def _points(move: Move, p_WT: Array) -> Array:

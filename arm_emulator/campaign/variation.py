@@ -72,12 +72,11 @@ class Variation:
 
     def _root(self, correlation: Array) -> Array:
         try:
-            root: Array = np.linalg.cholesky(correlation)
+            return np.asarray(np.linalg.cholesky(correlation), np.float64)
         except np.linalg.LinAlgError:
             least = float(np.linalg.eigvalsh(correlation)[0])
             rule = "have correlations that can hold together, all eigenvalues > 0"
             raise Refusal(self.where, "correlate", rule, f"{least:.3g}") from None
-        return root
 
     @property
     def levels(self) -> int:

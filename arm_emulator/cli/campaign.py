@@ -38,7 +38,7 @@ class Options(NamedTuple):
     """What the command line states, see `commands.campaign`."""
 
     into: Path | None
-    count: int | None
+    runs: int | None
     workers: int | None
     dask: str | None
     dry: bool
@@ -54,8 +54,8 @@ def campaign(file: Path, options: Options, *, json: bool = False) -> int:
     """
     output = Output(json)
     one = load_campaign(file)
-    if options.count is not None:
-        count = check_count("campaign", "--count", options.count, 1, 10**12)
+    if options.runs is not None:
+        count = check_count("campaign", "--count", options.runs, 1, 10**12)
         one = replace(one, count=count)
     cores = len(os.sched_getaffinity(0))
     workers = cores if options.workers is None else options.workers
@@ -85,8 +85,9 @@ def _preview(one: Campaign, seconds: float, ready: float, workers: int, output: 
     size = one.count * len(column_units(one)) * BYTES_PER_NUMBER
     wall = one.count * seconds / workers + ready
     output.line(
-        f"campaign {one.file.name}: {one.count} runs of {scenario.seconds:g} s of {one.scene.name}, "
-        f"{len(one.variation.numbers)} numbers vary, {len(one.requirements)} requirements"
+        f"campaign {one.file.name}: {one.count} runs of {scenario.seconds:g} s of "
+        f"{one.scene.name}, {len(one.variation.numbers)} numbers vary, "
+        f"{len(one.requirements)} requirements"
     )
     output.line(
         f"a run takes {_time(seconds)} ({scenario.seconds / seconds:.0f} times real time); "

@@ -63,7 +63,7 @@ class TableRun:
         return FirmwareLoop(session.plant, session.period_ns, self._servo, targets)
 
     def restart(self, machine: bytes, table: TargetTable | None) -> None:
-        """Begin anew at tick 0, with a saved machine and a table; the servo is its owner's to reset.
+        """Begin anew at tick 0, with a saved machine and a table; its owner resets the servo.
 
         Raises:
             Refusal: see `Session.restore`.

@@ -1,0 +1,439 @@
+"""Campaigns: what varies, runs as functions of their index, results that outlive kills."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from draws import FULL, some
+from scipy import stats
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.campaign.campaign_file import load_campaign
+from arm_emulator.campaign.distributions import parse_distribution
+from arm_emulator.campaign.intervals import clopper_pearson, quantile_places, wilson
+from arm_emulator.campaign.results import Results, digest_of
+from arm_emulator.campaign.simulator import Simulator
+from arm_emulator.campaign.variation import Variation, Varying, correlation_of
+from arm_emulator.machine.external_wrench import ExternalWrench
+from arm_emulator.machine.scene import load_scene
+from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.runs.table_run import TableRun
+from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.servo.drives import Drives
+
+TABLE = {
+    "scene": "three_axis",
+    "set": {"payload": 1.0},
+    "scenario": {"seconds": 0.2, "targets": [{"at": 0.0, "elbow": 1.0}]},
+    "vary": {
+        "payload.mass": "uniform(0, 3)",
+        "faults.push.force.2": "normal(0, 100)",
+        "scenario.targets.0.elbow": "uniform(0.7, 1.0)",
+        "controller.joints.elbow.velocity_gain": "uniform(120, 180)",
+    },
+    "faults": {
+        "push": {"kind": "wrench", "at": 0.05, "lasting": 0.02, "link": "tool", "force": [0, 0, 1]},
+        "cut": {"kind": "power_cut", "at": 0.1, "lasting": 0.03},
+        "drop": {"kind": "payload", "at": 0.15, "mass": 0.2},
+    },
+    "requirements": {"near": "always abs(error.*) < 0.3", "never": "always v.elbow < 0.001"},
+    "measures": {"z": "max(tool.z)", "current": "rms(measured.current.*)"},
+    "count": 300,
+}
+MOVES = {
+    "scene": "three_axis",
+    "scenario": {
+        "seconds": 0.3,
+        "moves": [{"at": 0.0, "by": [0, 0.03, 0]}, {"at": 0.15, "along": [[0, 0.02, 0.02]]}],
+    },
+    "vary": {"joints.*.friction.viscous": "nominal * lognormal(1, 0.3)"},
+    "requirements": {"near": "always abs(error.*) < 0.1"},
+    "count": 40,
+}
+
+
+def written(folder, data, name="c.yaml"):
+    file = folder / name
+    file.write_text(yaml.safe_dump(data, sort_keys=False))
+    return file
+
+
+def changed(data, path, value):
+    data = json.loads(json.dumps(data))
+    *steps, last = path.split("/")
+    place = data
+    for step in steps:
+        place = place[int(step) if isinstance(place, list) else step]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    return data
+
+
+# ------------------------------------------------------------------------------------ what varies
+
+
+@pytest.mark.parametrize(
+    ("text", "truth"),
+    [
+        ("uniform(-1, 3)", stats.uniform(-1, 4)),
+        ("loguniform(0.1, 10)", stats.loguniform(0.1, 10)),
+        ("normal(2, 0.5)", stats.norm(2, 0.5)),
+        ("lognormal(2, 0.4)", stats.lognorm(0.4, scale=2 * math.exp(-0.08))),
+        ("triangular(1, 2, 5)", stats.triang(0.25, 1, 4)),
+        ("exponential(3)", stats.expon(scale=3)),
+        ("weibull(1.5, 2)", stats.weibull_min(1.5, scale=2)),
+        ("beta(2, 3, -1, 1)", stats.beta(2, 3, -1, 2)),
+        ("truncated(normal(0, 1), -0.5, 2)", stats.truncnorm(-0.5, 2)),
+        ("truncated(exponential(1), 0.5, 1)", stats.truncexpon(0.5, 0.5)),
+        ("truncated(triangular(0, 1, 2), 0, 2)", stats.triang(0.5, 0, 2)),
+    ],
+)
+def test_quantiles_are_those_of_scipy(text, truth):
+    found = parse_distribution(text, "c", "x")
+    for u in (1e-9, 0.01, 0.3, 0.5, 0.77, 0.999, 1 - 1e-9):
+        assert found.at(u, math.nan) == pytest.approx(truth.ppf(u), rel=1e-9, abs=1e-9)
+        if found.share is not None:
+            assert found.share(truth.ppf(u)) == pytest.approx(u, abs=1e-9)
+
+
+def test_choices_and_mixtures_have_their_shares():
+    u = (np.arange(10_000) + 0.5) / 10_000
+    choice = parse_distribution("choice(1, 2, 5)", "c", "x")
+    values = [choice.at(one, 0.0) for one in u]
+    assert [values.count(one) for one in (1.0, 2.0, 5.0)] == [3333, 3334, 3333]
+    mixture = parse_distribution("nominal * mixture(3, uniform(0, 1), 1, uniform(9, 10))", "c", "x")
+    values = np.array([mixture.at(one, 2.0) for one in u])
+    assert np.count_nonzero(values < 3.0) == 7500 and values.min() < 1e-3 and values.max() > 19.99
+    assert parse_distribution(4, "c", "x").at(0.3, 0.0) == 4.0
+
+
+def variation(sampling, count, numbers=3, pairs=(), text="uniform(0, 1)"):
+    of = [Varying(f"x{k}", "", parse_distribution(text, "c", "x"), 1.0) for k in range(numbers)]
+    return Variation(of, sampling, bytes(range(32)), count, correlation_of(pairs, of, "c"), "c")
+
+
+def cube(of, count):
+    return np.array([list(of.values(index).values()) for index in range(count)])
+
+
+@pytest.mark.parametrize("sampling", ["random", "sobol", "latin"])
+def test_points_are_functions_of_their_index(sampling):
+    points = cube(variation(sampling, 64), 64)
+    other = variation(sampling, 64)
+    for index in (63, 0, 17, 18, 5, 5):
+        assert list(other.values(index).values()) == points[index].tolist()
+    assert len(np.unique(points)) == points.size
+    spread = stats.qmc.discrepancy(points)
+    assert spread < {"random": 0.1, "sobol": 0.0012, "latin": 0.01}[sampling]
+    strata = np.sort((points * 64).astype(int), axis=0)
+    assert (strata == np.arange(64)[:, None]).all() == (sampling != "random")
+
+
+def test_correlation_and_grids():
+    points = cube(variation("random", 1, pairs=[(["x0", "x2"], 0.8)]), 4000)
+    # Of the normal scores: 0.8; 4000 points know it to 0.36 / 63 = 0.006, five times that is a slip
+    found = np.corrcoef(stats.norm.ppf(points).T)
+    assert found[0, 2] == pytest.approx(0.8, abs=0.03) and abs(found[0, 1]) < 0.08
+    with pytest.raises(Refusal, match="hold together"):
+        pairs = [(["x0", "x1"], 0.9), (["x1", "x2"], 0.9), (["x0", "x2"], -0.9)]
+        variation("random", 1, pairs=pairs)
+    grid = variation("random", 1, 2, text="grid(-1, 1, 5)")
+    assert grid.levels == 25
+    assert len({tuple(row) for row in cube(grid, 25).tolist()}) == 25
+    assert (cube(grid, 50)[25:] == cube(grid, 25)).all()
+
+
+def test_intervals_hold_what_they_claim():
+    # Coverage summed over all outcomes: Clopper and Pearson at least 90 %, Wilson about so.
+    for share in (0.02, 0.2, 0.5):
+        chance = stats.binom.pmf(range(41), 40, share)
+        covered = [
+            sum(p for k, p in enumerate(chance) if low(k, 40, 0.9)[0] <= share <= low(k, 40, 0.9)[1])
+            for low in (clopper_pearson, wilson)
+        ]
+        assert covered[0] >= 0.9 and covered[1] == pytest.approx(0.9, abs=0.06)
+    low, high = quantile_places(0.5, 100, 0.95)
+    assert (low, high) == (39, 60)  # tables of the sign test: the 40th and 61st of 100
+
+
+# ------------------------------------------------------------------------------------------ runs
+
+
+@pytest.mark.parametrize("data", [TABLE, MOVES])
+def test_a_run_is_a_function_of_its_index(tmp_path, data):
+    campaign = load_campaign(written(tmp_path, data))
+    first = Simulator(campaign)
+    runs = {index: first.run(index) for index in (0, 1, 2, 7)}
+    other = Simulator(load_campaign(campaign.file))
+    for index in (7, 2, 0, 2, 1):
+        assert other.run(index) == runs[index]
+    assert len({tuple(one.robustness.values()) for one in runs.values()}) == 4
+
+
+def test_noise_differs_from_run_to_run_and_repeats(tmp_path):
+    data = changed(TABLE, "set/joints.*.sensors", None) if False else TABLE
+    data = changed(data, "vary", {"joints.elbow.friction.viscous": "uniform(0.5, 0.50001)"})
+    data = changed(data, "set", {"payload": 1.0, "joints.elbow.current_sensor": {"noise": 0.05}})
+    try:
+        campaign = load_campaign(written(tmp_path, data))
+    except Refusal as no:
+        pytest.fail(str(no))
+    first, other = Simulator(campaign), Simulator(campaign)
+    currents = [first.run(index).measures["current"] for index in (0, 1, 2)]
+    assert len(set(currents)) == 3
+    assert [other.run(index).measures["current"] for index in (2, 1, 0)] == currents[::-1]
+
+
+def test_faults_are_exact_to_the_tick(tmp_path):
+    # The same by hand: orders to the session between ticks.
+    data = changed(changed(TABLE, "vary", None), "requirements", {"q": "always q.elbow < 9"})
+    data = changed(data, "measures", {f"{name}": f"last({name}.elbow)" for name in ("q", "v")})
+    found = Simulator(load_campaign(written(tmp_path, data))).run(0).measures
+    machine = {"payload": 1.0, "varied": ["payload.mass"], "external_wrench": True}
+    scene, servo = load_scene("three_axis", machine), load_gains("three_axis").servo
+    q = scene.start.copy()
+    q[2] = 1.0
+    run = TableRun(scene, TargetTable(np.zeros(1), q[None]), ServoStep(Drives(servo), [0, 1, 2]))
+    session = run.session
+    run.advance(50)
+    session.set_external_wrench("tool", ExternalWrench(force=(0, 0, 1), axes="world"))
+    run.advance(20)
+    session.set_external_wrench("tool", ExternalWrench())
+    run.advance(30)
+    session.powered = False
+    run.advance(30)
+    session.powered = True
+    run.advance(20)
+    session.set_varied("payload.mass", 0.2)
+    run.advance(50)
+    assert found == {"q": session.state.q[2], "v": session.state.v[2]}
+
+
+def test_measures_and_functions_of_python_see_the_whole_trace(tmp_path):
+    (tmp_path / "checks.py").write_text(
+        "def margin(trace):\n    return 0.5 - abs(trace['error.elbow']).max() + len(trace['t'])\n"
+    )
+    data = changed(TABLE, "requirements", {
+        "python": {"python": "checks.py:margin", "signals": ["error.*"]},
+        "formula": "always abs(error.elbow) <= 0.5",
+    })  # fmt: skip
+    data = changed(data, "measures", {"error": "max(abs(error.elbow))", "t": "last(t)"})
+    data = changed(data, "scenario/seconds", 5.0)  # more samples than are taken at once
+    one = Simulator(load_campaign(written(tmp_path, data))).run(3)
+    margin = 0.5 - one.measures["error"]
+    assert one.robustness == {"python": margin + 5001, "formula": margin}
+    assert one.measures["t"] == 5.0
+
+
+def test_a_run_that_diverges_fails_everything(tmp_path):
+    data = changed(TABLE, "vary", {"joints.elbow.gear.stiffness": "choice(1e4, 1e9)"})
+    data = changed(changed(data, "faults", None), "set", {"integrator.scheme": "paper"})
+    simulator = Simulator(load_campaign(written(tmp_path, data)))
+    runs = [simulator.run(index) for index in range(12)]
+    for one in runs:
+        stiff = one.values["joints.elbow.gear.stiffness"] > 1e5
+        assert math.isfinite(one.diverged) == stiff, one
+        assert (one.robustness["near"] == -math.inf) == stiff and one.failed
+    assert {math.isfinite(one.diverged) for one in runs} == {True, False}
+
+
+# --------------------------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "reason"),
+    [
+        ("scene", "no_such", "must exist"),
+        ("cuont", 3, "key cuont must be known"),
+        ("count", 0, "count must be a whole number"),
+        ("scenario/secnods", 3, "key scenario.secnods must be known"),
+        ("scenario/targets/0/elbwo", 3, "key scenario.targets.0.elbwo must be known"),
+        ("scenario/targets/0/at", -1, "scenario.targets.0.at must be"),
+        ("scenario/moves", [{"at": 0, "by": [0, 0, 0]}], "one of targets, table and moves"),
+        ("scenario/seconds", None, "scenario.seconds must be"),
+        ("vary/payload.mess", "uniform(0, 1)", "vary.payload.mess must name"),
+        ("vary/joints.*.frction.viscous", "uniform(0, 1)", "must name a number that can vary"),
+        ("vary/faults.push.foce", "uniform(0, 1)", "faults.push.force.0"),
+        ("vary/payload.mass", "unifrom(0, 1)", "must be a known distribution"),
+        ("vary/payload.mass", "uniform(1, 0)", "low end below its high end"),
+        ("vary/payload.mass", "uniform(1)", "uniform(low, high)"),
+        ("vary/payload.mass", "normal(0, -1)", "have sigma > 0"),
+        ("vary/payload.mass", "truncated(3, 0, 1)", "a distribution as argument 1"),
+        ("vary/payload.mass", "__import__('os')", "must be a known distribution"),
+        ("vary/payload.mass", "twice * uniform(0, 1)", "nominal *"),
+        ("vary/payload.mass", True, "must be a distribution"),
+        ("vary/controller.joints.elbow.gain", "uniform(0, 1)", "velocity_gain"),
+        ("correlate", [{"between": ["payload.mass"], "by": 0.5}], "two numbers that vary"),
+        ("correlate", [{"between": ["payload.mass", "faults.*"], "by": 2}], "correlate.0.by"),
+        ("sampling", "halton", "random, sobol, latin"),
+        ("faults/push/kind", "wench", "payload, power_cut, wrench"),
+        ("faults/push/link", "hand", "be one that moves"),
+        ("faults/cut/at", None, "faults.cut.at must be"),
+        ("faults/cut/latsing", 1, "key faults.cut.latsing must be known"),
+        ("requirements/near", "always q.hip < 1", "name signals of the run"),
+        ("requirements/near", 3, "requirements.near must be a text"),
+        ("requirements/near", {"python": "no.py:f"}, "a file beside the campaign's"),
+        ("measures/z", "median(q.elbow)", "rms(...)"),
+        ("stop", {"widht": 0.1}, "key stop.widht must be known"),
+        ("controller", {"joints": {"elbow": {"gain": 1}}}, "velocity_gain"),
+        ("controller", {"servo": "nowhere.yaml"}, "a file beside the campaign's"),
+    ],
+)
+def test_bad_files_are_refused_in_a_line(tmp_path, path, value, reason):
+    file = written(tmp_path, changed(TABLE, path, value))
+    with pytest.raises(Refusal) as refusal:
+        Simulator(load_campaign(file))
+    assert reason in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_values_out_of_range_name_the_run(tmp_path):
+    data = changed(TABLE, "vary/payload.mass", "normal(0, 1)")
+    simulator = Simulator(load_campaign(written(tmp_path, data)))
+    with pytest.raises(Refusal, match=r"c.yaml, run \d+: payload.mass must be a number >= 0 kg"):
+        for index in range(20):
+            simulator.run(index)
+
+
+# ----------------------------------------------------------------------------- workers and results
+
+
+def command(file, into, *more):
+    words = [sys.executable, "-m", "arm_emulator", "campaign", str(file), "--into", str(into)]
+    return [*words, *more]
+
+
+def finished(file, into, *more):
+    done = subprocess.run(
+        command(file, into, "--json", *more), capture_output=True, text=True, timeout=300,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def digest_alone(file):
+    """The digest of all runs, one after the other in this process."""
+    from arm_emulator.campaign.results import write_part
+
+    campaign = load_campaign(file)
+    simulator = Simulator(campaign)
+    folder = file.parent / "alone"
+    results = Results(folder, campaign)
+    order = np.random.default_rng(3).permutation(campaign.count)
+    for part in np.array_split(order, 7):
+        write_part(folder, campaign, [simulator.run(index) for index in sorted(part.tolist())])
+    return digest_of(results.columns()), results.columns()
+
+
+def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
+    file = written(tmp_path, TABLE)
+    digest, columns = digest_alone(file)
+    facts = finished(file, tmp_path / "two", "--workers", "2")
+    assert facts["digest"] == digest and facts["count"] == 300
+    assert facts["shares"][1]["hits"] == np.count_nonzero(columns["robustness.never"] < 0) > 0
+    again = finished(file, tmp_path / "two", "--workers", "1")
+    assert again["digest"] == digest
+    report = (tmp_path / "two" / "report.html").read_text()
+    assert "faults.push.force.2" in report and report.count("data:image/png") == 3
+    run = subprocess.run(
+        command(file, tmp_path / "two", "--replay", "17", "--record", str(tmp_path / "r.parquet"),
+                "--json"), capture_output=True, text=True, timeout=300, check=True,
+    )  # fmt: skip
+    facts = json.loads(run.stdout)
+    assert facts["robustness"]["near"] == columns["robustness.near"][17]
+    import pyarrow.parquet as pq
+
+    q, error = pq.read_table(tmp_path / "r.parquet")["q.elbow"].to_numpy(), facts["robustness"]
+    target = facts["values"]["scenario.targets.0.elbow"]
+    assert 0.3 - np.abs(q - target).max() == pytest.approx(error["near"], abs=1e-15)
+    other = written(tmp_path, changed(TABLE, "scenario/seconds", 0.21))
+    refused = subprocess.run(command(other, tmp_path / "two"), capture_output=True, text=True,
+                             timeout=300, check=False)  # fmt: skip
+    assert refused.returncode != 0 and "results of this campaign" in refused.stderr
+
+
+def processes_below(process):
+    """Process ids of a process and of those that it has begun."""
+    found = [process]
+    for task in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = task.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == process:
+            found += processes_below(int(task.parent.name))
+    return found
+
+
+@pytest.mark.parametrize("seed", some(range(20), 1))
+def test_kills_at_random_moments_lose_nothing(tmp_path, seed):
+    """Client, workers, and Ctrl-C: what was written stays, and the end is the same."""
+    rng = np.random.default_rng(seed)
+    file = written(tmp_path, changed(TABLE, "count", 1200))
+    into, kept = tmp_path / "killed", 0
+    for how in rng.permutation(["client", "worker", "ctrl-c"]):
+        before = set((into / "parts").glob("*.parquet"))
+        with subprocess.Popen(
+            command(file, into, "--workers", "2"), start_new_session=True,
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        ) as client:  # fmt: skip
+            until = time.monotonic() + 60.0
+            while len(processes_below(client.pid)) < 3 and time.monotonic() < until:
+                time.sleep(0.02)
+            time.sleep(rng.uniform(0.0, 4.0))
+            below = processes_below(client.pid)
+            if how == "client":
+                os.kill(client.pid, signal.SIGKILL)
+            elif how == "ctrl-c":
+                os.killpg(client.pid, signal.SIGINT)
+            else:
+                os.kill(int(rng.choice(below[1:] or below)), signal.SIGKILL)
+            client.communicate(timeout=120)
+        until = time.monotonic() + 30.0
+        while any(Path(f"/proc/{one}").exists() for one in below) and time.monotonic() < until:
+            time.sleep(0.05)
+        assert not [one for one in below if Path(f"/proc/{one}").exists()], "nobody stays behind"
+        parts = set((into / "parts").glob("*.parquet"))
+        assert before <= parts
+        kept += len(parts - before)
+    assert finished(file, into)["digest"] == digest_alone(file)[0]
+
+
+def test_a_campaign_stops_when_it_knows_enough(tmp_path):
+    data = changed(TABLE, "stop", {"width": 0.16, "confidence": 0.9})
+    facts = [
+        finished(written(tmp_path, data), tmp_path / f"{n}", "--workers", str(n)) for n in (1, 2)
+    ]
+    assert facts[0]["count"] == 200 and facts[0]["digest"] == facts[1]["digest"]
+    assert all(one["high"] - one["low"] <= 0.16 for one in facts[0]["shares"])
+
+
+def test_the_price_is_known_beforehand(tmp_path):
+    done = subprocess.run(
+        command(written(tmp_path, TABLE), tmp_path / "x", "--dry"), capture_output=True, text=True,
+        timeout=300, check=True,
+    )  # fmt: skip
+    assert "300 runs of 0.2 s" in done.stdout and "kB" in done.stdout
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.skipif(not FULL, reason="FULL=1: a cluster of processes")
+def test_dask_is_transport_only(tmp_path):
+    distributed = pytest.importorskip("distributed", reason="Dask: pip install distributed")
+    file = written(tmp_path, TABLE)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=2, dashboard_address=None) as all_:
+        facts = finished(file, tmp_path / "dask", "--dask", all_.scheduler_address)
+    assert facts["digest"] == digest_alone(file)[0]
