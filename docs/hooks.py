@@ -80,7 +80,17 @@ def _interfaces(place: str) -> str:
     )
 
 
+def _of_campaigns(what: str) -> str:
+    """Return a table of what a campaign's file may have, from its declaration."""
+    from arm_emulator.campaign.described import TABLES
+
+    if what not in TABLES:
+        raise Missing(f"{what} of campaigns; valid: {', '.join(TABLES)}")
+    return TABLES[what]()
+
+
 GENERATORS: dict[str, Callable[[str], str]] = {
+    "campaign": _of_campaigns,
     "commands": _help,
     "file": _code,
     "interfaces": _interfaces,

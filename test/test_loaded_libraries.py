@@ -12,6 +12,8 @@ from pathlib import Path
 
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.build.unit import Unit
+from arm_emulator.campaign.requirement import robustness_unit
+from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.doors.fieldbus.drives import drives_unit
 from arm_emulator.machine.compiler import fleet_unit, machine_unit, real_time_unit
 from arm_emulator.machine.firmware_loop import firmware_loop_unit
@@ -66,6 +68,7 @@ def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
     scene = load_scene("three_axis")
     units = machine_unit(scene), fleet_unit(scene), drives_unit("drives"), servo_unit()
     units += servo_step_unit(), firmware_loop_unit(), real_time_unit(), record_ring_unit()
+    units += robustness_unit(), sampler_unit()
     names = sorted(set().union(*map(names_of, units)))
     assert {"arm_advance", "servo_measure", "firmware_loop_step"} < set(names)
     source, others = tmp_path / "others.c", tmp_path / "others.so"

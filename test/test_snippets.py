@@ -27,6 +27,7 @@ RUN = {"cache", "check-scene", "completion", "fmu", "run"}
 # Why the others are read by their parser alone.
 OURS = {
     "advise": "minutes; test_advice.py",
+    "campaign": "a minute; test_campaign.py",
     "canopen": "runs until Ctrl-C; test_canopen.py",
     "check-bag": "needs the reader's bag; test_bags.py",
     "compile": "a minute of compilation for a level of processors; test_library_cache.py",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from scipy import special, stats
+import numpy as np
+from scipy import special
 
 
 def clopper_pearson(hits: int, count: int, confidence: float) -> tuple[float, float]:
@@ -29,6 +30,7 @@ def wilson(hits: int, count: int, confidence: float) -> tuple[float, float]:
 def quantile_places(q: float, count: int, confidence: float) -> tuple[int, int]:
     """Return the places in a sorted sample between which a quantile lies that often."""
     tail = 0.5 * (1.0 - confidence)
-    low = int(stats.binom.ppf(tail, count, q)) - 1
-    high = int(stats.binom.ppf(1.0 - tail, count, q))
+    below = special.bdtr(np.arange(count + 1), count, q)  # of at most so many smaller ones
+    low = int(np.searchsorted(below, tail)) - 1
+    high = int(np.searchsorted(below, 1.0 - tail))
     return max(0, low), min(count - 1, high)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +70,7 @@ def influence(columns: Columns, varying: Sequence[str], of: str) -> dict[str, fl
     found = dict.fromkeys(varying, 0.0)
     if slices < 2 or np.ptp(values[sound]) == 0.0:
         return found
-    ranks = rankdata(values[sound])
+    ranks = np.argsort(np.argsort(values[sound], kind="stable"), kind="stable")
     whole = float(np.var(ranks))
     for name in varying:
         order = np.argsort(columns[name][sound], kind="stable")

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
-from scipy.stats import qmc
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.campaign.distributions import Distribution
+
+if TYPE_CHECKING:
+    from scipy.stats import qmc
 
 Array = NDArray[np.float64]
 SAMPLINGS = ("random", "sobol", "latin")
@@ -121,7 +124,9 @@ class Variation:
             return self._sobol_point(index, D)
         if self.sampling == "latin" and index < self.count:
             if self._cube is None:
-                cube = qmc.LatinHypercube(D, rng=self._of_all())
+                from scipy.stats import qmc  # takes long to import
+
+                cube = qmc.LatinHypercube(D, seed=self._of_all())
                 self._cube = cube.random(self.count)
             row: list[float] = self._cube[index].tolist()
             return row
@@ -130,7 +135,9 @@ class Variation:
     def _sobol_point(self, index: int, D: int) -> list[float]:
         at, sequence = self._sobol or (0, None)
         if sequence is None or at > index:
-            at, sequence = 0, qmc.Sobol(D, scramble=True, rng=self._of_all())
+            from scipy.stats import qmc  # takes long to import
+
+            at, sequence = 0, qmc.Sobol(D, scramble=True, seed=self._of_all())
         if index > at:
             sequence.fast_forward(index - at)
         point: list[float] = sequence.random(1)[0].tolist()

@@ -18,6 +18,8 @@ from draws import FULL, some
 
 from arm_emulator.build.compiler_command import identity
 from arm_emulator.build.unit import Unit
+from arm_emulator.campaign.requirement import robustness_unit
+from arm_emulator.campaign.signals import sampler_unit
 from arm_emulator.doors.fieldbus.drives import drives_unit
 from arm_emulator.doors.fieldbus.ethercat import ethercat_unit
 from arm_emulator.doors.fmu.unit import unit_of
@@ -73,7 +75,7 @@ def units(folder: Path) -> Iterator[Unit]:
         yield machine_unit(scene)
         yield fleet_unit(scene)
     yield from (servo_unit(), servo_step_unit(), firmware_loop_unit(), real_time_unit())
-    yield record_ring_unit()
+    yield from (record_ring_unit(), robustness_unit(), sampler_unit())
     yield from (drives_unit(), ethercat_unit())
     if find_spec("unicorn"):
         from arm_emulator.doors.microcontroller.microcontroller import runner_unit

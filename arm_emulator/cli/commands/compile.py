@@ -31,6 +31,8 @@ def compile_scene(
         fieldbus: compile the libraries of field buses, too.
     """
     from arm_emulator.build.unit import compile_units
+    from arm_emulator.campaign.requirement import robustness_unit
+    from arm_emulator.campaign.signals import sampler_unit
     from arm_emulator.machine.compiler import compile_ahead
     from arm_emulator.machine.firmware_loop import firmware_loop_unit
     from arm_emulator.machine.record_ring import record_ring_unit
@@ -41,6 +43,7 @@ def compile_scene(
 
     of_scene = compile_ahead(load_scene(scene), target, into, fleet=fleet)
     code = [servo_unit(), way_unit(), servo_step_unit(), firmware_loop_unit(), record_ring_unit()]
+    code += [robustness_unit(), sampler_unit()]
     if fieldbus:
         from arm_emulator.doors.fieldbus.drives import drives_unit
         from arm_emulator.doors.fieldbus.ethercat import ethercat_unit

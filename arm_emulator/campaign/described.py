@@ -1,0 +1,72 @@
+"""What a campaign's file may have, as tables for its page."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable
+from dataclasses import fields
+
+from arm_emulator.base.number import numbers_of
+from arm_emulator.campaign import campaign_file
+from arm_emulator.campaign.distributions import KINDS
+from arm_emulator.campaign.faults import known_faults
+from arm_emulator.campaign.scenario import AT, SECONDS
+from arm_emulator.machine.scene import load_scene
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _distributions() -> str:
+    rows = []
+    for name, function in KINDS.items():
+        given = [
+            str(one).partition(":")[0] for one in inspect.signature(function).parameters.values()
+        ]
+        rows.append((f"`{name}({', '.join(given)})`", (function.__doc__ or "").strip()))
+    return _table(("distribution", "values"), rows)
+
+
+def _faults() -> str:
+    rows = []
+    for kind, fault in known_faults().items():
+        numbers = [f"`{name}`: {one.described}" for name, one in numbers_of(fault).items()]
+        others = [f"`{one.name}`" for one in fields(fault) if one.name not in numbers_of(fault)]
+        about = (fault.__doc__ or "").strip().partition("\n")[0]
+        rows.append((f"`{kind}`", about, "<br>".join([*numbers, *others])))
+    return _table(("kind", "what happens", "keys"), rows)
+
+
+def _numbers() -> str:
+    of = {
+        "count": campaign_file.COUNT,
+        "seed": campaign_file.SEED,
+        "stop.width": campaign_file.WIDTH,
+        "stop.confidence": campaign_file.CONFIDENCE,
+        "stop.seconds": campaign_file.WALL,
+        "scenario.seconds": SECONDS,
+        "scenario.targets.N.at, scenario.moves.N.at": AT,
+        "correlate.N.by": campaign_file.CORRELATION,
+    }
+    return _table(("key", "what it is"), ((f"`{name}`", one.described) for name, one in of.items()))
+
+
+def _signals() -> str:
+    from arm_emulator.campaign.signals import units_of_signals
+
+    scene = load_scene("three_axis")
+    known: dict[str, str] = {}
+    for name, unit in units_of_signals(scene).items():
+        head, _, tail = name.rpartition(".")
+        known[f"{head}.*" if tail in scene.joint_names else name] = unit
+    return _table(("signal", "unit"), ((f"`{name}`", unit) for name, unit in known.items()))
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "distributions": _distributions,
+    "faults": _faults,
+    "numbers": _numbers,
+    "signals": _signals,
+}
