@@ -55,6 +55,7 @@ setup(
     python_requires=">=3.11",
     install_requires=wheels("numbers, robots, files, pictures, command line"),
     extras_require={
+        "dask": wheels("clusters"),
         "doors": wheels("doors"),
         "test": ["pytest"],  # colcon test then knows the runner
     },

@@ -111,8 +111,15 @@ def _tool_paths(scratch: Path) -> Path:
     return tool_paths.draw(scratch)
 
 
+def _campaign(scratch: Path) -> Path:
+    words = ["campaign", "examples/campaign.yaml", "--into", str(scratch)]
+    subprocess.run([sys.executable, "-m", "arm_emulator", *words], check=True, cwd=ROOT)
+    return scratch / "influences.png"
+
+
 DRAWN: dict[str, Callable[[Path], Path]] = {
     "arm.gif": _arm,
+    "campaign.png": _campaign,
     "convergence.png": _convergence,
     "feedforward.png": _feedforward,
     "fig4.png": _fig4,
