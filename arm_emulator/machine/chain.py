@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.couplings import Coupling, coupling_of, followers
+from arm_emulator.base.quick_dataclass import dataclass
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf_text import complete_limits
 
@@ -536,7 +538,7 @@ def _root(links: Mapping[str, int], joints: list[_UrdfJoint], where: str) -> str
     return roots[0]
 
 
-@dataclass
+@dataclasses.dataclass
 class _Moving:
     """A moving joint, its placement in the frame of the last moving link, and what it moves."""
 
