@@ -78,7 +78,7 @@ def test_either_kind_may_inherit_the_other() -> None:
         base, _ = declared(one.dataclass)  # type: ignore[attr-defined]
 
         @other.dataclass(frozen=True, kw_only=True)  # type: ignore[attr-defined]
-        class Heir(base):  # type: ignore[misc]
+        class Heir(base):  # type: ignore[misc, valid-type]
             most: int = 3
 
         assert repr(Heir("a")).endswith("Heir(name='a', size=1.0, twice=2.0, most=3)")
