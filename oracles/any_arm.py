@@ -4,7 +4,7 @@ For every arm a scene is made by `arm_emulator new`; the whole machine, servo an
 are then sent on random moves of 50 and 300 mm (less for small arms) between poses within the
 joint limits. A move counts as arrived if the true tool rests where `predicted_residual` predicts.
 What the true tool does on the way is judged, too: how far it goes past the place where it comes to
-rest, how far from the straight line it is, and how fast the links turn.
+rest, how far from the straight line it is, and the links' speeds, accelerations and torques.
 Without names: every robot of example-robot-data with an arm, and those of oracles/own_robots.py.
 """
 
@@ -14,7 +14,6 @@ import dataclasses
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,14 +27,14 @@ from arm_emulator.motion.kinematics import Kinematics
 from arm_emulator.motion.motion_report import State
 from arm_emulator.motion.pose import Pose
 from arm_emulator.motion.predicted_residual import predicted_residual
-from arm_emulator.runs.gains import load_gains
+from arm_emulator.runs.gains import Gains, load_gains
 from arm_emulator.runs.offline import OfflineRun
 from oracles.own_robots import OWN
 
 DISTANCES = (0.05, 0.3)  # m, for arms that reach `FULL_REACH`; smaller ones go as much less
 DISTANCES_NAMED = [f"{distance * 1e3:g} mm" for distance in DISTANCES]
 FULL_REACH = 0.8  # m
-SETTLE = 1.0  # s of logical time before the target comes
+SETTLE = 0.6  # s of logical time before the target comes
 PATIENCE = 12.0  # s of logical time for a move
 SAMPLE = 0.005  # s between samples of the way
 LOOK = 0.1  # s between two looks at whether the tool rests within the prediction
@@ -66,8 +65,22 @@ class Move:
     """Largest distance of the true tool from the line to there [m]."""
     peak_speed: float = 0.0
     """Largest link speed over the joint's limit."""
+    peak_acceleration: float = 0.0
+    """Largest link acceleration over the joint's limit, over a sample."""
+    peak_torque: float = 0.0
+    """Largest torque of a gear over the joint's limit."""
     way: str = ""
     """Reason of its way, as published by the motion controller."""
+
+    @property
+    def straight(self) -> bool:
+        """Whether the motion controller announced a straight line."""
+        return "tool's line" in self.way
+
+    @property
+    def off_line(self) -> bool:
+        """Whether it left a line that was announced by more than 1 mm and 1 % of its length."""
+        return self.straight and self.aside > max(1e-3, 1e-2 * self.length)
 
     @property
     def overshot(self) -> bool:
@@ -119,7 +132,6 @@ def examine(name: str, robot: Path | str, count: int) -> Outcome:
         except Refusal as refusal:
             outcome.refused = str(refusal)
             return outcome
-        limits = np.array([drive.speed for drive in written.drives])
         outcome.joints = len(scene.joints)
         kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
         rng = np.random.default_rng(0)
@@ -128,7 +140,7 @@ def examine(name: str, robot: Path | str, count: int) -> Outcome:
             for _ in range(count):
                 pair = reachable(kinematics, length, rng)
                 if pair is not None:
-                    outcome.moves.append(move(scene, gains, key, *pair, limits))
+                    outcome.moves.append(move(scene, gains, key, *pair))
     return outcome
 
 
@@ -161,7 +173,7 @@ def reachable(
     return None
 
 
-def move(scene: Scene, gains: Any, distance: str, q: Array, goal: Array, limits: Array) -> Move:
+def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> Move:
     """Send the arm from one pose to another, and watch it all the way."""
     joints = tuple(
         dataclasses.replace(joint, start=float(angle))
@@ -176,15 +188,16 @@ def move(scene: Scene, gains: Any, distance: str, q: Array, goal: Array, limits:
     counts = gains.servo.count_angles(scene.joint_names)
     ticks = max(1, round(SAMPLE / scene.servo_period))
     sample = ticks * scene.servo_period
-    look, peak, rested = max(1, round(LOOK / sample)), 0.0, 0
-    way: list[Array] = []
+    look, rested = max(1, round(LOOK / sample)), 0
+    way, speeds, torques = list[Array](), list[Array](), list[Array]()
     words, seconds = "", PATIENCE
     try:
         run.advance(round(settle_ns * 1e-9 / scene.servo_period))
         for step in range(round(PATIENCE / sample) + 1):
             state = run.session.state
             way.append(kinematics.forward(state.q)[1])
-            peak = max(peak, float((np.abs(state.v) / limits).max()))
+            speeds.append(state.v.copy())
+            torques.append(state.gear_torque.copy())
             if step and step % look == 0:
                 error = kinematics.tool_error(state.q, target)
                 wind_up = scene.wind_up(state.gear_torque) - run.wound
@@ -201,9 +214,18 @@ def move(scene: Scene, gains: Any, distance: str, q: Array, goal: Array, limits:
     except (Diverged, Refusal) as fault:
         words = str(fault).splitlines()[0]
     reasons = [r.reason for r in run.instructor.reports.waiting if r.state is State.MOVING]
-    one = Move(distance, 0.0, words, seconds, peak_speed=peak, way="; ".join(reasons))
+    one = Move(distance, 0.0, words, seconds, way="; ".join(reasons))
+    one.peak_speed = _most(np.array(speeds), kinematics.velocity_limit)
+    accelerations = np.diff(speeds, axis=0) / sample
+    one.peak_acceleration = _most(accelerations, kinematics.acceleration_limit)
+    one.peak_torque = _most(np.array(torques), kinematics.effort_limit)
     one.length, one.past, one.aside = along_its_line(np.array(way))
     return one
+
+
+def _most(rows: Array, limits: Array) -> float:
+    """Return the largest of rows (K, N) over limits (N,)."""
+    return float((np.abs(rows) / limits).max(initial=0.0))
 
 
 def along_its_line(way: Array) -> tuple[float, float, float]:

@@ -274,8 +274,7 @@ def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     pair = reachable(kinematics, 0.2, np.random.default_rng(1))
     assert pair is not None
-    limits = np.array([drive.speed for drive in written.drives])
-    one = move(scene, gains, "50 mm", *pair, limits)
+    one = move(scene, gains, "50 mm", *pair)
     assert not one.words and one.peak_speed <= 1.0 and not one.overshot, one
 
 
@@ -306,8 +305,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     assert not overloads(scene)
     pair = reachable(kinematics, 0.1, np.random.default_rng(1))
     assert pair is not None
-    limits = np.array([drive.speed for drive in written.drives])
-    one = move(scene, gains, "50 mm", *pair, limits)
+    one = move(scene, gains, "50 mm", *pair)
     assert not one.words and one.peak_speed <= 1.0 and not one.overshot, one
 
 

@@ -59,8 +59,7 @@ def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Pat
     kinematics = Kinematics(upright.urdf, upright.joint_names, upright.tool)
     pair = reachable(kinematics, 0.1, np.random.default_rng(3))
     assert pair is not None
-    limits = np.array([drive.speed for drive in written.drives])
-    done = move(upright, gains, "100 mm", *pair, limits)
+    done = move(upright, gains, "100 mm", *pair)
     assert not done.words and done.peak_speed <= 1.0 and done.seconds < 6.0, done
     assert not done.overshot, done
 

@@ -71,13 +71,12 @@ def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
     assert {type(joint.motor) for joint in scene.joints} == {KINDS[kind]}
     assert all(rule in written.file.read_text() for rule in KINDS[kind].rules)
     check_scene(str(written.file))
-    limits = np.array([drive.speed for drive in written.drives])
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     rng = np.random.default_rng(3)
     for _ in range(2):
         pair = reachable(kinematics, 0.05, rng)
         assert pair is not None
-        one = move(scene, gains, "50 mm", *pair, limits)
+        one = move(scene, gains, "50 mm", *pair)
         assert not one.words, one.words
     assert withheld_modes(scene, gains.servo, modes()) == []
     if FULL:

@@ -32,7 +32,7 @@ DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
 PLACEHOLDER, OVERSIZED = 50.0, 8.0
 
 GRAVITY_MARGIN = 1.3  # holds its own links, and some payload
-SPEED_UP = 0.25  # s from rest to full speed, of all joints at a time
+SPEED_UP = 0.25  # s from rest to full speed
 TORQUE_PART = 0.6  # of what the weight leaves of the torque, for accelerating
 LEAST_PART = 0.02  # of the torque, for accelerating where the weight leaves less
 
@@ -110,14 +110,18 @@ def size(demands: list[Demand], kind: type[Motor] = DcMotor) -> tuple[float, lis
         torque, about = _peak_torque(demand, needed, most * (needed + demand.tool_torque))
         torques.append(torque)
         notes.append({"torque": about, "speed": of_speed})
-    # All joints take the same time to full speed, as short as every torque allows.
+    # Each joint for itself, as much as all joints can hold; what several ask for at a time is
+    # kept by the timing of ways.
     peak = np.array(torques)
     left = np.maximum(TORQUE_PART * (peak - weight), LEAST_PART * peak)
-    seconds = max(SPEED_UP, float((ramp / left).max()))
+    asked = (coupling / left[:, None]).max(axis=0)  # per acceleration, of what is left
+    accelerations = 1.0 / np.maximum(SPEED_UP / speeds, asked)
     supply = _supply(demands, float((peak * speeds).max()))
     return supply, [
-        _drive(demand, torque, float(speed), float(speed) / seconds, note, supply, kind)
-        for demand, torque, speed, note in zip(demands, torques, speeds, notes, strict=True)
+        _drive(demand, torque, float(speed), float(acceleration), note, supply, kind)
+        for demand, torque, speed, acceleration, note in zip(
+            demands, torques, speeds, accelerations, notes, strict=True
+        )
     ]
 
 

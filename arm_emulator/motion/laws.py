@@ -13,7 +13,7 @@ from arm_emulator.motion.motion_config import MotionConfig
 from arm_emulator.motion.reference import Reference
 from arm_emulator.motion.smooth_joints import SmoothJoints
 from arm_emulator.motion.tool_path import ToolLimits
-from arm_emulator.motion.way_controller import WayController, way_limits
+from arm_emulator.motion.way_controller import WayController
 
 RISE = 0.05  # s, in which jogged joints take up their largest acceleration
 
@@ -77,7 +77,6 @@ class Laws:
 
 def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
     """Return what joint trajectories are held against."""
-    limits = way_limits(kinematics, config)
     speed = np.minimum(kinematics.velocity_limit, config.velocity_limit)
     if config.trajectory_limits == "scale":
         speed = np.full_like(speed, np.inf)  # what is faster takes longer
@@ -85,7 +84,7 @@ def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
         kinematics.lower,
         kinematics.upper,
         speed,
-        limits.acceleration,
+        np.minimum(kinematics.acceleration_limit, config.acceleration_limit),
         kinematics.continuous,
     )
 

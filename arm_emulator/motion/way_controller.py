@@ -38,7 +38,8 @@ from arm_emulator.motion.way import Way, WayLimits
 FloatArray = npt.NDArray[np.float64]
 
 LOST = 0.2  # rad (or m per reach) between arm and reference: somebody else moves the arm
-SPEED_SHARE = 0.89  # of the description's limit; the rest is for links that swing on their gears
+# Of the description's limits; the rest is for links that swing on their gears.
+SPEED_SHARE, ACCELERATION_SHARE = 0.89, 0.8
 JERK_TIME = 0.05  # s in which the acceleration comes to its limit, where no jerk is given
 _STEPS = 12  # of the joint goal per motion period
 _LONGEST_SEEK = 20  # periods, for which the arm waits
@@ -354,7 +355,9 @@ class WayController:
 def way_limits(kinematics: Kinematics, config: MotionConfig) -> WayLimits:
     """Return what the joints may do, by the robot description and the parameters."""
     speed = np.minimum(SPEED_SHARE * kinematics.velocity_limit, config.velocity_limit)
-    acceleration = np.minimum(kinematics.acceleration_limit, config.acceleration_limit)
+    acceleration = np.minimum(
+        ACCELERATION_SHARE * kinematics.acceleration_limit, config.acceleration_limit
+    )
     jerk = acceleration / JERK_TIME
     if config.jerk_limit > 0.0:
         jerk = np.full_like(acceleration, config.jerk_limit)
