@@ -102,7 +102,7 @@ class Way:
         self._arm = arm if len(self._loaded) else None
         ramp, pieces = self._ramp()
         self._ramps = Ramps(ramp)
-        rows = self._rows(places(pieces))
+        rows = self._rows(places(pieces), self._arm)
         timing = least_duration(pieces, rows)
         if not isinstance(timing, Timing):
             raise self._too_heavy(places(pieces)[timing], where)
@@ -148,8 +148,8 @@ class Way:
         in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / len(_CHECKS))
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
 
-    def _rows(self, sigma: FloatArray) -> Rows:
-        """Return the limits at places, in parts of them."""
+    def _rows(self, sigma: FloatArray, arm: ArmTree | None) -> Rows:
+        """Return the limits at places, in parts of them; those of torque with an arm."""
         s = self._ramps.derivatives(sigma)
         q, f1, f2, f3 = _composed(self.curve, s)
         limits = self._limits
@@ -160,10 +160,9 @@ class Way:
         a, j = limits.acceleration, limits.jerk
         firsts = [np.zeros_like(f1), f2 / a, 0.5 * f1 / a]
         thirds = [f3 / j, 1.5 * f2 / j, 0.5 * f1 / j]
-        if self._arm is not None:
-            firsts = [
-                np.hstack(pair) for pair in zip(firsts, self._torques(q, f1, f2), strict=True)
-            ]
+        if arm is not None:
+            torques = self._torques(arm, q, f1, f2)
+            firsts = [np.hstack(pair) for pair in zip(firsts, torques, strict=True)]
         if self._along is not None:
             along = self._along
             g1, g2, g3 = (along.length * s[1:])[:, :, None]
@@ -182,25 +181,25 @@ class Way:
             ]
         return Rows(most, np.stack(firsts), np.stack(thirds))
 
-    def _torques(self, q: FloatArray, f1: FloatArray, f2: FloatArray) -> list[FloatArray]:
+    def _torques(
+        self, arm: ArmTree, q: FloatArray, f1: FloatArray, f2: FloatArray
+    ) -> list[FloatArray]:
         """Return what torques are by 1, c and c', in parts of their limits, (P, L) each."""
-        assert self._arm is not None
         still, used = np.zeros_like(q), self._loaded
         limit = self._limits.torque[used]
-        weight = self._arm.torques(q, still, still)
-        rate = self._arm.torques(q, f1, f2) - weight
-        change = self._arm.torques(q, still, f1) - weight
+        weight = arm.torques(q, still, still)
+        rate = arm.torques(q, f1, f2) - weight
+        change = arm.torques(q, still, f1) - weight
         return [weight[:, used] / limit, rate[:, used] / limit, 0.5 * change[:, used] / limit]
 
     def _excess(self, pieces: int, timing: Timing) -> float:
         """Return by which factor the way must take longer to keep every limit at every check."""
-        checks = [places(pieces, _CHECKS)]
-        if len(self.curve.breaks) > 2:  # where its third derivative steps
-            breaks = self._ramps.inverse(self.curve.breaks[1:-1])
-            checks += [breaks - _BESIDE, breaks + _BESIDE]
-        sigma = np.concatenate(checks)
-        rows = self._rows(sigma)
+        # Third derivatives step at the ends of the ramps and at the breaks of the curve.
+        ramp = np.array([self._ramps.ramp, 1.0 - self._ramps.ramp])
+        breaks = np.concatenate([ramp, self._ramps.inverse(self.curve.breaks[1:-1])])
+        sigma = np.concatenate([places(pieces, _CHECKS), breaks - _BESIDE, breaks + _BESIDE])
         c, d, e = timing.rates(sigma)
+        rows = self._rows(sigma, self._arm if self._overloaded(sigma, c, d) else None)
         slower = max(1.0, float((c / rows.most).max()))  # of c
         f0, fc, fd = rows.firsts
         moving = fc * c[:, None] + fd * d[:, None]
@@ -210,6 +209,15 @@ class Way:
         third = np.abs(tc * c[:, None] + td * d[:, None] + te * e[:, None]) * np.sqrt(c)[:, None]
         slower = max(slower, (JERK_MARGIN * float(third.max())) ** (2.0 / 3.0))
         return math.sqrt(slower) * MARGIN
+
+    def _overloaded(self, sigma: FloatArray, c: FloatArray, d: FloatArray) -> bool:
+        """Whether a torque exceeds its limit at places."""
+        if self._arm is None:
+            return False
+        q, f1, f2, _ = _composed(self.curve, self._ramps.derivatives(sigma))
+        a = f2 * c[:, None] + 0.5 * f1 * d[:, None]
+        torques = self._arm.torques(q, f1 * np.sqrt(c)[:, None], a)
+        return bool((np.abs(torques) > self._limits.torque).any())
 
     def _too_heavy(self, sigma: float, where: str) -> Refusal:
         assert self._arm is not None
