@@ -25,7 +25,7 @@ _BESIDE = 1e-9  # of a piece: an end belongs to the piece that it is asked for
 _GAUSS, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 _GAUSS, _WEIGHTS = 0.5 * (_GAUSS + 1.0), 0.5 * _WEIGHTS
 _PAIRS = list(zip(_GAUSS.tolist(), _WEIGHTS.tolist(), strict=True))
-_GAP = 0.01  # of the shortest duration, that the search leaves
+_GAP = 0.02  # of the shortest duration, that the search leaves
 
 
 class Ramps:

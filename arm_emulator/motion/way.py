@@ -26,7 +26,7 @@ MOST_PIECES = 400  # of a way in which the ramps decide how many it has
 IN_A_RAMP = 12  # pieces of it
 MARGIN = 1.002  # of time: for what lies between the checks
 JERK_MARGIN = 1.01  # likewise, of the jerk, which steps
-_CHECKS = (0.0, 0.17, 0.33, 0.5, 0.67, 0.83, 1.0)  # places in a piece where limits are held against
+_CHECKS = (0.0, 0.25, 0.5, 0.75, 1.0)  # places in a piece where limits are held against
 _BESIDE = 1e-7  # of sigma
 _LOOKS = np.linspace(0.0, 1.0, 17)  # at which the length of the ramps is judged
 

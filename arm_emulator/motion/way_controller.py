@@ -41,7 +41,7 @@ LOST = 0.2  # rad (or m per reach) between arm and reference: somebody else move
 # Of the description's limits; the rest is for links that swing on their gears.
 SPEED_SHARE, ACCELERATION_SHARE = 0.89, 0.8
 JERK_TIME = 0.05  # s in which the acceleration comes to its limit, where no jerk is given
-_STEPS = 12  # of the joint goal per motion period
+_STEPS = 6  # of the joint goal per motion period
 _LONGEST_SEEK = 20  # periods, for which the arm waits
 _FAR, _NEARER = 1.0, 0.8  # rad, and parts of it: then nearer joint angles are looked for
 _FAR_STEPS = 30  # of the joint goal, for them
