@@ -8,9 +8,10 @@
 struct arm_fleet {
   using Machine = arm_machine::Machine;
   static constexpr int N = Scene::N;
-  // Steps that are cut at events, or shared by two threads, are not the same in every lane.
+  // Not those of two threads, nor of drives that have no usual mode.
   static constexpr bool together =
-      std::is_same_v<Machine::Threads, arm::OneThread<Scene, Machine::Method>>;
+      std::is_same_v<Machine::Threads, arm::OneThread<Scene, Machine::Stepper>> &&
+      arm::is_ever_usual<Scene>();
   static constexpr int lanes = together ? arm::kNativeLanes : 1;
   using Group = arm::SideBySide<Scene, lanes>;
 

@@ -21,7 +21,7 @@ class Machine {
  public:
   static constexpr int N = S::N;
 
-  static constexpr bool locates = S::events == Events::located && Modes<S>::present;
+  static constexpr bool locates = kLocates<S>;
   using Method = typename MethodOf<S, S::scheme, double>::type;
   using Stepper = std::conditional_t<locates, Located<S>, Method>;
 
@@ -34,6 +34,14 @@ class Machine {
     for (int k = 0; k < S::brakes; ++k)
       for (int way = 0; way < 2; ++way)
         delay_[k][way] = static_cast<std::int64_t>(S::brake_delays[k][way] / dt + 0.5);
+  }
+
+  // One step by itself, of a machine that is in a lane beside others.
+  ARM_APART void step_alone(State<S>& x, const double (&u)[Stepper::row],
+                            typename Threads::Memory& past) {
+    threads_.restore(past);
+    threads_.step(x, u);
+    past = threads_.memory();
   }
 
   // Schedule all threads as the calling one; false if the system does not permit it.

@@ -7,6 +7,7 @@
 
 #include "machine/machine.hpp"
 #include "schemes/one_thread.hpp"
+#include "schemes/smooth_together.hpp"
 
 namespace arm {
 
@@ -97,7 +98,9 @@ class SideBySide {
 
  private:
   using X = Lanes<width>;
-  using Method = typename MethodOf<S, S::scheme, X>::type;
+  using Method =
+      typename std::conditional_t<kStepsApart<S>, std::type_identity<SmoothTogether<S, X, Machine>>,
+                                  MethodOf<S, S::scheme, X>>::type;
   using Threads = OneThread<S, Method, X>;
   using Course = arm::Course<S, X, Method::row>;
   using Balance = EnergyBalance<S>;
@@ -132,9 +135,11 @@ class SideBySide {
       renewed = true;
     }
     if (renewed) threads_.renew();
-    if constexpr (S::external_wrench)
+    if constexpr (S::external_wrench) {
       for (int lane = 0; lane < width; ++lane)
         numbers_.set_external_wrenches(lane, numbers_of(lane));
+      if constexpr (kStepsApart<S>) threads_.stepper().forget_links();
+    }
   }
 
   // Put all sound machines into their lanes; the other lanes go along with one of these. False
@@ -152,6 +157,9 @@ class SideBySide {
       all = all && abreast_[lane];
       if (abreast_[lane]) sound = lane;
     }
+    if constexpr (kStepsApart<S>)
+      for (int lane = 0; lane < used_; ++lane)
+        threads_.stepper().put(lane, abreast_[lane] ? machine_[lane] : nullptr);
     if (sound < 0) return false;
     if (!all || used_ < width) {
       Instant one = {};

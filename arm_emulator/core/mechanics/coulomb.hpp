@@ -89,13 +89,15 @@ class Coulomb {
   }
 
   // The decisions alone. Joints that all slide, or all rest, need no solution for them.
-  void decide(Matrix& W, const double* v, double* rhs) {
-    int resting = begin(v);
-    for (int j = 0; resting == N && j < N; ++j) {
+  void decide(Matrix& W, const X* v, X* rhs) {
+    begin(v);
+    Mask<X> slide = X{} == X{}, rest = slide;
+    for (int j = 0; j < N; ++j) {
       held_[j] = rhs[j];
-      if (magnitude(held_[j]) > Ds(j)) resting = -1;
+      slide &= negated(locked_[j]);
+      rest &= where(locked_[j], negated(magnitude(held_[j]) > Ds(j)));
     }
-    if (resting != 0 && resting != N) solve(W, v, rhs);
+    if (!all(slide | rest)) solve(W, v, rhs);
   }
 
   // Mode of each joint: locked, or the direction in which it slides, which is 0 without dry
@@ -103,6 +105,13 @@ class Coulomb {
   struct Modes {
     Mask<X> locked[N] = {};
     X direction[N] = {};
+
+    // Whether any joint is locked.
+    bool lock() const {
+      Mask<X> found = {};
+      for (const Mask<X>& one : locked) found |= one;
+      return any(found);
+    }
   };
   Modes modes() const {
     Modes modes;
@@ -121,13 +130,13 @@ class Coulomb {
     for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
     solve_again(x);
     for (int j = 0; j < N; ++j)
-      if (locked_[j]) held_[j] = torque_of_lock(j, W, rhs, x);
+      if (any(locked_[j])) held_[j] = select(locked_[j], torque_of_lock(j, W, rhs, x), held_[j]);
   }
   // The torques of locks alone, with the decisions made.
   void hold_in(const Modes& modes, const Matrix& W, X* x) {
-    bool all_rest = true;
-    for (int j = 0; j < N; ++j) all_rest = all_rest && modes.locked[j];
-    if (!all_rest) return solve_in(modes, W, x);
+    Mask<X> all_rest = X{} == X{};
+    for (int j = 0; j < N; ++j) all_rest &= modes.locked[j];
+    if (!all(all_rest)) return solve_in(modes, W, x);
     for (int j = 0; j < N; ++j) held_[j] = x[j];
   }
 
@@ -156,16 +165,13 @@ class Coulomb {
   }
 
  private:
-  // Set the modes for the speeds v, with every joint at rest locked. Return how many are at rest.
-  ARM_INLINE int begin(const X* v) {
-    int resting = 0;
+  // Set the modes for the speeds v, with every joint at rest locked.
+  ARM_INLINE void begin(const X* v) {
     for (int j = 0; j < N; ++j) {
       direction_[j] = select(where(dry(j), v[j] > 0.0), X{} + 1.0,
                              select(where(dry(j), v[j] < 0.0), X{} - 1.0, X{}));
       locked_[j] = where(dry(j), v[j] == 0.0);
-      if constexpr (kWidth<X> == 1) resting += locked_[j] ? 1 : 0;
     }
-    return resting;
   }
 
   // M with the rows and columns of the locked joints made those of the identity.
@@ -237,6 +243,12 @@ class Coulomb {
     return true;
   }
 
+  ARM_INLINE static Mask<X> negated(const Mask<X>& mask) {
+    if constexpr (kWidth<X> == 1)
+      return !mask;
+    else
+      return ~mask;
+  }
   // ~ of a bool is not its opposite.
   ARM_INLINE static int as_bits(bool mask) { return mask ? -1 : 0; }
   template <class M>

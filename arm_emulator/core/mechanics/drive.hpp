@@ -315,25 +315,20 @@ struct Drive {
 
   // Whether all parts agree that x, as the start and as the end of a step, calls for their
   // usual modes. No means that they must be asked for their modes.
-  constexpr bool is_usual([[maybe_unused]] const Input<double>& x) const {
-    bool usual = true;
-    if constexpr (driven && Motor::modes > 0) {
-      if constexpr (requires { motor.is_usual(x.z, x.u, x.v); })
-        usual &= motor.is_usual(x.z, x.u, felt_speed(x));
-      else
-        usual = false;
-    }
-    if constexpr (elastic && Gear::modes > 0) usual = false;
+  template <class X>
+  ARM_INLINE constexpr Mask<X> is_usual(const Input<X>& x) const {
+    Mask<X> usual = X{} == X{};
+    if constexpr (!may_be_usual) return where(false, usual);
+    if constexpr (driven && Motor::modes > 0) usual &= motor.is_usual(x.z, x.u, felt_speed(x));
     for_each_extra(
         [&]<class Extra>(const Extra& extra, auto state, auto) __attribute__((always_inline)) {
-          if constexpr (requires { extra.is_usual(x.q, x.v, x.z); })
+          if constexpr (Extra::modes > 0)
             usual &= extra.is_usual(angle_of(extra, x), speed_of(extra, x), x.z + state);
-          else if constexpr (Extra::modes > 0)
-            usual = false;
         });
-    if constexpr (elastic && Rotor::modes > 0) usual &= rotor.is_usual();
-    return usual;
+    return where(is_rotor_usual(), usual);
   }
+  // Whether there is any such x.
+  constexpr bool is_ever_usual() const { return may_be_usual && is_rotor_usual(); }
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<double>& x) const {
     Modes at;
@@ -412,6 +407,18 @@ struct Drive {
       return motor.ripple(motor_angle(x)) * motor_speed(x);
     else
       return motor_speed(x);
+  }
+
+  static constexpr bool may_be_usual =
+      (!driven || Motor::modes == 0 ||
+       requires(const Motor& part, const double* z, double x) { part.is_usual(z, x, x); }) &&
+      (!elastic || Gear::modes == 0) &&
+      (true && ... &&
+       (Extras::modes == 0 ||
+        requires(const Extras& part, const double* z, double x) { part.is_usual(x, x, z); }));
+  constexpr bool is_rotor_usual() const {
+    if constexpr (elastic && Rotor::modes > 0) return rotor.is_usual();
+    return true;
   }
 
   static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }

@@ -7,18 +7,18 @@
 
 namespace arm {
 
-template <class S>
+template <class S, class X = double>
 class LinksMemo {
  public:
-  using Dynamics = typename Links<S>::Dynamics;
+  using Dynamics = typename Links<S, X>::Dynamics;
 
   // By the same instructions, whether it is known or not.
-  const Dynamics& at(const Numbers<S>& n, const State<S>& x) {
-    bool same = known_;
-    for (int j = 0; j < S::N; ++j) same &= q_[j] == x.q[j] && v_[j] == x.v[j];
-    if (same) return links_;
+  const Dynamics& at(const Numbers<S, X>& n, const State<S, X>& x) {
+    Mask<X> same = where(known_, X{} == X{});
+    for (int j = 0; j < S::N; ++j) same &= (q_[j] == x.q[j]) & (v_[j] == x.v[j]);
+    if (all(same)) return links_;
     for (int j = 0; j < S::N; ++j) q_[j] = x.q[j], v_[j] = x.v[j];
-    Links<S>::dynamics_apart(n, x.q, x.v, links_);
+    Links<S, X>::dynamics_apart(n, x.q, x.v, links_);
     known_ = true;
     return links_;
   }
@@ -26,7 +26,7 @@ class LinksMemo {
   void forget() { known_ = false; }
 
  private:
-  double q_[S::N], v_[S::N];
+  X q_[S::N], v_[S::N];
   Dynamics links_;
   bool known_ = false;
 };

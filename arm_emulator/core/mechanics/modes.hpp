@@ -66,7 +66,7 @@ class Modes {
       if constexpr (Drive::modes > 0)
         at_most(drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
-    if (least < 0.0 || !any_locked()) return least;
+    if (least < 0.0 || !Friction::present || !friction.lock()) return least;
     Dynamics links = memo.at(*n_, x);
     double a[N];
     Friction coulomb(*n_);
@@ -98,12 +98,6 @@ class Modes {
   auto of_drives() const {
     return [&](const auto& drive, int j, int) { return of(drive, j); };
   }
-  bool any_locked() const {
-    bool found = false;
-    if constexpr (Friction::present)
-      for (int j = 0; j < N; ++j) found = found || friction.locked[j];
-    return found;
-  }
 
   // Torques that accelerate the links, without dry friction; and M with the carried
   // rotors.
@@ -116,5 +110,9 @@ class Modes {
     });
   }
 };
+
+// Whether steps are cut where a mode changes.
+template <class S>
+inline constexpr bool kLocates = S::events == Events::located && Modes<S>::present;
 
 }  // namespace arm

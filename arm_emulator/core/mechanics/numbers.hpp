@@ -32,10 +32,12 @@ struct Sheet {
   }
 };
 
-// A sheet of some values of the varied numbers, with one of them changed; -1: none.
+// A sheet of some values of the varied numbers, with one of them changed; -1: none. All brakes are
+// open.
 template <class S>
 constexpr Sheet<S> sheet_with(int changed) {
   SomeValues<S> values;
+  for (int k = S::parameters; k < kOwnNumbers<S>; ++k) values.p[k] = 0.0;
   if (changed >= 0) values.p[changed] *= 1.5;
   return Sheet<S>(values.p);
 }
@@ -104,6 +106,11 @@ class Numbers<S, double> {
   constexpr explicit Numbers(const double* values) : p_(values), sheet_(p_.p) {}
 
   double value(int k) const { return p_.p[k]; }
+  bool brakes_open() const {
+    bool open = true;
+    for (int k = S::parameters; k < kOwnNumbers<S>; ++k) open = open && p_.p[k] == 0.0;
+    return open;
+  }
   // Set a varied number: the caller has seen to its bounds.
   void set(int k, double value) {
     p_.p[k] = value;
@@ -163,12 +170,13 @@ class Numbers<S, double> {
 };
 
 // Those of machines side by side, one in each lane. A number that is not varied is the same for
-// all.
+// all, as with the brakes open: a machine with a closed one takes its steps alone
+// (smooth_together.hpp).
 template <class S, class X>
 class Numbers {
  public:
   static constexpr int N = S::N, width = kWidth<X>;
-  static constexpr bool varied = kOwnNumbers<S> > 0;
+  static constexpr bool varied = S::parameters > 0;
   using Number = std::conditional_t<varied, X, double>;
 
   // All lanes as `first`.
@@ -179,6 +187,7 @@ class Numbers {
   // `one` must stay where it is.
   void set(int lane, const Numbers<S>& one) {
     of_[lane] = &one;
+    open_[lane] = one.brakes_open() ? -1 : 0;
     if constexpr (varied) {
       for (int j = 0; j < S::L; ++j) {
         const Body<double> from = one.body(j);
@@ -202,13 +211,20 @@ class Numbers {
   ARM_INLINE constexpr void for_each_drive(TheBody&& body) const
     requires(!varied)
   {
-    of_[0]->for_each_drive(body);
+    [&]<int... j>(std::integer_sequence<int, j...>) __attribute__((always_inline)) {
+      (body(std::get<j>(Constants<S>::sheet.drives), j), ...);
+    }(std::make_integer_sequence<int, N>{});
   }
   // The same of one lane.
   template <class TheBody>
-  ARM_INLINE constexpr void for_each_drive_of(int lane, TheBody&& body) const {
-    of_[lane]->for_each_drive(body);
+  ARM_INLINE constexpr void for_each_drive_of([[maybe_unused]] int lane, TheBody&& body) const {
+    if constexpr (varied)
+      of_[lane]->for_each_drive(body);
+    else
+      for_each_drive(body);
   }
+  // Where no brake is closed.
+  const Mask<X>& brakes_open() const { return open_; }
 
   template <class Index>
   ARM_INLINE constexpr Body<Number> body(Index i) const {
@@ -247,6 +263,7 @@ class Numbers {
   }
 
   const Numbers<S>* of_[width] = {};
+  Mask<X> open_ = {};
   Body<Number> bodies_[varied ? S::L : 1] = {};
   Row rotor_ = {}, coulomb_ = {}, breakaway_ = {};
   ExternalWrenches<S, X> outside_;

@@ -63,7 +63,8 @@ struct CurrentLoop : Motor {
   }
   constexpr void follow(double*, double, double) const {}
 
-  constexpr bool is_usual(const double* z, double u, double wm) const {
+  template <class X>
+  ARM_INLINE constexpr Mask<X> is_usual(const X* z, X u, X wm) const {
     return magnitude(asked(z, u, wm)) < nominal.supply;
   }
   constexpr Mode mode_at(const double* z, double u, double wm) const {

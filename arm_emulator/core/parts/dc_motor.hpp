@@ -57,7 +57,8 @@ struct DcMotorOf {
   // Whether (1) holds, of a motor around it (winding.hpp).
   constexpr bool obeys_circuit(bool held) const { return !held; }
 
-  constexpr bool is_usual(const double* i, double, double) const {
+  template <class X>
+  ARM_INLINE constexpr Mask<X> is_usual(const X* i, X, X) const {
     return magnitude(i[0]) < current_limit;
   }
   constexpr Mode mode_at(const double* i, double V, double wm) const {

@@ -32,8 +32,9 @@ struct EndStops {
     return above ? stop().dissipated(q - upper, v, held) : stop().dissipated(lower - q, -v, held);
   }
 
-  constexpr bool is_usual(double q, double, const double*) const {
-    return q <= upper && q >= lower;
+  template <class X>
+  ARM_INLINE constexpr Mask<X> is_usual(X q, X, const X*) const {
+    return (q <= upper) & (q >= lower);
   }
   constexpr Mode mode_at(double q, double v, const double*) const {
     if (stop().pushes(q - upper, v)) return {true, upper};

@@ -36,11 +36,27 @@ struct StepInput {
   static constexpr int k1 = rest + R, change = k1 + 1, k2 = change + R, count = k2 + 1;
 };
 
-// F and G of one drive, its states in rows of K; a state that it does not have rests.
-template <int K, int M>
+// F and G of one drive, its states in rows of K; a state that it does not have rests. Of numbers X
+// that are several joints side by side, those of several drives.
+template <int K, int M, class X = double>
 struct LinearDrive {
   static constexpr int kRows = K > 0 ? K : 1, kColumns = K + 3 + M;
-  double D[kRows], F[kRows][kColumns], G[kColumns];
+  X D[kRows], F[kRows][kColumns], G[kColumns];
+
+  // Drives that rest.
+  static constexpr LinearDrive none() {
+    LinearDrive rests = {};
+    for (X& d : rests.D) d = X{} + 1.0;
+    return rests;
+  }
+  // Take over the numbers of one drive.
+  void put(int lane, const LinearDrive<K, M>& one) {
+    for (int k = 0; k < K; ++k) {
+      set_lane(D[k], lane, one.D[k]);
+      for (int c = 0; c < kColumns; ++c) set_lane(F[k][c], lane, one.F[k][c]);
+    }
+    for (int c = 0; c < kColumns; ++c) set_lane(G[c], lane, one.G[c]);
+  }
 
   template <class TheDrive>
   ARM_APART static constexpr LinearDrive of(const TheDrive& whole, unsigned held) {
@@ -68,27 +84,27 @@ struct LinearDrive {
   }
 
   // E = (D - s F_z)^-1, by Gauss and Jordan with pivots.
-  constexpr void inverse(double s, double (&E)[kRows][kRows]) const {
-    double W[kRows][kRows] = {};
+  ARM_INLINE constexpr void inverse(double s, X (&E)[kRows][kRows]) const {
+    X W[kRows][kRows] = {};
     for (int r = 0; r < K; ++r)
       for (int c = 0; c < K; ++c) {
-        W[r][c] = (r == c ? D[r] : 0.0) - s * F[r][c];
-        E[r][c] = r == c ? 1.0 : 0.0;
+        W[r][c] = (r == c ? D[r] : X{}) - s * F[r][c];
+        E[r][c] = X{} + (r == c ? 1.0 : 0.0);
       }
     for (int c = 0; c < K; ++c) {
-      int pivot = c;
-      for (int r = c + 1; r < K; ++r)
-        if (magnitude(W[r][c]) > magnitude(W[pivot][c])) pivot = r;
-      for (int m = 0; m < K; ++m) {
-        const double w = W[c][m], e = E[c][m];
-        W[c][m] = W[pivot][m], E[c][m] = E[pivot][m];
-        W[pivot][m] = w, E[pivot][m] = e;
+      for (int r = c + 1; r < K; ++r) {
+        const auto larger = magnitude(W[r][c]) > magnitude(W[c][c]);
+        if (!any(larger)) continue;
+        for (int m = 0; m < K; ++m) {
+          swap_where(larger, W[c][m], W[r][m]);
+          swap_where(larger, E[c][m], E[r][m]);
+        }
       }
-      const double scale = 1.0 / W[c][c];
+      const X scale = 1.0 / W[c][c];
       for (int m = 0; m < K; ++m) W[c][m] *= scale, E[c][m] *= scale;
       for (int r = 0; r < K; ++r) {
         if (r == c) continue;
-        const double factor = W[r][c];
+        const X factor = W[r][c];
         for (int m = 0; m < K; ++m) W[r][m] -= factor * W[c][m], E[r][m] -= factor * E[c][m];
       }
     }
@@ -110,6 +126,12 @@ struct LinearDrive {
   }
 
  private:
+  ARM_INLINE static constexpr void swap_where(const Mask<X>& mask, X& a, X& b) {
+    const X before = a;
+    a = select(mask, b, a);
+    b = select(mask, before, b);
+  }
+
   template <class TheDrive>
   static constexpr bool is_sound(const TheDrive& whole, unsigned held) {
     const LinearDrive linear = of(whole, held);
@@ -133,15 +155,15 @@ struct LinearDrive {
 };
 
 // One joint's part of a step of size h: what each row is, to one unit of each input.
-template <int K, int M, int R>
+template <int K, int M, int R, class X = double>
 struct DriveTable {
   using In = StepInput<K, M, R>;
   static constexpr int kRows = K > 0 ? K : 1;
-  double rhs_1[In::count];                   // of the link's row: (M + diagonal) k1 = rhs_1 - nle
-  double rhs_2[In::count];                   // (M + diagonal) k2 = rhs_2 - sqrt(2) nle
-  double dz[kRows][In::count];               // what the step adds to z
-  double diagonal;                           // s b
-  double k_z[R > 0 ? kRows : 1][In::count];  // the rates of z in the first stage
+  X rhs_1[In::count];                   // of the link's row: (M + diagonal) k1 = rhs_1 - nle
+  X rhs_2[In::count];                   // (M + diagonal) k2 = rhs_2 - sqrt(2) nle
+  X dz[kRows][In::count];               // what the step adds to z
+  X diagonal;                           // s b
+  X k_z[R > 0 ? kRows : 1][In::count];  // the rates of z in the first stage
 };
 
 inline constexpr double kSqrt2 = 1.4142135623730951;
@@ -151,25 +173,26 @@ constexpr double gamma_of(int stages) { return stages == 2 ? 1.0 - 0.5 * kSqrt2 
 
 // The table of a linearly implicit scheme with 1 or 2 stages (linearly_implicit.hpp). It is worked
 // out anew for each trial of an event's time (located.hpp), so it is not compiled for size.
-template <int R, int K, int M>
-ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, double h, int stages) {
+template <int R, int K, int M, class X>
+ARM_APART DriveTable<K, M, R, X> implicit_table(const LinearDrive<K, M, X>& drive, double h,
+                                                int stages) {
   using In = StepInput<K, M, R>;
-  constexpr int n = LinearDrive<K, M>::kRows;
+  constexpr int n = LinearDrive<K, M, X>::kRows;
   const double s = gamma_of(stages) * h;
-  double E[n][n] = {}, e[n] = {};
+  X E[n][n] = {}, e[n] = {};
   drive.inverse(s, E);
   for (int r = 0; r < K; ++r)
     for (int c = 0; c < K; ++c) e[r] += s * E[r][c] * (drive.F[c][In::v] + s * drive.F[c][In::q]);
-  double b = -(s * drive.G[In::q] + drive.G[In::v]);
+  X b = -(s * drive.G[In::q] + drive.G[In::v]);
   for (int k = 0; k < K; ++k) b -= drive.G[k] * e[k];
 
-  DriveTable<K, M, R> table = {};
+  DriveTable<K, M, R, X> table = {};
   table.diagonal = s * b;
   // A stage after elimination of z: rhs of the link's row, then k_z from k_v.
   struct Stage {
-    double z[n], rhs;
+    X z[n], rhs;
   };
-  const auto eliminate = [&](const double (&r_z)[n], double r_q, double r_v) {
+  const auto eliminate = [&](const X (&r_z)[n], double r_q, const X& r_v) {
     Stage stage = {{}, r_v + s * drive.G[In::q] * r_q};
     for (int r = 0; r < K; ++r) {
       for (int c = 0; c < K; ++c) stage.z[r] += E[r][c] * (r_z[c] + s * drive.F[c][In::q] * r_q);
@@ -180,7 +203,7 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, dou
   for (int input = 0; input < In::count; ++input) {
     double x[In::count] = {};
     x[input] = 1.0;
-    double f[n] = {}, g = 0.0;
+    X f[n] = {}, g = {};
     if (input < drive.kColumns) {
       for (int k = 0; k < K; ++k) f[k] = drive.F[k][input];
       g = drive.G[input];
@@ -190,7 +213,7 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, dou
       g += x[In::rest + K];
     }
     const Stage one = eliminate(f, x[In::v], g);
-    double k_z[n] = {};
+    X k_z[n] = {};
     for (int k = 0; k < K; ++k) k_z[k] = one.z[k] + e[k] * x[In::k1];
     table.rhs_1[input] = one.rhs;
     if constexpr (R > 0)
@@ -199,9 +222,9 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, dou
       for (int k = 0; k < K; ++k) table.dz[k][input] = h * k_z[k];
       continue;
     }
-    double r_z[n] = {};
+    X r_z[n] = {};
     for (int k = 0; k < K; ++k) r_z[k] = kSqrt2 * drive.D[k] * k_z[k];
-    double r_v = kSqrt2 * (one.rhs - s * b * x[In::k1]);
+    X r_v = kSqrt2 * (one.rhs - s * b * x[In::k1]);
     if constexpr (R > 0) {
       for (int k = 0; k < K; ++k) r_z[k] += x[In::change + k];
       r_v += x[In::change + K];
@@ -217,8 +240,8 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, dou
 struct MakeImplicit {
   double h;
   int stages;
-  template <int R, int K, int M>
-  auto operator()(const LinearDrive<K, M>& drive) const {
+  template <int R, int K, int M, class X>
+  auto operator()(const LinearDrive<K, M, X>& drive) const {
     return implicit_table<R>(drive, h, stages);
   }
 };
@@ -263,14 +286,16 @@ struct MakePaper {
 template <class S, class X, class Make>
 class DriveTables {
  public:
-  static constexpr int N = S::N, K = most_states<S>(), M = most_modes<S>(), row = kRow<N, X>;
+  static constexpr int N = S::N, K = most_states<S>(), row = kRow<N, X>;
+  static constexpr int width = kWidth<X>;
+  // Lanes know the usual modes alone (smooth_together.hpp).
+  static constexpr int M = width == 1 ? most_modes<S>() : 0;
   static constexpr bool linear = !any_drive<S>([](const auto& d) { return !d.is_linear; });
   static constexpr int R = linear ? 0 : K + 1;
   using In = StepInput<K, M, R>;
   static constexpr bool modal = M > 0;
-  static constexpr int width = kWidth<X>;
-  // Lanes may have drives of their own, and be in modes each of its own.
-  static constexpr bool own = (arm::Numbers<S, X>::varied || modal) && width > 1;
+  // Lanes may have drives of their own.
+  static constexpr bool own = arm::Numbers<S, X>::varied && width > 1;
   using Number = std::conditional_t<own, X, double>;
   using Modes = DriveModes<M>;
 
@@ -284,12 +309,19 @@ class DriveTables {
   // With joints in modes that are given.
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, const Modes (&modes)[N])
       : make_(maker), n_(numbers) {
-    for (int lane = 0; lane < width; ++lane) fill_lane(lane, modes);
+    rest();
+    n_.for_each_drive([&](const auto& drive, int j) {
+      now_[j] = modes[j];
+      put_offsets(j);
+      keep(LinearDrive<K, M>::of(drive, modes[j].held()), j);
+    });
+    retime(maker);
   }
   // For steps of another length, in the same modes.
   void retime(const Make& maker) {
     make_ = maker;
-    for (int j = 0; j < N; ++j) copy(make_.template operator()<R>(drives_[j]), j, 0);
+    for (int g = 0; g < arm::Row<N, X>::groups; ++g)
+      copy(make_.template operator()<R>(drives_[g]), g);
   }
   static_assert(!any_drive<S>([](const auto& drive) {
     return !LinearDrive<K, M>::is_sound(drive);
@@ -298,34 +330,32 @@ class DriveTables {
 
   // The numbers have changed.
   void fill() {
-    for (int lane = 0; lane < width; ++lane) fill_lane(lane);
+    for (int lane = 0; lane < (own ? width : 1); ++lane) fill_lane(lane);
   }
-  // The same for one lane. All parts are in their usual modes, if no others are given.
-  void fill_lane(int lane, const Modes* modes = nullptr) {
+  // The same for one lane. All parts are in their usual modes.
+  void fill_lane(int lane) {
     n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
-      unsigned held = 0;
       if constexpr (modal) {
-        now_[lane][j] = modes ? modes[j] : Modes{};
-        held = now_[lane][j].held();
-        put_offsets(j, lane);
+        now_[j] = {};
+        put_offsets(j);
       }
-      copy(table_of(drive, held, j), j, lane);
+      copy(table_of(drive, 0, j), j, lane);
     });
   }
 
   // Have joint j in these modes.
-  void serve(int j, int lane, const Modes& modes) {
+  void serve(int j, const Modes& modes) {
     const unsigned held = modes.held();
-    if (held != now_[lane][j].held()) change_table(j, lane, held);
-    now_[lane][j] = modes;
-    put_offsets(j, lane);
+    if (held != now_[j].held()) change_table(j, held);
+    now_[j] = modes;
+    put_offsets(j);
   }
-  const Modes& served(int j, int lane) const { return now_[lane][j]; }
+  const Modes& served(int j) const { return now_[j]; }
   // The same for the drive of a joint, as it counts its modes.
   auto modes() const {
-    return [this]<class Drive>(const Drive&, int j, int lane) {
-      if constexpr (Drive::modes > 0)
-        return resized<Drive::modes>(now_[lane][j]);
+    return [this]<class Drive>(const Drive&, int j, int) {
+      if constexpr (modal && Drive::modes > 0)
+        return resized<Drive::modes>(now_[j]);
       else
         return typename Drive::Modes{};
     };
@@ -333,8 +363,7 @@ class DriveTables {
   // Whether all joints are served in their usual modes.
   bool serves_usual() const {
     bool usual = true;
-    for (const auto& lane : now_)
-      for (const Modes& modes : lane) usual = usual && modes == Modes{};
+    for (const Modes& modes : now_) usual = usual && modes == Modes{};
     return usual;
   }
 
@@ -383,11 +412,11 @@ class DriveTables {
 
   // State of joint j after a step of the paper's scheme from `start`, in the modes in use.
   template <class TheDrive, class Input>
-  Input end_of(const TheDrive& drive, int j, int lane, const Input& start) const {
-    const Modes& modes = now_[lane][j];
+  Input end_of(const TheDrive& drive, int j, const Input& start) const {
+    const Modes& modes = now_[j];
     Input end = start;
     for (int k = 0; k < TheDrive::states; ++k) {
-      const auto number = [&](int input) { return lane_of(dz[k][input][j], lane); };
+      const auto number = [&](int input) { return dz[k][input][j]; };
       for (int m = 0; m < TheDrive::states; ++m) end.z[k] += number(m) * start.z[m];
       end.z[k] += number(In::q) * start.q + number(In::v) * start.v + number(In::u) * start.u;
       for (int m = 0; m < TheDrive::modes; ++m)
@@ -398,8 +427,8 @@ class DriveTables {
           drive.rest(drive.with(start, resized<TheDrive::modes>(modes)), modes.held());
       for (int k = 0; k < TheDrive::states; ++k) {
         for (int r = 0; r < TheDrive::states; ++r)
-          end.z[k] += lane_of(dz[k][In::rest + r][j], lane) * rest.f[r];
-        end.z[k] += lane_of(dz[k][In::rest + K][j], lane) * rest.g;
+          end.z[k] += dz[k][In::rest + r][j] * rest.f[r];
+        end.z[k] += dz[k][In::rest + K][j] * rest.g;
       }
     }
     return end;
@@ -407,15 +436,13 @@ class DriveTables {
 
   // Have x where the modes in use hold it, against rounding.
   void settle(State<S, X>& x, const X (&u)[row]) const {
-    for (int lane = 0; lane < width; ++lane) {
-      n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
-        if constexpr (Drive::modes > 0) {
-          auto at = input_in_lane(drive, j, x, u[j], lane);
-          drive.settle(at, resized<Drive::modes>(now_[lane][j]));
-          put_states(drive, j, lane, at, x);
-        }
-      });
-    }
+    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0) {
+        auto at = input_of(drive, j, x, u[j]);
+        drive.settle(at, resized<Drive::modes>(now_[j]));
+        put_states(drive, j, 0, at, x);
+      }
+    });
   }
 
   // A row's numbers times the inputs, for all joints.
@@ -462,26 +489,32 @@ class DriveTables {
   template <class Drive>
   void put_rest(const Drive& drive, int j, int lane, const State<S, X>& x, const X (&u)[row],
                 Rest& rest) const {
-    const auto& modes = now_[lane][j];
-    const auto at =
-        drive.with(input_in_lane(drive, j, x, u[j], lane), resized<Drive::modes>(modes));
-    const auto is = drive.rest(at, modes.held());
+    const auto now = modes()(drive, j, lane);
+    const auto is = drive.rest(drive.with(input_in_lane(drive, j, x, u[j], lane), now), now.held());
     for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
     set_lane(rest.at[K][j], lane, is.g);
   }
 
+  void keep(const LinearDrive<K, M>& one, int j) {
+    if constexpr (retimed) drives_[j / Side::group].put(j % Side::group, one);
+  }
+  void rest() {
+    if constexpr (retimed)
+      for (Drives& drives : drives_) drives = Drives::none();
+  }
   template <class TheDrive>
   ARM_APART DriveTable<K, M, R> table_of(const TheDrive& drive, unsigned held, int j) {
-    drives_[retimed ? j : 0] = LinearDrive<K, M>::of(drive, held);
-    return make_.template operator()<R>(drives_[retimed ? j : 0]);
+    const LinearDrive<K, M> linear = LinearDrive<K, M>::of(drive, held);
+    keep(linear, j);
+    return make_.template operator()<R>(linear);
   }
-  ARM_APART void change_table(int joint, int lane, unsigned held) {
-    n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
-      if (j == joint) copy(table_of(drive, held, j), j, lane);
+  ARM_APART void change_table(int joint, unsigned held) {
+    n_.for_each_drive([&](const auto& drive, int j) {
+      if (j == joint) copy(table_of(drive, held, j), j, 0);
     });
   }
-  void put_offsets(int j, int lane) {
-    for (int m = 0; m < M; ++m) set_lane(offsets_[m][j], lane, now_[lane][j].at[m].offset);
+  void put_offsets(int j) {
+    for (int m = 0; m < M; ++m) offsets_[m][j] = now_[j].at[m].offset;
   }
 
   void copy(const DriveTable<K, M, R>& table, int j, int lane) {
@@ -495,11 +528,28 @@ class DriveTables {
     set_lane(diagonal[j], lane, table.diagonal);
   }
 
+  // The tables of a group of joints.
+  void copy(const DriveTable<K, M, R, typename arm::Row<N, X>::Vector>& table, int g) {
+    const auto put = [g](const auto& vector, Number (&numbers)[row]) {
+      for (int j = 0; j < Side::group; ++j) numbers[g * Side::group + j] = vector[j];
+    };
+    for (int input = 0; input < In::count; ++input) {
+      put(table.rhs_1[input], rhs_1[input]);
+      put(table.rhs_2[input], rhs_2[input]);
+      for (int k = 0; k < K; ++k) put(table.dz[k][input], dz[k][input]);
+      if constexpr (!linear)
+        for (int k = 0; k < K; ++k) put(table.k_z[k][input], k_z[k][input]);
+    }
+    put(table.diagonal, diagonal);
+  }
+
+  using Side = arm::Row<N, X>;
   Make make_;
   const arm::Numbers<S, X>& n_;
   static constexpr bool retimed = S::events == Events::located && width == 1;
-  LinearDrive<K, M> drives_[retimed ? N : 1];
-  Modes now_[modal ? width : 1][N];
+  using Drives = LinearDrive<K, M, typename Side::Vector>;
+  Drives drives_[retimed ? Side::groups : 1];
+  Modes now_[N];
   alignas(64) X offsets_[modal ? M : 1][row] = {};
 };
 

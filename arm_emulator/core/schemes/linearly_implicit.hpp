@@ -31,6 +31,7 @@
 #include "mechanics/coulomb.hpp"
 #include "mechanics/links.hpp"
 #include "mechanics/modes.hpp"
+#include "mechanics/usual.hpp"
 #include "numerics/finite.hpp"
 #include "schemes/drive_table.hpp"
 
@@ -95,17 +96,21 @@ class LinearlyImplicit {
   enum class Past { used, unknown };
 
   // A step in modes that are given, whether they hold or not (located.hpp).
-  void step_in(const Modes<S>& modes, State<S, X>& x, const X (&u)[row], Dynamics links,
+  void step_in(const Modes<S>& modes, State<S>& x, const double (&u)[row], const Dynamics& links,
                Past from) {
+    if constexpr (Tables::modal)
+      for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
+    step_in(modes.friction, x, u, links, from);
+  }
+  // The same with the drives in the modes that the tables serve.
+  void step_in(const typename Coulomb<S, X>::Modes& friction, State<S, X>& x, const X (&u)[row],
+               Dynamics links, Past from) {
     Inputs in;
     begin(x, u, in);
-    if constexpr (Tables::modal) {
-      for (int j = 0; j < N; ++j) tables_.serve(j, 0, modes.drive[j]);
-      tables_.put_modes(in);
-    }
+    if constexpr (Tables::modal) tables_.put_modes(in);
     Accelerations k1;
     begin_links(x, u, in, k1);
-    given_ = {&modes.friction, from};
+    given_ = {&friction, from};
     stages_of(x, u, links, in, k1);
     move_links(x, in);
     move_drives(x, in);
@@ -153,7 +158,7 @@ class LinearlyImplicit {
  private:
   using Inputs = typename Tables::Inputs;
   static constexpr bool extrapolates = S::scheme == Scheme::extrapolated;
-  static constexpr bool locates = S::events == Events::located && Modes<S>::present;
+  static constexpr bool locates = kLocates<S>;
   static constexpr int stages = S::scheme == Scheme::implicit ? 1 : 2;
   static constexpr double gamma = gamma_of(stages);
 
@@ -329,21 +334,19 @@ class LinearlyImplicit {
   // shortest of these the modes that its start calls for stay, so that a mode changes by at most
   // 2^-kMostHalvings of a step too late. (Shorter ones need not help: a rotor that a wound-up gear
   // begins to pull gathers its speed with h^3, which the error of a step exceeds at any h.)
-  void step_in_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
+  void step_in_modes(State<S>& x, const double (&u)[row], const Dynamics& links, Inputs& in) {
     const Memory memory = past_;
-    const bool begins_usual = usual_ && is_usual(x, u);
+    const bool begins_usual = usual_ && is_usual(n_, x, u);
     if (!begins_usual) serve_modes_at(x, u);
-    State<S, X> y;
-    Mask<X> hold = {};
+    State<S> y;
     for (int round = 0; round <= 2 * N * Tables::M; ++round) {
       past_ = memory;
       attempt(x, u, links, in, y);
-      if (begins_usual && round == 0 && is_usual(y, u)) {
+      if (begins_usual && round == 0 && is_usual(n_, y, u)) {
         x = y;
         return;
       }
-      hold = modes_hold(x, y, u);
-      if (all(hold)) {
+      if (modes_hold(x, y, u)) {
         x = y;
         tables_.settle(x, u);
         usual_ = tables_.serves_usual();
@@ -352,21 +355,16 @@ class LinearlyImplicit {
     }
     usual_ = false;
     tables_.settle(y, u);
-    Memory later = past_;
     past_ = memory;
     if (halvings_ < kMostHalvings)
       halve(x, u);
     else
       keep_modes(x, u, links, in);
-    if constexpr (kWidth<X> > 1) {  // lanes whose modes hold have no need of halves
-      keep(hold, y, x);
-      keep(hold, later, past_);
-    }
   }
 
   // From x to y in the modes that the tables serve.
-  void attempt(const State<S, X>& x, const X (&u)[row], Dynamics links, Inputs& in,
-               State<S, X>& y) {
+  void attempt(const State<S>& x, const double (&u)[row], Dynamics links, Inputs& in,
+               State<S>& y) {
     Accelerations k1;
     y = x;
     tables_.put_modes(in);
@@ -377,45 +375,22 @@ class LinearlyImplicit {
   }
 
   // A step in the modes that x calls for, whether they hold at its end or not.
-  void keep_modes(State<S, X>& x, const X (&u)[row], const Dynamics& links, Inputs& in) {
+  void keep_modes(State<S>& x, const double (&u)[row], const Dynamics& links, Inputs& in) {
     serve_modes_at(x, u);
-    State<S, X> y;
+    State<S> y;
     attempt(x, u, links, in, y);
     x = y;
     tables_.settle(x, u);
   }
 
-  // Whether x surely calls for the usual modes of all drives.
-  ARM_INLINE bool is_usual(const State<S, X>& x, const X (&u)[row]) const {
-    bool all = true;
-    for (int lane = 0; lane < kWidth<X>; ++lane)
-      n_.for_each_drive_of(
-          lane, [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
-            if constexpr (Drive::modes > 0)
-              all &= drive.is_usual(input_in_lane(drive, j, x, u[j], lane));
-          });
-    return all;
-  }
-  void serve_modes_at(const State<S, X>& x, const X (&u)[row]) {
-    for (int lane = 0; lane < kWidth<X>; ++lane)
-      n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
-        if constexpr (Drive::modes > 0)
-          tables_.serve(j, lane,
-                        resized<Tables::M>(drive.modes_at(input_in_lane(drive, j, x, u[j], lane))));
-      });
+  void serve_modes_at(const State<S>& x, const double (&u)[row]) {
+    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0)
+        tables_.serve(j, resized<Tables::M>(drive.modes_at(input_of(drive, j, x, u[j]))));
+    });
   }
 
-  // Put what `from` is where the mask holds.
-  static void keep(const Mask<X>& mask, auto& from, auto& to) {
-    X numbers[(sizeof to) / sizeof(X)];
-    X *in = numbers, *out = numbers;
-    each_number(from, [&](const X& number) { *in++ = number; });
-    each_number(to, [&](X& number) { number = select(mask, *out++, number); });
-  }
-  static void each_number(State<S, X>& x, auto&& number) { for_each_number(x, number); }
-  static void each_number(Memory& memory, auto&& number) { memory.for_each_number(number); }
-
-  void halve(State<S, X>& x, const X (&u)[row]) {
+  void halve(State<S>& x, const double (&u)[row]) {
     if (!half_) {
       half_ = new LinearlyImplicit(0.5 * h_, n_);
       half_->halvings_ = halvings_ + 1;
@@ -432,23 +407,21 @@ class LinearlyImplicit {
   }
 
   // Whether all modes hold at the end y of a step from x; those that do not are changed.
-  Mask<X> modes_hold(const State<S, X>& x, const State<S, X>& y, const X (&u)[row]) {
-    X changed = {};
-    for (int lane = 0; lane < kWidth<X>; ++lane) {
-      if (!is_finite(lane_of(y.v[0], lane))) continue;  // it has diverged, whatever its modes
-      n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
-        if constexpr (Drive::modes > 0) {
-          const auto& now = tables_.served(j, lane);
-          const auto wanted = resized<Tables::M>(
-              drive.wanted(input_in_lane(drive, j, x, u[j], lane),
-                           input_in_lane(drive, j, y, u[j], lane), resized<Drive::modes>(now)));
-          if (wanted == now) return;
-          set_lane(changed, lane, 1.0);
-          tables_.serve(j, lane, wanted);
-        }
-      });
-    }
-    return changed == 0.0;
+  bool modes_hold(const State<S>& x, const State<S>& y, const double (&u)[row]) {
+    if (!is_finite(y.v[0])) return true;  // it has diverged, whatever its modes
+    bool hold = true;
+    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0) {
+        const auto& now = tables_.served(j);
+        const auto wanted = resized<Tables::M>(drive.wanted(input_of(drive, j, x, u[j]),
+                                                            input_of(drive, j, y, u[j]),
+                                                            resized<Drive::modes>(now)));
+        if (wanted == now) return;
+        hold = false;
+        tables_.serve(j, wanted);
+      }
+    });
+    return hold;
   }
 
   static constexpr int kMostHalvings = 12;

@@ -38,6 +38,7 @@ class OneThread {
       Links<S, X>::dynamics(n_, x.q, x.v, links);
     stepper_.step(x, u, links, *this);
   }
+  Stepper& stepper() { return stepper_; }
   void watch(auto* meter) { stepper_.watch(meter); }
   ARM_INLINE void take(Dynamics&) {}  // it is there already
   ARM_INLINE void give(const State<S, X>&) {}

@@ -17,6 +17,8 @@ class PaperScheme {
   using Tables = DriveTables<S, X, MakePaper>;
   using In = typename Tables::In;
   static constexpr int row = Tables::row;
+  // Drives find the modes that hold at the step's end, the link held where it was.
+  static constexpr bool holds_links = true;
 
   PaperScheme(double step, const Numbers<S, X>& numbers)
       : h_(step), n_(numbers), tables_(numbers, {step}), coulomb_(numbers) {}
@@ -69,20 +71,18 @@ class PaperScheme {
 
   // The modes that hold at the end of the step, the link held: each drive finds its own.
   void choose_modes(const State<S, X>& x, const X (&u)[row], typename Tables::Inputs& in) {
-    for (int lane = 0; lane < kWidth<X>; ++lane) {
-      n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
-        if constexpr (Drive::modes > 0) {
-          const auto start = input_in_lane(drive, j, x, u[j], lane);
-          auto modes = drive.modes_at(start);
-          for (int round = 0; round <= 2 * drive.modes; ++round) {
-            tables_.serve(j, lane, resized<Tables::M>(modes));
-            const auto wanted = drive.wanted(start, tables_.end_of(drive, j, lane, start), modes);
-            if (wanted == modes) return;
-            modes = wanted;
-          }
+    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0) {
+        const auto start = input_of(drive, j, x, u[j]);
+        auto modes = drive.modes_at(start);
+        for (int round = 0; round <= 2 * drive.modes; ++round) {
+          tables_.serve(j, resized<Tables::M>(modes));
+          const auto wanted = drive.wanted(start, tables_.end_of(drive, j, start), modes);
+          if (wanted == modes) return;
+          modes = wanted;
         }
-      });
-    }
+      }
+    });
     tables_.put_modes(in);
   }
 

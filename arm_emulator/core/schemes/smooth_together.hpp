@@ -1,0 +1,188 @@
+// Machines side by side whose smooth steps are taken together, and the others each by itself.
+//
+// A step is smooth for a machine whose drives are in their usual modes at its start and at its end,
+// whose brakes are open and, where events are located, whose links slide or rest all along. Such a
+// step is the one that the machine would take alone: it is decided for all lanes at once, and most
+// steps are smooth. A machine that meets its current's limit, a stop, a brake or, where that is
+// located, comes to rest or breaks away, takes that step by its own scheme and goes on in its lane.
+#pragma once
+
+#include "mechanics/at_once.hpp"
+#include "mechanics/links_memo.hpp"
+#include "mechanics/modes.hpp"
+#include "mechanics/usual.hpp"
+
+namespace arm {
+
+// Whether the lanes of a scene need this.
+template <class S>
+inline constexpr bool kStepsApart = most_modes<S>() > 0 || S::brakes > 0 || kLocates<S>;
+
+template <class S, class X, class Machine>
+class SmoothTogether {
+ public:
+  using Method = typename MethodOf<S, S::scheme, X>::type;
+  using Memory = typename Method::Memory;
+  using Dynamics = typename Links<S, X>::Dynamics;
+  static constexpr int N = S::N, width = kWidth<X>, row = Method::row;
+
+  SmoothTogether(double step, const Numbers<S, X>& numbers)
+      : n_(numbers), method_(step, numbers), coulomb_(numbers) {}
+
+  // The machine of a lane; null where nobody is there, and whatever the lane does is right.
+  void put(int lane, Machine* machine) {
+    machine_[lane] = machine;
+    there_[lane] = machine ? -1 : 0;
+  }
+  void renew() {
+    forget_links();
+    method_.renew();
+  }
+  // What acts on the links has changed.
+  void forget_links() { memo_.forget(); }
+  void reset(const State<S, X>& x) { method_.reset(x); }
+  Memory memory() const { return method_.memory(); }
+  void restore(const Memory& memory) { method_.restore(memory); }
+  const Dynamics& links_at(const State<S, X>& x) { return memo_.at(n_, x); }
+
+  template <class Exchange>
+  ARM_INLINE void step(State<S, X>& x, const X (&u)[row], Dynamics& links, Exchange& exchange) {
+    const State<S, X> start = x;
+    const Memory past = method_.memory();
+    if constexpr (locates) follow(x, u);
+    Mask<X> smooth = n_.brakes_open() & is_usual(n_, x, u);
+    if (any(smooth & there_)) {
+      if constexpr (locates)
+        smooth &= locate(x, u, links);
+      else
+        smooth &= take(x, u, links, exchange);
+    }
+    const Mask<X> alone = there_ & ~smooth;
+    if (any(alone)) {
+      Memory later = method_.memory();
+      for (int lane = 0; lane < width; ++lane)
+        if (alone[lane]) step_alone(lane, start, past, u, x, later);
+      method_.restore(later);
+    }
+  }
+
+ private:
+  static constexpr bool locates = kLocates<S>;
+  using Friction = Coulomb<S, X>;
+
+  // A step together. Where it was smooth.
+  template <class Exchange>
+  ARM_INLINE Mask<X> take(State<S, X>& x, const X (&u)[row], Dynamics& links,
+                          Exchange& exchange) {
+    State<S, X> drives_end = x;
+    method_.step(x, u, links, exchange);
+    if constexpr (requires { Method::holds_links; })
+      for (int k = 0; k < State<S, X>::K; ++k)
+        for (int j = 0; j < N; ++j) drives_end.z[k][j] = x.z[k][j];
+    else
+      drives_end = x;
+    return is_usual(n_, drives_end, u);
+  }
+  // The same with events that are looked for.
+  Mask<X> locate(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
+    typename Friction::Modes modes = {};
+    if constexpr (Friction::present) modes = friction_at(x, u, links);
+    method_.step_in(modes, x, u, links, Method::Past::used);
+    Mask<X> smooth = X{} == X{};
+    if constexpr (Friction::present) smooth = friction_holds(modes, x, u);
+    follow(x, u);
+    return smooth & is_usual(n_, x, u);
+  }
+
+  typename Friction::Modes friction_at(const State<S, X>& x, const X (&u)[row], Dynamics links) {
+    X rhs[N];
+    torques(x, u, links, rhs);
+    coulomb_.take(x, x, u, usual_modes);
+    coulomb_.decide(links.M.at, x.v, rhs);
+    return coulomb_.modes();
+  }
+  Mask<X> friction_holds(const typename Friction::Modes& modes, const State<S, X>& y,
+                         const X (&u)[row]) {
+    Mask<X> hold = X{} == X{};
+    for (int j = 0; j < N; ++j) hold &= y.v[j] * modes.direction[j] >= 0.0;
+    if (!modes.lock()) return hold;
+    Dynamics links = memo_.at(n_, y);
+    X rhs[N];
+    torques(y, u, links, rhs);
+    coulomb_.take(y, y, u, usual_modes);
+    coulomb_.hold_in(modes, links.M.at, rhs);
+    for (int j = 0; j < N; ++j)
+      hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
+    return hold;
+  }
+
+  // What is left for the links to accelerate with, beside dry friction; M with the rotors that they
+  // carry.
+  void torques(const State<S, X>& x, const X* u, Dynamics& links, X* rhs) const {
+    const auto put = [&](int j, const X& g) __attribute__((always_inline)) {
+      links.M.at[j][j] += n_.carried(j);
+      rhs[j] = g - links.nle[j];
+    };
+    if constexpr (Numbers<S, X>::varied) {
+      X g[N];
+      for (int lane = 0; lane < width; ++lane)
+        n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
+          g[j][lane] = drive.rates(input_in_lane(drive, j, x, u[j], lane), 0).g;
+        });
+      for (int j = 0; j < N; ++j) put(j, g[j]);
+    } else {
+      n_.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
+        put(j, drive.rates(input_of(drive, j, x, u[j]), 0).g);
+      });
+    }
+  }
+  static constexpr auto usual_modes = []<class Drive>(const Drive&, int, int) {
+    return typename Drive::Modes{};
+  };
+
+  void follow(State<S, X>& x, const X* u) const {
+    for (int lane = 0; lane < width; ++lane)
+      n_.for_each_drive_of(
+          lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
+            if (!drive.follows_at_once()) return;
+            auto at = input_in_lane(drive, j, x, u[j], lane);
+            drive.follow(at);
+            put_states(drive, j, lane, at, x);
+          });
+  }
+
+  // Take the step of one lane from `start` by its machine.
+  ARM_APART void step_alone(int lane, State<S, X> start, Memory past, const X (&commands)[row],
+                            State<S, X>& end, Memory& later) const {
+    State<S> x;
+    typename Machine::Threads::Memory memory = {};
+    double u[Machine::Stepper::row] = {};
+    for (int j = 0; j < N; ++j) u[j] = commands[j][lane];
+    copy_lane(start, past, lane, x, memory);
+    machine_[lane]->step_alone(x, u, memory);
+    double numbers[kNumbers];
+    double *to = numbers, *from = numbers;
+    for_each_number(x, [&](double number) { *to++ = number; });
+    memory.for_each_number([&](double number) { *to++ = number; });
+    for_each_number(end, [&](X& number) { number[lane] = *from++; });
+    later.for_each_number([&](X& number) { number[lane] = *from++; });
+  }
+  static void copy_lane(State<S, X>& x, Memory& past, int lane, State<S>& to_x, auto& to_past) {
+    double numbers[kNumbers];
+    double *to = numbers, *from = numbers;
+    for_each_number(x, [&](const X& number) { *to++ = number[lane]; });
+    past.for_each_number([&](const X& number) { *to++ = number[lane]; });
+    for_each_number(to_x, [&](double& number) { number = *from++; });
+    to_past.for_each_number([&](double& number) { number = *from++; });
+  }
+  static constexpr int kNumbers = (sizeof(State<S, X>) + sizeof(Memory)) / sizeof(X);
+
+  const Numbers<S, X>& n_;
+  Method method_;
+  Friction coulomb_;
+  LinksMemo<S, X> memo_;
+  Machine* machine_[width] = {};
+  Mask<X> there_ = {};
+};
+
+}  // namespace arm
